@@ -67,6 +67,7 @@ def train(folder: Path, hours: float, steps: int, threads: int) -> None:
     from roigs_engine.photos.cache import PhotoCache
     from roigs_engine.run.presets import preset
     from roigs_engine.run.stage_folder import StageFolder
+    from roigs_engine.training.mechanisms.density_control import DensityControl
 
     library.set_threads(threads)
     folder.mkdir(parents=True, exist_ok=True)
@@ -74,10 +75,7 @@ def train(folder: Path, hours: float, steps: int, threads: int) -> None:
     config = replace(
         preset("standard").scene,
         steps=steps,
-        densify_from=100,
-        densify_until=steps,
-        grad_threshold=4e-4,
-        reset_every=0,
+        mechanisms=(DensityControl(start=100, until=steps, grad_threshold=4e-4, reset_every=0),),
     )
     log, began = Log(folder / "log.csv"), time.monotonic()
 

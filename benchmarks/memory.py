@@ -57,6 +57,7 @@ def train(folder: Path, args: argparse.Namespace, densify: bool) -> None:
     from roigs_engine.kernels import library
     from roigs_engine.photos.cache import PhotoCache
     from roigs_engine.training.config import TrainConfig
+    from roigs_engine.training.mechanisms.density_control import DensityControl
     from roigs_engine.training.trainer import Trainer
 
     library.set_threads(args.threads)
@@ -67,9 +68,7 @@ def train(folder: Path, args: argparse.Namespace, densify: bool) -> None:
     config = TrainConfig(
         steps=args.steps,
         sh_start=3,
-        densify_from=10 if densify else args.steps,
-        densify_until=args.steps,
-        densify_every=10,
+        mechanisms=(DensityControl(start=10, until=args.steps, every=10),) if densify else (),
     )
     count = args.gaussians // 2 if densify else args.gaussians
     trainer = Trainer(synthetic_gaussians(count), data, config)

@@ -28,9 +28,9 @@ from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.run.presets import PRESETS, preset
 from roigs_engine.run.stage_configs import baseline
 from roigs_engine.training import trainer
-from roigs_engine.training.densification.adaptive import AdaptiveDensity
-from roigs_engine.training.densification.statistics import DensityStats
+from roigs_engine.training.edits import DensityStats
 from roigs_engine.training.figures import Figures
+from roigs_engine.training.mechanisms.density_control import RunningDensityControl
 from roigs_engine.training.optimizer import VisibleAdam
 from roigs_engine.training.trainer import Trainer
 
@@ -104,7 +104,7 @@ def watch_training() -> Clock:
     clock.watch(VisibleAdam, "set_lr", "optimizer")
     clock.watch(DensityStats, "add", "statistics")
     clock.watch(Figures, "observe", "running loss and PSNR")
-    clock.watch(AdaptiveDensity, "edit", "densification")
+    clock.watch(RunningDensityControl, "edit", "densification")
     clock.watch(Trainer, "_apply", "densification")
     return clock
 

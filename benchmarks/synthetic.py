@@ -12,7 +12,7 @@ from roigs_engine.model.gaussians import SH_C0, Gaussians
 from roigs_engine.model.scene import Camera
 from roigs_engine.rasterize import RenderOutput, rasterize
 from roigs_engine.rasterize.limits import TRAINING_LIMITS
-from roigs_engine.training.z_order import morton_order
+from roigs_engine.training.edits import morton_order
 
 CAMERAS = 8
 

@@ -25,6 +25,9 @@ from roigs_engine.run import presets
 from roigs_engine.run.config import RunConfig
 from roigs_engine.run.presets import preset
 from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.mechanisms.density_control import DensityControl
+from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
+from tests.engine.settings import adjusted, without
 from tests.engine.synthetic_scene import make_scene
 
 ROIS = {
@@ -34,17 +37,18 @@ ROIS = {
     ]
 }
 ROWS = ["full-scene", "matched", "joint"]
-VARIANT = "roomy:roi.box_budget=90,selected_share=0.5"
+VARIANT = "roomy:roi.box_density_control.budget=90,selected_share=0.5"
 SEEDS = (0, 1)
 
 
 def tiny() -> RunConfig:
     """Twenty steps a stage; the boxes densify readily, the scene not at all."""
     draft = preset("draft")
-    densify = {"densify_every": 2, "densify_until": 15, "reset_every": 0, "antialiased": True}
-    scene = TrainConfig(steps=20, densify_from=2, grad_threshold=9.0, **densify)
-    roi = replace(draft.roi, steps=20, grad_threshold=1e-9, average_steps=0, **densify)
-    return replace(draft, scene=scene, roi=replace(roi, box_budget=3.0), test_every=4)
+    density = DensityControl(start=2, every=2, until=15, reset_every=0, grad_threshold=9.0)
+    scene = TrainConfig(steps=20, antialiased=True, mechanisms=(density,))
+    quick = {"every": 2, "until": 15, "grad_threshold": 1e-9, "budget": 3.0}
+    roi = without(adjusted(draft.roi, DensityControl, **quick), ModelAveraging)
+    return replace(draft, scene=scene, roi=replace(roi, steps=20), test_every=4)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -55,7 +59,7 @@ def small_world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(work, "load_colmap", lambda *args, **options: scene)
         patch.setitem(presets.PRESETS, "tiny", tiny)
-        patch.setattr(TrainConfig, "grad_threshold", 9.0)  # the baselines' own would densify it
+        patch.setattr(DensityControl, "grad_threshold", 9.0)  # the baselines' own would densify it
         yield
     library.set_threads(None)
     for number, handler in zip(SIGNALS, before, strict=True):
@@ -205,7 +209,7 @@ def test_the_page_shows_missing_rows_and_single_seeds(done: Path, scene_folder: 
     assert set(full_object[:-1]) == {"-"} and full_object[-1] == "0"
     assert "±" in lines["Joint"] and "†" not in lines["Joint"].split("|")[2]
     assert "†" in lines["roomy"] and "±" not in lines["roomy"]
-    assert "roi.box_budget=90.0,selected_share=0.5" in page
+    assert "roi.box_density_control.budget=90.0,selected_share=0.5" in page
     assert page.count("Near and far, and single photos") == 3  # two boxes, and all of them
     assert (
         ("| FLIP |" in page) == ("FLIP change" in page) == (find_spec("flip_evaluator") is not None)

@@ -13,6 +13,9 @@ from benchmarks.study.scenes import StudyScene
 from roigs_engine.errors import ConfigError
 from roigs_engine.run.config import MAX_FACTOR
 from roigs_engine.run.presets import preset
+from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
+from roigs_engine.training.mechanisms.density_control import DensityControl
+from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
 
 
 def test_main_rows_of_the_first_seed_come_first() -> None:
@@ -37,9 +40,10 @@ def test_equal_time_lengthens_the_box_stage_alone() -> None:
     draft = preset("draft")
     longer = measure.longer_box_stage(draft, 1.5)
     assert longer.scene == draft.scene
-    assert (longer.roi.steps, longer.roi.densify_until) == (4500, 1000)
-    assert (longer.roi.small_until, longer.roi.average_steps) == (1000, 450)
-    assert measure.longer_box_stage(draft, 0.1).roi.densify_until == 100
+    assert (longer.roi.steps, longer.roi.of(DensityControl).until) == (4500, 1000)
+    assert longer.roi.of(CoarseToFine).until == 1000
+    assert longer.roi.of(ModelAveraging).steps == 450
+    assert measure.longer_box_stage(draft, 0.1).roi.of(DensityControl).until == 100
 
 
 def test_many_photos_are_rows_of_the_main_ways_only() -> None:
@@ -78,8 +82,9 @@ def test_a_variant_sets_fields_and_takes_shares_along() -> None:
     )
     config, own = row.config("draft", 0.5, seed=4), preset("draft")
     assert (config.scene.steps, config.roi.steps, config.seed) == (500, 1800, 4)
-    assert config.scene.densify_until == round(own.scene.densify_until / 4)
-    assert config.roi.densify_until == round(own.roi.densify_until * 0.6)
+    until = {name: getattr(own, name).of(DensityControl).until for name in ("scene", "roi")}
+    assert config.scene.of(DensityControl).until == round(until["scene"] / 4)
+    assert config.roi.of(DensityControl).until == round(until["roi"] * 0.6)
     assert (config.selection.count, config.selection.seed, config.roi_order) == (9, 4, "ordered")
     assert changed(own, []) == own
 

@@ -36,6 +36,8 @@ from roigs_engine.run.plan import Plan
 from roigs_engine.run.scene_stages import scene_stage
 from roigs_engine.run.stage_folder import StageResult
 from roigs_engine.training.config import with_steps
+from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
+from roigs_engine.training.mechanisms.density_control import DensityControl
 
 EQUAL_TIME_FOLDER = run_files.COMPARED + "equal-time"
 
@@ -240,9 +242,11 @@ def longer_box_stage(config: RunConfig, factor: float) -> RunConfig:
     So it learns for longer, with as many Gaussians.
     """
     roi = with_steps(config.roi, max(1, round(factor * config.roi.steps)))
-    until = min(roi.densify_until, config.roi.densify_until)
-    small = min(roi.small_until, config.roi.small_until)
-    return replace(config, roi=replace(roi, densify_until=until, small_until=small))
+    if (density := roi.get(DensityControl)) and (own := config.roi.get(DensityControl)):
+        roi = roi.using(replace(density, until=min(density.until, own.until)))
+    if (small := roi.get(CoarseToFine)) and (first := config.roi.get(CoarseToFine)):
+        roi = roi.using(replace(small, until=min(small.until, first.until)))
+    return replace(config, roi=roi)
 
 
 def _seconds(model: TrainedModel) -> dict[str, float]:

@@ -10,7 +10,7 @@ from typing import Any
 from roigs_engine.errors import ConfigError
 from roigs_engine.run.config import RunConfig
 from roigs_engine.run.presets import REFINE_SHARE, in_strategy, preset
-from roigs_engine.training.config import with_steps
+from roigs_engine.training.config import Mechanism, TrainConfig, with_steps
 
 TABLES = ("I", "II", "III")
 BEYOND = "Beyond"
@@ -193,6 +193,8 @@ def changed(config: RunConfig, changes: Iterable[Change]) -> RunConfig:
 
 def _set(config: Any, path: Sequence[str], value: Any) -> Any:
     head, *rest = path
+    if rest and (part := _mechanism(config, head)) is not None:
+        return config.using(_set(part, rest, value))
     if rest:
         return replace(config, **{head: _set(getattr(config, head), rest, value)})
     if head == "steps":
@@ -200,14 +202,21 @@ def _set(config: Any, path: Sequence[str], value: Any) -> Any:
     return replace(config, **{head: value})
 
 
+def _mechanism(config: Any, name: str) -> Mechanism | None:
+    """A stage's mechanism of that name."""
+    found = config.mechanisms if isinstance(config, TrainConfig) else ()
+    return next((each for each in found if each.name == name), None)
+
+
 def _parsed(config: Any, name: str, text: str) -> Any:
     """The text as the field's type."""
     place = config
     for part in name.split("."):
         known = [field.name for field in fields(place)] if is_dataclass(place) else []
+        known += [each.name for each in getattr(place, "mechanisms", ())]
         if part not in known:
             raise ConfigError(f"There is no setting '{name}'.", f"There are: {', '.join(known)}.")
-        place = getattr(place, part)
+        place = _mechanism(place, part) or getattr(place, part)
     try:
         if isinstance(place, bool):
             return {"true": True, "false": False}[text.lower()]

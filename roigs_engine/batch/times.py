@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from ..formats.text import json_digest
 from ..run.plan import Plan, Stage
+from ..training.config import miniature
 from .parts import WHOLE, ScenePlan, chains, stage_work
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ class Times:
 
 def _kind(stage: Stage, points: int) -> str:
     """The same for stages whose steps take about the same time."""
-    config = replace(stage.config, steps=0, densify_from=0, densify_until=0)
+    config = miniature(stage.config, 0).to_dict()
     sizes = max(i.camera.width * i.camera.height for i in stage.images), points
     rough = [round(ALIKE * math.log(max(size, 1))) for size in sizes]
-    return json_digest([str(config), rough, len(stage.rois)])
+    return json_digest([config, rough, len(stage.rois)])

@@ -36,7 +36,8 @@ from ..photos.headers import content_digest
 from ..rasterize.limits import PICTURE_LIMITS
 from ..rasterize.view import View, blending_weights
 from ..training.config import TrainConfig
-from ..training.floaters.between_views import poses_between
+from ..training.floaters import poses_between
+from ..training.mechanisms.model_averaging import ModelAveraging
 from ..training.photo_order import shuffled
 from ..training.stage_data import StageData
 from ..training.trainer import Trainer
@@ -271,12 +272,8 @@ def make_level(
         sh_start=3,
         lr_shN=1.25e-3,
         lr_scales=0.01,
-        densify_until=0,
-        densify_from=0,
-        reset_every=0,
-        prune_opacity=0.0,
-        average_steps=steps // 5,
         antialiased=start.antialiased,
+        mechanisms=(ModelAveraging(steps=steps // 5),),
     )
     data = StageData(
         images=[_image(view, k) for k, view in enumerate(small)],

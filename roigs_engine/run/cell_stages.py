@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from ..model.ownership import Partition
 from ..model.scene import PosedImage
 from ..training.config import TrainConfig
+from ..training.mechanisms.cutout_steps import CutoutSteps
 from . import stage_configs
 from .definition import Run
 from .layout import Cell
@@ -23,7 +23,6 @@ def trained_on(
     base: Source | None,
     *,
     folder: str = "",
-    cutouts: bool = False,
 ) -> PlannedModel:
     """A model that is trained on in all boxes, cell by cell if the run has cells.
 
@@ -33,7 +32,6 @@ def trained_on(
         config: of the stage for the whole scene.
         base: what it goes on with; None: the sparse points.
         folder: of the stages, below the run folder.
-        cutouts: see `Stage`.
     """
     cells = photos.run.layout.cells
     if cells is None:
@@ -46,10 +44,11 @@ def trained_on(
             start=base,
             order=mixed_order,
         )
-        return PlannedModel.of_stages(name, replace(stage, cutouts=cutouts))
+        return PlannedModel.of_stages(name, stage)
+    alone = config.get(CutoutSteps) is not None
     stages = []
     for index, cell in enumerate(cells.cells):
-        if cutouts and base is not None and not cell.rois:  # no object: it stays as it is
+        if alone and base is not None and not cell.rois:  # no object: it stays as it is
             stages.append(base.inputs[index])
             continue
         own = photos.of(cell)
@@ -62,7 +61,7 @@ def trained_on(
             start=_start(photos.run, base, cell, own.images),
             order=mixed_order if cell.rois else None,
         )
-        stages.append(replace(stage, cutouts=cutouts))
+        stages.append(stage)
     return joined(name, stages, cells.territories)
 
 

@@ -12,7 +12,8 @@ from typing import Any
 
 from ..errors import ConfigError
 from ..selection.config import MAX_SEED, SelectionConfig
-from ..training.config import ADDED, TrainConfig, miniature, with_steps
+from ..training.config import TrainConfig, miniature, with_steps
+from ..training.mechanisms.floater_pruning import FloaterPruning
 
 STRATEGIES = ("joint", "independent")
 INITS = ("scene", "points", "box")
@@ -99,10 +100,10 @@ class RunConfig:
                 "One of the two stages draws with anti-aliasing, the other without.",
                 "Set scene.antialiased and roi.antialiased alike.",
             )
-        if self.scene.min_views:
+        if self.scene.get(FloaterPruning):
             raise ConfigError(
-                f"scene.min_views is {self.scene.min_views}, but the Scene-GS has no boxes.",
-                "Set roi.min_views instead.",
+                f"The Scene-GS uses {FloaterPruning.name}, but has no boxes.",
+                "Use it in the box stage.",
             )
         if not 0 < self.scene_scale <= 1:
             raise ConfigError(
@@ -138,15 +139,10 @@ class RunConfig:
         return self.scene.steps + self.roi.steps
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON; without `groups`, and without `blocks` if there is one.
-
-        Without what was added later, the stages are what they were before.
-        """
-        record = dataclasses.asdict(self)
-        for stage in (record["scene"], record["roi"]):
-            for name in ADDED:
-                if not stage[name]:
-                    del stage[name]
+        """Plain values for JSON; without `groups`, and without `blocks` if there is one."""
+        record = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
+        record["selection"] = dataclasses.asdict(self.selection)
+        record |= {"scene": self.scene.to_dict(), "roi": self.roi.to_dict()}
         del record["groups"]  # the manifest has those that follow from the photos, too
         if self.blocks == 1:
             del record["blocks"]

@@ -17,10 +17,14 @@ import torch
 from numpy.typing import NDArray
 
 from ..context import QUIET, Context
+from ..formats.text import json_digest
 from ..model.gaussians import Gaussians
 from ..model.scene import PosedImage, SfmScene
-from ..training.config import TrainConfig
-from ..training.masks import RoiMasks
+from ..training.mechanisms.box_density_control import BoxDensityControl
+from ..training.mechanisms.density_control import DensityControl
+from ..training.mechanisms.idle_pruning import IdlePruning
+from ..training.mechanisms.importance_pruning import ImportancePruning
+from ..training.mechanisms.masked_steps import MaskedSteps
 from ..training.stage_data import StageData
 from ..training.threads import one_torch_thread
 from ..training.trainer import Trainer
@@ -100,8 +104,8 @@ class Estimator:
     ) -> tuple[float, float]:
         """Seconds of a step on such photos with `start` and with `end` Gaussians."""
         largest = max(image.camera.width * image.camera.height for image in images)
-        settings = replace(stage.config, steps=0)
-        key = (settings, largest, _rounded(start), _rounded(end))
+        settings = replace(stage.config, steps=0).to_dict()
+        key = (json_digest(settings), largest, _rounded(start), _rounded(end))
         if key not in self._times:
             first = self._measured(stage, images, start)
             last = first if end == start else self._measured(stage, images, end)
@@ -118,10 +122,11 @@ class Estimator:
             photo_at=lambda step: step % len(images),
             extent=stage.extent,
             rois=stage.rois,
-            masks=self._masks(stage, images),
             device=torch.device(self._context.device),
         )
-        config = replace(stage.config, steps=WARM_UP + MEASURED, densify_until=0, min_views=0)
+        config = replace(stage.config, steps=WARM_UP + MEASURED).only(MaskedSteps, IdlePruning)
+        if masks := config.get(MaskedSteps):
+            config = config.using(replace(masks, view_weighting=0.0, seeing=()))
         trainer = Trainer(model_of_size(self._scene, count), data, config)
         times = []
         with one_torch_thread():
@@ -131,11 +136,6 @@ class Estimator:
                 _finish(data.device)
                 times.append(time.perf_counter() - began)
         return float(np.median(times[WARM_UP:]))
-
-    def _masks(self, stage: Stage, images: Sequence[PosedImage]) -> RoiMasks | None:
-        if stage.config.full_every == 1:
-            return None
-        return RoiMasks(images, stage.rois, range(len(images)), torch.device(self._context.device))
 
 
 @dataclass
@@ -155,28 +155,34 @@ class _Growing:
 
 def expected_counts(stage: Stage, start: int, share_in_boxes: float) -> list[int]:
     """Number of Gaussians at each step of a stage, by the rule of thumb."""
-    config, counts = stage.config, []
-    speed = TrainConfig.grad_threshold / config.grad_threshold
-    parts = [_Growing(float(start), HALF, math.inf, speed)]
-    if config.densify_in_boxes:  # as much detail as their share of the scene
-        share, limit = share_in_boxes, math.inf
-        if stage.budgets is not None:
-            limit = float(sum(stage.budgets))
-        parts = [_Growing(start * share, max(1.0, HALF * share), limit, speed)]
-        outside = config.outside_grad_threshold
-        speed = TRAINED * TrainConfig.grad_threshold / outside if outside else 0.0
-        rest = 1 - share
-        parts.append(_Growing(start * rest, max(1.0, HALF * rest), math.inf, speed))
-    for step in range(1, config.steps + 1):
-        due = config.densify_from <= step < config.densify_until
-        if due and step % config.densify_every == 0:
+    density, counts = stage.config.get(DensityControl), []
+    pruning = stage.config.get(ImportancePruning)
+    prunes = density is not None and pruning is not None and pruning.acts(stage.config)
+    parts = _growing(density, start, share_in_boxes)
+    for step in range(1, stage.config.steps + 1):
+        if density is not None and density.grows(step):
             for part in parts:
                 part.grow()
-        if config.prunes_faint and step == config.densify_until:
+        if density is not None and prunes and step == density.until:
             for part in parts:
                 part.count *= 1 - FAINT
         counts.append(round(sum(part.count for part in parts)))
     return counts
+
+
+def _growing(density: DensityControl | None, start: int, share_in_boxes: float) -> list[_Growing]:
+    """The Gaussians of a stage: in its boxes and outside, where their thresholds differ."""
+    usual = DensityControl.grad_threshold
+    speed = usual / density.grad_threshold if density else 0.0
+    if not (isinstance(density, BoxDensityControl) and density.box_sizes):
+        return [_Growing(float(start), HALF, math.inf, speed)]
+    share, limit = share_in_boxes, math.inf  # as much detail as their share of the scene
+    if density.budgets is not None:
+        limit = float(sum(density.budgets))
+    inside = _Growing(start * share, max(1.0, HALF * share), limit, speed)
+    outside, rest = density.outside_threshold, 1 - share
+    speed = TRAINED * usual / outside if outside else 0.0
+    return [inside, _Growing(start * rest, max(1.0, HALF * rest), math.inf, speed)]
 
 
 def evaluation_seconds(ends: Sequence[StageEstimate], tests: int) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -19,15 +19,11 @@ from ..model.ownership import count_owned, joined, owners
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from ..photos.cache import PhotoCache
-from ..training.backdrop import backdrop
-from ..training.budget import BoxBudget, budgets_from
-from ..training.cutouts import Cutouts
-from ..training.floaters.view_shares import shown_by
+from ..training.config import TrainConfig
+from ..training.floaters import shown_by
 from ..training.labels import object_owners
-from ..training.masks import RoiMasks
+from ..training.mechanisms.box_density_control import BoxDensityControl
 from ..training.stage_data import SmallPhotos, StageData
-from ..training.view_dependence import with_measured_rate
-from ..training.z_order import morton_order
 from .definition import Run
 from .plan import CELLS, CROP, MERGE, POINTS, Output, Plan, PlannedModel, Source, Stage
 from .stage_folder import StageFolder, StageResult, StageStatus
@@ -136,19 +132,28 @@ class Executor:
         for needed in stage.inputs:  # before the stage's own photos take memory
             self.result(needed)
         data = self._data(stage)
-        config = with_measured_rate(stage.config, data, self.context)
+        config = self._config(stage).measured(data, self.context)
         return folder.train(lambda: self._start(stage, data), data, config, self.context)
+
+    def _config(self, stage: Stage) -> TrainConfig:
+        """The stage's settings, with the budgets of a model that it matches."""
+        if stage.matched is None:
+            return stage.config
+        budgets = tuple(count_owned(self.gaussians(stage.matched), stage.rois))
+        density = stage.config.of(BoxDensityControl)
+        return stage.config.using(replace(density, budgets=budgets))
 
     def _start(self, stage: Stage, data: StageData) -> Gaussians:
         """The Gaussians that a stage's training starts with."""
-        cells, start = stage.config.backdrop_cells, stage.start
-        if not cells or start.kind != POINTS or start.rows is not None:
+        start, scene = stage.start, self.run.train_scene
+        if start.kind != POINTS or start.rows is not None:
             return self.gaussians(start)
-        scene = self.run.train_scene
-        points, colours = backdrop(scene.points, data.images, data.photos, cells, self.context)
-        return Gaussians.from_points(
-            np.concatenate([scene.points, points]), np.concatenate([scene.colors, colours])
-        )
+        found = [each.more_points(data, self.context) for each in stage.config.mechanisms]
+        more = [points for points in found if points is not None]
+        if not more:
+            return self.gaussians(start)
+        points, colours = zip((scene.points, scene.colors), *more, strict=True)
+        return Gaussians.from_points(np.concatenate(points), np.concatenate(colours))
 
     def gaussians(self, source: Source) -> Gaussians:
         """The Gaussians of a source; trains its input stages if necessary."""
@@ -218,8 +223,7 @@ class Executor:
         photos, *halves = self._caches(sizes)
         small = None
         if halves:
-            masks = self._masks(stage, stage.small_images, device)
-            small = SmallPhotos(images=stage.small_images, photos=halves[0], masks=masks)
+            small = SmallPhotos(images=stage.small_images, photos=halves[0])
         return StageData(
             images=stage.images,
             photos=photos,
@@ -227,46 +231,17 @@ class Executor:
             photo_at=stage.order.photo_at(),
             extent=stage.extent,
             rois=stage.rois,
-            budgets=self._budgets(stage),
-            masks=self._masks(stage, stage.images, device),
-            cutouts=self._cutouts(stage, device) if stage.cutouts else None,
+            labelled=lambda: self._labelled(stage),
             points=self.run.train_scene.points,
             seed=stage.seed,
             device=device,
             card_photos=self._memory.card.photos if self._memory.card else None,
         )
 
-    def _masks(
-        self, stage: Stage, images: Sequence[PosedImage], device: torch.device
-    ) -> RoiMasks | None:
-        """The masks of the stage's photos, in one of their sizes."""
-        if stage.config.full_every == 1:
-            return None
-        return RoiMasks(
-            images,
-            stage.rois,
-            stage.seeing,
-            device,
-            view_weighting=stage.config.view_weighting,
-            context=self.context,
-        )
-
-    def _cutouts(self, stage: Stage, device: torch.device) -> Cutouts:
-        """The objects that the stage's steps draw alone, by the labels of its first model."""
-        start = self.gaussians(stage.start).to(device)
-        rows = morton_order(start.means)  # the trainer's
-        names = {roi.name for roi in stage.rois}  # those of the stage have margins
-        rois = [roi for roi in self.run.rois if roi.name in names]
-        owner, images = self._owners(start, rois)[rows], stage.images
-        return Cutouts(start.rows(rows), owner, rois, images, stage.seed, self.context)
-
-    def _budgets(self, stage: Stage) -> list[BoxBudget] | None:
-        ends: Sequence[int] | None = stage.budgets
-        if stage.matched is not None:
-            ends = count_owned(self.gaussians(stage.matched), stage.rois)
-        if ends is None:
-            return None
-        return budgets_from(self.gaussians(stage.start), stage.rois, ends)
+    def _labelled(self, stage: Stage) -> tuple[Gaussians, torch.Tensor]:
+        """The model that the stage starts with, and the box that owns each of its Gaussians."""
+        start = self.gaussians(stage.start)
+        return start, self._owners(start, stage.rois)
 
     def _of(self, stage: Stage) -> Gaussians:
         """The stage's model."""

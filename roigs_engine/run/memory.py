@@ -19,6 +19,7 @@ from ..machine import ENGINE, machine_memory
 from ..model.scene import PosedImage, SfmScene
 from ..rasterize.inputs import TILE
 from ..training.config import TrainConfig
+from ..training.mechanisms.density_control import DensityControl
 from .card_memory import CardPlan, plan_card
 from .config import RunConfig
 from .layout import Layout
@@ -224,10 +225,11 @@ def plan_memory(
 
 def _densifications(*stages: TrainConfig) -> int:
     """How many densifications these stages have."""
-    untils = [min(config.densify_until, config.steps) for config in stages]
+    found = [(config.get(DensityControl), config.steps) for config in stages]
     return sum(
-        max(0, (until - config.densify_from) // config.densify_every)
-        for until, config in zip(untils, stages, strict=True)
+        max(0, (min(density.until, steps) - density.start) // density.every)
+        for density, steps in found
+        if density is not None
     )
 
 

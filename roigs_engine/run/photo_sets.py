@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Set
 from copy import copy
 
 from ..context import QUIET, Context
@@ -75,8 +75,3 @@ class PhotoSets:
 
     def _visible(self, roi: OrientedBox) -> set[str]:
         return set(visible_images(self.run.train_scene, roi, self.context))
-
-    def rows_seeing(self, images: Sequence[PosedImage]) -> tuple[int, ...]:
-        """Row numbers of the `images` that see any of the boxes."""
-        names = {image.name for roi in self.rois for image in self.seen(roi)}
-        return tuple(row for row, image in enumerate(images) if image.name in names)

@@ -18,13 +18,11 @@ from ..model.ownership import Partition
 from ..model.roi import OrientedBox
 from ..model.scene import Int64, PosedImage
 from ..selection import CameraSelection
-from ..training.config import ADDED, TrainConfig
+from ..training.config import TrainConfig
 from ..training.photo_order import PhotoOrder
 
-CUTOUTS_VERSION = 2  # increase it if stages with cutouts get other results
 POINTS, RESULT, CROP, MERGE = "points", "result", "crop", "merge"
 CELLS, SEEN = "cells", "seen"
-AVERAGES_VERSION = 1  # of what small photos are and how they are drawn (`PosedImage.whole_size`)
 SMALL = 0.5  # size of the photos of the first steps of a stage (`TrainConfig.is_small`)
 
 
@@ -86,11 +84,8 @@ class Stage:
         config: settings.
         start: the Gaussians to start from.
         order: which photo each step uses.
-        rois: boxes that limit densification and masks, with their margins.
-        budgets: most Gaussians in each box at the end of densification; None: no limit.
-        matched: a model; its numbers of Gaussians in the boxes replace `budgets`.
-        seeing: row numbers of the photos that see a box.
-        cutouts: whether some steps draw objects alone (`training.cutouts`).
+        rois: boxes that limit densification and masks.
+        matched: a model; its numbers of Gaussians in the boxes are the budgets of the boxes.
         extent: of the scene, world units.
         seed: for the positions of split Gaussians.
     """
@@ -103,10 +98,7 @@ class Stage:
     extent: float
     seed: int
     rois: tuple[OrientedBox, ...] = ()
-    budgets: tuple[int, ...] | None = None
     matched: Source | None = None
-    seeing: tuple[int, ...] = ()
-    cutouts: bool = False
 
     @cached_property
     def small_images(self) -> tuple[PosedImage, ...]:
@@ -119,35 +111,22 @@ class Stage:
     def fingerprint(self) -> str:
         """Hash of everything that decides the stage's result; the boxes' names do not."""
         record: dict[str, Any] = {
-            "config": asdict(self.config),
-            "images": [
-                (i.name, i.digest, *camera_record(i)) + (() if i.mask is None else (i.mask.digest,))
-                for i in self.images
-            ],
+            "config": self.config.to_dict(planned=True),
+            "mechanisms": [each.name for each in self.config.mechanisms],  # in their order
+            "images": [_image_record(image) for image in self.images],
             "rois": [roi.to_dict() | {"name": ""} for roi in self.rois],
-            "budgets": self.budgets,
+            "objects": self._object_masks(),
             "matched": self.matched and self.matched.fingerprint,
-            "seeing": self.seeing,
             "extent": self.extent,
             "seed": self.seed,
             "start": self.start.fingerprint,
             "order": asdict(self.order),
         }
-        objects = self._object_masks()
-        record |= {"objects": objects} if objects else {}
-        for name in ("small_until", "whole_small_until", "lr_shN_measured", *ADDED):
-            if not record["config"][name]:  # such stages are what they were before there was one
-                del record["config"][name]
-        if self.config.backdrop_cells:  # it depends on which points each photo observes
-            observed = (image.point_indices.astype("<i8").tobytes() for image in self.images)
-            record["observed"] = [hashlib.sha256(rows).hexdigest() for rows in observed]
-        if any(i.whole_size for i in (*self.images, *self.small_images)):
-            record["averages"] = AVERAGES_VERSION
-        return json_digest(record | ({"cutouts": CUTOUTS_VERSION} if self.cutouts else {}))
+        return json_digest(record)
 
     def _object_masks(self) -> list[tuple[int, int, str]]:
         """What decides the masks of objects that the stage uses: photo, box, digest of the mask."""
-        if self.config.full_every == 1:  # whole photos
+        if not any(each.uses_object_masks for each in self.config.mechanisms):
             return []
         return [
             (row, box, image.objects[roi.name].digest)
@@ -264,3 +243,10 @@ def result_of(stage: Stage) -> Source:
 def camera_record(image: PosedImage) -> tuple[Any, ...]:
     """What decides which Gaussians a photo shows; ready for JSON."""
     return asdict(image.camera), image.world_to_camera.tolist()
+
+
+def _image_record(image: PosedImage) -> tuple[Any, ...]:
+    """What decides how a photo trains a stage; ready for JSON."""
+    mask = image.mask.digest if image.mask else ""
+    observed = hashlib.sha256(image.point_indices.astype("<i8").tobytes()).hexdigest()
+    return image.name, image.digest, *camera_record(image), image.pixel_size, mask, observed

@@ -8,19 +8,24 @@ from typing import Any
 
 from ..errors import ConfigError
 from ..selection.config import SelectionConfig
-from ..training.config import TrainConfig, with_steps
+from ..training.config import Mechanism, TrainConfig, with_steps
+from ..training.mechanisms.background_points import BackgroundPoints
+from ..training.mechanisms.box_density_control import BoxDensityControl
+from ..training.mechanisms.coarse_to_fine import CoarseToFine
+from ..training.mechanisms.density_control import DensityControl
+from ..training.mechanisms.floater_pruning import FloaterPruning
+from ..training.mechanisms.idle_pruning import IdlePruning
+from ..training.mechanisms.importance_pruning import ImportancePruning
+from ..training.mechanisms.masked_steps import MaskedSteps
+from ..training.mechanisms.measured_sh_rate import MeasuredShRate
+from ..training.mechanisms.model_averaging import ModelAveraging
+from ..training.mechanisms.opacity_decay import OpacityDecay
+from ..training.mechanisms.spaced_sh_rate import SpacedShRate
+from ..training.mechanisms.surroundings_rate import SurroundingsRate
+from ..training.mechanisms.warm_restarts import WarmRestarts
 from .config import RunConfig
 
 REFINE_SHARE = 0.2  # of the box stage's steps, for the joint refinement (notebook/paper.md)
-
-# Of both stages of the joint recipe.
-SHARED: dict[str, Any] = {
-    "reset_every": 0,  # a short stage does not recover from a reset: haze would stay
-    "opacity_decay": 0.025,
-    "faint_growth": 0.05,
-    "restarts": 3,
-    "antialiased": True,
-}
 
 
 def paper_recipe() -> RunConfig:
@@ -30,15 +35,14 @@ def paper_recipe() -> RunConfig:
         strategy="independent",
         selection=SelectionConfig(method="gp9"),
         kept_share=0.5,
-        scene=TrainConfig(steps=20_000, densify_until=10_000),
+        scene=TrainConfig(steps=20_000, mechanisms=(DensityControl(until=10_000),)),
         roi=TrainConfig(
             steps=30_000,
             sh_start=3,
-            densify_from=0,
-            densify_until=15_000,
-            densify_in_boxes=True,
-            reset_every=0,
-            contribution_every=1000,
+            mechanisms=(
+                BoxDensityControl(start=0, until=15_000, reset_every=0),
+                IdlePruning(every=1000),
+            ),
         ),
         baseline_densify=0.3,
         whole_schedule=True,
@@ -49,7 +53,7 @@ def joint_recipe(
     name: str,
     scene_steps: int,
     roi_steps: int,
-    scene_threshold: float = TrainConfig.grad_threshold,
+    scene_threshold: float = DensityControl.grad_threshold,
 ) -> RunConfig:
     """The joint recipe: a short Scene-GS, then one stage that densifies in the boxes only.
 
@@ -66,40 +70,61 @@ def joint_recipe(
         scene_scale=0.5,
         scene=TrainConfig(
             steps=scene_steps,
-            densify_until=scene_steps * 5 // 8,
-            grad_threshold=scene_threshold,
             lr_means_final=middle,
-            backdrop_cells=16,
-            **SHARED,
+            antialiased=True,
+            mechanisms=_scene_mechanisms(scene_steps, scene_threshold),
         ),
         roi=TrainConfig(
             steps=roi_steps,
             sh_start=3,
             # 3DGS's learning rates suit six times as many steps; SH is learned last.
             lr_shN=1.5e-3,
-            lr_shN_spacing=25.0,
-            lr_shN_measured=True,
             lr_scales=0.01,
-            densify_from=0,
-            densify_until=roi_steps // 3,
-            small_until=roi_steps // 3,  # what densification adds is coarse at first
-            whole_small_until=roi_steps * 2 // 3,
-            densify_in_boxes=True,
-            grad_threshold=6e-5,
-            # Far away 4 x 3DGS's; at the boxes' sides 3DGS's: people look at both from near.
-            outside_grad_threshold=8e-4,
-            near_grad_threshold=2e-4,
-            box_budget=32.0,
-            full_every=3,
-            outside_spared_spread=45.0,
-            outside_rate=2.0,  # 3 would make up for the fewer steps, but loses where SH learn fast
-            view_weighting=1.5,
-            min_views=4,
-            average_steps=roi_steps // 10,
-            **SHARED,
+            antialiased=True,
+            mechanisms=_box_mechanisms(roi_steps),
         ),
         roi_order="shuffled",
         selected_share=0.2,
+    )
+
+
+def _scene_mechanisms(steps: int, threshold: float) -> tuple[Mechanism, ...]:
+    """The mechanisms of the joint recipe's Scene-GS."""
+    return (
+        BackgroundPoints(cells=16),
+        # A short stage does not recover from an opacity reset: haze would stay.
+        DensityControl(until=steps * 5 // 8, grad_threshold=threshold, reset_every=0),
+        WarmRestarts(count=3),
+        OpacityDecay(share=0.025),
+        ImportancePruning(growth=0.05),
+    )
+
+
+def _box_mechanisms(steps: int) -> tuple[Mechanism, ...]:
+    """The mechanisms of the joint recipe's box stage."""
+    return (
+        MaskedSteps(full_every=3, view_weighting=1.5),
+        # What densification adds is coarse at first.
+        CoarseToFine(until=steps // 3, whole_until=steps * 2 // 3),
+        SpacedShRate(limit=25.0),
+        MeasuredShRate(),
+        # 3 would make up for the fewer steps, but loses where SH learn fast.
+        SurroundingsRate(factor=2.0),
+        BoxDensityControl(
+            start=0,
+            until=steps // 3,
+            grad_threshold=6e-5,
+            # Far away 4 x 3DGS's; at the boxes' sides 3DGS's: people look at both from near.
+            outside_threshold=8e-4,
+            near_threshold=2e-4,
+            budget=32.0,
+            reset_every=0,
+        ),
+        WarmRestarts(count=3),
+        ModelAveraging(steps=steps // 10),
+        OpacityDecay(share=0.025, one_sided=45.0),
+        ImportancePruning(growth=0.05),
+        FloaterPruning(min_views=4),
     )
 
 
@@ -131,7 +156,8 @@ def in_strategy(config: RunConfig, strategy: str) -> RunConfig:
     label = f"{config.preset}, {strategy}"
     if strategy == "joint":
         named = PRESETS.get(config.preset.partition(",")[0])
-        threshold = named().scene.grad_threshold if named else TrainConfig.grad_threshold
+        own = named().scene.get(DensityControl) if named else None
+        threshold = (own or DensityControl()).grad_threshold
         other = joint_recipe(label, config.scene.steps, config.roi.steps, threshold)
     else:
         other = paper_recipe()

@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import asdict, dataclass, fields, replace
 
 from ..training.config import TrainConfig, miniature, with_steps
+from ..training.mechanisms.background_points import BackgroundPoints
+from ..training.mechanisms.box_density_control import BoxDensityControl
+from ..training.mechanisms.coarse_to_fine import CoarseToFine
+from ..training.mechanisms.cutout_steps import CutoutSteps
+from ..training.mechanisms.density_control import DensityControl
+from ..training.mechanisms.floater_pruning import FloaterPruning
+from ..training.mechanisms.idle_pruning import IdlePruning
+from ..training.mechanisms.importance_pruning import ImportancePruning
+from ..training.mechanisms.masked_steps import MaskedSteps
+from ..training.mechanisms.measured_sh_rate import MeasuredShRate
+from ..training.mechanisms.model_averaging import ModelAveraging
+from ..training.mechanisms.opacity_decay import OpacityDecay
+from ..training.mechanisms.spaced_sh_rate import SpacedShRate
+from ..training.mechanisms.warm_restarts import WarmRestarts
 from .config import RunConfig
 from .presets import in_strategy, joint_recipe
 
@@ -13,19 +26,6 @@ from .presets import in_strategy, joint_recipe
 # masks of the others show much of what is behind the boxes, which may be in another block.
 WHOLE_SHARE = 0.6
 CUTOUT_SHARE = 0.6  # steps of the stage that cuts objects out, in steps of the box stage
-# Of a short stage after the box stage: all Gaussians are there, and stay.
-SETTLED: dict[str, Any] = {
-    "densify_until": 0,
-    "small_until": 0,
-    "whole_small_until": 0,
-    "near_grad_threshold": 0.0,
-    "restarts": 0,
-    "opacity_decay": 0.0,
-    "box_budget": 0.0,
-    "faint_growth": 0.0,
-    "outside_spared_spread": 0.0,
-    "outside_rate": 0.0,
-}
 COARSE_TO_FINE = True  # the tuned baselines: a first stage on small photos; False: one stage
 
 
@@ -49,18 +49,19 @@ def baseline(config: RunConfig) -> TrainConfig:
 
     The intervals are the Scene-GS's, which a miniature of the paper's schedule has scaled.
     """
+    own = config.scene.get(DensityControl) or DensityControl()
+    density = DensityControl(
+        start=own.start,
+        until=_densify_steps(config),
+        every=own.every,
+        reset_every=own.reset_every or DensityControl().reset_every,
+    )
     return replace(
         config.scene,
         steps=config.total_steps,
-        densify_until=_densify_steps(config),
         lr_means_final=TrainConfig.lr_means_final,
-        grad_threshold=TrainConfig.grad_threshold,
-        reset_every=config.scene.reset_every or TrainConfig.reset_every,
-        backdrop_cells=0,
-        opacity_decay=0.0,
-        faint_growth=0.0,
-        restarts=0,
         antialiased=False,
+        mechanisms=(density,),
     )
 
 
@@ -69,64 +70,77 @@ def matched_baseline(config: RunConfig) -> TrainConfig:
 
     So only the Gaussian budget limits the number of Gaussians there.
     """
-    return replace(baseline(config), box_grad_threshold=config.roi.grad_threshold / 4)
+    return _matched(baseline(config), config)
+
+
+def _matched(stage: TrainConfig, config: RunConfig) -> TrainConfig:
+    own = stage.of(DensityControl)
+    density = BoxDensityControl(
+        **asdict(own) | {"grad_threshold": config.roi.of(DensityControl).grad_threshold / 4},
+        outside_threshold=own.grad_threshold,
+        box_sizes=False,
+    )
+    return stage.using(density)
 
 
 def tuned_baseline(config: RunConfig, coarse_to_fine: bool = COARSE_TO_FINE) -> TunedBaseline:
     """The tuned Full Scene and Full Object: 3DGS with all settings of ours that fit any scene.
 
     These are the joint recipe's, without what boxes bring: masks, weights, budgets, a lower
-    threshold; and without small photos in the last stage, by which they lose. With two stages, the
-    steps that densify are as many in sum as in the baseline; the last stage densifies for a third
-    of its steps at the least, like the joint stage.
+    threshold; and without small photos in the last stage, by which they lose (notebook/sampling.md,
+    "Small photos first"). With two stages, the steps that densify are as many in sum as in the
+    baseline; the last stage densifies for a third of its steps at the least, like the joint stage.
     """
     ours = config if config.strategy == "joint" else in_strategy(config, "joint")
-    fine = replace(
-        ours.roi,
-        densify_in_boxes=False,
-        outside_grad_threshold=0.0,
-        near_grad_threshold=0.0,
-        grad_threshold=TrainConfig.grad_threshold,
-        box_budget=0.0,
-        full_every=1,
-        outside_spared_spread=0.0,
-        outside_rate=0.0,
-        view_weighting=0.0,
-        small_until=0,  # they lose a little by it: notebook/sampling.md, "Small photos first"
-        whole_small_until=0,
-    )
+    scene, box = ours.scene.of(DensityControl), ours.roi.of(DensityControl)
+    density = DensityControl(start=box.start, every=box.every, reset_every=box.reset_every)
     if coarse_to_fine:
-        until = max(_densify_steps(config) - ours.scene.densify_until, ours.roi.steps // 3)
-        fine = replace(fine, densify_until=min(until, fine.steps))
+        until = max(_densify_steps(config) - scene.until, ours.roi.steps // 3)
+        density = replace(density, until=min(until, ours.roi.steps))
+        fine = _without_boxes(ours.roi, density)
         return TunedBaseline(coarse=ours.scene, scale=ours.scene_scale, fine=fine)
+    density = replace(density, start=scene.start, until=_densify_steps(config))
     fine = replace(
-        with_steps(fine, config.total_steps),
+        _without_boxes(with_steps(ours.roi, config.total_steps), density),
         sh_start=ours.scene.sh_start,
-        backdrop_cells=ours.scene.backdrop_cells,
-        densify_from=ours.scene.densify_from,
-        densify_until=_densify_steps(config),
     )
+    first = ours.scene.chosen(BackgroundPoints)
+    fine = replace(fine, mechanisms=(*first, *fine.mechanisms))
     return TunedBaseline(coarse=None, scale=1.0, fine=fine)
+
+
+def _without_boxes(stage: TrainConfig, density: DensityControl) -> TrainConfig:
+    """What a box stage uses that fits any scene."""
+    decay = stage.get(OpacityDecay)
+    return replace(
+        stage,
+        mechanisms=(
+            *stage.chosen(SpacedShRate, MeasuredShRate),
+            density,
+            *stage.chosen(WarmRestarts, ModelAveraging),
+            *((OpacityDecay(share=decay.share),) if decay else ()),
+            *stage.chosen(ImportancePruning, FloaterPruning),
+        ),
+    )
 
 
 def tuned_matched_baseline(config: RunConfig) -> TunedBaseline:
     """The tuned baseline with the lower threshold of `matched_baseline` in the boxes."""
-    tuned, threshold = tuned_baseline(config), config.roi.grad_threshold / 4
-    return replace(tuned, fine=replace(tuned.fine, box_grad_threshold=threshold))
+    tuned = tuned_baseline(config)
+    return replace(tuned, fine=_matched(tuned.fine, config))
 
 
 def cutout_stage(config: RunConfig) -> TrainConfig:
     """The stage that makes objects look right alone: the box stage's settings at its end."""
     steps = max(1, round(CUTOUT_SHARE * config.roi.steps))
-    return replace(
+    stage = replace(
         config.roi,
         steps=steps,
         sh_start=config.roi.sh_degree,
         lr_means=config.roi.lr_means / 10,
-        **SETTLED,
-        min_views=0,
-        average_steps=steps // 2,
     )
+    stage = stage.only(MaskedSteps, SpacedShRate, MeasuredShRate)
+    return stage.using(CutoutSteps(), ModelAveraging(steps=steps // 2))
 
 
 def shortened(config: TrainConfig, share: float) -> TrainConfig:
@@ -136,58 +150,64 @@ def shortened(config: TrainConfig, share: float) -> TrainConfig:
     densifications, and there are as many of these, whatever rounding does.
     """
     short = miniature(config, max(1, round(share * config.steps)))
-    ratio = short.densify_every / config.densify_every
-    begin, end = (round(ratio * step) for step in (config.densify_from, config.densify_until))
-    return replace(short, densify_from=begin, densify_until=min(end, short.steps))
+    before, density = config.get(DensityControl), short.get(DensityControl)
+    if before is None or density is None:
+        return short
+    ratio = density.every / before.every
+    begin, end = (round(ratio * step) for step in (before.start, before.until))
+    return short.using(replace(density, start=begin, until=min(end, short.steps)))
 
 
 def surroundings_stage(config: TrainConfig, share: float) -> TrainConfig:
-    """A stage of a part of the scene without boxes, on a share of the photos: whole photos only."""
-    whole = replace(
-        config,
-        densify_in_boxes=False,
-        grad_threshold=config.outside_grad_threshold or config.grad_threshold,
-        densify_until=config.densify_until if _grows_outside(config) else 0,
-        outside_grad_threshold=0.0,
-        near_grad_threshold=0.0,
-        backdrop_cells=0,  # other parts of the scene are behind it
-        opacity_decay=0.0,  # and other photos show it
-        lr_shN_spacing=0.0,
-        box_budget=0.0,
-        full_every=1,
-        outside_spared_spread=0.0,
-        outside_rate=0.0,
-        view_weighting=0.0,
-        min_views=0,
+    """A stage of a part of the scene without boxes, on a share of the photos: whole photos only.
+
+    It uses no background points and no opacity decay: other parts of the scene are behind it, and
+    other photos show it.
+    """
+    masks, density = config.get(MaskedSteps), _outside_density(config)
+    grows = (WarmRestarts, ImportancePruning) if density else ()
+    mechanisms = (
+        *config.chosen(CoarseToFine, MeasuredShRate),
+        *((density,) if density else ()),
+        *config.chosen(IdlePruning, ModelAveraging, *grows),
     )
-    return shortened(whole, share * (1 if config.full_every == 1 else WHOLE_SHARE))
+    whole = replace(config, mechanisms=mechanisms)
+    return shortened(whole, share * (WHOLE_SHARE if masks else 1))
+
+
+def _outside_density(config: TrainConfig) -> DensityControl | None:
+    """How a stage densifies outside its boxes; None: it does not."""
+    own = config.get(DensityControl)
+    if not isinstance(own, BoxDensityControl):
+        return own
+    if not own.outside_threshold:
+        return None
+    settings = {each.name: getattr(own, each.name) for each in fields(DensityControl)}
+    return DensityControl(**settings | {"grad_threshold": own.outside_threshold})
 
 
 def block_stage(config: TrainConfig, share: float, photos: float) -> TrainConfig:
     """A stage of the boxes of a block and of its surroundings.
+
+    It uses no opacity decay, as other photos show what is beside the block, and no other rate for
+    its surroundings: each of its whole photos has nearly twice as many steps.
 
     Args:
         config: of the stage of a whole scene.
         share: of the photos that see boxes, those that see this block's.
         photos: share of all photos that the block has.
     """
-    config = replace(
-        config,
-        opacity_decay=0.0,  # other photos show what is beside the block
-        outside_spared_spread=0.0,
-        outside_rate=0.0,  # and of its whole photos, each has nearly twice as many steps
+    config = config.only(
+        *(MaskedSteps, CoarseToFine, SpacedShRate, MeasuredShRate, DensityControl, IdlePruning),
+        *(WarmRestarts, ModelAveraging, ImportancePruning, FloaterPruning, CutoutSteps),
     )
-    if config.full_every == 1:
+    masks = config.get(MaskedSteps)
+    if masks is None:
         return shortened(config, max(share, photos))
-    masked = (1 - 1 / config.full_every) * share
+    masked = (1 - 1 / masks.full_every) * share
     whole = WHOLE_SHARE * photos
     every = max(2, round((masked + whole) / whole))
-    return shortened(replace(config, full_every=every), masked + whole)
-
-
-def _grows_outside(config: TrainConfig) -> bool:
-    """Whether a stage densifies outside its boxes."""
-    return not config.densify_in_boxes or config.outside_grad_threshold > 0
+    return shortened(config.using(replace(masks, full_every=every)), masked + whole)
 
 
 def _densify_steps(config: RunConfig) -> int:
@@ -202,12 +222,13 @@ def object_stage(config: RunConfig) -> TrainConfig:
 
 def refine_stage(config: RunConfig) -> TrainConfig:
     """The joint refinement of a merged model: the joint stage's settings, no new Gaussians."""
-    return replace(
+    steps = config.refine_steps
+    stage = replace(
         joint_recipe("", config.scene.steps, config.roi.steps).roi,
-        steps=config.refine_steps,
+        steps=steps,
         sh_degree=config.roi.sh_degree,
         sh_start=config.roi.sh_degree,
-        **SETTLED,
-        average_steps=config.refine_steps // 2,
         antialiased=config.roi.antialiased,
     )
+    stage = stage.only(MaskedSteps, SpacedShRate, MeasuredShRate, ModelAveraging, FloaterPruning)
+    return stage.using(ModelAveraging(steps=steps // 2))

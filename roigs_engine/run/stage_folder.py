@@ -271,10 +271,10 @@ class StageFolder:
     ) -> Trainer:
         """A trainer at step 0, or at the step of the checkpoint."""
         if not checkpoint_exists(self._checkpoint):
-            return Trainer(start(), data, config)
+            return Trainer(start(), data, config, context)
         check = partial(check_state, config=config)
         state = load_checkpoint(self._checkpoint, self.fingerprint, context, check)
-        trainer = Trainer(Gaussians(**state["parameters"]), data, config)
+        trainer = Trainer(Gaussians(**state["parameters"]), data, config, context)
         trainer.load_state_dict(state)
         how = f"resumes at step {trainer.step}" if trainer.step else "starts at step 0"
         context.info(f"{self.name}: {how}.")

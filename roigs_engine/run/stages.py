@@ -7,11 +7,9 @@ from collections.abc import Callable, Sequence
 
 from ..model.roi import OrientedBox
 from ..model.scene import Int64, PosedImage
-from ..training.budget import box_budgets
-from ..training.config import TrainConfig
+from ..training.config import PlannedViews, TrainConfig
+from ..training.mechanisms.masked_steps import MaskedSteps
 from ..training.photo_order import PhotoOrder
-from ..training.view_spacing import view_spacing, with_spaced_rate
-from ..training.view_spread import view_spread, with_spared_outside
 from .definition import Run
 from .photo_sets import PhotoSets
 from .plan import POINTS, Source, Stage
@@ -29,7 +27,7 @@ def make_stage(
     start: Source | None = None,
     order: Order | None = None,
 ) -> Stage:
-    """A stage; its budgets, masks, SH learning rate and decay follow from its photos and boxes.
+    """A stage, with what its mechanisms decide by its photos and boxes.
 
     Args:
         name: its folder below the run folder.
@@ -41,22 +39,15 @@ def make_stage(
         order: of its photos; None: `shuffled_order`.
     """
     run = photos.run
-    if config.lr_shN_spacing:
-        spacing = max(view_spacing(photos.seen(roi), roi) for roi in rois)
-        config = with_spaced_rate(config, spacing)
-    if config.outside_spared_spread:
-        spread = max(view_spread(photos.seen(roi), roi) for roi in rois)
-        config = with_spared_outside(config, spread)
-    margins = tuple(roi.scaled(config.box_margin) for roi in rois)
+    views = PlannedViews(images=images, rois=rois, seen=photos.seen, context=photos.context)
+    config = config.planned(views)
     return Stage(
         name=name,
         images=images,
         config=config,
         start=start or points_source(run),
         order=(order or shuffled_order)(photos, images, config),
-        rois=margins,
-        budgets=box_budgets(images, margins, config, photos.context),
-        seeing=() if config.full_every == 1 else photos.rows_seeing(images),
+        rois=tuple(rois),
         extent=run.extent,
         seed=run.config.seed,
     )
@@ -76,16 +67,15 @@ def in_order(photos: PhotoSets, images: Sequence[PosedImage], config: TrainConfi
 
 def mixed_order(photos: PhotoSets, images: Sequence[PosedImage], config: TrainConfig) -> PhotoOrder:
     """Selected photos more often than others."""
-    selected = photos.selected()
-    all_rows = tuple(range(len(images)))
+    selected, masks = photos.selected(), config.get(MaskedSteps)
     return PhotoOrder(
         kind="mixed",
         count=len(images),
         seed=photos.run.config.seed,
         selected=tuple(row for row, image in enumerate(images) if image.name in selected),
-        drawn=all_rows if config.full_every == 1 else photos.rows_seeing(images),
+        drawn=masks.seeing if masks else tuple(range(len(images))),
         share=photos.run.config.selected_share,
-        full_every=config.full_every,
+        full_every=masks.full_every if masks else 1,
     )
 
 

@@ -81,9 +81,7 @@ def _joint(photos: PhotoSets, scene: PlannedModel, folder: str) -> tuple[Planned
     if not _object_masks(run):
         return models
     config = stage_configs.cutout_stage(run.config)
-    last = trained_on(
-        run_files.CUTOUT_STAGE, photos, config, joint.source, folder=folder, cutouts=True
-    )
+    last = trained_on(run_files.CUTOUT_STAGE, photos, config, joint.source, folder=folder)
     return (*models, _after("Joint, cut out", models[-1], last))
 
 

@@ -26,7 +26,6 @@ from ..cuda.pair_buffers import PairBuffer
 from ..errors import EngineError
 from ..kernels import bindings
 from ..model.gaussians import Gaussians
-from .config import TrainConfig
 from .row_copies import chosen_rows
 
 
@@ -346,22 +345,3 @@ def leaves(gaussians: Gaussians) -> Gaussians:
     return gaussians.with_tensors(
         {n: t.detach().contiguous().requires_grad_() for n, t in gaussians.tensors().items()}
     )
-
-
-def learning_rates(config: TrainConfig, extent: float, bands: int) -> dict[str, float | Tensor]:
-    """The learning rate of each of `Gaussians`' tensors, at the first step.
-
-    Args:
-        config: of the stage.
-        extent: of the scene, world units.
-        bands: SH coefficients of a colour.
-    """
-    sh = torch.full((bands, 3), config.lr_shN)
-    sh[0] = config.lr_sh0
-    return {
-        "means": config.lr_means * extent,
-        "quats": config.lr_quats,
-        "log_scales": config.lr_scales,
-        "logit_opacities": config.lr_opacities,
-        "sh": sh.flatten(),
-    }

@@ -9,7 +9,6 @@ from torch import Tensor
 
 from ..cuda.photos import photos_on
 from .cameras import camera_tensors
-from .masks import RoiMask
 from .stage_data import SmallPhotos, StageData
 
 
@@ -45,7 +44,6 @@ class PhotoViews:
         self._photos = photos_on(device, of.photos, limit)
         self._viewmats, self._intrinsics = camera_tensors(of.images, device)
         self._pixel_sizes = [image.pixel_size for image in of.images]
-        self._masks = of.masks
 
     def photo(self, index: int) -> Tensor:
         """Its pixels, as `PhotoTensors` has them."""
@@ -54,10 +52,6 @@ class PhotoViews:
     def prefetch(self, index: int) -> None:
         """Decode a photo in the background."""
         self._photos.prefetch([index])
-
-    def mask(self, index: int) -> RoiMask | None:
-        """Its mask; None: it has none, so the whole photo is used."""
-        return None if self._masks is None else self._masks[index]
 
     def view(self, index: int) -> View:
         """Its camera."""

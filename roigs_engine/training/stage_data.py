@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,13 +11,9 @@ from torch import Tensor
 
 from ..cuda.device import CPU
 from ..cuda.photos import Photos
+from ..model.gaussians import Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import Float64, PosedImage
-from .budget import BoxBudget
-from .config import TrainConfig
-from .cutouts import Cutouts
-from .densification import DensityInputs
-from .masks import RoiMasks
 from .photo_order import PhotoAt
 
 
@@ -27,7 +23,6 @@ class SmallPhotos:
 
     images: Sequence[PosedImage]
     photos: Photos
-    masks: RoiMasks | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,13 +34,11 @@ class StageData:
         photos: their pixels, in the same order.
         photo_at: step -> position in `images` of the photo that the step uses.
         extent: the *scene's* extent, world units; scales position learning rates and pruning sizes.
-        rois: boxes that limit densification, if the stage's config says so.
-        budgets: Gaussian budget of each box; None: no limit.
-        masks: masks for the steps that do not use whole photos (`config.full_every`).
-        small: the photos at half their size, for the first steps (`config.is_small`).
-        cutouts: the objects that some steps draw alone; None: there are none. The stage must not
-            densify, and their rows are those of the `z_order` of its first model.
-        points: (P, 3) of the scene, world units; used with `config.min_views`.
+        rois: the boxes.
+        small: the photos at half their size, for steps that use these (`config.is_small`).
+        labelled: the stage's first model, and the box that owns each of its Gaussians, or -1: by
+            masks, where these show a box's object.
+        points: (P, 3) of the scene, world units.
         backgrounds: (P, 3) colour behind all Gaussians, for each photo, on `device`; None: black.
         seed: for the positions of split Gaussians.
         device: where to train; devices differ only in rounding.
@@ -57,24 +50,10 @@ class StageData:
     photo_at: PhotoAt
     extent: float
     rois: Sequence[OrientedBox] = ()
-    budgets: Sequence[BoxBudget] | None = None
-    masks: RoiMasks | None = None
     small: SmallPhotos | None = None
-    cutouts: Cutouts | None = None
+    labelled: Callable[[], tuple[Gaussians, Tensor]] | None = None
     points: Float64 = field(default_factory=lambda: np.zeros((0, 3)))
     backgrounds: Tensor | None = None
     seed: int = 0
     device: torch.device = CPU
     card_photos: int | None = None
-
-    def density_inputs(self, config: TrainConfig) -> DensityInputs:
-        """What density control knows of the stage."""
-        return DensityInputs(
-            config=config,
-            extent=self.extent,
-            rois=self.rois,
-            budgets=self.budgets,
-            photos=len(self.images),
-            seed=self.seed,
-            device=self.device,
-        )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import torch
 from torch import Tensor
 
 from ..context import QUIET, Context
-from ..cuda.device import CPU, number, on_device, sent
+from ..cuda.device import CPU, number, on_device
 from ..errors import Stopped
 from ..machine import release_freed_memory
 from ..model.gaussians import NAMES, Gaussians
@@ -20,27 +21,18 @@ from ..rasterize import RenderOutput, rasterize
 from ..rasterize.limits import TRAINING_LIMITS
 from ..rasterize.tiles import Mask
 from . import full_memory
-from .averaging import ModelMean
 from .callbacks import PeriodicCallback
 from .config import TrainConfig
-from .cutouts import Cutout
-from .densification import Edit, density_control
-from .densification.edits import unchanged
-from .faint import faint_gaussians
+from .edits import Edit, morton_order, unchanged
 from .figures import Figures
-from .floaters import floaters
 from .health import CHECK_EVERY, Health
+from .loss_masks import LossMask, counted_weights, split_mask
 from .losses import photo_loss
-from .masks import RoiMask, counted_weights, split_mask
-from .opacity_decay import decay_opacities
-from .optimizer import VisibleAdam, learning_rates, leaves
-from .outside import outside_boxes, row_decay, row_rates
-from .photo_order import is_whole
+from .optimizer import VisibleAdam, leaves
 from .photo_views import PhotoViews
 from .stage_data import StageData
 from .steps_ahead import StepsAhead
 from .threads import one_torch_thread
-from .z_order import morton_order
 
 REPORT_SECONDS = 0.5
 
@@ -55,8 +47,10 @@ class Trainer:
     that a view's buffer on a GPU was too small is heard of later (`StepsAhead`).
     """
 
-    def __init__(self, gaussians: Gaussians, data: StageData, config: TrainConfig) -> None:
-        """Start at step 0 with a copy of `gaussians`."""
+    def __init__(
+        self, gaussians: Gaussians, data: StageData, config: TrainConfig, context: Context = QUIET
+    ) -> None:
+        """Start at step 0 with a copy of `gaussians`; `context`: checked for cancellation."""
         self.config = config
         self.data = data
         self.step = 0
@@ -64,18 +58,16 @@ class Trainer:
         self.cpu_seconds = 0.0  # of the whole process, all its threads
         gaussians = replace(gaussians.to(data.device), antialiased=config.antialiased)
         self._parameters = leaves(gaussians.rows(morton_order(gaussians.means)))
-        self._optimizer = self._new_optimizer()
-        self._density = density_control(data.density_inputs(config), len(gaussians))
-        self._outside = outside_boxes(self._parameters, data.rois, config)
-        self._mean = ModelMean()
-        self._faint_pruned = False
+        self.optimizer = self._new_optimizer()
         self.health = Health([image.name for image in data.images])
         small = data.small if config.has_small else None
         self._small = None if small is None else PhotoViews(small, data.device, data.card_photos)
-        self._whole = PhotoViews(data, data.device, data.card_photos)
+        self.photos = PhotoViews(data, data.device, data.card_photos)
         self._ahead = StepsAhead(data.device)
         self._figures = Figures(data.device)
         self._steps_before = 0  # of the optimizer, in front of this step
+        acting = [each for each in config.mechanisms if each.acts(config)]
+        self._running = {each.name: each.begin(config, self, context) for each in acting}
 
     @property
     def gaussians(self) -> Gaussians:
@@ -89,13 +81,11 @@ class Trainer:
         stage: str = "",
         callbacks: Sequence[PeriodicCallback] = (),
     ) -> bool:
-        """Train to the config's last step, then prune floaters; False if stopped earlier.
-
-        Between two steps, when densification has ended, it prunes faint Gaussians.
+        """Train to the config's last step, mechanisms included; False if stopped earlier.
 
         Args:
             context: receives progress events, at most two per second; checked for cancellation
-                before every step, and while it prunes.
+                before every step, and while mechanisms work.
             stage: the stage's name in progress events.
             callbacks: called between steps to write checkpoints and previews.
         """
@@ -110,7 +100,7 @@ class Trainer:
         before, first = self.seconds, self.step
         cpu_started = time.process_time() - self.cpu_seconds
         while self.step < self.config.steps:
-            if context.should_stop() or not self._without_faint(context):
+            if context.should_stop() or not self._between_steps(context):
                 break
             self.train_step()
             now = time.perf_counter()
@@ -128,25 +118,30 @@ class Trainer:
             cpu_started = time.process_time() - self.cpu_seconds
         if self.step < self.config.steps:
             return False
-        return self._without_floaters(context)
+        with torch.no_grad():
+            return all(each.end(self, context) for each in self._running.values())
+
+    def _between_steps(self, context: Context) -> bool:
+        """Whether no mechanism was stopped."""
+        with torch.no_grad():
+            return all(each.between_steps(self, context) for each in self._running.values())
 
     def train_step(self) -> None:
-        """Render a photo, compare, take an optimizer step, then densify or prune if it is due."""
+        """Render a photo, compare, take an optimizer step, then do what is due."""
         config, data = self.config, self.data
         self._ahead.begin(self.step, self._figures.loss)
-        self._steps_before = self._optimizer.step_count
-        self._optimizer.set_lr("means", config.position_learning_rate(self.step) * data.extent)
-        cutout = None if data.cutouts is None else data.cutouts.at(self.step)
-        if cutout is not None:
-            self._cutout_step(cutout)
+        self._steps_before = self.optimizer.step_count
+        self.optimizer.set_lr("means", config.position_learning_rate(self.step) * data.extent)
+        own = (each.own_step(self) for each in self._running.values())
+        if taken := next((step for step in own if step is not None), None):
+            self._end_step(*taken)
             return
         index = data.photo_at(self.step)
         for step in (self.step + 1, self.step + 2):
             self._views(step).prefetch(data.photo_at(step))
         target, counted = split_mask(self._views(self.step).photo(index))
         mask = self._mask(index)
-        rates = row_rates(self._outside, config.outside_rate, whole=mask is None)
-        self._optimizer.row_rates = rates
+        self.optimizer.row_rates = self._row_rates(whole=mask is None)
         output = self._render(index, mask, counted)
         # squeeze, not [0]: its gradient is a view, that of an index is a copy into zeros
         image, weights = output.image.squeeze(0), None
@@ -164,55 +159,39 @@ class Trainer:
             loss_weight = share if loss_weight is None else loss_weight * share
         loss.loss.backward(loss_weight)  # type: ignore[no-untyped-call]
         visible = output.visible[0]
-        if self._optimizer.backward_step is None:
-            self._optimizer.step(visible)
-        self._density.observe(visible, output.grad2d[0], output.max_weight)
+        if self.optimizer.backward_step is None:
+            self.optimizer.step(visible)
+        with torch.no_grad():
+            for each in self._running.values():
+                each.observe(visible, output.grad2d[0], output.max_weight)
         value = loss.loss.detach()
         self._figures.observe(self.step, value, (image, target), weights)
         self._end_step(index, value)
 
-    def _cutout_step(self, cutout: Cutout) -> None:
-        """Draw an object alone, compare, and take an optimizer step with its Gaussians."""
-        target, _ = split_mask(self._whole.photo(cutout.photo))
-        part = self._optimizer.part(cutout.rows)
-        view = cutout.photo, cutout.box
-        output = self._rendered(part, view, cutout.counted, background=cutout.background)
-        window = cutout.window()
-        loss = photo_loss(
-            output.image.squeeze(0)[window],
-            cutout.target(target)[window],
-            ssim_weight=self.config.ssim_weight,
-            counted=sent(cutout.counted[window], target.device),
-        )
-        weight = number(cutout.loss_weight, target.device)
-        loss.loss.backward(weight)  # type: ignore[no-untyped-call]
-        if part.backward_step is None:
-            part.step(output.visible[0])
-        self._optimizer.put(part, cutout.rows)
-        self._end_step(cutout.photo, loss.loss.detach())
+    def _row_rates(self, *, whole: bool) -> Tensor | None:
+        """The product of all factors of the rows' learning rates; None: all are 1."""
+        found = [each.row_rates(whole=whole) for each in self._running.values()]
+        factors = [rates for rates in found if rates is not None]
+        return reduce(torch.mul, factors) if factors else None
 
     def _end_step(self, index: int, loss: Tensor) -> None:
-        """Count a step on a photo, look for NaN; edit the model and restart Adam if it is due."""
+        """Count a step on a photo, look for NaN, and let mechanisms act."""
         self.health.record_loss(self.step, index, loss)
         self.step += 1
-        checks = self.step % min(CHECK_EVERY, self.config.densify_every) == 0
-        edits, averages = self._density.is_due(self.step), self.config.is_averaged(self.step)
-        restarts, ends = self.config.is_restarted(self.step), self.step == self.config.steps
-        decays = self.config.is_decayed(self.step, len(self.data.images))
-        reads = any((checks, edits, averages, restarts, decays, ends, self._figures.is_new))
-        if self._taken_back(wait=reads):
+        due = [each for each in self._running.values() if each.is_due(self.step)]
+        checks, ends = self.step % CHECK_EVERY == 0 or bool(due), self.step == self.config.steps
+        if self._taken_back(wait=checks or ends or self._figures.is_new):
             return
         self._figures.read()
         if checks:
             self.check()
-        if edits and (edit := self._density.edit(self._parameters, self.step)) is not None:
-            self._apply(edit)
-        if restarts:
-            self._optimizer.zero_moments(*(name for name in NAMES if name != "sh"))
-        self._average()
-        if decays:
-            share = row_decay(self._outside, self.config)
-            decay_opacities(self._parameters.logit_opacities, share)
+        with torch.no_grad():
+            for each in due:
+                each.after_step(self)
+
+    def settled(self) -> bool:
+        """Whether all steps so far are done; if not, the trainer has gone back to the first."""
+        return not self._taken_back(wait=True)
 
     def _taken_back(self, *, wait: bool) -> bool:
         """Whether steps must be done again; then the trainer is where the first of them begins."""
@@ -221,7 +200,7 @@ class Trainer:
             return False
         step, loss = found
         self._figures.take_back(loss)
-        self._optimizer.step_count -= self.step - step
+        self.optimizer.step_count -= self.step - step
         self.health.forget(step)
         self.step = step
         return True
@@ -229,45 +208,44 @@ class Trainer:
     @property
     def is_between_steps(self) -> bool:
         """Whether a step that failed has changed nothing: the state is that in front of it."""
-        return self._optimizer.step_count == self._steps_before
+        return self.optimizer.step_count == self._steps_before
 
     def check(self) -> None:
         """Raise TrainingError if a loss, a gradient or a parameter is NaN or Inf."""
         self._taken_back(wait=True)
-        self.health.check(self.step, self._parameters.tensors(), self._optimizer.skipped_rows)
+        self.health.check(self.step, self._parameters.tensors(), self.optimizer.skipped_rows)
 
     def _views(self, step: int) -> PhotoViews:
         """The photos in the size that a step uses."""
-        return (self._small if self.config.is_small(step) else None) or self._whole
+        return (self._small if self.config.is_small(step) else None) or self.photos
 
-    def _mask(self, index: int) -> RoiMask | None:
+    def _mask(self, index: int) -> LossMask | None:
         """The mask of this step's photo; None: the step uses the whole photo."""
-        if is_whole(self.step, self.config.full_every):
-            return None
-        return self._views(self.step).mask(index)
+        small = self._views(self.step) is self._small
+        found = (each.mask(self.step, index, small=small) for each in self._running.values())
+        return next((mask for mask in found if mask is not None), None)
 
-    def _render(self, index: int, mask: RoiMask | None, counted: Tensor | None) -> RenderOutput:
+    def _render(self, index: int, mask: LossMask | None, counted: Tensor | None) -> RenderOutput:
         active: Mask = None if mask is None else mask.tiles
         if counted is not None:
             active = counted if mask is None else mask.counting(counted)
-        colours, needed = self.data.backgrounds, self._density.needs_max_weight
+        colours = self.data.backgrounds
+        needed = any(each.needs_max_weight for each in self._running.values())
         behind = None if colours is None else colours[index]
         view = index, "whole" if mask is None else "mask"
         options: dict[str, Any] = {"background": behind, "with_max_weight": needed}
-        return self._rendered(self._optimizer, view, active, **options)
+        return self.render(self.optimizer, view, active, **options)
 
-    def _rendered(
-        self,
-        optimizer: VisibleAdam,
-        view: tuple[int, int | str],
-        active: Mask,
-        **options: Any,
+    def render(
+        self, optimizer: VisibleAdam, view: tuple[int, int | str], active: Mask, **options: Any
     ) -> RenderOutput:
         """An optimizer's Gaussians.
 
         Args:
+            optimizer: of the model, or a part of it.
             view: the photo, and what is drawn of it.
             active: what is needed of it.
+            options: of `rasterize`.
         """
         p, camera = optimizer.parameters, self._views(self.step).view(view[0])
         return rasterize(
@@ -286,68 +264,39 @@ class Trainer:
             **options,
         )
 
-    def _average(self) -> None:
-        """Add the model to the mean; at the last step, the mean becomes the model."""
-        if self.config.is_averaged(self.step):
-            self._mean.add(self._parameters)
-        if self.step == self.config.steps and self._mean.count:
-            self._parameters = leaves(self._parameters.with_tensors(self._mean.mean()))
-            self._mean.clear()
-
-    def _without_faint(self, context: Context) -> bool:
-        """Prune the faintest Gaussians if that is due; False if stopped, with nothing changed."""
-        config = self.config
-        due = config.prunes_faint and config.densify_until <= self.step and not self._faint_pruned
-        if not due or self._taken_back(wait=True):
-            return True
-        asked = self.data, self._whole, config.faint_growth
-        what = "Gaussians that the photos hardly show"
-        self._faint_pruned = self._prune(context, what, faint_gaussians, *asked)
-        return self._faint_pruned
-
-    def _without_floaters(self, context: Context) -> bool:
-        """Prune floaters if the stage does; False if stopped, with nothing changed."""
-        data, views = self.data, self.config.min_views
-        asked = data.images, data.rois, data.points, views
-        what = "Gaussians that hang in the air"
-        return not views or self._prune(context, what, floaters, *asked)
-
-    def _prune(
-        self, context: Context, what: str, search: Callable[..., Tensor], *asked: Any
-    ) -> bool:
+    def prune(self, context: Context, what: str, search: Callable[[], Tensor]) -> bool:
         """Remove the Gaussians that a search finds, (N,) bool; False if it was stopped."""
         began, cpu_began = time.perf_counter(), time.process_time()
         context.info(f"Looking for {what}.")
-        self._steps_before = self._optimizer.step_count  # while it searches, nothing has changed
+        self._steps_before = self.optimizer.step_count  # while it searches, nothing has changed
         try:
-            found = search(self._parameters, *asked, context)
+            found = search()
         except Stopped:
             return False
         context.info(f"Removed {int(found.sum()):,} {what}, of {len(found):,}.")
         if bool(found.any()):
             self._steps_before = -1  # from here on, half of the state may have
             kept = (~found).nonzero()[:, 0]
-            self._density.follow(kept)
-            self._apply(unchanged(self._parameters).keep(kept))
-            self._steps_before = self._optimizer.step_count
+            self.apply(unchanged(self._parameters).keep(kept))
+            self._steps_before = self.optimizer.step_count
         self.seconds += time.perf_counter() - began
         self.cpu_seconds += time.process_time() - cpu_began
         return True
 
-    def _apply(self, edit: Edit) -> None:
+    def apply(self, edit: Edit) -> None:
         """Continue with the edited Gaussians and their optimizer state."""
         if edit.rows is not None:
             self._ahead.grow(len(self._parameters), len(edit.rows))
-            self._mean.clear()
             self._parameters = leaves(edit.gaussians)
-            self._optimizer.replace(self._parameters.tensors(), edit.rows)
-            self._outside = outside_boxes(self._parameters, self.data.rois, self.config)
+            self.optimizer.replace(self._parameters.tensors(), edit.rows)
+            for each in self._running.values():
+                each.follow(edit.rows, self._parameters)
             release_freed_memory()
         if edit.opacity_cap is not None:
             logit = float(np.log(edit.opacity_cap / (1 - edit.opacity_cap)))
             with torch.no_grad():
                 self._parameters.logit_opacities.clamp_(max=logit)
-            self._optimizer.zero_moments("logit_opacities")
+            self.optimizer.zero_moments("logit_opacities")
 
     def _new_optimizer(self) -> VisibleAdam:
         tensors = self._parameters.tensors()
@@ -364,11 +313,8 @@ class Trainer:
             "loss": float(self._figures.loss),
             "psnr": self._figures.psnr,
             "parameters": {n: t.detach() for n, t in self._parameters.tensors().items()},
-            "optimizer": self._optimizer.state_dict(),
-            "mean": self._mean.state_dict(),
-            "density": self._density.state_dict(),
-            "faint_pruned": self._faint_pruned,
-            "outside": self._outside,
+            "optimizer": self.optimizer.state_dict(),
+            "mechanisms": {name: each.state_dict() for name, each in self._running.items()},
         }
         return dict(on_device(state, CPU))
 
@@ -380,11 +326,26 @@ class Trainer:
         self._figures.loss.fill_(float(state["loss"]))
         self._figures.psnr = float(state["psnr"])
         self._parameters = leaves(self._parameters.with_tensors(state["parameters"]))
-        self._optimizer = self._new_optimizer()
-        self._optimizer.load_state_dict(state["optimizer"])
-        self._mean.load_state_dict(state["mean"])
-        inputs = self.data.density_inputs(self.config)
-        self._density = density_control(inputs, len(self._parameters))
-        self._density.load_state_dict(state["density"])
-        self._outside = state.get("outside")  # an older checkpoint has none
-        self._faint_pruned = bool(state.get("faint_pruned"))  # None: an older checkpoint
+        self.optimizer = self._new_optimizer()
+        self.optimizer.load_state_dict(state["optimizer"])
+        for name, each in self._running.items():
+            each.load_state_dict(state["mechanisms"][name])
+
+
+def learning_rates(config: TrainConfig, extent: float, bands: int) -> dict[str, float | Tensor]:
+    """The learning rate of each of `Gaussians`' tensors, at the first step.
+
+    Args:
+        config: of the stage.
+        extent: of the scene, world units.
+        bands: SH coefficients of a colour.
+    """
+    sh = torch.full((bands, 3), config.lr_shN)
+    sh[0] = config.lr_sh0
+    return {
+        "means": config.lr_means * extent,
+        "quats": config.lr_quats,
+        "log_scales": config.lr_scales,
+        "logit_opacities": config.lr_opacities,
+        "sh": sh.flatten(),
+    }

@@ -33,7 +33,10 @@ from roigs_engine.run import presets, stage_folder
 from roigs_engine.run.config import RunConfig
 from roigs_engine.training import trainer
 from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.mechanisms.density_control import DensityControl
+from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
 from tests.engine.faults import FAULTS, WITH_EVENTS, connect
+from tests.engine.settings import adjusted
 from tests.engine.synthetic_colmap import camera, write_project
 
 CONTEXT = multiprocessing.get_context("forkserver" if os.name == "posix" else "spawn")
@@ -147,12 +150,14 @@ def tree(folder: Path) -> dict[str, bytes | None]:
 def tiny() -> RunConfig:
     """The paper's strategy in 18 steps and 24, with densification and averaging in both."""
     paper = presets.preset("paper")
-    quick = {"densify_from": 4, "densify_every": 4, "grad_threshold": 1e-6, "sh_every": 5}
+    quick = {"start": 4, "every": 4, "until": 13, "grad_threshold": 1e-6}
+    density = DensityControl(reset_every=9, **quick)
+    roi = adjusted(paper.roi, DensityControl, **quick).using(ModelAveraging(steps=10))
     return replace(
         paper,
         preset="tiny",
-        scene=TrainConfig(steps=18, densify_until=13, reset_every=9, **quick),
-        roi=replace(paper.roi, steps=24, densify_until=13, average_steps=10, **quick),
+        scene=TrainConfig(steps=18, sh_every=5, mechanisms=(density,)),
+        roi=replace(roi, steps=24, sh_every=5),
         selection=replace(paper.selection, count=5),
         test_every=4,
     )

@@ -15,6 +15,8 @@ from roigs_engine.run.executor import TrainedModel
 from roigs_engine.run.folder import open_folder, train_run
 from roigs_engine.run.presets import preset
 from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.mechanisms.density_control import DensityControl
+from tests.engine.settings import adjusted
 
 Manual = Mapping[str, Sequence[str]]
 
@@ -22,10 +24,13 @@ Manual = Mapping[str, Sequence[str]]
 def tiny(strategy: str, **changes: object) -> RunConfig:
     """A preset of so few steps that a run takes a second."""
     config = preset("paper" if strategy == "independent" else "draft")
-    quick = {"densify_every": 5, "grad_threshold": 1e-5, "reset_every": 0}
-    quick["antialiased"] = config.roi.antialiased
-    scene_stage = TrainConfig(steps=20, densify_from=5, densify_until=15, **quick)
-    roi_stage = replace(config.roi, steps=30, densify_until=20, **quick)
+    quick = {"every": 5, "grad_threshold": 1e-5, "reset_every": 0}
+    scene_stage = TrainConfig(
+        steps=20,
+        antialiased=config.roi.antialiased,
+        mechanisms=(DensityControl(start=5, until=15, **quick),),
+    )
+    roi_stage = replace(adjusted(config.roi, DensityControl, until=20, **quick), steps=30)
     selection = replace(config.selection, count=5)
     config = replace(config, scene=scene_stage, roi=roi_stage, selection=selection, test_every=4)
     return replace(config, **changes)

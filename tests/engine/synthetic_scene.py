@@ -16,7 +16,6 @@ from roigs_engine.model.scene import Camera, PosedImage, SfmScene
 from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.rasterize import rasterize
 from roigs_engine.training import photo_order
-from roigs_engine.training.masks import RoiMasks
 from roigs_engine.training.stage_data import SmallPhotos, StageData
 from tests.poses import look_at
 
@@ -95,8 +94,7 @@ def stage_data(scene: SfmScene, seed: int = 3, **changes: Any) -> StageData:
     return replace(data, **changes)
 
 
-def small_photos(scene: SfmScene, device: torch.device | None = None) -> SmallPhotos:
-    """The photos at half their size, with the box's masks on a device."""
+def small_photos(scene: SfmScene) -> SmallPhotos:
+    """The photos at half their size."""
     halves = [image.scaled(0.5) for image in scene.images]
-    masks = RoiMasks(halves, [BOX], range(len(halves)), device)
-    return SmallPhotos(images=halves, photos=PhotoCache(halves), masks=masks)
+    return SmallPhotos(images=halves, photos=PhotoCache(halves))

@@ -5,17 +5,13 @@ from __future__ import annotations
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.mechanisms.density_control import DensityControl
 from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import stage_data
 
 CONFIG = TrainConfig(
     steps=8,
-    densify_from=2,
-    densify_until=6,
-    densify_every=2,
-    grad_threshold=1e-5,
-    contribution_every=0,
-    average_steps=0,
+    mechanisms=(DensityControl(start=2, until=6, every=2, grad_threshold=1e-5),),
 )
 
 

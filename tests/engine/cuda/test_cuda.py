@@ -20,8 +20,9 @@ from roigs_engine.rasterize import rasterize
 from roigs_engine.rasterize.view import render_view
 from roigs_engine.training import steps_ahead
 from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.floaters.consistency import consistent_across_views
+from roigs_engine.training.floaters import consistent_across_views
 from roigs_engine.training.losses import photo_loss
+from roigs_engine.training.mechanisms.density_control import DensityControl
 from roigs_engine.training.optimizer import VisibleAdam
 from roigs_engine.training.trainer import Trainer
 from tests.engine.rasterize_cases import (
@@ -126,7 +127,8 @@ def test_floaters_are_those_of_the_cpu(tmp_path_factory: pytest.TempPathFactory)
 def test_trainings_end_alike(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Within 0.2 dB; the demo scene's long training is measured by benchmarks/README.md."""
     scene = make_scene(tmp_path_factory.mktemp("photos"))
-    config = TrainConfig(steps=400, sh_every=100, densify_from=50, densify_until=200)
+    density = DensityControl(start=50, until=200)
+    config = TrainConfig(steps=400, sh_every=100, mechanisms=(density,))
     found = []
     for device in (CPU, CARD):
         data = stage_data(scene, seed=0, device=device)
@@ -145,7 +147,7 @@ def test_trainings_end_alike(tmp_path_factory: pytest.TempPathFactory) -> None:
 def test_a_step_does_not_wait_for_the_card(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Once every view was drawn: its first drawing waits for the number of its pairs."""
     scene = make_scene(tmp_path_factory.mktemp("photos"), views=4)
-    trainer = trainer_on_card(scene, TrainConfig(steps=100, densify_from=90))
+    trainer = trainer_on_card(scene, TrainConfig(steps=100))
     for _ in range(10):
         trainer.train_step()
     torch.cuda.synchronize()
@@ -167,7 +169,7 @@ def test_views_with_small_buffers_are_drawn_again(
     models = []
     for made in (pair_buffers.pair_buffers_on, lambda device: None):
         monkeypatch.setattr(steps_ahead, "pair_buffers_on", made)
-        config = TrainConfig(steps=200, densify_from=50, densify_until=150)
+        config = TrainConfig(steps=200, mechanisms=(DensityControl(start=50, until=150),))
         trainer = trainer_on_card(scene, config)
         assert trainer.run()
         models.append(trainer.gaussians.tensors())

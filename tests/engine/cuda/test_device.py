@@ -31,8 +31,9 @@ from roigs_engine.run.stage_folder import StageFolder
 from roigs_engine.run.strategies import plan_run
 from roigs_engine.training import photo_views, trainer
 from roigs_engine.training.checkpoint import save_checkpoint
-from roigs_engine.training.densification.adaptive import AdaptiveDensity
 from roigs_engine.training.losses import photo_loss
+from roigs_engine.training.mechanisms.density_control import DensityControl, RunningDensityControl
+from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
 from roigs_engine.training.optimizer import VisibleAdam
 from roigs_engine.training.trainer import Trainer
 from tests.engine import synthetic_scene
@@ -58,15 +59,14 @@ def without_kernels(patch: pytest.MonkeyPatch) -> None:
 
 
 def weights(trainer: Trainer) -> torch.Tensor:
-    """The largest blending weights that density control has seen."""
-    assert isinstance(trainer._density, AdaptiveDensity)
-    return trainer._density.stats.weight
+    """The largest blending weights that pruning has seen."""
+    return trainer.state_dict()["mechanisms"]["idle_pruning"]["weight"]
 
 
 def test_steps_without_kernels_are_those_with_them(
     scene: SfmScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = replace(CONFIG, densify_from=100, contribution_every=1)
+    config = replace(CONFIG, mechanisms=(IdlePruning(every=1),))
     kernels = trained(scene, config)
     without_kernels(monkeypatch)
     plain = trained(scene, config)
@@ -96,7 +96,7 @@ def test_masked_steps_without_kernels_are_those_with_them(
         return lambda: torch.from_numpy(pixels)
 
     monkeypatch.setattr(synthetic_scene, "PhotoCache", Masked)  # of `stage_data`
-    config = replace(CONFIG, densify_from=100)
+    config = replace(CONFIG, mechanisms=())
     kernels = trained(scene, config)
     without_kernels(monkeypatch)
     monkeypatch.setattr(
@@ -124,7 +124,7 @@ def test_densifying_without_kernels_gives_as_good_a_model(
 
 def test_a_step_reads_nothing_back(scene: SfmScene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Between edits no tensor becomes a number or a list, which on a card would be waited for."""
-    config = replace(CONFIG, steps=20, densify_from=100, densify_every=100)
+    config = replace(CONFIG, steps=20, mechanisms=())
     without_kernels(monkeypatch)
     start = Gaussians.from_points(scene.points[::6], scene.colors[::6])
     steps = Trainer(start, stage_data(scene), config)
@@ -235,7 +235,7 @@ def test_memory_that_is_full_after_a_step_leaves_the_checkpoint(
     def full(*_: Any) -> None:
         raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB")
 
-    monkeypatch.setattr(AdaptiveDensity, part, full)
+    monkeypatch.setattr(RunningDensityControl, part, full)
     with pytest.raises(GpuMemoryError):
         stage.train(lambda: start, data, CONFIG, QUIET)
     assert {path.name: path.read_bytes() for path in stage.folder.iterdir()} == saved

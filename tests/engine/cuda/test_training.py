@@ -14,6 +14,7 @@ from roigs_engine.model.gaussians import NAMES
 from roigs_engine.rasterize import rasterize
 from roigs_engine.training import trainer
 from roigs_engine.training.losses import photo_loss
+from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
 from roigs_engine.training.optimizer import VisibleAdam
 from tests.engine.cuda.shim import ShimProgram
 from tests.engine.cuda.short import CONFIG, trained
@@ -99,7 +100,7 @@ def test_training_on_the_kernels_is_training_on_the_cpu(
     shim: ShimProgram, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = make_scene(tmp_path, views=4)
-    config = replace(CONFIG, steps=6, densify_from=100, contribution_every=1)
+    config = replace(CONFIG, steps=6, mechanisms=(IdlePruning(every=1),))
     plain = trained(scene, config)
     for name, function in (("rasterize", rasterize), ("photo_loss", photo_loss)):
         monkeypatch.setattr(trainer, name, partial(function, backend="cuda"))

@@ -20,22 +20,27 @@ from roigs_engine.model.ownership import owners
 from roigs_engine.model.scene import PhotoMask, SfmScene
 from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.photos.mask_images import write_mask
-from roigs_engine.training import photo_order
+from roigs_engine.training import cutouts, photo_order
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.cutouts import EVERY, Cutouts
-from roigs_engine.training.masks import RoiMasks
+from roigs_engine.training.edits import morton_order
+from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
+from roigs_engine.training.mechanisms.cutout_steps import CutoutSteps
+from roigs_engine.training.mechanisms.density_control import DensityControl
+from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
+from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
+from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
+from roigs_engine.training.mechanisms.warm_restarts import WarmRestarts
 from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.trainer import Trainer
-from roigs_engine.training.z_order import morton_order
 from tests.engine.cuda.pretend_card import FAR, PretendCard, use
 from tests.engine.cuda.shim import ShimProgram
 from tests.engine.synthetic_scene import BOX, make_scene, small_photos
 
 Inputs = Callable[[SfmScene], dict[str, Any]]
 VIEWS = 2
-CONFIG = TrainConfig(
-    steps=100, densify_from=90, contribution_every=0, average_steps=0, full_every=2
-)
+CONFIG = TrainConfig(steps=100)
+MASKS = MaskedSteps(full_every=2, seeing=(0, 1))
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +77,7 @@ def nothing_more(scene: SfmScene) -> dict[str, Any]:
 
 
 def boxes(scene: SfmScene) -> dict[str, Any]:
-    return {"masks": RoiMasks(scene.images, [BOX], range(VIEWS), FAR)}
+    return {"config": CONFIG.using(MASKS)}
 
 
 class MaskedPhotos:
@@ -92,8 +97,7 @@ class MaskedPhotos:
 
 
 def two_sizes(scene: SfmScene) -> dict[str, Any]:
-    config = replace(CONFIG, small_until=100)
-    return {**boxes(scene), "small": small_photos(scene, FAR), "config": config}
+    return {"small": small_photos(scene), "config": CONFIG.using(MASKS, CoarseToFine(until=100))}
 
 
 def masked_photos(scene: SfmScene) -> dict[str, Any]:
@@ -121,7 +125,7 @@ def test_no_step_waits(scene: SfmScene, card: PretendCard, inputs: Inputs) -> No
 
 
 def test_steps_on_an_object_alone_do_not_wait(
-    scene: SfmScene, card: PretendCard, tmp_path: Path
+    scene: SfmScene, card: PretendCard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_mask(tmp_path / "mask.png", np.ones((48, 64), bool))
     small = np.full((48, 64), 255, np.uint8)
@@ -133,7 +137,9 @@ def test_steps_on_an_object_alone_do_not_wait(
     made = Cutouts(model, owners(model, [BOX]), [BOX], images, seed=3)
     with card:
         made._rows, made._device = [rows.to(FAR) for rows in made._rows], FAR
-        trainer = trainer_of(seen, cutouts=made)
+        monkeypatch.setattr(cutouts, "Cutouts", lambda *_: made)
+        config = CONFIG.using(CutoutSteps())
+        trainer = trainer_of(seen, config, labelled=lambda: (model, owners(model, [BOX])))
         trainer.step = 1
         for _ in range(2 * EVERY * VIEWS):
             trainer.train_step()
@@ -159,20 +165,12 @@ def test_a_view_without_a_buffer_is_drawn_again(
         return real_buffer(self, step, view)
 
     monkeypatch.setattr(PairBuffers, "buffer", buffer)
-    config = replace(
-        CONFIG,
-        steps=14,
-        densify_from=3,
-        densify_until=12,
-        densify_every=5,
-        grad_threshold=1e-5,
-        reset_every=7,
-        prune_size=100.0,
-        full_every=2 if inputs is boxes else 1,
-        contribution_every=0 if inputs is boxes else 4,
-        restarts=1,
-        average_steps=10,
+    density = DensityControl(
+        start=3, until=12, every=5, grad_threshold=1e-5, reset_every=7, prune_size=100.0
     )
+    first = (MASKS, density) if inputs is boxes else (density, IdlePruning(every=4))
+    last = WarmRestarts(count=1), ModelAveraging(steps=10)
+    config = replace(CONFIG, steps=14, mechanisms=(*first, *last))
     states, steps = [], 0
     real = Trainer.train_step
 

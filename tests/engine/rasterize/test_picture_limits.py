@@ -27,7 +27,7 @@ from roigs_engine.rasterize.limits import (
     Limits,
 )
 from roigs_engine.rasterize.view import blending_weights, rasterize_view, render_view
-from roigs_engine.training.floaters.consistency import consistent_across_views
+from roigs_engine.training.floaters import consistent_across_views
 from tests.engine.rasterize_cases import (
     BACKGROUND,
     differentiate,

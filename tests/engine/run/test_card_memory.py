@@ -21,6 +21,7 @@ from roigs_engine.run.card_memory import plan_card
 from roigs_engine.run.definition import define_run
 from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.mechanisms.density_control import DensityControl
 from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.trainer import Trainer
 from tests.engine.cuda.pretend_card import FAR, PretendCard, use
@@ -90,11 +91,7 @@ def test_the_plan_is_what_tensors_take(
     points = np.random.default_rng(0).normal(size=(count, 3)) * 0.5
     config = TrainConfig(
         steps=99,
-        densify_from=2 if grows else 90,
-        densify_every=3,
-        grad_threshold=0.0,
-        contribution_every=0,
-        average_steps=0,
+        mechanisms=(DensityControl(start=2, every=3, grad_threshold=0.0),) if grows else (),
     )
     with pretended:
         data = StageData(

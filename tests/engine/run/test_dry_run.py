@@ -25,6 +25,10 @@ from roigs_engine.run.folder import train_run
 from roigs_engine.run.plan import Stage
 from roigs_engine.run.presets import preset
 from roigs_engine.run.strategies import plan_run
+from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
+from roigs_engine.training.mechanisms.density_control import DensityControl
+from roigs_engine.training.mechanisms.importance_pruning import ImportancePruning
+from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
 from tests.engine.runs import tiny
 from tests.engine.synthetic_scene import BOX, make_scene
 
@@ -133,11 +137,12 @@ def test_expected_counts_follow_the_schedule(scene: SfmScene, tmp_path: Path) ->
     for stage in plan_run(run, ALL).stages:
         counts = expected_counts(stage, 1000, share_in_boxes=0.2)
         assert len(counts) == stage.config.steps and counts[0] == 1000
-        ends = min(stage.config.densify_until, len(counts))
+        ends = min(stage.config.of(DensityControl).until, len(counts))
         assert counts[: ends - 1] == sorted(counts[: ends - 1])
         assert len(set(counts[ends - 1 :])) == 1
         largest = max(counts)
-        assert (counts[-1] < 0.8 * largest) if stage.config.faint_growth else counts[-1] == largest
+        prunes = stage.config.get(ImportancePruning) is not None
+        assert (counts[-1] < 0.8 * largest) if prunes else counts[-1] == largest
 
 
 def test_a_stage_that_shrinks_is_timed_at_its_largest(scene: SfmScene, tmp_path: Path) -> None:
@@ -200,8 +205,8 @@ def test_steps_on_small_photos_are_estimated_on_small_photos(
     plan = plan_run(define_run(tmp_path, scene, [BOX], tiny("joint")))
     joint = next(stage for stage in plan.stages if stage.name == "joint")
     width = joint.images[0].camera.width
-    assert joint.config.full_every == 3  # steps 0, 3, 6 and 9 are whole
-    config = replace(joint.config, steps=10, small_until=4, whole_small_until=7)
+    assert joint.config.of(MaskedSteps).full_every == 3  # steps 0, 3, 6 and 9 are whole
+    config = replace(joint.config.using(CoarseToFine(until=4, whole_until=7)), steps=10)
     found = Estimator(scene).estimate(replace(joint, config=config), 1000)
     assert found.seconds == pytest.approx(5 * width + 5 * round(width / 2))
     assert found.step_seconds == width

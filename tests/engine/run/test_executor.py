@@ -29,6 +29,7 @@ from roigs_engine.run.scene_stages import scene_stage
 from roigs_engine.run.stage_folder import StageFolder, StageResult
 from roigs_engine.run.strategies import plan_run, strategy
 from roigs_engine.training import health
+from roigs_engine.training.mechanisms.background_points import BackgroundPoints
 from roigs_engine.training.stage_data import StageData
 from tests.engine.runs import opened, plys, tiny, train
 from tests.engine.synthetic_scene import BOX, make_scene
@@ -167,7 +168,7 @@ def test_ablations_of_the_start(scene: SfmScene, tmp_path: Path, init: str) -> N
     assert len(executor.result(stage).gaussians) == wanted
 
 
-def test_the_scene_starts_with_a_backdrop_where_it_has_no_points(
+def test_the_scene_starts_with_background_points_where_it_has_no_points(
     scene: SfmScene, tmp_path: Path
 ) -> None:
     few = scene.points[:, 0] < scene.points[:, 0].mean()
@@ -180,7 +181,8 @@ def test_the_scene_starts_with_a_backdrop_where_it_has_no_points(
     counts = []
     for cells in (0, 16):
         config = tiny("joint")
-        config = replace(config, scene=replace(config.scene, steps=1, backdrop_cells=cells))
+        stage = config.scene.using(BackgroundPoints(cells=cells)) if cells else config.scene
+        config = replace(config, scene=replace(stage, steps=1))
         run = define_run(tmp_path / str(cells), half, [BOX], config)
         base, _ = plan_run(run).stages
         counts.append(len(Executor(run).result(base).gaussians))

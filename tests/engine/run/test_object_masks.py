@@ -21,9 +21,12 @@ from roigs_engine.run.plan import MERGE, POINTS, Source, Stage, result_of
 from roigs_engine.run.renaming import with_names
 from roigs_engine.run.strategies import plan_run
 from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.mechanisms.box_density_control import BoxDensityControl
+from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
 from roigs_engine.training.photo_order import PhotoOrder
 from tests.engine.run.masked import masked
 from tests.engine.runs import plys, tiny, train
+from tests.engine.settings import without
 from tests.engine.synthetic_scene import BOX, make_scene
 
 # Before there were masks of objects.
@@ -68,11 +71,12 @@ def stages(**of_photos: object) -> tuple[Stage, Stage]:
     joint = replace(
         scene,
         name="joint",
-        config=TrainConfig(steps=3, full_every=3, box_budget=26.0),
+        config=TrainConfig(
+            steps=3,
+            mechanisms=(MaskedSteps(seeing=(0, 1)), BoxDensityControl(budget=26.0, budgets=(7,))),
+        ),
         start=result_of(scene),
         rois=(box,),
-        budgets=(7,),
-        seeing=(0, 1),
     )
     return scene, joint
 
@@ -98,7 +102,7 @@ def test_a_stage_depends_on_the_masks_it_uses() -> None:
     assert renamed.fingerprint == joint.fingerprint
     _, other = stages(objects={"other": mask})
     assert other.fingerprint == JOINT
-    whole = replace(joint, config=replace(joint.config, full_every=1))
+    whole = replace(joint, config=without(joint.config, MaskedSteps))
     _, plain = stages()
     assert whole.fingerprint == replace(plain, config=whole.config).fingerprint
 
@@ -164,7 +168,8 @@ def test_the_plan_has_a_smaller_budget_and_another_merge(
 ) -> None:
     plans = [plan_run(define_run(tmp_path, s, [BOX], tiny("joint"))) for s in (scene, with_masks)]
     (plain,), (half,) = (
-        [stage.budgets for stage in plan.stages if stage.name == "joint"] for plan in plans
+        [s.config.of(BoxDensityControl).budgets for s in plan.stages if s.name == "joint"]
+        for plan in plans
     )
     assert plain is not None and half is not None
     assert half[0] == pytest.approx(plain[0] * 0.5**0.5, rel=0.1)

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from roigs_engine.training.densification import DensityInputs, density_control
+from roigs_engine.training.densification.adaptive import AdaptiveDensity
 
 from roigs_engine.evaluation.evaluate import evaluate
 from roigs_engine.formats.run_files import is_own
@@ -21,8 +23,6 @@ from roigs_engine.run.photo_sets import PhotoSets
 from roigs_engine.run.plan import POINTS, Plan, Stage
 from roigs_engine.run.presets import PRESETS, preset
 from roigs_engine.run.strategies import plan_run, strategy
-from roigs_engine.training.densification import DensityInputs, density_control
-from roigs_engine.training.densification.adaptive import AdaptiveDensity
 from tests.engine.runs import tiny, train
 from tests.engine.synthetic_scene import BOX, make_scene
 

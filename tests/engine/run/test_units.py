@@ -19,7 +19,11 @@ from roigs_engine.rasterize.view import render_view
 from roigs_engine.run.config import RunConfig
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.folder import train_run
+from roigs_engine.training.mechanisms.density_control import DensityControl
+from roigs_engine.training.mechanisms.importance_pruning import ImportancePruning
+from roigs_engine.training.mechanisms.warm_restarts import WarmRestarts
 from tests.engine.runs import tiny
+from tests.engine.settings import without
 from tests.engine.synthetic_scene import make_scene
 from tests.engine.units import in_units
 
@@ -35,8 +39,9 @@ BOX = OrientedBox(
 def settled(strategy: str) -> RunConfig:
     """A short run without densification, which makes of a rounding error another model."""
     config = tiny(strategy)
-    fixed = {"densify_until": 0}
-    return replace(config, scene=replace(config.scene, **fixed), roi=replace(config.roi, **fixed))
+    kinds = DensityControl, WarmRestarts, ImportancePruning
+    scene, roi = (without(stage, *kinds) for stage in (config.scene, config.roi))
+    return replace(config, scene=scene, roi=roi)
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,10 @@ import torch
 from torch import Tensor
 
 from roigs_engine.rasterize.inputs import TILE
-from roigs_engine.training.masks import RoiMask
+from roigs_engine.training.loss_masks import LossMask
 
 
-def pixels_of(mask: RoiMask) -> Tensor:
+def pixels_of(mask: LossMask) -> Tensor:
     """(H, W) bool."""
     (width, height), (left, top, _, _) = mask.tiles.size, mask.tiles.rectangle
     grid = mask.tiles.mask

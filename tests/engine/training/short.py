@@ -7,17 +7,12 @@ import torch
 from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.mechanisms.density_control import DensityControl
+from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
 
-SHORT = TrainConfig(
-    steps=60,
-    sh_every=20,
-    densify_from=10,
-    densify_until=50,
-    densify_every=10,
-    grad_threshold=1e-5,
-    reset_every=30,
-    contribution_every=20,
-)
+DENSITY = DensityControl(start=10, until=50, every=10, grad_threshold=1e-5, reset_every=30)
+PLAIN = TrainConfig(steps=60, sh_every=20)
+SHORT = PLAIN.using(DENSITY, IdlePruning(every=20))
 
 
 def first_model(scene: SfmScene) -> Gaussians:

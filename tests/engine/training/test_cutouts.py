@@ -12,7 +12,7 @@ from roigs_engine.model.gaussians import NAMES
 from roigs_engine.model.scene import PhotoMask, SfmScene
 from roigs_engine.photos.mask_images import load_object_mask, write_mask
 from roigs_engine.training.cutouts import EVERY, Cutouts
-from roigs_engine.training.masks import RoiMasks
+from roigs_engine.training.loss_masks import LossMasks
 from roigs_engine.training.optimizer import VisibleAdam
 from tests.engine.synthetic_scene import BOX, make_scene, truth
 from tests.engine.training.mask_pixels import pixels_of
@@ -117,7 +117,7 @@ def test_a_part_of_an_optimizer_takes_the_same_step() -> None:
 
 def test_a_mask_of_the_object_takes_the_place_of_the_silhouette(scene: SfmScene) -> None:
     first, plain = scene.images[0], replace(scene.images[0], objects={})
-    with_mask, without = (RoiMasks([image], [BOX], [0])[0] for image in (first, plain))
+    with_mask, without = (LossMasks([image], [BOX], [0])[0] for image in (first, plain))
     assert with_mask is not None and without is not None
     small, large = pixels_of(with_mask), pixels_of(without)
     assert small.sum() < large.sum()

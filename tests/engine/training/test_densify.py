@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -12,19 +12,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from roigs_engine.context import QUIET
 from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.rotations import rotation_matrices
-from roigs_engine.training.budget import BoxBudget
 from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.densification import DensityInputs, density_control
-from roigs_engine.training.densification.adaptive import AdaptiveDensity
-from roigs_engine.training.densification.edits import clone_and_split, unchanged
-from roigs_engine.training.densification.statistics import DensityStats
-from roigs_engine.training.z_order import morton_order
+from roigs_engine.training.edits import DensityStats, clone_and_split, morton_order, unchanged
+from roigs_engine.training.mechanisms.box_density_control import BoxDensityControl
+from roigs_engine.training.mechanisms.density_control import DensityControl, RunningDensityControl
+from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
+from roigs_engine.training.stage_data import StageData
 
 BOX = OrientedBox.axis_aligned("box", [-1, -1, -1], [1, 1, 1])
-IN_BOXES = TrainConfig(steps=100, densify_in_boxes=True)
+IN_BOXES, EVERYWHERE = BoxDensityControl(), DensityControl()
 
 normalized = torch.nn.functional.normalize
 
@@ -42,30 +42,33 @@ def model(count: int, seed: int = 0, spread: float = 2.0) -> Gaussians:
 
 def stats(gradient: torch.Tensor) -> DensityStats:
     made = DensityStats.zeros(len(gradient))
-    made.add(torch.ones(len(gradient), dtype=torch.bool), gradient, None)
+    made.add(torch.ones(len(gradient), dtype=torch.bool), gradient)
     return made
 
 
+@dataclass(frozen=True)
+class Training:
+    """What density control asks of a trainer."""
+
+    data: StageData
+    gaussians: Gaussians
+
+
 def control(
-    config: TrainConfig,
+    settings: DensityControl,
     made: DensityStats,
     rois: Sequence[OrientedBox] = (),
-    budgets: Sequence[int] | None = None,
+    budgets: tuple[int, ...] | None = None,
     extent: float = 10.5,
-) -> AdaptiveDensity:
+) -> RunningDensityControl:
     """The density control of a stage whose photos have shown this."""
-    ends = None if budgets is None else [BoxBudget(begin=end, end=end) for end in budgets]
-    inputs = DensityInputs(
-        config=config,
-        extent=extent,
-        rois=rois,
-        budgets=ends,
-        photos=1,
-        seed=0,
-        device=torch.device("cpu"),
-    )
-    chosen = density_control(inputs, len(made.gradient))
-    assert isinstance(chosen, AdaptiveDensity)
+    if budgets is not None:
+        settings = replace(settings, budgets=budgets)
+    data = StageData(images=[], photos=None, photo_at=lambda step: 0, extent=extent, rois=rois)
+    training = Training(data, model(len(made.gradient), spread=0.0))
+    chosen = settings.begin(TrainConfig(steps=100), training, QUIET)
+    if budgets is not None:
+        chosen.began = list(budgets)
     chosen.stats = made
     return chosen
 
@@ -131,16 +134,16 @@ def test_only_gaussians_in_the_box_are_chosen() -> None:
     chosen = control(IN_BOXES, high, [BOX], None).densify_mask(gaussians, 0)
     assert torch.equal(chosen, gaussians.in_box(BOX))
     assert 0 < int(chosen.sum()) < 300
-    everywhere = control(TrainConfig(steps=100), high, [BOX], None).densify_mask(gaussians, 0)
+    everywhere = control(EVERYWHERE, high, [BOX], None).densify_mask(gaussians, 0)
     assert bool(everywhere.all())
 
 
 def test_the_threshold_is_on_the_mean_over_views_that_saw_it() -> None:
     made = DensityStats.zeros(3)
-    made.add(torch.tensor([True, True, False]), torch.tensor([3e-4, 3e-4, 0.0]), None)
-    made.add(torch.tensor([True, False, False]), torch.tensor([0.0, 0.0, 0.0]), None)
+    made.add(torch.tensor([True, True, False]), torch.tensor([3e-4, 3e-4, 0.0]))
+    made.add(torch.tensor([True, False, False]), torch.tensor([0.0, 0.0, 0.0]))
     assert made.mean_gradient().tolist() == pytest.approx([1.5e-4, 3e-4, 0.0])
-    chosen = control(TrainConfig(steps=10), made, [], None).densify_mask(model(3), 0)
+    chosen = control(EVERYWHERE, made).densify_mask(model(3), 0)
     assert chosen.tolist() == [False, True, False]
 
 
@@ -150,7 +153,7 @@ def test_budget_keeps_the_largest_gradients(room: int) -> None:
     gradient = torch.linspace(1e-3, 1e-2, 300)
     inside = gaussians.in_box(BOX)
     held = int(inside.sum())
-    chosen = control(IN_BOXES, stats(gradient), [BOX], [held + room]).densify_mask(gaussians, 0)
+    chosen = control(IN_BOXES, stats(gradient), [BOX], (held + room,)).densify_mask(gaussians, 0)
     expected = max(0, min(room, held))
     assert int(chosen.sum()) == expected
     best = torch.nonzero(inside).flatten()[-expected:] if expected else torch.zeros(0)
@@ -162,7 +165,7 @@ def test_each_box_has_its_own_budget() -> None:
     left = OrientedBox.axis_aligned("left", [-2, -2, -2], [0, 2, 2])
     right = OrientedBox.axis_aligned("right", [0, -2, -2], [2, 2, 2])
     held = [int(gaussians.in_box(box).sum()) for box in (left, right)]
-    budgets = [held[0] + 3, held[1] + 8]
+    budgets = held[0] + 3, held[1] + 8
     chosen = control(IN_BOXES, stats(torch.ones(400)), [left, right], budgets).densify_mask(
         gaussians, 0
     )
@@ -173,10 +176,10 @@ def test_each_box_has_its_own_budget() -> None:
 def test_outside_the_boxes_another_threshold_may_densify_without_budgets() -> None:
     gaussians = model(300)
     inside, gradient = gaussians.in_box(BOX), torch.linspace(0, 3e-4, 300)
-    config = replace(IN_BOXES, grad_threshold=1e-4, outside_grad_threshold=2e-4)
+    config = replace(IN_BOXES, grad_threshold=1e-4, outside_threshold=2e-4)
     chosen = control(config, stats(gradient), [BOX], None).densify_mask(gaussians, 0)
     assert torch.equal(chosen, gradient > torch.where(inside, 1e-4, 2e-4))
-    full = control(config, stats(gradient), [BOX], [int(inside.sum())]).densify_mask(gaussians, 0)
+    full = control(config, stats(gradient), [BOX], (int(inside.sum()),)).densify_mask(gaussians, 0)
     assert torch.equal(full, chosen & ~inside)
 
 
@@ -188,9 +191,7 @@ def test_outside_the_boxes_thresholds_rise_with_the_distance(scale: float) -> No
     means[1:, 0] = torch.from_numpy(-scale - away)
     gaussians = replace(model(6), means=means)
     thresholds = torch.tensor([1e-4, 2e-4, 3.5e-4, 5e-4, 8e-4, 8e-4])
-    config = replace(
-        IN_BOXES, grad_threshold=1e-4, outside_grad_threshold=8e-4, near_grad_threshold=2e-4
-    )
+    config = replace(IN_BOXES, grad_threshold=1e-4, outside_threshold=8e-4, near_threshold=2e-4)
     there = [-scale - away[-1], 0, 0]  # a second box, around the farthest of them
     second = OrientedBox.axis_aligned("second", np.subtract(there, scale), np.add(there, scale))
     beside = torch.cat([thresholds[:-1], torch.tensor([1e-4])])
@@ -198,7 +199,7 @@ def test_outside_the_boxes_thresholds_rise_with_the_distance(scale: float) -> No
         for factor in (0.98, 1.02):
             chosen = control(config, stats(factor * expected), boxes, None)
             assert chosen.densify_mask(gaussians, 0).tolist() == 6 * [factor > 1]
-    nowhere = replace(config, outside_grad_threshold=0.0)
+    nowhere = replace(config, outside_threshold=0.0)
     chosen = control(nowhere, stats(torch.ones(6)), [box], None).densify_mask(gaussians, 0)
     assert chosen.tolist() == [True] + 5 * [False]
     lost = replace(gaussians, means=gaussians.means * float("nan"))  # nowhere near
@@ -210,11 +211,11 @@ def test_outside_the_boxes_thresholds_rise_with_the_distance(scale: float) -> No
 def test_boxes_may_have_a_threshold_and_limits_of_their_own() -> None:
     gaussians = model(300)
     inside, gradient = gaussians.in_box(BOX), torch.linspace(0, 3e-4, 300)
-    config = TrainConfig(steps=100, grad_threshold=2e-4, box_grad_threshold=1e-4)
+    config = BoxDensityControl(grad_threshold=1e-4, outside_threshold=2e-4, box_sizes=False)
     chosen = control(config, stats(gradient), [BOX], None).densify_mask(gaussians, 0)
     assert torch.equal(chosen, gradient > torch.where(inside, 1e-4, 2e-4))
     room = 3
-    limited = control(config, stats(gradient), [BOX], [int(inside.sum()) + room]).densify_mask(
+    limited = control(config, stats(gradient), [BOX], (int(inside.sum()) + room,)).densify_mask(
         gaussians, 0
     )
     assert torch.equal(limited[~inside], chosen[~inside])
@@ -231,25 +232,24 @@ def test_the_size_reference_is_the_box_inside_and_the_scene_outside() -> None:
     assert bool((reference[~inside] == 10.0).all())
     small = control(IN_BOXES, stats(torch.zeros(50)), [BOX], extent=0.5).size_reference(gaussians)
     assert bool((small == 0.5).all())
-    anywhere = control(
-        TrainConfig(steps=1), stats(torch.zeros(50)), [BOX], extent=10.0
-    ).size_reference(gaussians)
-    assert bool((anywhere == 10.0).all())
+    for kind in (EVERYWHERE, replace(IN_BOXES, box_sizes=False)):
+        anywhere = control(kind, stats(torch.zeros(50)), [BOX], extent=10.0)
+        assert bool((anywhere.size_reference(gaussians) == 10.0).all())
 
 
 def test_pruning_by_opacity_always_and_by_size_after_the_first_reset() -> None:
     gaussians = model(4)
     gaussians.logit_opacities[:] = torch.tensor([2.0, -6.0, 2.0, 2.0])  # sigmoid(-6) < 0.005
     gaussians.log_scales[:] = torch.tensor([0.1, 0.1, 1.2, 0.1])[:, None].log()
-    config = TrainConfig(steps=10_000, prune_size=0.1, reset_every=3000)
+    config = DensityControl(prune_size=0.1, reset_every=3000)
 
-    def keep(step: int, config: TrainConfig = config) -> list[bool]:
+    def keep(step: int, config: DensityControl = config) -> list[bool]:
         density = control(config, stats(torch.zeros(4)))
         return (~density.prune_mask(gaussians, step)).tolist()
 
     assert keep(3000) == [True, False, True, True]
     assert keep(3001) == [True, False, False, True]
-    assert keep(9000, TrainConfig(steps=10_000, reset_every=0)) == [True, False, True, True]
+    assert keep(9000, DensityControl(reset_every=0)) == [True, False, True, True]
 
 
 def test_edits_can_be_thinned_and_reordered() -> None:
@@ -264,18 +264,19 @@ def test_edits_can_be_thinned_and_reordered() -> None:
 
 
 def test_statistics_after_an_edit() -> None:
-    made = DensityStats.zeros(3)
-    visible = torch.tensor([True, True, True])
-    made.add(visible, torch.tensor([1.0, 2.0, 3.0]), torch.tensor([0.1, 0.2, 0.3]))
-    made.add(visible, torch.tensor([1.0, 2.0, 3.0]), torch.tensor([0.3, 0.1, 0.2]))
-    assert made.weight.tolist() == pytest.approx([0.3, 0.2, 0.3])
-    after = made.after(torch.tensor([2, -1, 0]))
-    assert after.gradient.tolist() == [0, 0, 0]
-    assert after.views.tolist() == [0, 0, 0]
+    gaussians = model(3)
+    density = control(EVERYWHERE, stats(torch.ones(3)))
+    training = Training(density.data, gaussians)
+    pruning = IdlePruning(every=1).begin(TrainConfig(steps=9), training, QUIET)
+    for weights in ([0.1, 0.2, 0.3], [0.3, 0.1, 0.2]):
+        pruning.observe(torch.ones(3), torch.ones(3), torch.tensor(weights))
+    assert pruning.state_dict()["weight"].tolist() == pytest.approx([0.3, 0.2, 0.3])
+    for running in (density, pruning):
+        running.follow(torch.tensor([2, -1, 0]), gaussians)
+    assert density.stats.gradient.tolist() == density.stats.views.tolist() == [0, 0, 0]
     # A newborn has not been seen by every photo yet, so no window may call it useless.
-    assert after.weight.tolist() == pytest.approx([0.3, float("inf"), 0.3])
-    after.new_window()
-    assert after.weight.tolist() == [0, 0, 0]
+    weight = pruning.state_dict()["weight"]
+    assert weight.tolist() == pytest.approx([0.3, float("inf"), 0.3])
 
 
 @settings(deadline=None)

@@ -181,7 +181,7 @@ def test_a_photo_of_something_else_is_named(scene: SfmScene) -> None:
         def prefetch(self, indices: object) -> None:
             pass
 
-    config = TrainConfig(steps=150, densify_until=0)
+    config = TrainConfig(steps=150)
     good = Trainer(first_model(scene), stage_data(scene), config)
     good.run()
     assert not good.health.outliers()

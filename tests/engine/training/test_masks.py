@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,8 +15,11 @@ from roigs_engine.model.scene import Camera, PosedImage
 from roigs_engine.rasterize.tiles import active_tiles
 from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.loss_masks import LossMask, LossMasks
 from roigs_engine.training.losses import photo_loss
-from roigs_engine.training.masks import RoiMask, RoiMasks
+from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
+from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
+from roigs_engine.training.mechanisms.surroundings_rate import SurroundingsRate
 from tests.engine.training.mask_pixels import pixels_of
 
 CAMERA = Camera(width=150, height=100, fx=100.0, fy=100.0, cx=75.0, cy=50.0)
@@ -36,7 +38,7 @@ def photo(pose: np.ndarray | None = None) -> PosedImage:
 
 
 def test_a_mask_is_the_silhouettes_tiles_and_a_rim() -> None:
-    mask = RoiMasks([photo()], [BOX], [0])[0]
+    mask = LossMasks([photo()], [BOX], [0])[0]
     assert mask is not None
     silhouette = BOX.silhouette(CAMERA, np.eye(4))
     pixels = pixels_of(mask).numpy()
@@ -54,7 +56,7 @@ def test_a_mask_is_the_silhouettes_tiles_and_a_rim() -> None:
 
 
 def test_only_tiles_in_which_a_pixel_counts_are_drawn() -> None:
-    mask = RoiMasks([photo()], [BOX], [0])[0]
+    mask = LossMasks([photo()], [BOX], [0])[0]
     assert mask is not None
     counted = torch.zeros(CAMERA.height, CAMERA.width, dtype=torch.bool)
     counted[50, 75] = counted[0, 0] = True  # the latter is outside of the mask
@@ -70,12 +72,12 @@ def test_only_tiles_in_which_a_pixel_counts_are_drawn() -> None:
 
 def test_a_photo_without_a_box_has_no_mask() -> None:
     behind = np.diag([-1.0, 1.0, -1.0, 1.0])
-    assert RoiMasks([photo(behind)], [BOX], [0])[0] is None
+    assert LossMasks([photo(behind)], [BOX], [0])[0] is None
 
 
 def test_a_pixel_weights_as_hard_as_in_the_whole_photo() -> None:
     """The L1 term's gradient in the mask is that of the whole photo."""
-    mask = RoiMasks([photo()], [BOX], [0])[0]
+    mask = LossMasks([photo()], [BOX], [0])[0]
     assert mask is not None
     rng = torch.Generator().manual_seed(1)
     image = torch.rand(CAMERA.height, CAMERA.width, 3, generator=rng, requires_grad=True)
@@ -93,8 +95,8 @@ def test_weighted_photos_pull_alike_from_near_and_far() -> None:
         pose[2, 3] = back
     photos = [photo(pose) for pose in poses]
 
-    def masks(weighting: float, drawn: Sequence[int] = range(4)) -> list[RoiMask]:
-        several = RoiMasks(photos, [BOX], drawn, view_weighting=weighting)
+    def masks(weighting: float, drawn: Sequence[int] = range(4)) -> list[LossMask]:
+        several = LossMasks(photos, [BOX], drawn, view_weighting=weighting)
         return [mask for k in range(4) if (mask := several[k]) is not None]
 
     shares = np.array([float(pixels_of(mask).float().mean()) for mask in masks(0)])
@@ -112,7 +114,7 @@ def test_a_tiny_mask_does_not_outweigh_all_others() -> None:
     poses = [np.eye(4) for _ in range(4)]
     for pose, back in zip(poses, (-3.0, -3.0, -3.0, 12.0), strict=True):
         pose[2, 3] = back
-    several = RoiMasks([photo(pose) for pose in poses], [BOX], range(4), view_weighting=1.9)
+    several = LossMasks([photo(pose) for pose in poses], [BOX], range(4), view_weighting=1.9)
     weights = [mask.loss_weight for k in range(4) if (mask := several[k]) is not None]
     shares = [float(pixels_of(mask).float().mean()) for k in range(4) if (mask := several[k])]
     assert weights[3] == pytest.approx(2 * np.exp(np.mean(np.log(shares))))
@@ -129,12 +131,14 @@ def test_whole_steps_and_others_draw_from_their_own_source_in_turn(every: int) -
 
 
 def test_settings_that_do_not_go_together_are_refused() -> None:
-    config = TrainConfig(steps=10, full_every=4)
-    with pytest.raises(ConfigError, match="contribution_every"):
-        dataclasses.replace(config, contribution_every=100)
+    config = TrainConfig(steps=10, mechanisms=(MaskedSteps(full_every=4),))
+    with pytest.raises(ConfigError, match="idle_pruning needs steps that use whole photos"):
+        config.using(IdlePruning(every=100))
     with pytest.raises(ConfigError, match="view_weighting is -1"):
-        dataclasses.replace(config, view_weighting=-1.0)
-    with pytest.raises(ConfigError, match="full_every is 0"):
-        dataclasses.replace(config, full_every=0)
-    with pytest.raises(ConfigError, match="outside_rate is -1"):
-        dataclasses.replace(config, outside_rate=-1.0)
+        config.using(MaskedSteps(view_weighting=-1.0))
+    with pytest.raises(ConfigError, match="full_every is 1"):
+        config.using(MaskedSteps(full_every=1))
+    with pytest.raises(ConfigError, match="factor is -1"):
+        config.using(SurroundingsRate(factor=-1.0))
+    with pytest.raises(ConfigError, match="surroundings_rate needs masked_steps"):
+        TrainConfig(steps=10, mechanisms=(SurroundingsRate(),))

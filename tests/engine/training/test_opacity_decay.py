@@ -14,7 +14,7 @@ from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.run.presets import preset
 from roigs_engine.run.stage_configs import baseline, block_stage, tuned_baseline
 from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.opacity_decay import decay_opacities
+from roigs_engine.training.mechanisms.opacity_decay import OpacityDecay, decay_opacities
 from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import make_scene, stage_data
 
@@ -49,23 +49,27 @@ def test_no_decay_changes_no_bit() -> None:
     assert torch.equal(logits, before)
 
 
-def test_it_is_due_once_a_round_of_the_photos() -> None:
-    config = TrainConfig(steps=60, opacity_decay=0.1)
-    due = {photos: [s for s in range(1, 61) if config.is_decayed(s, photos)] for photos in (3, 25)}
+def test_it_is_due_once_a_round_of_the_photos(tmp_path: Path) -> None:
+    config = TrainConfig(steps=60, mechanisms=(OpacityDecay(share=0.1),))
+    due = {}
+    for photos in (3, 25):
+        scene = make_scene(tmp_path, views=photos)
+        model = Gaussians.from_points(scene.points, scene.colors)
+        running = Trainer(model, stage_data(scene), config)._running["opacity_decay"]
+        due[photos] = [step for step in range(1, 61) if running.is_due(step)]
     assert due == {3: [10, 20, 30, 40, 50], 25: [25, 50]}
-    assert not replace(config, opacity_decay=0.0).is_decayed(25, 25)
 
 
-@pytest.mark.parametrize("changes", [{"outside_spared": 1.1}, {"outside_spared_spread": -1.0}])
+@pytest.mark.parametrize("changes", [{"outside_share": 1.1}, {"one_sided": -1.0}])
 def test_limits_outside_the_boxes(changes: dict[str, float]) -> None:
     with pytest.raises(ConfigError, match=next(iter(changes))):
-        TrainConfig(steps=9, **changes)  # type: ignore[arg-type]
+        TrainConfig(steps=9, mechanisms=(OpacityDecay(**changes),))
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.0])
 def test_a_share_is_less_than_one(share: float) -> None:
     with pytest.raises(ConfigError, match="opacity_decay"):
-        TrainConfig(steps=9, opacity_decay=share)
+        TrainConfig(steps=9, mechanisms=(OpacityDecay(share=share),))
 
 
 def test_what_no_photo_shows_fades_and_the_rest_stays(tmp_path: Path) -> None:
@@ -75,7 +79,7 @@ def test_what_no_photo_shows_fades_and_the_rest_stays(tmp_path: Path) -> None:
     shown = Gaussians.from_points(scene.points, scene.colors)
     place = 3 * np.mean([image.centre for image in images], axis=0, keepdims=True)
     behind = Gaussians.from_points(place, scene.colors[:1])  # the cameras
-    config = TrainConfig(steps=101, densify_until=0, opacity_decay=0.05)
+    config = TrainConfig(steps=101, mechanisms=(OpacityDecay(share=0.05),))
     trainer = Trainer(Gaussians.concatenate([shown, behind]), data, config)
     far = trainer.gaussians.means.detach().norm(dim=1).argmax()
     first = trainer.gaussians.logit_opacities.detach().sigmoid().clone()
@@ -89,9 +93,7 @@ def test_who_decays() -> None:
     config = preset("draft")
     tuned = tuned_baseline(config)
     assert tuned.coarse is not None
-    assert tuned.coarse.opacity_decay == config.scene.opacity_decay > 0
-    assert tuned.fine.opacity_decay == config.roi.opacity_decay > 0
-    assert baseline(config).opacity_decay == preset("paper").roi.opacity_decay == 0
-    for full_every in (1, 3):
-        roi = replace(config.roi, full_every=full_every)
-        assert block_stage(roi, 0.5, 0.5).opacity_decay == 0
+    assert tuned.coarse.get(OpacityDecay) == config.scene.of(OpacityDecay)
+    assert tuned.fine.of(OpacityDecay).share == config.roi.of(OpacityDecay).share
+    for other in (baseline(config), preset("paper").roi, block_stage(config.roi, 0.5, 0.5)):
+        assert other.get(OpacityDecay) is None

@@ -19,11 +19,12 @@ from roigs_engine.run.config import RunConfig
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.manifest import manifest_difference
 from roigs_engine.run.strategies import plan_run
-from roigs_engine.training.budget import box_budgets
-from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.loss_masks import counted_weights, split_mask
 from roigs_engine.training.losses import photo_loss
-from roigs_engine.training.masks import counted_weights, split_mask
+from roigs_engine.training.mechanisms.box_density_control import box_budgets
+from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
 from tests.engine.runs import plys, tiny, train
+from tests.engine.settings import without
 from tests.engine.synthetic_scene import BOX, make_scene
 
 BACKENDS = ["cpu", "reference"]
@@ -163,7 +164,7 @@ def test_a_run_is_the_same_whatever_ignored_pixels_show(
 def full_size(strategy: str) -> RunConfig:
     """A smaller photo mixes pixels at the edge of what is ignored."""
     config = tiny(strategy, scene_scale=1.0)
-    return replace(config, roi=replace(config.roi, small_until=0))
+    return replace(config, roi=without(config.roi, CoarseToFine))
 
 
 def tmp_path_folder(folder: Path, name: str) -> Path:
@@ -194,8 +195,7 @@ def test_masks_are_in_the_fingerprints_and_the_manifest(tmp_path: Path, scene: S
 
 def test_ignored_pixels_do_not_count_for_budgets(tmp_path: Path, scene: SfmScene) -> None:
     masked = with_masks(scene, tmp_path, left())
-    config = TrainConfig(steps=10, box_budget=100.0)
-    plain, fewer = (box_budgets(s.images, [BOX], config) for s in (scene, masked))
+    plain, fewer = (box_budgets(s.images, [BOX], 100.0) for s in (scene, masked))
     assert plain is not None and fewer is not None and 0 < fewer[0] < plain[0]
     image = masked.images[0]
     mask = load_mask(image)

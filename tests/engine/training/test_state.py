@@ -19,19 +19,30 @@ from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.training.checkpoint import load_checkpoint, save_checkpoint
 from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.mechanisms.box_density_control import BoxDensityControl
+from roigs_engine.training.mechanisms.density_control import DensityControl
+from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
+from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
+from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
+from roigs_engine.training.mechanisms.opacity_decay import OpacityDecay
+from roigs_engine.training.mechanisms.surroundings_rate import SurroundingsRate
 from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.state import check_state
 from roigs_engine.training.trainer import Trainer
-from tests.engine.synthetic_scene import make_scene
+from tests.engine.synthetic_scene import BOX, make_scene, stage_data
 
 CONFIG = TrainConfig(
     steps=20,
-    densify_from=2,
-    densify_until=15,
-    densify_every=5,
-    average_steps=20,
-    full_every=3,
-    outside_rate=2.0,
+    mechanisms=(
+        DensityControl(start=2, until=15, every=5),
+        IdlePruning(every=100),
+        ModelAveraging(steps=20),
+        OpacityDecay(),
+    ),
+)
+MASKED = TrainConfig(
+    steps=20,
+    mechanisms=(MaskedSteps(), SurroundingsRate(), BoxDensityControl(start=0, budgets=(50,))),
 )
 State = dict[str, Any]
 
@@ -80,6 +91,8 @@ def spoilt(number: float) -> Callable[[torch.Tensor], torch.Tensor]:
     return spoil
 
 
+AVERAGING = "mechanisms", "model_averaging"
+VIEWS = "mechanisms", "density_control", "views"
 FORGED = {
     "step text": put("step", value="3"),
     "step true": put("step", value=True),
@@ -90,8 +103,8 @@ FORGED = {
     "seconds infinite": put("cpu_seconds", value=math.inf),
     "seconds of 400 digits": put("seconds", value=10**400),
     "loss a list": put("loss", value=[1.0]),
-    **{f"no {key}": put(key, value=...) for key in ("step", "loss", "parameters", "density")},
-    **{f"{key} a number": put(key, value=3) for key in ("parameters", "optimizer", "mean")},
+    **{f"no {key}": put(key, value=...) for key in ("step", "loss", "parameters", "mechanisms")},
+    **{f"{key} a number": put(key, value=3) for key in ("parameters", "optimizer", "mechanisms")},
     "no means": put("parameters", "means", value=...),
     "means a number": put("parameters", "means", value=1.5),
     "means of another type": put("parameters", "means", value=torch.Tensor.double),
@@ -110,21 +123,19 @@ FORGED = {
     "rates negative": put("optimizer", "rates", "means", value=spoilt(-1.0)),
     "rates infinite": put("optimizer", "rates", "means", value=spoilt(math.inf)),
     "steps of Adam": put("optimizer", "step_count", value=-(1 << 70)),
-    "sums of other rows": put("mean", "sums", "means", value=lambda t: t[:1]),
-    "sums missing": put("mean", "sums", value={}),
-    "sums of no models": put("mean", "count", value=0),
-    "sums not a dict": put("mean", value={"count": 0, "sums": 1.5}),
-    "sums counted": put("mean", "count", value=1.5),
-    "window ahead": put("density", "window", value=13),
-    "no statistics": put("density", "stats", value=...),
-    "statistics of other rows": put("density", "stats", "views", value=lambda t: t[:-1]),
-    "statistics of another type": put("density", "stats", "views", value=torch.Tensor.int),
-    "outside missing": put("outside", value=...),
-    "outside none": put("outside", value=None),
-    "outside a number": put("outside", value=2.0),
-    "outside of other rows": put("outside", value=lambda t: t[:-1]),
-    "outside of another type": put("outside", value=torch.Tensor.float),
-    "statistics NaN": put("density", "stats", "weight", value=spoilt(math.nan)),
+    "sums of other rows": put(*AVERAGING, "sum_means", value=lambda t: t[:1]),
+    "sums missing": put(*AVERAGING, "sum_means", value=...),
+    "sums of no models": put(*AVERAGING, "count", value=0),
+    "sums not a dict": put(*AVERAGING, value=1.5),
+    "sums counted": put(*AVERAGING, "count", value=1.5),
+    "window ahead": put("mechanisms", "idle_pruning", "window", value=13),
+    "no statistics": put("mechanisms", "density_control", value=...),
+    "no gradients": put("mechanisms", "density_control", "gradient", value=...),
+    "statistics of other rows": put(*VIEWS, value=lambda t: t[:-1]),
+    "statistics of another type": put(*VIEWS, value=torch.Tensor.int),
+    "statistics NaN": put("mechanisms", "idle_pruning", "weight", value=spoilt(math.nan)),
+    "another mechanism": lambda state: state["mechanisms"].update(other={}),
+    "more of one": lambda state: state["mechanisms"]["opacity_decay"].update(more=1),
 }  # fmt: skip
 
 
@@ -150,3 +161,28 @@ def test_a_forged_one_counts_as_damaged(name: str, good: State, tmp_path: Path) 
     path.with_name("checkpoint.before.bin").unlink()
     with pytest.raises(RunFolderError, match=r"checkpoint\.bin is damaged \(.*\)\. Delete it"):
         load_checkpoint(path, "one", check=check)
+
+
+OUTSIDE = "mechanisms", "surroundings_rate", "outside"
+FORGED_OUTSIDE = {
+    "missing": put(*OUTSIDE, value=...),
+    "none": put(*OUTSIDE, value=None),
+    "a number": put(*OUTSIDE, value=2.0),
+    "of other rows": put(*OUTSIDE, value=lambda t: t[:-1]),
+    "of another type": put(*OUTSIDE, value=torch.Tensor.float),
+    "budgets of more boxes": put(
+        *("mechanisms", "box_density_control", "began"), value=lambda t: torch.cat([t, t])
+    ),
+    "no budgets": put("mechanisms", "box_density_control", "began", value=...),
+}
+
+
+@pytest.mark.parametrize("name", FORGED_OUTSIDE)
+def test_a_forged_one_of_a_box_stage(name: str, tmp_path: Path) -> None:
+    scene = make_scene(tmp_path, views=4)
+    model = Gaussians.from_points(scene.points, scene.colors)
+    state = Trainer(model, stage_data(scene, rois=[BOX]), MASKED).state_dict()
+    check_state(state, MASKED)
+    FORGED_OUTSIDE[name](state)
+    with pytest.raises(ValueError, match=r"outside|began"):
+        check_state(state, MASKED)

@@ -16,10 +16,9 @@ from roigs_engine.evaluation.evaluate import evaluate
 from roigs_engine.evaluation.views import EvaluatedModel
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.run.presets import preset
 from roigs_engine.selection.split import choose_test_views
-from roigs_engine.training.budget import box_budgets
 from roigs_engine.training.callbacks import PeriodicCallback
+from roigs_engine.training.mechanisms.box_density_control import box_budgets
 from tests.engine.synthetic_colmap import camera, write_project
 from tests.engine.synthetic_scene import BOX, make_scene
 
@@ -85,8 +84,7 @@ def test_choosing_test_photos(scene: SfmScene) -> None:
 
 
 def test_counting_a_boxes_pixels(scene: SfmScene) -> None:
-    config = preset("draft").roi
-    asks_often(lambda c: box_budgets(scene.images, [BOX], config, c), len(scene.images))
+    asks_often(lambda c: box_budgets(scene.images, [BOX], 32.0, c), len(scene.images))
 
 
 def test_evaluating_and_drawing(scene: SfmScene, tmp_path: Path) -> None:

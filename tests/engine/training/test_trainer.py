@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from roigs_engine.context import Context
+from roigs_engine.errors import ConfigError
 from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.photos.cache import PhotoCache
@@ -18,20 +19,32 @@ from roigs_engine.rasterize import RenderOutput, rasterize
 from roigs_engine.rasterize.limits import NO_LIMITS, TRAINING_LIMITS
 from roigs_engine.training import photo_order
 from roigs_engine.training import trainer as trainer_module
-from roigs_engine.training.budget import BoxBudget
 from roigs_engine.training.checkpoint import load_checkpoint, save_checkpoint
 from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.masks import RoiMasks
+from roigs_engine.training.mechanisms.box_density_control import BoxDensityControl
+from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
+from roigs_engine.training.mechanisms.density_control import DensityControl
+from roigs_engine.training.mechanisms.floater_pruning import FloaterPruning
+from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
+from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
+from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
+from roigs_engine.training.mechanisms.opacity_decay import OpacityDecay
+from roigs_engine.training.mechanisms.surroundings_rate import SurroundingsRate
+from roigs_engine.training.mechanisms.warm_restarts import WarmRestarts
 from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.trainer import Trainer
+from tests.engine.settings import without
 from tests.engine.synthetic_scene import BOX, make_scene, small_photos, stage_data
-from tests.engine.training.short import SHORT, first_model, same_bits
+from tests.engine.training.short import DENSITY, PLAIN, SHORT, first_model, same_bits
 
-RESTING = TrainConfig(steps=20, densify_until=0)
-SMALL_FIRST = replace(SHORT, contribution_every=0, full_every=3, outside_rate=2.0, small_until=25)
-AVERAGED = replace(SHORT, densify_until=30, contribution_every=0, average_steps=25)
-RESTARTED = replace(SHORT, densify_until=25, restarts=2)
-FADING = replace(AVERAGED, opacity_decay=0.1)
+IN_BOXES = BoxDensityControl(start=10, until=50, every=10, grad_threshold=1e-5, reset_every=0)
+RESTING = TrainConfig(steps=20)
+SMALL_FIRST = PLAIN.using(
+    MaskedSteps(full_every=3), CoarseToFine(until=25), SurroundingsRate(factor=2.0), DENSITY
+)
+AVERAGED = PLAIN.using(replace(DENSITY, until=30), ModelAveraging(steps=25))
+RESTARTED = SHORT.using(replace(DENSITY, until=25), WarmRestarts(count=2))
+FADING = AVERAGED.using(OpacityDecay(share=0.1))
 
 
 @pytest.fixture(scope="module")
@@ -40,9 +53,8 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
 
 
 def two_sizes(scene: SfmScene) -> StageData:
-    """Photos with masks, and the same at half their size."""
-    masks = RoiMasks(scene.images, [BOX], range(len(scene.images)))
-    return stage_data(scene, small=small_photos(scene), masks=masks)
+    """Photos, and the same at half their size, with a box."""
+    return stage_data(scene, small=small_photos(scene), rois=[BOX])
 
 
 def floater(scene: SfmScene) -> np.ndarray:
@@ -74,7 +86,7 @@ def mean_loss(trainer: Trainer, steps: int) -> float:
 
 
 def test_training_lowers_the_loss(scene: SfmScene) -> None:
-    config = TrainConfig(steps=300, densify_until=0)
+    config = TrainConfig(steps=300)
     start_model = Gaussians.from_points(scene.points, scene.colors)
     trainer = Trainer(start_model, stage_data(scene), config)
     start = mean_loss(trainer, 12)
@@ -96,10 +108,11 @@ def test_training_culls_no_gaussians(scene: SfmScene, monkeypatch: pytest.Monkey
 
 
 def test_whole_photos_can_be_small_for_longer() -> None:
-    config = replace(SMALL_FIRST, whole_small_until=40)
+    config = SMALL_FIRST.using(CoarseToFine(until=25, whole_until=40))
     small = [step for step in range(config.steps) if config.is_small(step)]
     assert small == [*range(25), 27, 30, 33, 36, 39]  # every third step uses a whole photo
-    assert config.has_small and replace(config, small_until=0).has_small and not SHORT.has_small
+    assert config.using(CoarseToFine(whole_until=40)).has_small
+    assert config.has_small and not SHORT.has_small
 
 
 def test_the_first_steps_draw_half_the_size(
@@ -135,7 +148,7 @@ def test_the_first_steps_draw_half_the_size(
 def test_resuming_equals_never_stopping(
     scene: SfmScene, tmp_path: Path, config: TrainConfig, stop: int
 ) -> None:
-    data = two_sizes(scene) if config.small_until else stage_data(scene)
+    data = two_sizes(scene) if config.has_small else stage_data(scene)
     whole = Trainer(first_model(scene), data, config)
     whole.run()
     half = Trainer(first_model(scene), data, config)
@@ -154,7 +167,7 @@ def test_resuming_equals_never_stopping(
 
 def test_a_stage_ends_with_the_mean_of_its_last_models(scene: SfmScene) -> None:
     trainer = Trainer(first_model(scene), stage_data(scene), AVERAGED)
-    plain = Trainer(first_model(scene), stage_data(scene), replace(AVERAGED, average_steps=0))
+    plain = Trainer(first_model(scene), stage_data(scene), without(AVERAGED, ModelAveraging))
     seen = []
     for _ in range(AVERAGED.steps):
         trainer.train_step()
@@ -168,11 +181,11 @@ def test_a_stage_ends_with_the_mean_of_its_last_models(scene: SfmScene) -> None:
 
 
 def test_a_warm_restart_forgets_all_but_colours(scene: SfmScene) -> None:
-    plain = replace(RESTARTED, restarts=0)
+    plain = without(RESTARTED, WarmRestarts)
     first, other = (
         Trainer(first_model(scene), stage_data(scene), config) for config in (RESTARTED, plain)
     )
-    for _ in range(RESTARTED.densify_until):
+    for _ in range(25):
         first.train_step()
         other.train_step()
     assert same_bits(first.gaussians, other.gaussians)
@@ -187,20 +200,24 @@ def test_a_warm_restart_forgets_all_but_colours(scene: SfmScene) -> None:
 
 
 def test_restarts_leave_time_to_settle() -> None:
-    config = TrainConfig(steps=3000, densify_until=1000, restarts=3)
-    assert [s for s in range(3001) if config.is_restarted(s)] == [1000, 1500, 2000]
-    for changed in ({"restarts": 0}, {"densify_until": 0}, {"densify_until": 3000}):
-        assert not any(replace(config, **changed).is_restarted(s) for s in range(3001))
+    restarts = WarmRestarts(count=3)
+    found = {}
+    for until in (1000, 0, 3000):
+        config = TrainConfig(steps=3000, mechanisms=(DensityControl(until=until), restarts))
+        found[until] = sorted(restarts.steps(config))
+    assert found == {1000: [1000, 1500, 2000], 0: [], 3000: []}
+    with pytest.raises(ConfigError, match="warm_restarts needs density_control"):
+        TrainConfig(steps=3000, mechanisms=(restarts,))
 
 
 def test_models_with_other_rows_are_not_averaged(scene: SfmScene) -> None:
-    config = replace(AVERAGED, average_steps=60)  # from before densification ends
+    config = AVERAGED.using(ModelAveraging(steps=60))  # from before densification ends
     Trainer(first_model(scene), stage_data(scene), config).run()
 
 
 def test_roi_stage_adds_gaussians_in_the_box_only(scene: SfmScene) -> None:
-    config = replace(SHORT, densify_in_boxes=True, reset_every=0, contribution_every=0)
-    config = replace(config, prune_opacity=0.0, lr_means=1e-9, lr_means_final=1e-9)
+    config = PLAIN.using(replace(IN_BOXES, prune_opacity=0.0))
+    config = replace(config, lr_means=1e-9, lr_means_final=1e-9)
     trainer = Trainer(first_model(scene), stage_data(scene, rois=[BOX]), config)
     inside_before = int(trainer.gaussians.in_box(BOX).sum())
     outside_before = len(trainer.gaussians) - inside_before
@@ -212,11 +229,10 @@ def test_roi_stage_adds_gaussians_in_the_box_only(scene: SfmScene) -> None:
 
 
 def test_budget_limits_the_box(scene: SfmScene) -> None:
-    config = replace(SHORT, densify_in_boxes=True, reset_every=0, contribution_every=0)
     start = first_model(scene)
     limit = int(start.in_box(BOX).sum()) + 5
-    data = stage_data(scene, rois=[BOX], budgets=[BoxBudget(begin=limit, end=limit)])
-    trainer = Trainer(start, data, config)
+    config = PLAIN.using(replace(IN_BOXES, budgets=(limit,)))
+    trainer = Trainer(start, stage_data(scene, rois=[BOX]), config)
     trainer.run()
     assert int(trainer.gaussians.in_box(BOX).sum()) <= limit + 5
 
@@ -225,7 +241,7 @@ def test_non_contributing_gaussians_are_pruned(scene: SfmScene) -> None:
     start = first_model(scene)
     hidden = start.rows(torch.arange(7))
     hidden.means[:] = torch.tensor([0.0, 0.0, 50.0])
-    config = replace(SHORT, steps=2 * 24 + 2, densify_until=0, contribution_every=24)
+    config = replace(PLAIN, steps=2 * 24 + 2, mechanisms=(IdlePruning(every=24),))
     trainer = Trainer(Gaussians.concatenate([start, hidden]), stage_data(scene), config)
     trainer.run()
     assert not bool((trainer.gaussians.means[:, 2] > 40).any())
@@ -235,7 +251,7 @@ def test_non_contributing_gaussians_are_pruned(scene: SfmScene) -> None:
 def test_a_stage_ends_without_floaters(scene: SfmScene) -> None:
     left = {}
     for photos in (0, 3):
-        config = replace(RESTING, min_views=photos)
+        config = RESTING.using(FloaterPruning(min_views=photos)) if photos else RESTING
         trainer = Trainer(with_floaters(scene), one_side(scene), config)
         assert trainer.run()
         distance = np.linalg.norm(trainer.gaussians.means.detach().numpy() - floater(scene), axis=1)
@@ -245,7 +261,7 @@ def test_a_stage_ends_without_floaters(scene: SfmScene) -> None:
 
 def test_stopped_among_the_floaters_it_goes_on_to_the_same_end(scene: SfmScene) -> None:
     model, data = with_floaters(scene), one_side(scene)
-    config = replace(RESTING, min_views=3)
+    config = RESTING.using(FloaterPruning(min_views=3))
     whole, stopped = (Trainer(model, data, config) for _ in range(2))
     whole.run()
     assert not stopped.run(Context(should_stop=lambda: stopped.step == config.steps))
@@ -269,7 +285,7 @@ def test_the_stage_decides_on_antialiasing(
         return rasterize(*args, **options)
 
     monkeypatch.setattr("roigs_engine.training.trainer.rasterize", noted)
-    config = replace(SHORT, average_steps=10, antialiased=antialiased)
+    config = replace(SHORT.using(ModelAveraging(steps=10)), antialiased=antialiased)
     start = replace(first_model(scene), antialiased=not antialiased)
     trainer = Trainer(start, stage_data(scene), config)
     resumed = Trainer(start, stage_data(scene), config)

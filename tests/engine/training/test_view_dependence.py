@@ -11,7 +11,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from roigs_engine.context import Context
+from roigs_engine.context import QUIET, Context
 from roigs_engine.errors import Stopped
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.roi import OrientedBox
@@ -19,8 +19,12 @@ from roigs_engine.model.scene import Camera, PosedImage
 from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.run.presets import preset
 from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.mechanisms.measured_sh_rate import (
+    FULL_RATE,
+    MeasuredShRate,
+    predicted_share,
+)
 from roigs_engine.training.stage_data import StageData
-from roigs_engine.training.view_dependence import FULL_RATE, predicted_share, with_measured_rate
 from tests.poses import look_at
 
 SIZE, COUNT = 300, 17
@@ -160,9 +164,9 @@ def data(colour: Colour) -> StageData:
 
 
 def test_the_rate_follows() -> None:
-    config = TrainConfig(steps=9, lr_shN=1.5e-3, lr_shN_measured=True)
-    assert with_measured_rate(config, data(shine)) == config
-    lowered = with_measured_rate(config, data(noise()))
+    config = TrainConfig(steps=9, lr_shN=1.5e-3, mechanisms=(MeasuredShRate(),))
+    assert config.measured(data(shine), QUIET) == config
+    lowered = config.measured(data(noise()), QUIET)
     assert lowered.lr_shN == pytest.approx(TrainConfig.lr_shN, rel=0.6)
     assert replace(lowered, lr_shN=config.lr_shN) == config
     part = (share(noise()) or 0.0) / FULL_RATE
@@ -171,11 +175,11 @@ def test_the_rate_follows() -> None:
 
 def test_a_lower_rate_is_said() -> None:
     said: list[Event] = []
-    config = TrainConfig(steps=9, lr_shN=1.5e-3, lr_shN_measured=True)
-    with_measured_rate(config, data(noise()), Context(emit=said.append))
+    config = TrainConfig(steps=9, lr_shN=1.5e-3, mechanisms=(MeasuredShRate(),))
+    config.measured(data(noise()), Context(emit=said.append))
     (message,) = said
     assert isinstance(message, Message) and "SH learning rate" in message.text
-    with_measured_rate(config, data(shine), Context(emit=said.append))
+    config.measured(data(shine), Context(emit=said.append))
     assert len(said) == 1
 
 
@@ -184,15 +188,16 @@ def test_it_is_not_measured_without_need() -> None:
     unread = replace(data(shine), photos=PhotoCache([]))
     for config in (
         TrainConfig(steps=9, lr_shN=1.5e-3),
-        TrainConfig(steps=9, lr_shN_measured=True),
+        TrainConfig(steps=9, mechanisms=(MeasuredShRate(),)),
         preset("paper").roi,
         preset("draft").scene,
     ):
-        assert with_measured_rate(config, unread) == config
-    assert preset("draft").roi.lr_shN_measured and preset("standard").roi.lr_shN_measured
+        assert config.measured(unread, QUIET) == config
+    for name in ("draft", "standard"):
+        assert preset(name).roi.get(MeasuredShRate) is not None
 
 
 def test_it_stops_on_request() -> None:
-    config = TrainConfig(steps=9, lr_shN=1.5e-3, lr_shN_measured=True)
+    config = TrainConfig(steps=9, lr_shN=1.5e-3, mechanisms=(MeasuredShRate(),))
     with pytest.raises(Stopped):
-        with_measured_rate(config, data(shine), Context(should_stop=lambda: True))
+        config.measured(data(shine), Context(should_stop=lambda: True))

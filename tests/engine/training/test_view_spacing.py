@@ -11,8 +11,8 @@ import pytest
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, PosedImage
 from roigs_engine.run.presets import preset
-from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.view_spacing import view_spacing, with_spaced_rate
+from roigs_engine.training.config import PlannedViews, TrainConfig
+from roigs_engine.training.mechanisms.spaced_sh_rate import SpacedShRate, view_spacing
 from tests.poses import look_at
 
 BOX = OrientedBox.axis_aligned("thing", [1, 1, 1], [3, 3, 3])
@@ -50,14 +50,16 @@ def test_few_photos() -> None:
 
 
 def test_the_rate_falls_where_photos_stand_far_apart() -> None:
-    config = TrainConfig(steps=9, lr_shN=1e-3, lr_shN_spacing=20)
-    assert with_spaced_rate(config, 20) == config
-    assert with_spaced_rate(config, 40).lr_shN == pytest.approx(1e-3 / 8)
-    assert with_spaced_rate(config, 180).lr_shN == TrainConfig.lr_shN
+    rate = SpacedShRate(limit=20)
+    config = TrainConfig(steps=9, lr_shN=1e-3, mechanisms=(rate,))
+    assert rate.at(config, 20) == config
+    assert rate.at(config, 40).lr_shN == pytest.approx(1e-3 / 8)
+    assert rate.at(config, 180).lr_shN == TrainConfig.lr_shN
     slow = replace(config, lr_shN=1e-5)
-    assert with_spaced_rate(slow, 180) == slow
+    assert rate.at(slow, 180) == slow
+    views = PlannedViews(images=(), rois=[BOX], seen=lambda roi: ring(20, 18))
+    assert config.planned(views) == rate.at(config, view_spacing(ring(20, 18), BOX)) != config
 
 
 def test_the_paper_keeps_its_rate() -> None:
-    paper = preset("paper").roi
-    assert with_spaced_rate(paper, 180) == paper
+    assert preset("paper").roi.get(SpacedShRate) is None

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
+from roigs_engine.errors import ConfigError
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, PosedImage
 from roigs_engine.run.presets import PRESETS, in_strategy, preset
-from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.view_spread import view_spread, with_spared_outside
+from roigs_engine.training.config import PlannedViews, TrainConfig
+from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
+from roigs_engine.training.mechanisms.opacity_decay import OpacityDecay, view_spread
+from tests.engine.settings import without
 from tests.poses import look_at
 
 BOX = OrientedBox.axis_aligned("thing", [1, 1, 1], [3, 3, 3])
@@ -54,23 +55,26 @@ def test_few_photos() -> None:
     assert view_spread(arc(90)[:1], BOX) == pytest.approx(0, abs=1e-5)
 
 
+def decay(config: TrainConfig, degrees: float) -> OpacityDecay:
+    """The decay of a stage with photos on an arc of that length."""
+    views = PlannedViews(images=(), rois=[BOX], seen=lambda roi: arc(degrees))
+    return config.planned(views).of(OpacityDecay)
+
+
 def test_photos_from_one_side_spare_what_is_outside() -> None:
-    config = TrainConfig(steps=9, full_every=3, opacity_decay=0.1, outside_spared_spread=45)
-    unspared = replace(config, outside_spared_spread=0.0)
-    assert with_spared_outside(config, view_spread(arc(360), BOX)) == unspared
-    spared = with_spared_outside(config, view_spread(arc(120), BOX))
-    assert spared == replace(unspared, outside_spared=1 - 1 / 3)
-    assert spared.tells_outside
-    more = replace(config, outside_spared=0.9)
-    assert with_spared_outside(more, 0).outside_spared == 0.9
-    for none in ({"full_every": 1}, {"opacity_decay": 0.0}):
-        changes: dict[str, Any] = none
-        assert with_spared_outside(replace(config, **changes), 0).outside_spared == 0
+    masks = MaskedSteps(full_every=4)
+    config = TrainConfig(steps=9, mechanisms=(masks, OpacityDecay(share=0.1, one_sided=45)))
+    assert decay(config, 360) == OpacityDecay(share=0.1)
+    assert decay(config, 120) == OpacityDecay(share=0.1, outside_share=0.025)
+    less = config.using(OpacityDecay(share=0.1, one_sided=45, outside_share=0.01))
+    assert decay(less, 120).outside_share == 0.01
+    with pytest.raises(ConfigError, match="opacity_decay needs masked_steps"):
+        without(config, MaskedSteps)
 
 
 @pytest.mark.parametrize("name", sorted(PRESETS))
 def test_who_spares_it(name: str) -> None:
     config = in_strategy(preset(name), "joint")
-    assert with_spared_outside(config.roi, 0).outside_spared > 0
-    for other in (config.scene, in_strategy(config, "independent").roi):
-        assert with_spared_outside(other, 0) == other
+    assert config.roi.of(OpacityDecay).one_sided > 0
+    assert config.scene.of(OpacityDecay).one_sided == 0
+    assert in_strategy(config, "independent").roi.get(OpacityDecay) is None

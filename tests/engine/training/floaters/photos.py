@@ -9,7 +9,7 @@ import torch
 
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import PosedImage
-from roigs_engine.training.floaters.view_shares import largest_shares, photo_views
+from roigs_engine.training.floaters import largest_shares, photo_views
 from tests.engine.synthetic_scene import CAMERA
 from tests.poses import look_at
 

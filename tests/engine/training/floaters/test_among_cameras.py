@@ -6,7 +6,7 @@ import numpy as np
 
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import Float64, PosedImage
-from roigs_engine.training.floaters.among_cameras import hangs_among_cameras
+from roigs_engine.training.floaters import hangs_among_cameras
 from tests.engine.training.floaters.photos import (
     DISTANCE,
     NO_POINTS,

@@ -10,7 +10,7 @@ from roigs_engine.context import Context
 from roigs_engine.errors import Stopped
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import PosedImage
-from roigs_engine.training.floaters.between_views import (
+from roigs_engine.training.floaters import (
     MOST_VIEWS,
     fills_only_between,
     views_between,

@@ -13,7 +13,7 @@ from roigs_engine.errors import Stopped
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import PosedImage
-from roigs_engine.training.floaters.consistency import consistent_across_views
+from roigs_engine.training.floaters import consistent_across_views
 from tests.engine.synthetic_scene import BOX, CAMERA
 from tests.poses import look_at
 

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from roigs_engine.model.scene import Camera, PosedImage
-from roigs_engine.training.backdrop import backdrop
+from roigs_engine.training.mechanisms.background_points import background_points
 
 CELLS = 8
 CAMERA = Camera(width=160, height=100, fx=120.0, fy=110.0, cx=82.0, cy=47.0)  # 8 x 5 cells
@@ -78,7 +78,7 @@ def left_half() -> NDArray[np.float64]:
 
 def test_cells_without_points_get_gaussians_in_their_colour() -> None:
     points = left_half()
-    made, colours = backdrop(points, [image(len(points))], Photos(), CELLS)
+    made, colours = background_points(points, [image(len(points))], Photos(), CELLS)
     seen = made @ pose()[:3, :3].T + pose()[:3, 3]
     pixels = seen[:, :2] / seen[:, 2:] * (CAMERA.fx, CAMERA.fy) + (CAMERA.cx, CAMERA.cy)
     # of four columns of cells on the right, the first lies beside cells with points
@@ -94,16 +94,16 @@ def test_cells_without_points_get_gaussians_in_their_colour() -> None:
 def test_what_a_photo_has_got_counts_for_the_next() -> None:
     points, photos = left_half(), Photos()
     one, two = image(len(points)), image(len(points), pose(x=0.2))
-    alone, _ = backdrop(points, [two], photos, CELLS)
-    both, _ = backdrop(points, [one, two, one], photos, CELLS)
-    first, _ = backdrop(points, [one], photos, CELLS)
+    alone, _ = background_points(points, [two], photos, CELLS)
+    both, _ = background_points(points, [one, two, one], photos, CELLS)
+    first, _ = background_points(points, [one], photos, CELLS)
     assert len(first) <= len(both) < len(first) + len(alone)
 
 
 def test_photos_full_of_points_are_not_decoded() -> None:
     pixels = grid(CAMERA.width)
     points, photos = lifted(pixels, np.full(len(pixels), 3.0)), Photos()
-    made, colours = backdrop(points, [image(len(points))] * 2, photos, CELLS)
+    made, colours = background_points(points, [image(len(points))] * 2, photos, CELLS)
     assert made.shape == (0, 3) and colours.shape == (0, 3) and not photos.decoded
 
 
@@ -111,31 +111,31 @@ def test_cells_that_a_mask_ignores_get_none() -> None:
     points = left_half()
     mask = np.full((CAMERA.height, CAMERA.width), 255, dtype=np.uint8)
     mask[:, 120:] = 0
-    made, _ = backdrop(points, [image(len(points))], Photos(mask), CELLS)
+    made, _ = background_points(points, [image(len(points))], Photos(mask), CELLS)
     assert len(made) == 5  # one column of three is left
 
 
 def test_black_cells_get_none() -> None:
     points = left_half()
-    made, _ = backdrop(points, [image(len(points))], Photos(colour=(8, 3, 0)), CELLS)
+    made, _ = background_points(points, [image(len(points))], Photos(colour=(8, 3, 0)), CELLS)
     assert len(made) == 0
 
 
 def test_there_are_never_more_than_points() -> None:
     points = left_half()[:10]
-    made, colours = backdrop(points, [image(10)], Photos(), CELLS)
+    made, colours = background_points(points, [image(10)], Photos(), CELLS)
     assert len(made) == len(colours) == 10
 
 
 @pytest.mark.parametrize("count", [0, 5])
 def test_too_few_points_say_nothing(count: int) -> None:
     points = left_half()[:count]
-    made, _ = backdrop(points, [image(count)], Photos(), CELLS)
+    made, _ = background_points(points, [image(count)], Photos(), CELLS)
     assert len(made) == 0
 
 
 def test_a_photo_whose_observations_are_not_known_takes_the_points_in_it() -> None:
     points = left_half()
-    known, _ = backdrop(points, [image(len(points))], Photos(), CELLS)
+    known, _ = background_points(points, [image(len(points))], Photos(), CELLS)
     unknown = replace(image(0), point_indices=np.zeros(0, dtype=np.int64))
-    assert np.allclose(backdrop(points, [unknown], Photos(), CELLS)[0], known)
+    assert np.allclose(background_points(points, [unknown], Photos(), CELLS)[0], known)

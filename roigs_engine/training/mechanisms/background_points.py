@@ -1,4 +1,4 @@
-"""A backdrop: Gaussians where photos show no sparse point (ours).
+"""Background initialisation: Gaussians where photos show no sparse point (ours).
 
 What is plain has no sparse points: a wall, a table, the sky. Training starts from the points, so
 such a place is a hole through which black shows, until Gaussians grow into it, or huge ones paint
@@ -6,22 +6,27 @@ it that reach behind the camera and are left out of pictures (`rasterize.limits`
 many such places, and training may end before these are filled. So it starts with a few large
 Gaussians there: a photo is cut into square cells, and one without a point in it or next to it gets
 a Gaussian in its colour, as far away as the farthest of the points around it in the photo. Black
-needs none: it is what shows where nothing is. What a photo gets counts as points for those after
-it.
+needs none: the background is black. What a photo gets counts as points for those after it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from ..context import QUIET, Context
-from ..cuda.photos import Photos
-from ..model.scene import Float64, PosedImage
+from ...context import QUIET, Context
+from ...errors import ConfigError
+from ...model.scene import Float64, PosedImage
+from ..config import Mechanism, TrainConfig
+
+if TYPE_CHECKING:
+    from ...cuda.photos import Photos
+    from ..stage_data import StageData
 
 MOST_POINTS = 20_000  # of the scene that are looked at: cells are large
 AROUND = 8  # points next to a cell in the photo; it has to show so many
@@ -29,7 +34,33 @@ BLACK = 8  # of 255: a colour up to this is as good as black
 SAMPLES = 32  # pixels along a cell's side that its colour is the mean of, at most
 
 
-def backdrop(
+@dataclass(frozen=True, kw_only=True)
+class BackgroundPoints(Mechanism):
+    """A stage that starts from the sparse points gets Gaussians where photos show none, too.
+
+    Earns: EARNS_BACKGROUND
+
+    Attributes:
+        cells: along a photo's longer side.
+    """
+
+    name: ClassVar[str] = "background_points"
+
+    cells: int = 16
+
+    def check(self, config: TrainConfig) -> None:
+        """Refuse no cells."""
+        if self.cells < 1:
+            raise ConfigError(f"{self.name}: cells is {self.cells}.", "Use 1 or more.")
+
+    def more_points(
+        self, data: StageData, context: Context
+    ) -> tuple[Float64, NDArray[np.uint8]] | None:
+        """The points, and their colours."""
+        return background_points(data.points, data.images, data.photos, self.cells, context)
+
+
+def background_points(
     points: Float64,
     images: Sequence[PosedImage],
     photos: Photos,
@@ -45,6 +76,8 @@ def backdrop(
         cells: along the longer side of a photo.
         context: checked for cancellation between photos.
     """
+    from scipy.spatial import cKDTree
+
     few = points[:: max(1, -(-len(points) // MOST_POINTS))]
     found: list[Float64] = [np.zeros((0, 3))]
     colours: list[NDArray[np.uint8]] = [np.zeros((0, 3), dtype=np.uint8)]
@@ -110,7 +143,7 @@ def _cell_colours(
         top, left = int(row * side), int(column * side)
         cell = photo[top : int((row + 1) * side), left : int((column + 1) * side)]
         pixels = cell[:: _step(cell.shape[0]), :: _step(cell.shape[1])].reshape(-1, photo.shape[2])
-        if photo.shape[2] == 4:  # see `masks.split_mask`
+        if photo.shape[2] == 4:  # see `loss_masks.split_mask`
             pixels = pixels[pixels[:, 3] > 0]
         if len(pixels):
             colours[k] = pixels[:, :3].mean(axis=0).round()

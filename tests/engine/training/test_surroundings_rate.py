@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -14,12 +13,14 @@ from roigs_engine.model.scene import SfmScene
 from roigs_engine.run import stage_configs
 from roigs_engine.run.presets import PRESETS, in_strategy, preset
 from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.masks import RoiMasks
-from roigs_engine.training.outside import outside_boxes, row_decay, row_rates
+from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
+from roigs_engine.training.mechanisms.opacity_decay import OpacityDecay
+from roigs_engine.training.mechanisms.surroundings_rate import SurroundingsRate
 from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import BOX, make_scene, stage_data
 
-CONFIG = TrainConfig(steps=30, densify_until=0, full_every=3, outside_rate=4.0)
+PLAIN = TrainConfig(steps=30, mechanisms=(MaskedSteps(full_every=3),))
+CONFIG = PLAIN.using(SurroundingsRate(factor=4.0))
 
 
 @pytest.fixture(scope="module")
@@ -28,8 +29,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
 
 
 def trainer(scene: SfmScene, config: TrainConfig) -> Trainer:
-    masks = RoiMasks(scene.images, [BOX], range(len(scene.images)))
-    data = stage_data(scene, rois=[BOX], masks=masks)
+    data = stage_data(scene, rois=[BOX])
     return Trainer(Gaussians.from_points(scene.points, scene.colors), data, config)
 
 
@@ -44,25 +44,18 @@ def inside(of: Trainer) -> Tensor:
     return torch.from_numpy(BOX.contains(of.gaussians.means.detach().double().numpy()))
 
 
-def test_factors_follow_the_boxes() -> None:
-    places = np.array([BOX.centre, BOX.centre + 9.0, BOX.centre])
-    gaussians = Gaussians.from_points(places, np.zeros((3, 3), dtype=np.uint8))
-    outside = outside_boxes(gaussians, [BOX], CONFIG)
-    assert outside is not None and outside.tolist() == [False, True, False]
-    rates = row_rates(outside, 2.0, whole=True)
+def test_factors_follow_the_boxes(scene: SfmScene) -> None:
+    fast = trainer(scene, CONFIG)
+    rates = fast._row_rates(whole=True)
     assert rates is not None and rates.dtype == torch.float32
-    assert rates.tolist() == [1.0, 2.0, 1.0]
-    for none in (
-        row_rates(outside, 2.0, whole=False),
-        row_rates(None, 2.0, whole=True),
-        outside_boxes(gaussians, [BOX], replace(CONFIG, full_every=1)),
-    ):
-        assert none is None
+    assert torch.equal(rates, torch.where(inside(fast), 1.0, 4.0))
+    assert fast._row_rates(whole=False) is None
+    assert trainer(scene, PLAIN)._row_rates(whole=True) is None
 
 
 def test_only_whole_photos_move_what_is_outside_farther(scene: SfmScene) -> None:
     """The first step is on a whole photo; what differs after it stays, nothing is added to it."""
-    fast, plain = trainer(scene, CONFIG), trainer(scene, replace(CONFIG, outside_rate=0.0))
+    fast, plain = trainer(scene, CONFIG), trainer(scene, PLAIN)
     start, within = values(fast), inside(fast)
     assert within.any() and not within.all()
     fast.train_step(), plain.train_step()
@@ -70,16 +63,15 @@ def test_only_whole_photos_move_what_is_outside_farther(scene: SfmScene) -> None
     assert torch.equal(moved[within], usual[within])
     seen = (usual != 0) & ~within[:, None]
     assert seen.any() and torch.allclose(moved[seen], 4 * usual[seen], rtol=1e-3, atol=1e-6)
-    assert fast._optimizer.row_rates is not None
+    assert fast.optimizer.row_rates is not None
     fast.train_step()
-    assert fast._optimizer.row_rates is None  # this step is on a mask
+    assert fast.optimizer.row_rates is None  # this step is on a mask
 
 
 def test_opacities_outside_can_decay_less(scene: SfmScene) -> None:
     """The steps before the first decay do the same."""
-    config = replace(CONFIG, steps=99, outside_rate=0.0, opacity_decay=0.0123)
-    less, alike = (trainer(scene, replace(config, outside_spared=part)) for part in (0.75, 0.0))
-    assert row_decay(alike._outside, alike.config) == 0.0123
+    decays = [OpacityDecay(share=0.0123, outside_share=share) for share in (0.0123 / 4, None)]
+    less, alike = (trainer(scene, replace(PLAIN, steps=99).using(decay)) for decay in decays)
     for _ in range(len(scene.images)):
         less.train_step(), alike.train_step()
     kept, usual = (t.gaussians.logit_opacities.detach().sigmoid() for t in (less, alike))
@@ -88,19 +80,11 @@ def test_opacities_outside_can_decay_less(scene: SfmScene) -> None:
     torch.testing.assert_close(kept[~within], usual[~within] * (1 - 0.0123 / 4) / (1 - 0.0123))
 
 
-def test_stages_on_whole_photos_have_none(scene: SfmScene) -> None:
-    alike = replace(CONFIG, full_every=1)
-    fast, plain = trainer(scene, alike), trainer(scene, replace(alike, outside_rate=0.0))
-    for _ in range(3):
-        fast.train_step(), plain.train_step()
-    assert torch.equal(values(fast), values(plain))
-
-
 @pytest.mark.parametrize("name", sorted(PRESETS))
 def test_who_has_them(name: str) -> None:
     """Only the box stage of a whole scene: it was measured there."""
     config = in_strategy(preset(name), "joint")
-    assert config.roi.tells_outside and not config.scene.tells_outside
+    assert config.roi.get(SurroundingsRate) and not config.scene.get(SurroundingsRate)
     tuned = stage_configs.tuned_baseline(config)
     others = [
         tuned.fine,
@@ -110,7 +94,7 @@ def test_who_has_them(name: str) -> None:
         stage_configs.block_stage(config.roi, 0.5, 0.5),
         stage_configs.surroundings_stage(config.roi, 0.5),
     ]
-    assert not any(other.tells_outside for other in others)
+    assert not any(other.get(SurroundingsRate) for other in others)
 
 
 def test_a_stopped_stage_keeps_who_is_outside(scene: SfmScene) -> None:
@@ -119,8 +103,7 @@ def test_a_stopped_stage_keeps_who_is_outside(scene: SfmScene) -> None:
     for _ in range(4):
         whole.train_step(), stopped.train_step()
     for one in (whole, stopped):  # as if they had crossed: a new trainer would find others
-        assert one._outside is not None
-        one._outside[::2] ^= True
+        one.state_dict()["mechanisms"]["surroundings_rate"]["outside"][::2] ^= True
     resumed = trainer(scene, CONFIG)
     resumed.load_state_dict(stopped.state_dict())
     for _ in range(5):

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from ...model.gaussians import Gaussians
-from ...model.rotations import rotation_matrices
-from ..row_copies import chosen_rows
+from ..model.gaussians import Gaussians
+from ..model.rotations import rotation_matrices
+from .row_copies import chosen_rows
 
 SPLIT_SHRINK = 1.6  # 3DGS: children of a split have their scales divided by this
 
@@ -89,3 +89,58 @@ def _children(parents: Gaussians, rng: torch.Generator) -> Gaussians:
     values["means"] = parents.means + (rotations @ offsets[..., None])[..., 0]
     values["log_scales"] = (scales / SPLIT_SHRINK).log()
     return parents.with_tensors(values)
+
+
+@dataclass
+class DensityStats:
+    """Sums over training views since the last edit.
+
+    Attributes:
+        gradient: (N,) sum of 2D gradient norms (`RenderOutput.grad2d`).
+        views: (N,) number of views that showed it.
+    """
+
+    gradient: Tensor
+    views: Tensor
+
+    @classmethod
+    def zeros(cls, count: int, device: torch.device | None = None) -> DensityStats:
+        """Empty statistics of `count` Gaussians."""
+        return cls(*(torch.zeros(count, device=device) for _ in range(2)))
+
+    def add(self, visible: Tensor, grad2d: Tensor) -> None:
+        """Add one training view; all arguments (N,)."""
+        self.gradient += grad2d
+        self.views += visible
+
+    def mean_gradient(self) -> Tensor:
+        """(N,) mean gradient norm over the views that showed each Gaussian."""
+        return self.gradient / self.views.clamp(min=1)
+
+
+def morton_order(means: Tensor) -> Tensor:
+    """(N, 3) positions -> (N,) row numbers along a Z-order curve.
+
+    Neighbours in space become neighbours in memory, which is good for the kernels' caches. Each
+    axis has 10 bits between its 1st and 99th percentile, so that a few distant Gaussians do not
+    reduce the resolution.
+    """
+    points = means.detach().double()
+    if len(points) == 0:
+        return torch.zeros(0, dtype=torch.int64, device=means.device)
+    low, high = _percentile(points, 0.01), _percentile(points, 0.99)
+    unit = ((points - low) / (high - low).clamp(min=1e-12)).clamp(0, 1)
+    cell = (unit * 1023).long()
+    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
+        cell = (cell | (cell << shift)) & mask
+    code = cell[:, 0] | (cell[:, 1] << 1) | (cell[:, 2] << 2)
+    return torch.argsort(code, stable=True)
+
+
+def _percentile(points: Tensor, share: float) -> Tensor:
+    """(N, 3) -> (3,) quantile of each column at `share` (0 to 1), linearly interpolated."""
+    position = share * (len(points) - 1)
+    lower, upper = (
+        points.kthvalue(int(k) + 1, dim=0).values for k in (position, -(-position // 1))
+    )
+    return lower + (upper - lower) * (position % 1)

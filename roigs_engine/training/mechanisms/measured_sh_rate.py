@@ -1,27 +1,30 @@
-"""Whether a point's colour depends on the view, as the photos show it; the SH learning rate for it.
+"""The SH learning rate by whether the photos show that colours depend on the view (ours).
 
 A point has another colour in each photo that observes it: because light and camera change with the
 view, which SH can learn, and because of noise, texture and neighbours, which they cannot. If it is
 the view, photos from similar directions agree better than others. So the variance between nearest
 neighbours is compared with that between all photos: the ratio of nugget and sill of a variogram
 (Matheron 1963). Where neighbours do not agree better, SH that learn fast learn the noise of single
-photos: they are wrong in between, most of all close up. Ours (docs/method.md, view dependence).
+photos: they are wrong in between, most of all close up (docs/method.md, view dependence).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..context import QUIET, Context
-from ..cuda.photos import Photos
-from ..model.roi import OrientedBox
-from ..model.scene import Float64, PosedImage
-from .config import TrainConfig
-from .stage_data import StageData
+from ...context import QUIET, Context
+from ...model.roi import OrientedBox
+from ...model.scene import Float64, PosedImage
+from ..config import Mechanism, TrainConfig
+
+if TYPE_CHECKING:
+    from ...cuda.photos import Photos
+    from ..stage_data import StageData
 
 RADIUS = 2  # px around a point, whose mean is its colour there
 LEAST = 5  # photos that must observe a point
@@ -37,33 +40,31 @@ Sightings = NDArray[np.float64]
 POINT, COLOUR, DIRECTION, SCALE = 0, slice(1, 4), slice(4, 7), 7
 
 
-def with_measured_rate(
-    config: TrainConfig, data: StageData, context: Context = QUIET
-) -> TrainConfig:
-    """The config with the SH learning rate that the stage's photos allow, at least 3DGS's.
+@dataclass(frozen=True, kw_only=True)
+class MeasuredShRate(Mechanism):
+    """Lowers `lr_shN`, to 3DGS's at the least, if colours hardly depend on the view.
 
     Points in the boxes are compared, or all that the photos observe if these are too few.
 
-    Args:
-        config: of the stage; `lr_shN` is that for colours that depend on the view.
-        data: of the stage.
-        context: told of a lower rate; checked for cancellation between photos.
-
-    Raises:
-        PhotoError: a photo cannot be read.
+    Earns: EARNS_MEASURED
     """
-    full, least = config.lr_shN, TrainConfig.lr_shN
-    if not config.lr_shN_measured or full <= least:
-        return config
-    share = predicted_share(data.images, data.photos, data.points, data.rois, context)
-    if share is None or share >= FULL_RATE:
-        return config
-    rate = least * (full / least) ** (max(share, 0.0) / FULL_RATE)
-    context.info(
-        f"Colours depend little on the view: neighbouring photos predict {max(share, 0.0):.0%} of"
-        f" how they differ. The SH learning rate is {rate:.2g}, not {full:.2g}."
-    )
-    return replace(config, lr_shN=rate)
+
+    name: ClassVar[str] = "measured_sh_rate"
+
+    def measured(self, config: TrainConfig, data: StageData, context: Context) -> TrainConfig:
+        """With the rate that the photos allow; PhotoError if one cannot be read."""
+        full, least = config.lr_shN, TrainConfig.lr_shN
+        if full <= least:
+            return config
+        share = predicted_share(data.images, data.photos, data.points, data.rois, context)
+        if share is None or share >= FULL_RATE:
+            return config
+        rate = least * (full / least) ** (max(share, 0.0) / FULL_RATE)
+        context.info(
+            f"Colours depend little on the view: neighbouring photos predict {max(share, 0.0):.0%}"
+            f" of how they differ. The SH learning rate is {rate:.2g}, not {full:.2g}."
+        )
+        return replace(config, lr_shN=rate)
 
 
 def predicted_share(

@@ -30,7 +30,7 @@ MOST_WEIGHT = 2.0  # of the mean mask's: a tiny mask must not decide what a box 
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RoiMask:
+class LossMask:
     """The mask of one photo; it takes little memory.
 
     Attributes:
@@ -65,7 +65,7 @@ class RoiMask:
         return self.tiles.mask
 
 
-class RoiMasks:
+class LossMasks:
     """The mask of each photo; computed on first use, and kept.
 
     Args:
@@ -93,22 +93,22 @@ class RoiMasks:
         self._images, self._rois, self._device = images, rois, device or CPU
         self._weighting = view_weighting
         self._tiles: dict[int, NDArray[np.bool_]] = {}
-        self._masks: dict[int, RoiMask | None] = {}
+        self._masks: dict[int, LossMask | None] = {}
         self._mean_share = self._geometric_mean(drawn, context) if view_weighting else 0.0
 
-    def __getitem__(self, index: int) -> RoiMask | None:
+    def __getitem__(self, index: int) -> LossMask | None:
         """The mask of photo `index`; None if it sees no box."""
         if index not in self._masks:
             self._masks[index] = self._made(index)
         return self._masks[index]
 
-    def _made(self, index: int) -> RoiMask | None:
+    def _made(self, index: int) -> LossMask | None:
         grid, camera = self._tiles_of(index), self._images[index].camera
         if not grid.any():
             return None
         tiles = tiles_of_grid(torch.from_numpy(grid), (camera.width, camera.height))
         assert tiles.mask is not None
-        return RoiMask(
+        return LossMask(
             tiles=replace(tiles, mask=sent(tiles.mask.contiguous(), self._device)).windowed(),
             loss_weight=self._loss_weight(float(self._mask(index).mean())),
         )

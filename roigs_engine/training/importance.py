@@ -1,9 +1,9 @@
-"""Gaussians that the photos hardly show (ours).
+"""Importance of Gaussians: those that the photos hardly show (ours).
 
 Densification leaves many Gaussians behind others, or nearly transparent; some scenes have twice as
-many as they need. When it ends, the faintest are removed, as many as the photos do not miss: their
-squared error may grow by a share, which the steps that follow make up for. Nothing else says how
-many there are: that differs from scene to scene (notebook/densification.md).
+many as they need. When it ends, the least important are removed, as many as the photos do not miss:
+their squared error may grow by a share, which the steps that follow make up for. Nothing else says
+how many there are: that differs from scene to scene (notebook/densification.md).
 
 Photos are judged one by one, and a smaller error counts as the same one. Otherwise a photo that fog
 covers would decide: without the fog its error falls to a fraction, and most Gaussians could go.
@@ -25,7 +25,7 @@ from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from ..rasterize import rasterize
 from ..rasterize.view import blending_weights
-from .masks import split_mask
+from .loss_masks import split_mask
 from .photo_views import PhotoViews
 from .spread import spread
 from .stage_data import StageData
@@ -39,29 +39,30 @@ Errors = Iterable[tuple[int, float]]
 are the boxes. They are found as they are asked for."""
 
 
-def faint_gaussians(
+def unimportant_gaussians(
     gaussians: Gaussians,
     data: StageData,
     views: PhotoViews,
     growth: float,
+    rois: Sequence[OrientedBox] = (),
     context: Context = QUIET,
 ) -> Tensor:
     """(N,) bool: the Gaussians that a stage's photos do not miss.
 
     Args:
         gaussians: the model, N rows.
-        data: of the stage; with masks, each box is judged apart.
+        data: of the stage.
         views: its photos, in the size to judge by.
         growth: largest mean growth of the photos' errors, as a share of them.
+        rois: boxes that are judged apart.
         context: checked for cancellation between photos.
 
     Raises:
         Stopped: the user stopped.
     """
-    rois = () if data.masks is None else data.rois
     errors = PhotoErrors(views, rois, data.backgrounds, context)
     worth = visible_worth(gaussians, data.images, context)
-    return faintest(worth, lambda kept: errors(gaussians.rows(kept)), growth)
+    return least_important(worth, lambda kept: errors(gaussians.rows(kept)), growth)
 
 
 @torch.no_grad()
@@ -163,7 +164,7 @@ def _sees(image: PosedImage, roi: OrientedBox) -> bool:
     return roi.projected_area(image.camera, image.world_to_camera) > 0
 
 
-def faintest(worth: Tensor, errors: Callable[[Tensor], Errors], growth: float) -> Tensor:
+def least_important(worth: Tensor, errors: Callable[[Tensor], Errors], growth: float) -> Tensor:
     """(N,) bool: the Gaussians of the least worth, as many as may go.
 
     Args:

@@ -1,10 +1,9 @@
-"""Faint Gaussians go when densification ends, as many as the photos do not miss."""
+"""Unimportant Gaussians go when densification ends, as many as the photos do not miss."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -23,25 +22,27 @@ from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.rasterize.view import rasterize_view
 from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.faint import (
+from roigs_engine.training.importance import (
     EACH,
     WHOLE,
     Errors,
     PhotoErrors,
-    faintest,
     is_within,
+    least_important,
     visible_worth,
 )
-from roigs_engine.training.masks import RoiMasks
+from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
+from roigs_engine.training.mechanisms.density_control import DensityControl
+from roigs_engine.training.mechanisms.importance_pruning import ImportancePruning
+from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
 from roigs_engine.training.photo_views import PhotoViews
 from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import BOX, make_scene, small_photos
 
-CONFIG = TrainConfig(
-    steps=60, densify_from=10, densify_until=40, densify_every=10, grad_threshold=1e-5,
-    faint_growth=0.1, antialiased=True,
-)  # fmt: skip
+DENSITY = DensityControl(start=10, until=40, every=10, grad_threshold=1e-5)
+PLAIN = TrainConfig(steps=60, antialiased=True, mechanisms=(DENSITY,))
+CONFIG = PLAIN.using(ImportancePruning(growth=0.1))
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +57,6 @@ def stage_data(scene: SfmScene) -> StageData:
         photos=PhotoCache(scene.images),
         photo_at=photo_order.shuffled(rows, 3),
         extent=scene.extent(),
-        masks=RoiMasks(scene.images, [BOX], rows),
     )
 
 
@@ -97,7 +97,7 @@ def by_part(errors: Errors) -> list[list[float]]:
 @pytest.mark.parametrize("growth", [0.01, 0.1, 0.5])
 def test_as_many_go_as_the_error_allows(growth: float) -> None:
     worth = torch.rand(2000, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-    found = faintest(worth, lambda kept: squares(worth[~kept].sum()), growth)
+    found = least_important(worth, lambda kept: squares(worth[~kept].sum()), growth)
     assert float(worth[~found].min()) >= float(worth[found].max())
     gone = float(worth[found].sum())
     assert gone <= 100.0 * growth
@@ -111,19 +111,19 @@ def test_each_error_counts() -> None:
     def errors(kept: Tensor) -> Errors:
         return photo(1.0) + photo(1.0 if bool(kept[:20].all()) else 2.0, part=1)
 
-    assert not faintest(worth, errors, 0.1).any()
+    assert not least_important(worth, errors, 0.1).any()
 
 
 def test_a_photo_that_gains_does_not_pay_for_others() -> None:
     """As one does that fog covers, which goes with the faint."""
     worth = torch.rand(2000, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-    usual = faintest(worth, lambda kept: photo(100 + float(worth[~kept].sum())), 0.1)
+    usual = least_important(worth, lambda kept: photo(100 + float(worth[~kept].sum())), 0.1)
 
     def fogged(kept: Tensor) -> Errors:
         lost = float(worth[~kept].sum())
         return photo(100 + 2 * lost, 5000 if bool(kept.all()) else 50)
 
-    assert torch.equal(faintest(worth, fogged, 0.1), usual)
+    assert torch.equal(least_important(worth, fogged, 0.1), usual)
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_no_more_photos_are_drawn_than_it_takes(
 
 def test_what_no_photo_shows_stays() -> None:
     worth = torch.tensor([0.0, 0.0, 1.0, 2.0, 3.0, 0.0], dtype=torch.float64)
-    found = faintest(worth, lambda kept: photo(1.0), 0.1)
+    found = least_important(worth, lambda kept: photo(1.0), 0.1)
     assert found.tolist() == [False, False, True, True, False, False]
 
 
@@ -201,7 +201,7 @@ def test_a_box_that_few_photos_show_is_judged(scene: SfmScene) -> None:
         box = OrientedBox.axis_aligned("box", place[:3] - 0.02, place[:3] + 0.02)
         seen = [box.projected_area(i.camera, i.world_to_camera) > 0 for i in images]
         assert sum(seen) == errors - 1
-        data = replace(stage_data(scene), images=images, photos=PhotoCache(images), masks=None)
+        data = replace(stage_data(scene), images=images, photos=PhotoCache(images))
         assert len(by_part(errors_of(data, [box])(model_of(scene)))) == errors
 
 
@@ -216,7 +216,7 @@ def test_pixels_that_photos_leave_out_are_left_out(scene: SfmScene) -> None:
         def __getitem__(self, index: int) -> np.ndarray:
             return pixels
 
-    data = replace(stage_data(scene), images=[image], photos=Photos(), masks=None)
+    data = replace(stage_data(scene), images=[image], photos=Photos())
     model = model_of(scene)
     drawn = rasterize_view(model, image.camera, image.world_to_camera).image[0]
     expected = (drawn[:5] - torch.from_numpy(pixels[:5, :, :3]) / 255).square().mean()
@@ -228,15 +228,14 @@ def test_pixels_that_photos_leave_out_are_left_out(scene: SfmScene) -> None:
 
 def test_without_anything_to_judge_by_all_stay() -> None:
     worth = torch.arange(1, 101, dtype=torch.float64)
-    assert not faintest(worth, lambda kept: [], 0.1).any()
+    assert not least_important(worth, lambda kept: [], 0.1).any()
 
 
 def test_nothing_is_pruned_where_nothing_was_added(scene: SfmScene) -> None:
     """A few steps: the photos can judge nothing yet."""
     for begin, until, every in ((40, 40, 10), (50, 40, 10), (0, 0, 10), (10, 60, 10), (0, 40, 40)):
-        config = replace(CONFIG, densify_from=begin, densify_until=until, densify_every=every)
-        config = replace(config, grad_threshold=1e9)
-        config = replace(config, prune_opacity=0.0, reset_every=0)
+        density = DensityControl(start=begin, until=until, every=every, grad_threshold=1e9)
+        config = CONFIG.using(replace(density, prune_opacity=0.0, reset_every=0))
         trainer = Trainer(with_idle(scene), stage_data(scene), config)
         assert trainer.run()
         assert len(trainer.gaussians) == len(with_idle(scene))
@@ -248,11 +247,11 @@ def test_a_full_memory_while_it_looks_has_changed_nothing(
     def full(*args: object) -> Tensor:
         raise MemoryError
 
-    monkeypatch.setattr("roigs_engine.training.faint.visible_worth", full)
+    monkeypatch.setattr("roigs_engine.training.importance.visible_worth", full)
     trainer = Trainer(model_of(scene), stage_data(scene), CONFIG)
     with pytest.raises(MemoryError):
         trainer.run()
-    assert trainer.step == CONFIG.densify_until and trainer.is_between_steps
+    assert trainer.step == DENSITY.until and trainer.is_between_steps
 
 
 class Sizes:
@@ -267,10 +266,10 @@ class Sizes:
 
 
 def test_a_stage_prunes_once_when_densification_ends(scene: SfmScene) -> None:
-    ends = CONFIG.densify_until
+    ends = DENSITY.until
     left = {}
     for growth in (0.0, 0.1):
-        config = replace(CONFIG, faint_growth=growth)
+        config = CONFIG if growth else PLAIN
         trainer = Trainer(with_idle(scene), stage_data(scene), config)
         said: list[Event] = []
         sizes = Sizes(trainer)
@@ -299,9 +298,10 @@ def test_photos_of_full_size_judge(
         widths.append(views.view(0).width)
         return torch.zeros(len(model), dtype=torch.bool)
 
-    monkeypatch.setattr("roigs_engine.training.trainer.faint_gaussians", asked)
-    config = replace(CONFIG, small_until=small_until, full_every=full_every)
-    data = replace(stage_data(scene), small=small_photos(scene))
+    monkeypatch.setattr("roigs_engine.training.importance.unimportant_gaussians", asked)
+    masks = (MaskedSteps(full_every=full_every),) if full_every > 1 else ()
+    config = CONFIG.using(*masks, CoarseToFine(until=small_until))
+    data = replace(stage_data(scene), small=small_photos(scene), rois=[BOX])
     Trainer(model_of(scene), data, config).run()
     assert widths == [scene.images[0].camera.width]
 
@@ -310,7 +310,7 @@ def test_stopped_meanwhile_it_goes_on_to_the_same_end(scene: SfmScene) -> None:
     model, data = with_idle(scene), stage_data(scene)
     whole = Trainer(model, data, CONFIG)
     whole.run()
-    for asked in (CONFIG.densify_until + 1, CONFIG.densify_until + 5, CONFIG.densify_until + 40):
+    for asked in (DENSITY.until + 1, DENSITY.until + 5, DENSITY.until + 40):
         left = iter(range(asked))
         stopped = Trainer(model, data, CONFIG)
         assert not stopped.run(Context(should_stop=lambda left=left: next(left, None) is None))
@@ -321,23 +321,11 @@ def test_stopped_meanwhile_it_goes_on_to_the_same_end(scene: SfmScene) -> None:
         assert same_bits(resumed.gaussians, whole.gaussians), asked
 
 
-def test_an_older_checkpoint_goes_on(scene: SfmScene) -> None:
-    config = replace(CONFIG, faint_growth=0.0)
-    trainer = Trainer(model_of(scene), stage_data(scene), config)
-    trainer.train_step()
-    state = deepcopy(trainer.state_dict())
-    del state["faint_pruned"]
-    resumed = Trainer(model_of(scene), stage_data(scene), config)
-    resumed.load_state_dict(state)
-    assert resumed.run() and trainer.run()
-    assert same_bits(resumed.gaussians, trainer.gaussians)
-
-
 def test_looking_for_them_can_be_stopped(scene: SfmScene) -> None:
     with pytest.raises(Stopped):
         visible_worth(model_of(scene), scene.images, Context(should_stop=lambda: True))
 
 
 def test_a_negative_growth_is_refused() -> None:
-    with pytest.raises(ConfigError, match="faint_growth"):
-        TrainConfig(steps=1, faint_growth=-0.1)
+    with pytest.raises(ConfigError, match=r"growth is -0\.1"):
+        CONFIG.using(ImportancePruning(growth=-0.1))

@@ -1,0 +1,327 @@
+"""Floaters: Gaussians that hang in the air, which photos cannot judge (ours).
+
+Three rules find them:
+
+*Multi-view consistency.* If only one or two photos show a Gaussian, it can lie anywhere along their
+rays without an error in these photos. Close to a camera it hides the object in all views between
+the photos. So a Gaussian nearer than the boxes, or in the air before the scene, is kept only if
+enough photos show it. Farther away it is background, which few photos may show. A Gaussian that no
+photo shows is useless in a box; elsewhere a new view may show it.
+
+*Views between the photos.* With few photos, a background Gaussian can grow large beside all of
+them: they hardly show it, so nothing limits it, and it covers every view between them. So cameras
+are put between neighbouring photos and beside each of them, and a Gaussian goes if one of them sees
+much more of it than any photo does. Something real could fill such a view if the camera stood close
+to it. The limits exclude that. A surface at distance d from the photos fills at most
+(d / (d / 4))^2 = 16 times as much of a view from a quarter of the distance; cameras nearer than
+that to the scene's points are not used.
+
+*Among the cameras.* With few photos, a Gaussian can hang near a camera and outside its frame, as a
+faint blot in photos from far away. The views between the photos miss it unless one looks just that
+way, so here is a rule without views. Nothing real hangs there: it would be nearer to a camera than
+half the distance to the scene's points. And a camera that turned to it would see it large, but no
+photo within four times that distance does: it fills less than 1 / 4^2 as much of any photo.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from ..context import QUIET, Context
+from ..model.gaussians import Gaussians
+from ..model.ownership import owners
+from ..model.roi import OrientedBox
+from ..model.scene import Float64, PosedImage
+from ..rasterize.view import View, blending_weights
+from .spread import spread
+
+SIDE = 256  # pixels; shares of a view need no more
+NEAREST = 0.25  # least distance of a view from the scene, in distances of the photos near it
+MORE = NEAREST**-2  # how much more of a view than of any photo is too much
+LEAST = 1e-3  # share of a view that is worth a look
+FAINT = 1 / 255  # of a pixel's light: less is not shown
+POINTS = 10  # so many points nearer than a distance mean that the scene is there, not a stray
+NEARER = 1.5  # times nearer to a camera than to the scene is in the air
+MUCH_NEARER = 2.0  # the same, among the cameras
+NEIGHBOURS = 4
+WIDEST = 72.0  # degrees between the directions of two photos that have views between them
+MOST_VIEWS = 200
+BESIDE = 0.25  # distance of a view beside a photo, in distances to the nearest photo
+
+
+Poses = list[tuple[tuple[int, ...], Float64]]
+"""Positions of the photos that a view lies between or beside, and its world_to_camera."""
+
+
+def floaters(
+    gaussians: Gaussians,
+    images: Sequence[PosedImage],
+    rois: Sequence[OrientedBox],
+    points: Float64,
+    min_views: int,
+    context: Context = QUIET,
+) -> Tensor:
+    """(N,) bool: which Gaussians are floaters.
+
+    Args:
+        gaussians: the model, N rows.
+        images: the training photos; their pixels are not used.
+        rois: the boxes.
+        points: (P, 3) of the scene, world units.
+        min_views: see `consistent_across_views`.
+        context: checked for cancellation between views.
+    """
+    found = ~consistent_across_views(gaussians, images, rois, points, min_views, context)
+    shown = largest_shares(gaussians, photo_views(images), context)
+    found |= fills_only_between(gaussians, views_between(images, points), shown, context)
+    return found | hangs_among_cameras(gaussians, images, points, shown)
+
+
+@torch.no_grad()
+def consistent_across_views(
+    gaussians: Gaussians,
+    images: Sequence[PosedImage],
+    rois: Sequence[OrientedBox],
+    points: Float64,
+    min_views: int,
+    context: Context = QUIET,
+) -> Tensor:
+    """(N,) bool: which Gaussians to keep.
+
+    A photo shows a Gaussian where its alpha x T is 1/255 or more on some pixel.
+
+    Args:
+        gaussians: the model, N rows.
+        images: the training photos; their pixels are not used.
+        rois: the boxes.
+        points: (P, 3) of the scene, world units; the photos' `point_indices` are rows of it.
+        min_views: a Gaussian needs this number of photos that show it, or all photos if there are
+            fewer, if it is nearer than the nearest box in each of them; or if it is in the air, and
+            nearer than half of the points that the photo observes in each of them. In a photo that
+            sees no box, or has no points, nothing is nearer.
+        context: checked for cancellation between photos.
+    """
+    means = gaussians.means
+    shown_by = torch.zeros(len(gaussians), dtype=torch.int32, device=means.device)
+    before_boxes = torch.ones_like(shown_by, dtype=torch.bool)
+    before_scene = before_boxes.clone()
+    min_views = min(min_views, len(images))
+    views = [(image.camera, image.world_to_camera) for image in images]
+    for image, weights in zip(images, blending_weights(gaussians, views, context), strict=True):
+        pose = torch.from_numpy(image.world_to_camera).to(means)
+        shown = weights.largest >= FAINT
+        depth = means @ pose[2, :3] + pose[2, 3]
+        shown_by += shown
+        before_boxes &= ~shown | (depth < _nearest(rois, image))
+        before_scene &= ~shown | (depth < _middle(points, image))
+    in_front = before_boxes | (before_scene & in_the_air(gaussians, images, points, NEARER))
+    floating = (shown_by > 0) & (shown_by < min_views) & in_front
+    hidden = (shown_by == 0) & (owners(gaussians, rois) >= 0)
+    return ~(floating | hidden)
+
+
+def _nearest(rois: Sequence[OrientedBox], image: PosedImage) -> float:
+    """Depth of the nearest corner of all boxes; negative if one is partly behind the camera.
+
+    Minus infinity if the photo sees no box: nothing is nearer.
+    """
+    pose = image.world_to_camera
+    if not any(roi.projected_area(image.camera, pose) for roi in rois):
+        return -np.inf
+    corners = np.concatenate([roi.corners() for roi in rois])
+    return float((corners @ pose[2, :3] + pose[2, 3]).min())
+
+
+def _middle(points: Float64, image: PosedImage) -> float:
+    """Median depth of the points that the photo observes; minus infinity without any."""
+    if len(points) == 0 or len(image.point_indices) == 0:
+        return -np.inf
+    pose = image.world_to_camera
+    return float(np.median(points[image.point_indices] @ pose[2, :3] + pose[2, 3]))
+
+
+def views_between(images: Sequence[PosedImage], points: Float64) -> tuple[View, ...]:
+    """Cameras between neighbouring photos, and beside each photo.
+
+    They stand at a quarter, a half and three quarters of the way to a neighbour; and to the left,
+    the right, above and below a photo, a quarter of the distance to the nearest one away.
+
+    Args:
+        images: the photos.
+        points: (P, 3) of the scene, world units.
+
+    Returns:
+        At most `MOST_VIEWS` of each kind, evenly spread; none for a photo alone.
+    """
+    poses = [
+        *spread(poses_between(images), MOST_VIEWS),
+        *spread(_poses_beside(images), MOST_VIEWS),
+    ]
+    centres = [image.centre for image in images]
+    centres += [-pose[:3, :3].T @ pose[:3, 3] for _, pose in poses]
+    far = reach(np.array(centres), points)
+    return tuple(
+        (images[photos[0]].camera.thumbnail(SIDE), pose)
+        for (photos, pose), distance in zip(poses, far[len(images) :], strict=True)
+        if distance >= NEAREST * min(far[photo] for photo in photos)
+    )
+
+
+def fills_only_between(
+    gaussians: Gaussians, views: Sequence[View], shown: Tensor, context: Context = QUIET
+) -> Tensor:
+    """(N,) bool: which Gaussians fill a view between the photos, but no photo.
+
+    Args:
+        gaussians: the model, N rows.
+        views: of `views_between`.
+        shown: (N,) the largest share of a photo that each fills (`largest_shares`).
+        context: checked for cancellation between views.
+    """
+    filled = largest_shares(gaussians, views, context)
+    return (filled > LEAST) & (filled > MORE * shown)
+
+
+def _neighbours(images: Sequence[PosedImage]) -> list[tuple[int, int]]:
+    """Pairs of photos that stand and look alike: each with its nearest ones."""
+    centres = np.array([image.centre for image in images])
+    forward = np.array([image.forward for image in images])
+    spread = np.median(np.linalg.norm(centres - centres.mean(axis=0), axis=1))
+    pairs = set()
+    for k in range(len(images)):
+        cosine = forward @ forward[k]
+        apart = np.linalg.norm(centres - centres[k], axis=1) / max(spread, 1e-12) + 1 - cosine
+        apart[cosine < np.cos(np.radians(WIDEST))] = np.inf
+        apart[k] = np.inf
+        order = np.argsort(apart, kind="stable")[:NEIGHBOURS]
+        pairs |= {(min(k, int(j)), max(k, int(j))) for j in order if apart[j] < np.inf}
+    return sorted(pairs)
+
+
+def poses_between(images: Sequence[PosedImage]) -> Poses:
+    """Positions of two photos, and world_to_camera on the way from the first to the second."""
+    pairs = _neighbours(images)
+    shares = (0.5,) if len(pairs) * 3 > MOST_VIEWS else (0.25, 0.5, 0.75)
+    return [
+        ((first, second), _between(images[first], images[second], share))
+        for first, second in pairs
+        for share in shares
+    ]
+
+
+def _poses_beside(images: Sequence[PosedImage]) -> Poses:
+    """Position of a photo, and its world_to_camera moved to each of four sides."""
+    centres = np.array([image.centre for image in images])
+    poses: Poses = []
+    for k, image in enumerate(images):
+        apart = np.linalg.norm(np.delete(centres, k, axis=0) - centres[k], axis=1)
+        for axis, side in ((0, -1), (0, 1), (1, -1), (1, 1)) if len(apart) else ():
+            pose = image.world_to_camera.copy()
+            pose[axis, 3] -= side * BESIDE * apart.min()
+            poses.append(((k,), pose))
+    return poses
+
+
+def _between(first: PosedImage, second: PosedImage, share: float) -> Float64:
+    """(4, 4) world_to_camera on the way from the first photo's camera to the second's."""
+    start = Rotation.from_matrix(first.world_to_camera[:3, :3])
+    turn = Rotation.from_matrix(second.world_to_camera[:3, :3]) * start.inv()
+    rotation = (Rotation.from_rotvec(share * turn.as_rotvec()) * start).as_matrix()
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    pose[:3, 3] = -rotation @ ((1 - share) * first.centre + share * second.centre)
+    return pose
+
+
+def hangs_among_cameras(
+    gaussians: Gaussians, images: Sequence[PosedImage], points: Float64, shown: Tensor
+) -> Tensor:
+    """(N,) bool: which Gaussians hang in the air among the cameras, where no photo looks.
+
+    Args:
+        gaussians: the model, N rows.
+        images: the training photos; their pixels are not used.
+        points: (P, 3) of the scene, world units; without any, nothing hangs.
+        shown: (N,) the largest share of a photo that each fills (`largest_shares`).
+    """
+    device = gaussians.means.device
+    if len(points) == 0:
+        return torch.zeros(len(gaussians), dtype=torch.bool, device=device)
+    means = gaussians.means.detach().cpu().numpy().astype(np.float64)
+    distance, nearest = cKDTree([image.centre for image in images]).query(means)
+    # the area of a Gaussian that is seen from its broad side is 2 pi s1 s2
+    scales = gaussians.log_scales.detach().exp().sort(dim=1).values.cpu().numpy().astype(np.float64)
+    opacity = gaussians.logit_opacities.detach().sigmoid().cpu().numpy().astype(np.float64)
+    zoom = np.array([_zoom(image) for image in images])[nearest]
+    area = 2 * np.pi * scales[:, 1] * scales[:, 2] * zoom
+    with np.errstate(divide="ignore"):  # a Gaussian at a camera's very place
+        filled = opacity * np.minimum(area / distance**2, 1.0)
+    seen = shown.cpu().numpy()
+    unseen = (seen < LEAST) & (filled > LEAST) & (filled > MORE * seen)
+    return torch.from_numpy(unseen).to(device) & in_the_air(gaussians, images, points, MUCH_NEARER)
+
+
+def _zoom(image: PosedImage) -> float:
+    """The share of the photo that a unit area fills at unit distance."""
+    camera = image.camera
+    return camera.fx * camera.fy / (camera.width * camera.height)
+
+
+@torch.no_grad()
+def largest_shares(gaussians: Gaussians, views: Iterable[View], context: Context = QUIET) -> Tensor:
+    """(N,) the largest share of a view's light that each Gaussian has, 0 to 1.
+
+    Args:
+        gaussians: the model, N rows.
+        views: to look from.
+        context: checked for cancellation between views.
+    """
+    views = list(views)
+    largest = torch.zeros(len(gaussians), device=gaussians.means.device)
+    for (camera, _), weights in zip(
+        views, blending_weights(gaussians, views, context), strict=True
+    ):
+        torch.maximum(largest, weights.total / (camera.width * camera.height), out=largest)
+    return largest
+
+
+def photo_views(images: Sequence[PosedImage]) -> list[View]:
+    """The photos' own views, small."""
+    return [(image.camera.thumbnail(SIDE), image.world_to_camera) for image in images]
+
+
+def shown_by(
+    gaussians: Gaussians, images: Sequence[PosedImage], context: Context = QUIET
+) -> Tensor:
+    """(N,) bool: which Gaussians the photos show: those that have some light of a view."""
+    shares = largest_shares(gaussians, photo_views(images), context)
+    return shares > FAINT / SIDE**2
+
+
+def reach(places: Float64, points: Float64) -> Float64:
+    """(N, 3) -> (N,) distances to the scene: to its tenth nearest point; infinite: no points."""
+    if len(points) == 0:
+        return np.full(len(places), np.inf)
+    distances, _ = cKDTree(points).query(places, k=[min(POINTS, len(points))])
+    return np.asarray(distances[:, 0])
+
+
+def in_the_air(
+    gaussians: Gaussians, images: Sequence[PosedImage], points: Float64, times: float
+) -> Tensor:
+    """(N,) bool: whose centres are so many times nearer to a photo's camera than to the scene.
+
+    Nothing is where there are no points.
+    """
+    device = gaussians.means.device
+    if len(points) == 0:
+        return torch.zeros(len(gaussians), dtype=torch.bool, device=device)
+    means = gaussians.means.detach().cpu().numpy().astype(np.float64)
+    distance, _ = cKDTree([image.centre for image in images]).query(means)
+    return torch.from_numpy(times * distance < reach(means, points)).to(device)

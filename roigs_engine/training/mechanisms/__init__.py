@@ -1,0 +1,1 @@
+"""The mechanisms of training, one a file; a stage lists those that it uses (`training.config`)."""

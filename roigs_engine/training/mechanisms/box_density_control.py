@@ -1,0 +1,194 @@
+"""Density control in boxes (ROI-GS, sec. II-B), with a Gaussian budget for each (ours)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from ...context import QUIET, Context
+from ...model.mask_coverage import counted_pixels, object_share
+from ...model.roi import OrientedBox
+from ...model.scene import PosedImage
+from ..config import PlannedViews, TrainConfig, planned
+from .density_control import DensityControl, RunningDensityControl
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ...model.gaussians import Gaussians
+    from ..running import Training
+    from ..state import StateReader
+
+NEAR = 2.0  # diagonals of a box: what is nearer is in the same close-ups as its object
+EXPONENT = 0.5  # of a budget, to the number of pixels
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoxDensityControl(DensityControl):
+    """Density control with thresholds, sizes and budgets of the boxes.
+
+    A box with few pixels in the photos must not get so many Gaussians that it overfits these
+    pixels. A box that fills the photos must not make the model larger than Full Scene. The budget
+    grows with the square root of the number of pixels that show the box: twice as wide photos
+    double it, and so do four times as many photos, since photos overlap. Factor and root are
+    empirical (notebook/steps_and_budgets.md). The paper has no budget, and adds none outside the boxes.
+
+    Earns: EARNS_BOX
+
+    Attributes:
+        grad_threshold: in the boxes.
+        outside_threshold: Gaussians outside the boxes above this gradient are densified, too; 0:
+            none (paper).
+        near_threshold: that threshold at the boxes' sides; it rises evenly to `outside_threshold`
+            over two diagonals of a box. 0, or not below that: it is the same everywhere.
+        box_sizes: the size reference in a box is at most its diagonal (paper).
+        budget: factor on the root of a box's pixels; 0: no limit.
+        budgets: most Gaussians in each box at the end of densification; None: no limit.
+    """
+
+    name: ClassVar[str] = "box_density_control"
+
+    outside_threshold: float = 0.0
+    near_threshold: float = 0.0
+    box_sizes: bool = True
+    budget: float = 0.0
+    budgets: tuple[int, ...] | None = planned(None)
+
+    def planned(self, config: TrainConfig, views: PlannedViews) -> TrainConfig:
+        """With the budgets."""
+        if not views.rois or self.budget <= 0:
+            return config
+        budgets = box_budgets(views.images, views.rois, self.budget, views.context)
+        return config.using(replace(self, budgets=budgets))
+
+    def begin(
+        self, config: TrainConfig, training: Training, context: Context
+    ) -> RunningBoxDensityControl:
+        """Empty statistics; budgets begin at the number of Gaussians in each box."""
+        return RunningBoxDensityControl(self, training)
+
+    def check_state(self, state: StateReader) -> None:
+        """As without boxes, with the number of Gaussians at the start."""
+        counts = len(self.budgets or ())
+        state.tensors(
+            {**dict.fromkeys(("gradient", "views"), state.rows), "began": (counts,)}, least=0.0
+        )
+
+
+def box_budgets(
+    images: Sequence[PosedImage],
+    rois: Sequence[OrientedBox],
+    factor: float,
+    context: Context = QUIET,
+) -> tuple[int, ...]:
+    """Each box's budget at the end, `factor` x pixels^0.5.
+
+    Args:
+        images: the stage's photos; each pixel in a box's silhouette counts, unless the photo's
+            mask ignores it, or the mask of the box's object does not show it. Photos without such
+            a mask count with the mean share that the masks leave of the silhouette.
+        rois: the boxes.
+        factor: on the root.
+        context: checked for cancellation between photos.
+    """
+    return tuple(int(factor * _pixels(roi, images, context) ** EXPONENT) for roi in rois)
+
+
+def _pixels(roi: OrientedBox, images: Sequence[PosedImage], context: Context) -> float:
+    """Number of pixels in the box's silhouette that count, over all photos."""
+    shares = [share for image in images if (share := object_share(roi, image)) is not None]
+    usual, pixels = (sum(shares) / len(shares) if shares else 1.0), 0.0
+    for image in images:
+        context.check_cancelled()
+        share = 1.0 if roi.name in image.objects else usual
+        pixels += share * counted_pixels(roi, image)
+    return pixels
+
+
+class RunningBoxDensityControl(RunningDensityControl):
+    """See `BoxDensityControl`."""
+
+    settings: BoxDensityControl
+
+    def __init__(self, settings: BoxDensityControl, training: Training) -> None:
+        from ...model.ownership import count_owned
+
+        super().__init__(settings, training)
+        self.rois = self.data.rois
+        self.ends = settings.budgets or ()
+        counts = count_owned(training.gaussians, self.rois) if self.ends else ()
+        self.began = [min(count, end) for count, end in zip(counts, self.ends, strict=True)]
+
+    def limits(self, progress: float) -> list[int]:
+        """The limit of each box when the share `progress` (0 to 1) of densification is done.
+
+        It rises linearly. A constant limit would be used up by the first large gradients, before
+        training shows where detail is missing.
+        """
+        return [
+            round(begin + (end - begin) * min(progress, 1.0))
+            for begin, end in zip(self.began, self.ends, strict=True)
+        ]
+
+    def densify_mask(self, gaussians: Gaussians, step: int) -> Tensor:
+        """(N,) bool; if a box's budget is too small for all, the largest gradients go first."""
+        from ...model.ownership import owners
+
+        gradient = self.stats.mean_gradient()
+        owner = owners(gaussians, self.rois)
+        mask = self._outside(gaussians, gradient, owner)
+        mask = (gradient > self.settings.grad_threshold).where(owner >= 0, mask)
+        for index, limit in enumerate(self.limits(step / self.settings.until)):
+            mine = (mask & (owner == index)).nonzero().flatten()
+            left = max(0, limit - int((owner == index).sum()))
+            if len(mine) > left:
+                order = gradient[mine].argsort(descending=True, stable=True)
+                mask[mine[order[left:]]] = False
+        return mask
+
+    def _outside(self, gaussians: Gaussians, gradient: Tensor, owner: Tensor) -> Tensor:
+        """(N,) bool: which Gaussians outside the boxes are densified.
+
+        The threshold of each follows from its distance from the boxes, in diagonals of each; the
+        lowest counts.
+        """
+        far = self.settings.outside_threshold or np.inf
+        near = self.settings.near_threshold or far
+        dense = gradient > far
+        if not near < far < np.inf:
+            return dense
+        asked = ((gradient > near) & ~dense & (owner < 0)).nonzero()[:, 0]
+        centres = gaussians.means.detach()[asked].cpu().double().numpy()  # there, as in `owners`
+        share = np.ones(len(asked))
+        for roi in self.rois:
+            share = np.fmin(share, roi.distance(centres) / (NEAR * roi.diagonal))
+        thresholds = gradient.new_tensor(near + (far - near) * share)
+        dense[asked] = gradient[asked] > thresholds
+        return dense
+
+    def size_reference(self, gaussians: Gaussians) -> Tensor:
+        """(N,) the scene's extent; in a box at most the box's diagonal, world units.
+
+        The extent of the box's own photos is not used: it would split or prune the background.
+        """
+        from ...model.ownership import owners
+
+        reference = super().size_reference(gaussians)
+        if self.settings.box_sizes:
+            owner = owners(gaussians, self.rois)
+            for index, roi in enumerate(self.rois):
+                reference[owner == index] = min(self.data.extent, roi.diagonal)
+        return reference
+
+    def state_dict(self) -> dict[str, Any]:
+        """The sums, and where the budgets began."""
+        began = self.stats.views.new_tensor(self.began)
+        return {**super().state_dict(), "began": began}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from a `state_dict`."""
+        self.began = [int(count) for count in state["began"].tolist()]
+        super().load_state_dict({name: state[name] for name in ("gradient", "views")})

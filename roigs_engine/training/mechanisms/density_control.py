@@ -1,0 +1,163 @@
+"""3DGS's adaptive density control (Kerbl et al. 2023, sec. 5.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from ...context import Context
+from ...errors import ConfigError
+from ..config import Mechanism, TrainConfig, interval, share_of_steps
+from ..running import Running
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ...model.gaussians import Gaussians
+    from ..edits import Edit
+    from ..running import Training
+    from ..state import StateReader
+
+RESET_OPACITY = 0.01
+
+
+@dataclass(frozen=True, kw_only=True)
+class DensityControl(Mechanism):
+    """Clones and splits Gaussians of large gradients, prunes transparent and huge ones (3DGS).
+
+    Earns: not measured alone; every other mechanism was measured with it.
+
+    Attributes:
+        start, until, every: steps.
+        grad_threshold: mean 2D gradient above which a Gaussian is cloned or split.
+        split_fraction: a Gaussian larger than this share of the size reference is split.
+        prune_opacity: Gaussians below this opacity are removed whenever others are added.
+        prune_size: so are Gaussians above this share of the scene extent, after the first opacity
+            reset.
+        reset_every: steps between opacity resets to 0.01 while it adds Gaussians; 0: none.
+    """
+
+    name: ClassVar[str] = "density_control"
+
+    start: int = interval(500)
+    until: int = share_of_steps(15_000)
+    every: int = interval(100)
+    grad_threshold: float = 2e-4
+    split_fraction: float = 0.01
+    prune_opacity: float = 0.005
+    prune_size: float = 0.1
+    reset_every: int = interval(3000)
+
+    def check(self, config: TrainConfig) -> None:
+        """Refuse an interval without steps."""
+        if self.every < 1:
+            raise ConfigError(f"{self.name}: every is {self.every}.", "Use 1 or more.")
+
+    def grows(self, step: int) -> bool:
+        """Whether Gaussians are added after so many steps."""
+        return self.start <= step < self.until and step % self.every == 0
+
+    def resets(self, step: int) -> bool:
+        """Whether opacities are reset after so many steps."""
+        is_open = self.start <= step < self.until
+        return is_open and self.reset_every > 0 and step % self.reset_every == 0
+
+    def ends_within(self, config: TrainConfig) -> bool:
+        """Whether a stage adds Gaussians, and goes on after that."""
+        first = -(-max(self.start, 1) // self.every) * self.every
+        return first < self.until < config.steps
+
+    def acts(self, config: TrainConfig) -> bool:
+        """If it has steps."""
+        return self.until > self.start
+
+    def begin(
+        self, config: TrainConfig, training: Training, context: Context
+    ) -> RunningDensityControl:
+        """Empty statistics."""
+        return RunningDensityControl(self, training)
+
+    def check_state(self, state: StateReader) -> None:
+        """Sums are not negative."""
+        state.tensors(dict.fromkeys(("gradient", "views"), state.rows), least=0.0)
+
+
+class RunningDensityControl(Running):
+    """Statistics of each Gaussian; subclasses override which are densified, and their size."""
+
+    def __init__(self, settings: DensityControl, training: Training) -> None:
+        from ..edits import DensityStats
+
+        self.settings, self.data = settings, training.data
+        self.stats = DensityStats.zeros(len(training.gaussians), training.data.device)
+
+    def observe(self, visible: Tensor, grad2d: Tensor, max_weight: Tensor | None) -> None:
+        """Add the statistics of one training view; all arguments (N,)."""
+        self.stats.add(visible, grad2d)
+
+    def is_due(self, step: int) -> bool:
+        """Whether to densify or to reset."""
+        return self.settings.grows(step) or self.settings.resets(step)
+
+    def after_step(self, training: Training) -> None:
+        """Densify, prune and reset, as far as due."""
+        if (edit := self.edit(training.gaussians, training.step)) is not None:
+            training.apply(edit)
+
+    def edit(self, gaussians: Gaussians, step: int) -> Edit | None:
+        """The edit that is due after `step` steps; None: there is none."""
+        from ..edits import Edit
+
+        edit = Edit(gaussians=gaussians, rows=None)
+        if self.settings.grows(step):
+            edit = self._densified(gaussians, step)
+        if self.settings.resets(step):
+            edit = replace(edit, opacity_cap=RESET_OPACITY)
+        return None if edit.rows is None and edit.opacity_cap is None else edit
+
+    def follow(self, rows: Tensor, gaussians: Gaussians) -> None:
+        """Sums restart at zero."""
+        self.stats = type(self.stats).zeros(len(rows), rows.device)
+
+    def densify_mask(self, gaussians: Gaussians, step: int) -> Tensor:
+        """(N,) bool: which Gaussians to clone or split."""
+        return self.stats.mean_gradient() > self.settings.grad_threshold
+
+    def size_reference(self, gaussians: Gaussians) -> Tensor:
+        """(N,) the length that `split_fraction` is relative to: the scene's extent."""
+        import torch
+
+        device = gaussians.means.device
+        return torch.full((len(gaussians),), self.data.extent, device=device)
+
+    def _densified(self, gaussians: Gaussians, step: int) -> Edit:
+        import torch
+
+        from ..edits import clone_and_split, morton_order
+
+        rng = torch.Generator().manual_seed(self.data.seed * 1_000_003 + step)
+        mask, reference = self.densify_mask(gaussians, step), self.size_reference(gaussians)
+
+        def choose(edited: Gaussians) -> Tensor:
+            rows = self.prune_mask(edited, step).logical_not().nonzero()[:, 0]
+            return rows[morton_order(edited.means[rows])]
+
+        fraction = self.settings.split_fraction
+        return clone_and_split(gaussians, mask, reference, fraction, rng, choose)
+
+    def prune_mask(self, gaussians: Gaussians, step: int) -> Tensor:
+        """(N,) bool: too transparent or, after the first opacity reset, too large in the world."""
+        settings = self.settings
+        keep = gaussians.logit_opacities.detach().sigmoid() >= settings.prune_opacity
+        if settings.reset_every and step > settings.reset_every:
+            largest = gaussians.log_scales.detach().exp().amax(dim=1)
+            keep &= largest <= settings.prune_size * self.data.extent
+        return ~keep
+
+    def state_dict(self) -> dict[str, Any]:
+        """The sums."""
+        return {"gradient": self.stats.gradient, "views": self.stats.views}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from a `state_dict`."""
+        self.stats = type(self.stats)(**state)

@@ -1,0 +1,55 @@
+"""Floater pruning: what hangs in the air goes at the end of a stage (ours)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from ...context import Context
+from ...errors import ConfigError
+from ..config import Mechanism, TrainConfig
+from ..running import Running
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ..running import Training
+
+
+@dataclass(frozen=True, kw_only=True)
+class FloaterPruning(Mechanism):
+    """Removes Gaussians that photos cannot judge (`training.floaters`).
+
+    Earns: EARNS_FLOATERS
+
+    Attributes:
+        min_views: of Gaussians before the boxes or the scene, those that fewer photos show go.
+    """
+
+    name: ClassVar[str] = "floater_pruning"
+
+    min_views: int = 4
+
+    def check(self, config: TrainConfig) -> None:
+        """Refuse no photos."""
+        if self.min_views < 1:
+            raise ConfigError(f"{self.name}: min_views is {self.min_views}.", "Use 1 or more.")
+
+    def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
+        """Nothing to remember."""
+        return _Running(self.min_views)
+
+
+class _Running(Running):
+    def __init__(self, min_views: int) -> None:
+        self._min_views = min_views
+
+    def end(self, training: Training, context: Context) -> bool:
+        """Prune; False if stopped."""
+        from ..floaters import floaters
+
+        def search() -> Tensor:
+            model, data = training.gaussians, training.data
+            return floaters(model, data.images, data.rois, data.points, self._min_views, context)
+
+        return training.prune(context, "Gaussians that hang in the air", search)

@@ -1,0 +1,99 @@
+"""Pruning by contribution: Gaussians that no training pixel shows (ROI-GS, sec. II-B)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from ...context import Context
+from ...errors import ConfigError
+from ..config import Mechanism, TrainConfig, interval
+from ..running import Running
+from .masked_steps import MaskedSteps
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ...model.gaussians import Gaussians
+    from ..running import Training
+    from ..state import StateReader
+
+VISIBLE_WEIGHT = 1 / 255  # alpha x T below which a Gaussian cannot change an 8-bit pixel
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdlePruning(Mechanism):
+    """At the end of a window of steps, removes what stayed below 1/255 on all its pixels.
+
+    Earns: EARNS_IDLE
+
+    Attributes:
+        every: shortest window, in steps; it includes every photo twice.
+    """
+
+    name: ClassVar[str] = "idle_pruning"
+
+    every: int = interval(1000)
+
+    def check(self, config: TrainConfig) -> None:
+        """Refuse steps on masks: what they do not show would go."""
+        if self.every < 1:
+            raise ConfigError(f"{self.name}: every is {self.every}.", "Use 1 or more.")
+        if config.get(MaskedSteps) is not None:
+            raise ConfigError(
+                f"{self.name} needs steps that use whole photos.",
+                f"Leave out {self.name} or {MaskedSteps.name}.",
+            )
+
+    def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
+        """A first window."""
+        return _Running(self, training)
+
+    def check_state(self, state: StateReader) -> None:
+        """The window began before."""
+        state.count("window", state.step)
+        state.tensors({"weight": state.rows}, besides=("window",), least=0.0)
+
+
+class _Running(Running):
+    needs_max_weight = True
+
+    def __init__(self, settings: IdlePruning, training: Training) -> None:
+        self._steps = max(settings.every, 2 * len(training.data.images))
+        self._window = 0  # the step at which the current window began
+        # (N,) largest alpha x T on any training pixel of the window; infinite for Gaussians added
+        # in it, since some photos have not been drawn after that.
+        gaussians = training.gaussians
+        self._weight = gaussians.logit_opacities.detach().new_zeros(len(gaussians))
+
+    def observe(self, visible: Tensor, grad2d: Tensor, max_weight: Tensor | None) -> None:
+        """Take the largest weights of a step."""
+        assert max_weight is not None
+        self._weight = self._weight.maximum(max_weight)
+
+    def is_due(self, step: int) -> bool:
+        """At the end of a window."""
+        return step - self._window >= self._steps
+
+    def after_step(self, training: Training) -> None:
+        """Remove what contributed to no pixel, and begin a window."""
+        from ..edits import unchanged
+
+        keep = self._weight >= VISIBLE_WEIGHT
+        if not bool(keep.all()):
+            training.apply(unchanged(training.gaussians).keep(keep.nonzero()[:, 0]))
+        self._weight.zero_()
+        self._window = training.step
+
+    def follow(self, rows: Tensor, gaussians: Gaussians) -> None:
+        """Weights stay with their rows."""
+        old = self._weight[rows.clamp(min=0)]
+        self._weight = old.masked_fill(rows < 0, float("inf"))
+
+    def state_dict(self) -> dict[str, Any]:
+        """The window and its weights."""
+        return {"window": self._window, "weight": self._weight}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from a `state_dict`."""
+        self._window, self._weight = int(state["window"]), state["weight"]

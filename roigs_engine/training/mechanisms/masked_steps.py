@@ -1,0 +1,90 @@
+"""Steps on the boxes' silhouettes alone (ours, docs/method.md; the paper's loss is on all)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
+
+from ...context import Context
+from ...errors import ConfigError
+from ..config import Mechanism, PlannedViews, TrainConfig, planned
+from ..photo_order import is_whole
+from ..running import Running
+
+if TYPE_CHECKING:
+    from ..loss_masks import LossMask, LossMasks
+    from ..running import Training
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaskedSteps(Mechanism):
+    """Most steps use the masks of photos that see a box (`loss_masks`), the others whole photos.
+
+    The Scene-GS has already trained the background. Such steps are faster, and their gradients go
+    into the boxes.
+
+    Earns: EARNS_MASKS
+
+    Attributes:
+        full_every: one step in `full_every` uses a whole photo, drawn from all photos.
+        view_weighting: loss weights of masks (`LossMasks`). 0: a pixel weighs as much as in a
+            whole photo. 1: all photos weigh the same, however large the boxes are in them. Up to
+            2: photos that show the boxes small weigh more.
+        seeing: row numbers of the photos that see a box.
+    """
+
+    name: ClassVar[str] = "masked_steps"
+    uses_object_masks: ClassVar[bool] = True
+
+    full_every: int = 3
+    view_weighting: float = 0.0
+    seeing: tuple[int, ...] = planned(())
+
+    def check(self, config: TrainConfig) -> None:
+        """Refuse numbers out of range."""
+        if self.full_every < 2:
+            raise ConfigError(
+                f"{self.name}: full_every is {self.full_every}.",
+                f"Use 2 or more, or leave out {self.name}: then all steps use whole photos.",
+            )
+        if not 0 <= self.view_weighting <= 2:
+            raise ConfigError(
+                f"{self.name}: view_weighting is {self.view_weighting:g}.",
+                "Use a number from 0 to 2.",
+            )
+
+    def planned(self, config: TrainConfig, views: PlannedViews) -> TrainConfig:
+        """With the photos that see a box."""
+        return config.using(replace(self, seeing=views.rows_seeing))
+
+    def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
+        """The masks of the photos, in each of their sizes."""
+        from ..loss_masks import LossMasks
+
+        data = training.data
+        sizes = {False: data.images}
+        if config.has_small and data.small is not None:
+            sizes[True] = data.small.images
+        return _Running(
+            self.full_every,
+            {
+                small: LossMasks(
+                    images,
+                    data.rois,
+                    self.seeing,
+                    data.device,
+                    view_weighting=self.view_weighting,
+                    context=context,
+                )
+                for small, images in sizes.items()
+            },
+        )
+
+
+class _Running(Running):
+    def __init__(self, full_every: int, masks: dict[bool, LossMasks]) -> None:
+        self._full_every, self._masks = full_every, masks
+
+    def mask(self, step: int, photo: int, *, small: bool) -> LossMask | None:
+        """The photo's mask; None: the step uses a whole photo, or the photo sees no box."""
+        return None if is_whole(step, self._full_every) else self._masks[small][photo]

@@ -1,0 +1,99 @@
+"""The mean of the models of the last steps (Polyak and Juditsky 1992)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from ...context import Context
+from ...errors import ConfigError
+from ..config import Mechanism, TrainConfig, share_of_steps
+from ..running import Running
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ...model.gaussians import Gaussians
+    from ..running import Training
+    from ..state import StateReader
+
+AVERAGE_EVERY = 10  # steps between the models that are averaged: consecutive ones hardly differ
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelAveraging(Mechanism):
+    """The result is the mean of the models of the last steps, not the last model as in 3DGS.
+
+    At a constant learning rate Adam does not converge: each step fits the model to its own photo,
+    most of all where photos differ in exposure. The mean over many steps fits all photos better.
+    Unlike a decaying learning rate it does not slow learning down.
+
+    Earns: EARNS_AVERAGE
+
+    Attributes:
+        steps: the last so many; 0: the last model alone.
+    """
+
+    name: ClassVar[str] = "model_averaging"
+
+    steps: int = share_of_steps(0)
+
+    def check(self, config: TrainConfig) -> None:
+        """Refuse a negative number."""
+        if self.steps < 0:
+            raise ConfigError(f"{self.name}: steps is {self.steps}.", "Use 0 or more.")
+
+    def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
+        """No model yet."""
+        return _Running(self.steps, config.steps)
+
+    def check_state(self, state: StateReader) -> None:
+        """Sums of the models so far."""
+        count = state.count("count", state.config.steps)
+        sums = {f"sum_{name}": shape for name, shape in state.shapes.items()}
+        state.tensors(sums if count else {}, besides=("count",), finite=True)
+
+
+class _Running(Running):
+    def __init__(self, last: int, steps: int) -> None:
+        self._last, self._steps = last, steps
+        self._count = 0
+        self._sums: dict[str, Tensor] = {}
+
+    def is_due(self, step: int) -> bool:
+        """When a model counts, and at the end."""
+        return step == self._steps or self._counts(step)
+
+    def _counts(self, step: int) -> bool:
+        return step > self._steps - self._last and step % AVERAGE_EVERY == 0
+
+    def after_step(self, training: Training) -> None:
+        """Add the model to the sum; at the last step, the mean becomes the model."""
+        tensors = training.gaussians.tensors()
+        if self._counts(training.step):
+            self._count += 1
+            for name, tensor in tensors.items():
+                if name in self._sums:
+                    self._sums[name] += tensor
+                else:
+                    self._sums[name] = tensor.detach().clone()
+        if training.step == self._steps and self._count:
+            for name, tensor in tensors.items():
+                tensor.copy_(self._sums[name] / self._count)  # logs, logits, raw quaternions
+            self._count, self._sums = 0, {}
+
+    def follow(self, rows: Tensor, gaussians: Gaussians) -> None:
+        """Models with other rows have no mean."""
+        self._count, self._sums = 0, {}
+
+    def state_dict(self) -> dict[str, Any]:
+        """The sums."""
+        sums = {f"sum_{name}": tensor for name, tensor in self._sums.items()}
+        return {"count": self._count, **sums}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from a `state_dict`."""
+        self._count = int(state["count"])
+        self._sums = {
+            name.removeprefix("sum_"): tensor for name, tensor in state.items() if name != "count"
+        }

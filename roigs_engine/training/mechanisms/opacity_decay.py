@@ -1,0 +1,162 @@
+"""Opacity decay (Han et al. 2024; there it is the same in every step)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from ...context import Context
+from ...errors import ConfigError
+from ...model.roi import OrientedBox
+from ...model.scene import PosedImage
+from ..config import Mechanism, PlannedViews, TrainConfig
+from ..running import Running
+from .masked_steps import MaskedSteps
+from .spaced_sh_rate import view_directions
+from .surroundings_rate import OutsideRows
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ...model.gaussians import Gaussians
+    from ..running import Training
+    from ..state import StateReader
+
+DECAY_EVERY = 10  # steps between two decays at the least, or Adam could not keep up
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpacityDecay(Mechanism):
+    """Each time the photos have gone round, all Gaussians lose a little opacity.
+
+    A photo that shows a Gaussian gives it back what it lost. What is behind others, what one photo
+    in many shows before the rest, and what no photo shows gets less back than it loses and fades,
+    so that few photos leave less in the air.
+
+    Decay takes away what only some directions of view do not see through. Photos from one side have
+    no other directions. There, decay gains little, and outside the boxes it fades plain
+    surroundings: one step in three can give back what they lose (ours).
+
+    Earns: EARNS_DECAY
+
+    Attributes:
+        share: of its opacity that each Gaussian loses in a decay.
+        outside_share: that of Gaussians outside the boxes; None: the same.
+        one_sided: if the photos spread by less than this angle around the boxes, degrees
+            (`view_spread`), `outside_share` is lowered to `share` times the share of whole photos:
+            what is outside decays as often as these come round. 0: never.
+    """
+
+    name: ClassVar[str] = "opacity_decay"
+
+    share: float = 0.025
+    outside_share: float | None = None
+    one_sided: float = 0.0
+
+    def check(self, config: TrainConfig) -> None:
+        """Refuse numbers out of range; the rule for what is outside needs masks."""
+        for text, share in (("share", self.share), ("outside_share", self.outside_share or 0.0)):
+            if not 0 <= share < 1:
+                raise ConfigError(
+                    f"{self.name}: {text} is {share:g}.", "Use 0 or more, and less than 1."
+                )
+        if not 0 <= self.one_sided <= 90:
+            raise ConfigError(
+                f"{self.name}: one_sided is {self.one_sided:g}.", "Use 0 to 90 degrees."
+            )
+        if self.one_sided or self.outside_share is not None:
+            config.of(MaskedSteps, self)
+
+    def planned(self, config: TrainConfig, views: PlannedViews) -> TrainConfig:
+        """With the share that the photos' directions allow outside the boxes."""
+        if not self.one_sided:
+            return config
+        spread = max(view_spread(views.seen(roi), roi) for roi in views.rois)
+        whole_share = 1 - (1 - 1 / config.of(MaskedSteps).full_every)
+        lower = self.share * whole_share
+        decided = replace(self, one_sided=0.0)
+        if spread < self.one_sided:
+            decided = replace(decided, outside_share=min(lower, self.outside_share or lower))
+        return config.using(decided)
+
+    def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
+        """Which Gaussians are outside, if they decay in another way."""
+        outside = None if self.outside_share is None else OutsideRows(training)
+        return _Running(self, config.steps, len(training.data.images), outside)
+
+    def check_state(self, state: StateReader) -> None:
+        """It knows who is outside."""
+        if self.outside_share is None:
+            state.tensors({})
+        else:
+            OutsideRows.check_state(state)
+
+
+class _Running(Running):
+    def __init__(
+        self, settings: OpacityDecay, steps: int, photos: int, outside: OutsideRows | None
+    ) -> None:
+        self._settings, self._steps, self._outside = settings, steps, outside
+        self._every = max(photos, DECAY_EVERY)
+
+    def is_due(self, step: int) -> bool:
+        """Not after the last step, as no photo could give back what is needed."""
+        return step < self._steps and step % self._every == 0
+
+    def after_step(self, training: Training) -> None:
+        """Lower the opacities."""
+        decay_opacities(training.gaussians.logit_opacities, self._shares())
+
+    def _shares(self) -> float | Tensor:
+        """Of each Gaussian: one for all, or (N,) float64."""
+        share, outside_share = self._settings.share, self._settings.outside_share
+        if self._outside is None or outside_share is None:
+            return share
+        rows = self._outside.rows
+        return rows.double().fill_(share).masked_fill_(rows, outside_share)
+
+    def follow(self, rows: Tensor, gaussians: Gaussians) -> None:
+        """Find who is outside anew."""
+        if self._outside is not None:
+            self._outside.follow(gaussians)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Which Gaussians are outside."""
+        return {} if self._outside is None else self._outside.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from a `state_dict`."""
+        if self._outside is not None:
+            self._outside.load_state_dict(state)
+
+
+def decay_opacities(logit_opacities: Tensor, share: float | Tensor) -> None:
+    """Lower opacities in place by a share of what they are.
+
+    Args:
+        logit_opacities: (N,).
+        share: one in [0, 1) for all, or (N,).
+    """
+    import torch
+
+    # logit(d o) = log d - log(1 - d + exp(-x)) for the opacity o = 1 / (1 + exp(-x))
+    shares = torch.as_tensor(share, dtype=torch.float64, device=logit_opacities.device)
+    lost, kept = (logs.to(logit_opacities) for logs in (shares.log(), torch.log1p(-shares)))
+    logit_opacities.copy_(kept - torch.logaddexp(lost, -logit_opacities))
+
+
+def view_spread(images: Sequence[PosedImage], roi: OrientedBox) -> float:
+    """How far the photos spread around their mean direction, seen from the box's centre, degrees.
+
+    It is the angle whose cosine is the length of the mean of the directions' unit vectors: 0 if all
+    photos are in one direction, 90 if they are all around. A ring of photos at an elevation of 30
+    degrees has 60, a third of that ring 30. 0 without photos.
+    """
+    if not images:
+        return 0.0
+    length = float(np.linalg.norm(view_directions(images, roi).mean(axis=0)))
+    return math.degrees(math.acos(min(1.0, length)))

@@ -1,0 +1,65 @@
+"""Warm restarts of Adam (ours)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from ...context import Context
+from ...errors import ConfigError
+from ..config import Mechanism, TrainConfig
+from ..running import Running
+from .density_control import DensityControl
+
+if TYPE_CHECKING:
+    from ..running import Training
+
+
+@dataclass(frozen=True, kw_only=True)
+class WarmRestarts(Mechanism):
+    """Adam forgets its moments, except those of colours, when densification ends and some times on.
+
+    A Gaussian's steps are then several times as large, and shrink while photos show it some hundred
+    times.
+
+    Earns: EARNS_RESTARTS
+
+    Attributes:
+        count: restarts at even distances, the first when densification ends.
+    """
+
+    name: ClassVar[str] = "warm_restarts"
+
+    count: int = 3
+
+    def check(self, config: TrainConfig) -> None:
+        """Refuse stages that do not densify."""
+        if self.count < 1:
+            raise ConfigError(f"{self.name}: count is {self.count}.", "Use 1 or more.")
+        config.of(DensityControl, self)
+
+    def steps(self, config: TrainConfig) -> set[int]:
+        """After how many steps it restarts; none if the stage ends with its densification."""
+        first = config.of(DensityControl).until
+        rest = config.steps - first
+        if not 0 < first < config.steps:
+            return set()
+        return {first + k * rest // (self.count + 1) for k in range(self.count)}
+
+    def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
+        """Nothing to remember."""
+        return _Running(self.steps(config))
+
+
+class _Running(Running):
+    def __init__(self, steps: set[int]) -> None:
+        self._steps = steps
+
+    def is_due(self, step: int) -> bool:
+        """At a restart."""
+        return step in self._steps
+
+    def after_step(self, training: Training) -> None:
+        """Forget the moments of all but colours."""
+        adam = training.optimizer
+        adam.zero_moments(*(name for name in adam.parameters if name != "sh"))
