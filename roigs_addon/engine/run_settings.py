@@ -11,11 +11,6 @@ from ..shared import EngineError, files, run_files, text
 from .training_steps import PRESET_STEPS, stage_steps
 
 THIS, EARLIER = "this version's settings", "an earlier version's settings"
-OURS = {
-    "scene": ("backdrop_cells", "faint_growth", "restarts"),
-    "roi": ("faint_growth", "near_grad_threshold", "restarts"),
-}
-"""Settings of each stage that came with new versions, for boxes that are trained together."""
 LATER = ("exclude", "count", "steps", "recipe")
 """Not taken as they are."""
 MOST_STEPS, MOST_FACTOR = 10**9, 1e6
@@ -82,7 +77,7 @@ class RunSettings:
         )._with_recipe(config)
 
     def _with_recipe(self, config: Mapping[str, Any]) -> RunSettings:
-        """With what a manifest says of steps, and of settings that this version's presets have."""
+        """With what a manifest says of steps: whether they are this version's."""
         scene, boxes = config.get("scene"), config.get("roi")
         if not isinstance(scene, dict) or not isinstance(boxes, dict):
             return self
@@ -91,10 +86,7 @@ class RunSettings:
         if None in stages or usual is None:
             return self
         steps = sum(count or 0 for count in stages)
-        ours = self.strategy == "joint"
-        found = {bool(config[stage].get(name)) for stage, names in OURS.items() for name in names}
-        same = steps == usual and found == {ours}
-        return replace(self, steps=steps, recipe=THIS if same else EARLIER)
+        return replace(self, steps=steps, recipe=THIS if steps == usual else EARLIER)
 
     def of_this_version(self) -> RunSettings:
         """The settings of a training to come: with what its preset is now."""

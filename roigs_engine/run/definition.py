@@ -24,7 +24,7 @@ from .layout import Layout, given_groups, lay_out
 if TYPE_CHECKING:
     from .memory import MemoryPlan
 
-MANIFEST_VERSION = 3  # increase it if an older run folder cannot be resumed
+MANIFEST_VERSION = 4  # increase it if an older run folder cannot be resumed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -22,28 +22,7 @@ CONTENTS, MASKS = "contents", "masks"  # the keys of the digests of photos and o
 OBJECTS = "object_masks"  # the key of the digests of the masks of boxes' objects
 FIRST = ("sizes", CONTENTS)  # say more than what follows from them
 OTHER_SCENE = "its photos are those of another scene"
-# Settings that are off in older manifests: a text, and its words for off and on.
-SWITCHED = {
-    "antialiased": (
-        "anti-aliasing was {}, now {} (--antialiased, --no-antialiased)",
-        *("off", "on"),
-    ),
-    "faint_growth": ("faint Gaussians were {}, now they are {}", "kept", "removed"),
-    "backdrop_cells": ("places without points were {}, now they are {}", "left empty", "filled"),
-    "near_grad_threshold": (
-        "near the boxes, Gaussians were densified {}, now {}",
-        *("as elsewhere", "more than elsewhere"),
-    ),
-    "opacity_decay": ("opacity decay was {}, now {}", "off", "on"),
-    "outside_spared_spread": (
-        "outside the boxes, opacities decayed {}, now {}",
-        *("as inside", "less with photos from one side"),
-    ),
-    "outside_rate": (
-        "Gaussians outside the boxes had {}, now {}",
-        *("the learning rates of the others", "their own"),
-    ),
-}
+MECHANISMS = ".mechanisms."  # of a stage, by name
 MOST_TEXT = 120  # characters; a longer difference is not spelled out
 # Results of the run as a whole, not of one stage.
 RESULTS = (
@@ -224,12 +203,13 @@ def manifest_difference(before: Any, now: Any, path: str = "") -> str:
         before, now = (_groups_in_words(value) for value in (before, now))
     if name == "blocks":
         before, now = before or 1, now or 1
-    field = name.rpartition(".")[2]
-    if field in SWITCHED and not (before and now):
-        text, *words = SWITCHED[field]
-        return text.format(*(words[bool(value)] for value in (before, now)))
-    if name.endswith(".restarts"):
-        return f"warm restarts of Adam: {before or 0} before, now {now or 0}"
+    if name.endswith(".antialiased"):
+        words = ("on" if value else "off" for value in (before, now))
+        return "anti-aliasing was {}, now {} (--antialiased, --no-antialiased)".format(*words)
+    name = name.replace(MECHANISMS, ".", 1)
+    if MECHANISMS in path and None in (before, now):
+        words = ("off" if value is None else "on" for value in (before, now))
+        return "{} was {}, now {}".format(name, *words)
     text = f"{name} was {before}, now {now}"
     return text if len(text) <= MOST_TEXT else f"{name} changed"
 

@@ -54,6 +54,7 @@ def baseline(config: RunConfig) -> TrainConfig:
         start=own.start,
         until=_densify_steps(config),
         every=own.every,
+        grad_threshold=DensityControl.grad_threshold,
         reset_every=own.reset_every or DensityControl().reset_every,
     )
     return replace(
@@ -93,7 +94,12 @@ def tuned_baseline(config: RunConfig, coarse_to_fine: bool = COARSE_TO_FINE) -> 
     """
     ours = config if config.strategy == "joint" else in_strategy(config, "joint")
     scene, box = ours.scene.of(DensityControl), ours.roi.of(DensityControl)
-    density = DensityControl(start=box.start, every=box.every, reset_every=box.reset_every)
+    density = DensityControl(
+        start=box.start,
+        every=box.every,
+        grad_threshold=DensityControl.grad_threshold,
+        reset_every=box.reset_every,
+    )
     if coarse_to_fine:
         until = max(_densify_steps(config) - scene.until, ours.roi.steps // 3)
         density = replace(density, until=min(until, ours.roi.steps))

@@ -20,7 +20,7 @@ from ..model.scene import PosedImage
 if TYPE_CHECKING:
     from .running import Running, Training
     from .stage_data import StageData
-    from .state import StateReader
+    from .state_reader import StateReader
 
 SCALES, SHARE, INTERVAL = "scales", "share", "interval"  # keys and values of a field's metadata
 PLANNED = "planned"

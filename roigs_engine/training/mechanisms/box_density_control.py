@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from ...model.gaussians import Gaussians
     from ..running import Training
-    from ..state import StateReader
+    from ..state_reader import StateReader
 
 NEAR = 2.0  # diagonals of a box: what is nearer is in the same close-ups as its object
 EXPONENT = 0.5  # of a budget, to the number of pixels
@@ -34,7 +34,8 @@ class BoxDensityControl(DensityControl):
     pixels. A box that fills the photos must not make the model larger than Full Scene. The budget
     grows with the square root of the number of pixels that show the box: twice as wide photos
     double it, and so do four times as many photos, since photos overlap. Factor and root are
-    empirical (notebook/steps_and_budgets.md). The paper has no budget, and adds none outside the boxes.
+    empirical (notebook/steps_and_budgets.md). The paper has no budget, and adds none outside the
+    boxes.
 
     Earns: EARNS_BOX
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ...model.gaussians import Gaussians
     from ..edits import Edit
     from ..running import Training
-    from ..state import StateReader
+    from ..state_reader import StateReader
 
 RESET_OPACITY = 0.01
 

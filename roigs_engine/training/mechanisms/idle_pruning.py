@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from ...model.gaussians import Gaussians
     from ..running import Training
-    from ..state import StateReader
+    from ..state_reader import StateReader
 
 VISIBLE_WEIGHT = 1 / 255  # alpha x T below which a Gaussian cannot change an 8-bit pixel
 

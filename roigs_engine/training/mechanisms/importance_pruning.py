@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from ..running import Training
-    from ..state import StateReader
+    from ..state_reader import StateReader
 
 
 @dataclass(frozen=True, kw_only=True)

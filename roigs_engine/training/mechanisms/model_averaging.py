@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from ...model.gaussians import Gaussians
     from ..running import Training
-    from ..state import StateReader
+    from ..state_reader import StateReader
 
 AVERAGE_EVERY = 10  # steps between the models that are averaged: consecutive ones hardly differ
 
@@ -49,7 +49,7 @@ class ModelAveraging(Mechanism):
 
     def check_state(self, state: StateReader) -> None:
         """Sums of the models so far."""
-        count = state.count("count", state.config.steps)
+        count = state.count("count", state.steps)
         sums = {f"sum_{name}": shape for name, shape in state.shapes.items()}
         state.tensors(sums if count else {}, besides=("count",), finite=True)
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from ...model.gaussians import Gaussians
     from ..running import Training
-    from ..state import StateReader
+    from ..state_reader import StateReader
 
 DECAY_EVERY = 10  # steps between two decays at the least, or Adam could not keep up
 

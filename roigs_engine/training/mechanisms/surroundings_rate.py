@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from ...model.gaussians import Gaussians
     from ..running import Training
-    from ..state import StateReader
+    from ..state_reader import StateReader
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -37,25 +37,10 @@ def test_only_what_is_known_differs() -> None:
 
 
 STANDARD = OPTIONS | {"preset": "standard", "strategy": "joint"}
-OURS = {"faint_growth": 0.05, "restarts": 3}
-BOXES = OURS | {"near_grad_threshold": 2e-4}
-STAGES = {
-    "scene": {"steps": 4000, "backdrop_cells": 16, **OURS},
-    "roi": {"steps": 4500, **BOXES},
-}
 
 
-@pytest.mark.parametrize(
-    ("stages", "steps"),
-    [
-        ({"scene": {"steps": 6000}, "roi": {"steps": 9000}}, 15_000),
-        (STAGES | {"roi": {"steps": 4500, "faint_growth": 0.05}}, 8500),
-        (STAGES | {"scene": {"steps": 4000, "faint_growth": 0.05}}, 8500),
-        (STAGES | {"scene": {"steps": 4000, **OURS}}, 8500),
-        (STAGES | {"roi": {"steps": 4500, **OURS}}, 8500),
-    ],
-)
-def test_a_preset_of_an_earlier_version_differs(stages: dict[str, Any], steps: int) -> None:
+def test_a_preset_of_an_earlier_version_differs() -> None:
+    stages, steps = {"scene": {"steps": 6000}, "roi": {"steps": 9000}}, 15_000
     then = RunSettings.from_options(STANDARD, stages)
     now = RunSettings.from_options(STANDARD).of_this_version()
     assert run_settings.differing(then, now) == ["recipe"]

@@ -7,11 +7,14 @@ import pytest
 from roigs_engine.run.presets import PRESETS
 from roigs_engine.run.stage_configs import block_stage, shortened, surroundings_stage
 from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.mechanisms.box_density_control import BoxDensityControl
+from roigs_engine.training.mechanisms.density_control import DensityControl
+from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
+from roigs_engine.training.mechanisms.surroundings_rate import SurroundingsRate
 
 
 def densifications(config: TrainConfig) -> int:
-    steps = range(config.densify_from, config.densify_until)
-    return sum(step > 0 and step % config.densify_every == 0 for step in steps)
+    return sum(map(config.of(DensityControl).grows, range(1, config.steps + 1)))
 
 
 @pytest.mark.parametrize("preset", sorted(PRESETS))
@@ -30,17 +33,20 @@ def test_boxes_and_whole_photos_have_their_shares() -> None:
     whole = PRESETS["standard"]().roi
     near = block_stage(whole, share=1.0, photos=0.5)
     far = block_stage(whole, share=0.1, photos=0.5)
-    assert near.full_every > far.full_every >= 2
+    assert near.of(MaskedSteps).full_every > far.of(MaskedSteps).full_every >= 2
     for config in (near, far):
-        assert config.steps / config.full_every == pytest.approx(0.3 * whole.steps, rel=0.4)
-        assert config.outside_rate == 0 < whole.outside_rate
+        full_every = config.of(MaskedSteps).full_every
+        assert config.steps / full_every == pytest.approx(0.3 * whole.steps, rel=0.4)
+        assert config.get(SurroundingsRate) is None is not whole.get(SurroundingsRate)
     none = surroundings_stage(whole, 0.5)
-    assert none.full_every == 1 and none.steps == pytest.approx(0.3 * whole.steps, abs=1)
-    assert not none.densify_in_boxes and none.grad_threshold == whole.outside_grad_threshold
+    assert none.get(MaskedSteps) is None and none.steps == pytest.approx(0.3 * whole.steps, abs=1)
+    density = none.of(DensityControl)
+    assert type(density) is DensityControl
+    assert density.grad_threshold == whole.of(BoxDensityControl).outside_threshold
 
 
 def test_without_masks_a_share_is_a_share() -> None:
     paper = PRESETS["paper"]()
     assert surroundings_stage(paper.scene, 0.25).steps == 5000
     assert block_stage(paper.roi, share=0.5, photos=0.25).steps == 15_000
-    assert surroundings_stage(paper.roi, 0.25).densify_until == 0  # none is added outside boxes
+    assert surroundings_stage(paper.roi, 0.25).get(DensityControl) is None  # none outside boxes

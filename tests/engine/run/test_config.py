@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 from dataclasses import FrozenInstanceError, replace
 
@@ -15,7 +14,15 @@ from roigs_engine.run import stage_configs
 from roigs_engine.run.config import RunConfig
 from roigs_engine.run.manifest import manifest_difference
 from roigs_engine.run.presets import PRESETS, in_strategy, preset
-from roigs_engine.training.config import INTERVALS, TrainConfig, with_steps
+from roigs_engine.training.config import TrainConfig, with_steps
+from roigs_engine.training.mechanisms.background_points import BackgroundPoints
+from roigs_engine.training.mechanisms.box_density_control import BoxDensityControl
+from roigs_engine.training.mechanisms.density_control import DensityControl
+from roigs_engine.training.mechanisms.floater_pruning import FloaterPruning
+from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
+from roigs_engine.training.mechanisms.measured_sh_rate import MeasuredShRate
+from roigs_engine.training.mechanisms.opacity_decay import OpacityDecay
+from tests.engine.settings import adjusted, without
 
 
 def test_paper_preset_has_the_papers_numbers() -> None:
@@ -27,9 +34,10 @@ def test_paper_preset_has_the_papers_numbers() -> None:
     assert config.kept_share == 0.5
     assert config.roi_order == "ordered"
     assert config.roi_init == "scene"
-    assert config.roi.densify_in_boxes and config.roi.densify_until == 15_000
-    assert config.roi.reset_every == 0 and config.scene.reset_every == 3000
-    assert config.roi.contribution_every > 0
+    boxes = BoxDensityControl(start=0, until=15_000, reset_every=0)
+    assert config.roi.mechanisms == (boxes, IdlePruning(every=1000))
+    assert boxes.box_sizes and not boxes.outside_threshold and not boxes.budget
+    assert config.scene.mechanisms == (DensityControl(until=10_000),)
     assert config.roi.degree(0) == config.roi.sh_degree == 3
 
 
@@ -38,9 +46,11 @@ def test_training_defaults_are_those_of_3dgs() -> None:
     assert config.position_learning_rate(0) == pytest.approx(1.6e-4)
     assert config.position_learning_rate(30_000) == pytest.approx(1.6e-6)
     assert config.position_learning_rate(15_000) == pytest.approx(1.6e-5)
-    assert (config.densify_from, config.densify_every, config.densify_until) == (500, 100, 15_000)
-    assert (config.grad_threshold, config.split_fraction) == (2e-4, 0.01)
-    assert (config.prune_opacity, config.reset_every, config.ssim_weight) == (0.005, 3000, 0.2)
+    assert config.ssim_weight == 0.2
+    density = DensityControl()
+    assert (density.start, density.every, density.until) == (500, 100, 15_000)
+    assert (density.grad_threshold, density.split_fraction) == (2e-4, 0.01)
+    assert (density.prune_opacity, density.reset_every) == (0.005, 3000)
 
 
 @given(st.integers(0, 20_000))
@@ -58,8 +68,9 @@ def test_presets_are_complete_and_fair(name: str) -> None:
     assert config.total_steps == config.scene.steps + config.roi.steps
     total = config.total_steps
     densify = {"paper": total * 15 // 50}.get(name, total // 2)  # 15,000 of 50,000; 3DGS: half
-    assert stage_configs.baseline(config) == TrainConfig(steps=total, densify_until=densify)
-    assert config.roi.densify_in_boxes
+    plain = TrainConfig(steps=total, mechanisms=(DensityControl(until=densify),))
+    assert stage_configs.baseline(config) == plain
+    assert config.roi.of(BoxDensityControl).box_sizes
     assert config.roi.position_learning_rate(config.roi.steps) == pytest.approx(1.6e-6)
 
 
@@ -91,7 +102,7 @@ def test_the_other_strategy_keeps_steps_tests_and_seed(name: str, strategy: str)
     assert other.strategy == strategy
     assert (other.scene.steps, other.roi.steps) == (config.scene.steps, config.roi.steps)
     assert (other.test_every, other.seed) == (5, 7)
-    assert other.roi.densify_in_boxes
+    assert other.roi.get(BoxDensityControl) is not None
     stages = (other.scene, other.roi, stage_configs.refine_stage(other))
     assert {stage.antialiased for stage in stages} == {config.roi.antialiased}
 
@@ -115,24 +126,23 @@ def test_scaling_keeps_the_share_of_densifying_steps(factor: float) -> None:
     config = preset("paper").scaled(factor)
     for stage, before in ((config.scene, 20_000), (config.roi, 30_000)):
         assert stage.steps == max(1, round(before * factor))
-        assert stage.densify_until == pytest.approx(stage.steps / 2, abs=1)
+        assert stage.of(DensityControl).until == pytest.approx(stage.steps / 2, abs=1)
 
 
 def test_with_steps_changes_the_length_only() -> None:
-    short = with_steps(preset("paper").roi, 3000)
-    assert short == replace(preset("paper").roi, steps=3000, densify_until=1500)
+    whole = preset("paper").roi
+    short = replace(adjusted(whole, DensityControl, until=1500), steps=3000)
+    assert with_steps(whole, 3000) == short
 
 
 def events(config: TrainConfig) -> dict[str, int]:
     """How often the schedule densifies, raises the SH degree, resets opacities, and so on."""
-    due = range(1, config.steps + 1)
-    densifying = [step for step in due if config.densify_from <= step < config.densify_until]
+    due, density = range(1, config.steps + 1), config.of(DensityControl)
+    idle = config.get(IdlePruning)
     return {
-        "densifications": sum(step % config.densify_every == 0 for step in densifying),
-        "resets": sum(step % config.reset_every == 0 for step in densifying)
-        if config.reset_every
-        else 0,
-        "windows": config.steps // config.contribution_every if config.contribution_every else 0,
+        "densifications": sum(map(density.grows, due)),
+        "resets": sum(map(density.resets, due)),
+        "windows": config.steps // idle.every if idle else 0,
         "degree": config.degree(config.steps),
         "raises": len({config.degree(step) for step in due}),
     }
@@ -147,7 +157,7 @@ def test_the_papers_schedule_shrinks_as_a_whole(stage: str, factor: float) -> No
     full, small = of(preset("paper")), of(preset("paper").scaled(factor))
     assert events(small) == events(full)
     assert small.steps == full.steps * factor
-    assert small.densify_until == full.densify_until * factor
+    assert small.of(DensityControl).until == full.of(DensityControl).until * factor
     counts = {"scene": (95, 3), "roi": (149, 0), "baseline": (145, 4)}
     assert (events(full)["densifications"], events(full)["resets"]) == counts[stage]
 
@@ -155,18 +165,22 @@ def test_the_papers_schedule_shrinks_as_a_whole(stage: str, factor: float) -> No
 @given(st.floats(0.0001, 20))
 def test_an_interval_keeps_a_step_and_what_is_off_stays_off(factor: float) -> None:
     config = preset("paper").scaled(factor)
-    assert min(config.scene.densify_every, config.scene.sh_every, config.scene.reset_every) >= 1
-    assert (config.roi.reset_every, config.roi.densify_from) == (0, 0)
-    assert (config.scene.contribution_every, config.roi.contribution_every > 0) == (0, True)
+    scene, roi = (stage.of(DensityControl) for stage in (config.scene, config.roi))
+    assert min(scene.every, config.scene.sh_every, scene.reset_every) >= 1
+    assert (roi.reset_every, roi.start) == (0, 0)
+    assert config.roi.of(IdlePruning).every >= 1
 
 
 @pytest.mark.parametrize("name", ["standard", "draft"])
 def test_intervals_of_joint_presets_do_not_shrink(name: str) -> None:
     config, short = preset(name), preset(name).scaled(0.1)
     for before, now in ((config.scene, short.scene), (config.roi, short.roi)):
-        assert {getattr(now, n) == getattr(before, n) for n in INTERVALS} == {True}
+        assert now.sh_every == before.sh_every
+        densities = (stage.of(DensityControl) for stage in (before, now))
+        first, second = ((d.start, d.every, d.reset_every) for d in densities)
+        assert first == second
     independent = in_strategy(config, "independent")
-    assert not independent.whole_schedule and independent.scene.densify_every == 100
+    assert not independent.whole_schedule and independent.scene.of(DensityControl).every == 100
     assert independent.baseline_densify == 0.5
 
 
@@ -187,7 +201,7 @@ def test_a_factor_that_is_not_positive_is_refused(factor: float) -> None:
         ({"scene_scale": 0.0}, "scene_scale"),
         ({"kept_share": float("nan")}, "kept_share"),
         ({"strategy": "joint", "roi_init": "box"}, "box"),
-        ({"scene": replace(preset("draft").scene, min_views=4)}, "min_views"),
+        ({"scene": preset("draft").scene.using(FloaterPruning())}, "floater_pruning"),
     ],
 )
 def test_values_out_of_range_are_refused_by_name(change: dict[str, object], named: str) -> None:
@@ -224,53 +238,37 @@ def test_antialiasing_is_of_both_stages_or_of_none() -> None:
         replace(config, scene=replace(config.scene, antialiased=False))
 
 
-def test_manifests_from_before_antialiasing_are_those_without_it() -> None:
-    paper, draft = preset("paper").to_dict(), preset("draft").to_dict()
-    assert "antialiased" not in paper["scene"] and "antialiased" not in paper["roi"]
-    assert draft["scene"]["antialiased"] and draft["roi"]["antialiased"]
-    old = copy.deepcopy(draft)
-    del old["scene"]["antialiased"], old["roi"]["antialiased"]
-    told = manifest_difference({"config": old}, {"config": draft})
+def difference(before: RunConfig, now: RunConfig) -> str:
+    """What tells the manifests of two runs apart."""
+    records = ({"config": json.loads(json.dumps(each.to_dict()))} for each in (before, now))
+    return manifest_difference(*records)
+
+
+def test_manifests_tell_of_antialiasing() -> None:
+    draft = preset("draft")
+    stages = {"scene": draft.scene, "roi": draft.roi}
+    plain = replace(draft, **{n: replace(s, antialiased=False) for n, s in stages.items()})
+    told = difference(plain, draft)
     assert told == "anti-aliasing was off, now on (--antialiased, --no-antialiased)"
 
 
-def test_manifests_from_before_faint_gaussians_were_removed_say_so() -> None:
-    paper, draft = preset("paper").to_dict(), preset("draft").to_dict()
-    assert "faint_growth" not in paper["scene"] and "faint_growth" not in paper["roi"]
-    old = copy.deepcopy(draft)
-    del old["scene"]["faint_growth"], old["roi"]["faint_growth"]
-    told = manifest_difference({"config": old}, {"config": draft})
-    assert told == "faint Gaussians were kept, now they are removed"
-
-
-@pytest.mark.parametrize(
-    ("stage", "field", "told"),
-    [
-        ("scene", "backdrop_cells", "places without points were left empty, now they are filled"),
-        (
-            *("roi", "near_grad_threshold"),
-            "near the boxes, Gaussians were densified as elsewhere, now more than elsewhere",
-        ),
-        ("scene", "opacity_decay", "opacity decay was off, now on"),
-        (
-            *("roi", "outside_spared_spread"),
-            "outside the boxes, opacities decayed as inside, now less with photos from one side",
-        ),
-        (
-            *("roi", "outside_rate"),
-            "Gaussians outside the boxes had the learning rates of the others, now their own",
-        ),
-    ],
-)
-def test_manifests_from_before_a_setting_say_so(stage: str, field: str, told: str) -> None:
+def test_manifests_tell_of_mechanisms() -> None:
     draft = preset("draft")
-    assert field not in in_strategy(draft, "independent").to_dict()[stage]
-    old, now = draft.to_dict(), draft.to_dict()
-    del old[stage][field]
-    assert manifest_difference({"config": old}, {"config": now}) == told
+    less = replace(draft, roi=without(draft.roi, MeasuredShRate))
+    assert difference(less, draft) == "roi.measured_sh_rate was off, now on"
+    assert difference(draft, less) == "roi.measured_sh_rate was on, now off"
+    other = replace(draft, scene=draft.scene.using(OpacityDecay(share=0.1)))
+    assert difference(draft, other) == "scene.opacity_decay.share was 0.025, now 0.1"
 
 
-def test_parts_of_a_scene_have_no_backdrop() -> None:
+def test_what_the_plan_decides_is_no_setting() -> None:
+    draft = preset("draft")
+    planned = adjusted(draft.roi, BoxDensityControl, budgets=(7,))
+    assert planned.to_dict() == draft.roi.to_dict()
+    assert planned.to_dict(planned=True) != draft.roi.to_dict(planned=True)
+
+
+def test_parts_of_a_scene_have_no_background_points() -> None:
     scene = preset("draft").scene
-    assert scene.backdrop_cells > 0
-    assert stage_configs.surroundings_stage(scene, 0.5).backdrop_cells == 0
+    assert scene.get(BackgroundPoints) is not None
+    assert stage_configs.surroundings_stage(scene, 0.5).get(BackgroundPoints) is None

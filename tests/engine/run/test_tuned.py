@@ -6,9 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import torch
-from roigs_engine.training.densification import DensityInputs, density_control
-from roigs_engine.training.densification.adaptive import AdaptiveDensity
 
 from roigs_engine.evaluation.evaluate import evaluate
 from roigs_engine.formats.run_files import is_own
@@ -23,23 +20,26 @@ from roigs_engine.run.photo_sets import PhotoSets
 from roigs_engine.run.plan import POINTS, Plan, Stage
 from roigs_engine.run.presets import PRESETS, preset
 from roigs_engine.run.strategies import plan_run, strategy
+from roigs_engine.training.mechanisms.background_points import BackgroundPoints
+from roigs_engine.training.mechanisms.box_density_control import BoxDensityControl
+from roigs_engine.training.mechanisms.density_control import DensityControl
+from roigs_engine.training.mechanisms.floater_pruning import FloaterPruning
+from roigs_engine.training.mechanisms.importance_pruning import ImportancePruning
+from roigs_engine.training.mechanisms.measured_sh_rate import MeasuredShRate
+from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
+from roigs_engine.training.mechanisms.opacity_decay import OpacityDecay
+from roigs_engine.training.mechanisms.spaced_sh_rate import SpacedShRate
+from roigs_engine.training.mechanisms.warm_restarts import WarmRestarts
 from tests.engine.runs import tiny, train
 from tests.engine.synthetic_scene import BOX, make_scene
 
 TUNED = ("full-scene-tuned", "full-object-tuned")
 SECOND = OrientedBox.axis_aligned("second", [-0.2, -0.2, -0.2], [0.5, 0.5, 0.5])
-# What boxes bring to the box stage, as 3DGS has it.
-PLAIN = {
-    "densify_in_boxes": False,
-    "box_budget": 0.0,
-    "box_grad_threshold": 0.0,
-    "full_every": 1,
-    "outside_spared_spread": 0.0,
-    "outside_rate": 0.0,
-    "view_weighting": 0.0,
-    "contribution_every": 0,
-    "reset_every": 0,
-}
+# What fits any scene.
+USED = (
+    *(SpacedShRate, MeasuredShRate, DensityControl, WarmRestarts, ModelAveraging),
+    *(OpacityDecay, ImportancePruning, FloaterPruning),
+)
 
 
 @pytest.fixture(scope="module")
@@ -64,17 +64,21 @@ def test_settings_are_ours_without_the_boxes(name: str) -> None:
     assert tuned.coarse is not None and tuned.scale == 0.5
     coarse, fine = tuned.coarse, tuned.fine
     assert coarse.steps + fine.steps == plain.steps == config.total_steps
-    assert {field: getattr(fine, field) for field in PLAIN} == PLAIN
-    assert coarse.reset_every == 0
-    assert fine.grad_threshold == 2e-4
-    assert not plain.antialiased and not plain.restarts  # 3DGS's way
+    assert tuple(type(each) for each in fine.mechanisms) == USED
+    assert fine.of(OpacityDecay).one_sided == 0
+    first, last, usual = (each.of(DensityControl) for each in (coarse, fine, plain))
+    assert first.reset_every == last.reset_every == 0
+    assert last.grad_threshold == 2e-4
+    assert not plain.antialiased and plain.mechanisms == (usual,)  # 3DGS's way
     assert coarse.antialiased == fine.antialiased == config.roi.antialiased
     ours = preset("standard").roi
-    for field in ("lr_shN", "lr_shN_spacing", "lr_scales", "lr_means", "sh_start", "min_views"):
+    for field in ("lr_shN", "lr_scales", "lr_means", "sh_start"):
         assert getattr(fine, field) == getattr(ours, field)
-    assert (fine.restarts, fine.average_steps) == (3, fine.steps // 10)
-    densify = coarse.densify_until + fine.densify_until
-    assert densify == max(plain.densify_until, coarse.densify_until + fine.steps // 3)
+    for kind in (SpacedShRate, FloaterPruning, WarmRestarts):
+        assert fine.of(kind) == ours.of(kind)
+    assert fine.of(ModelAveraging).steps == fine.steps // 10
+    densify = first.until + last.until
+    assert densify == max(usual.until, first.until + fine.steps // 3)
     if name != "paper":
         assert coarse == config.scene
         assert densify == config.total_steps // 2
@@ -85,13 +89,19 @@ def test_in_one_stage_they_begin_like_3dgs(name: str) -> None:
     config = preset(name)
     tuned, plain = stage_configs.tuned_baseline(config, False), stage_configs.baseline(config)
     assert tuned.coarse is None
-    for field in ("steps", "sh_start", "densify_from", "densify_until", "grad_threshold"):
-        assert getattr(tuned.fine, field) == getattr(plain, field)
+    assert (tuned.fine.steps, tuned.fine.sh_start) == (plain.steps, plain.sh_start)
+    density, usual = (each.of(DensityControl) for each in (tuned.fine, plain))
+    assert density == replace(usual, reset_every=0, every=density.every)
     two = stage_configs.tuned_baseline(config, True).fine
-    own = ("steps", "sh_start", "densify_from", "densify_until", "average_steps", "backdrop_cells")
-    assert tuned.fine == replace(two, **{field: getattr(tuned.fine, field) for field in own})
-    assert tuned.fine.small_until == 0
-    assert tuned.fine.average_steps == config.total_steps // 10
+    average = tuned.fine.of(ModelAveraging)
+    assert average.steps == config.total_steps // 10
+    first, *others = tuned.fine.mechanisms
+    assert isinstance(first, BackgroundPoints)
+    alike = two.using(density, average)
+    assert tuple(others) == alike.mechanisms
+    assert tuned.fine == replace(
+        two, steps=plain.steps, sh_start=plain.sh_start, mechanisms=tuned.fine.mechanisms
+    )
 
 
 def test_all_photos_whole_shuffled_and_everywhere(scene: SfmScene) -> None:
@@ -101,20 +111,11 @@ def test_all_photos_whole_shuffled_and_everywhere(scene: SfmScene) -> None:
     tuned, joint = stages["tuned-scene"], stages["joint"]
     assert tuned.images == joint.images == run.train_scene.images
     assert tuned.order.kind == "shuffled" and tuned.order.count == len(tuned.images)
-    assert (tuned.budgets, tuned.matched, tuned.seeing) == (None, None, ())
+    assert tuned.matched is None
     assert (tuned.seed, tuned.extent) == (joint.seed, joint.extent)
     assert [roi.name for roi in tuned.rois] == [roi.name for roi in joint.rois]
     assert tuned.config.lr_shN == joint.config.lr_shN < config.roi.lr_shN  # by view spacing
-    inputs = DensityInputs(
-        config=tuned.config,
-        extent=tuned.extent,
-        rois=tuned.rois,
-        budgets=None,
-        photos=len(tuned.images),
-        seed=0,
-        device=torch.device("cpu"),
-    )
-    assert type(density_control(inputs, 1)) is AdaptiveDensity
+    assert type(tuned.config.of(DensityControl)) is DensityControl
 
 
 def test_the_first_stage_is_the_runs_own_where_it_is_the_same(scene: SfmScene) -> None:
@@ -165,8 +166,11 @@ def test_the_matched_one_differs_by_its_threshold_in_the_boxes(scene: SfmScene, 
     photos = PhotoSets(define_run(Path("nowhere"), scene, [BOX], tiny(name)))
     plan = matched_tuned(photos, strategy(photos).models[-1])
     stage, tuned = by_name(plan)["tuned-matched"], full_scene_tuned(photos).stages[-1]
-    threshold = photos.run.config.roi.grad_threshold / 4
-    assert stage.config == replace(tuned.config, box_grad_threshold=threshold)
+    threshold = photos.run.config.roi.of(DensityControl).grad_threshold / 4
+    boxes, usual = stage.config.of(BoxDensityControl), tuned.config.of(DensityControl)
+    assert (boxes.grad_threshold, boxes.outside_threshold) == (threshold, usual.grad_threshold)
+    assert not boxes.box_sizes and boxes.budgets is None
+    assert stage.config == tuned.config.using(boxes)
     assert stage.start.fingerprint == tuned.start.fingerprint
     assert stage.start.inputs[0].name == tuned.start.inputs[0].name
     assert stage.matched is not None
