@@ -32,7 +32,7 @@ from roigs_engine.run.strategies import plan_run
 from roigs_engine.training import photo_views, trainer
 from roigs_engine.training.checkpoint import save_checkpoint
 from roigs_engine.training.losses import photo_loss
-from roigs_engine.training.mechanisms.density_control import DensityControl, RunningDensityControl
+from roigs_engine.training.mechanisms.density_control import RunningDensityControl
 from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
 from roigs_engine.training.optimizer import VisibleAdam
 from roigs_engine.training.trainer import Trainer

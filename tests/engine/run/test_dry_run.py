@@ -137,7 +137,8 @@ def test_expected_counts_follow_the_schedule(scene: SfmScene, tmp_path: Path) ->
     for stage in plan_run(run, ALL).stages:
         counts = expected_counts(stage, 1000, share_in_boxes=0.2)
         assert len(counts) == stage.config.steps and counts[0] == 1000
-        ends = min(stage.config.of(DensityControl).until, len(counts))
+        density = stage.config.get(DensityControl)
+        ends = min(density.until if density else 0, len(counts))
         assert counts[: ends - 1] == sorted(counts[: ends - 1])
         assert len(set(counts[ends - 1 :])) == 1
         largest = max(counts)
