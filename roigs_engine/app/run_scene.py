@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..colmap.records import MAX_SIDE
 from ..context import QUIET, Context
 from ..errors import ConfigError, EngineError
 from ..exchange.arrays import UP
@@ -24,6 +23,7 @@ from ..formats.run_files import (
     RESULT,
     SETTINGS,
 )
+from ..requests.choices import MAX_SIDE
 
 if TYPE_CHECKING:
     from ..model.scene import Float64, SfmScene

@@ -206,22 +206,19 @@ def _plan(
     )
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MadeMask:
+    """A mask, and whether it has no pixel, or all."""
+
+    mask: PhotoMask
+    empty: bool
+    full: bool
+
+
 def make_masks(
-    plans: Mapping[int, MaskPlan], cache: Path | None, context: Context = QUIET, *, write: bool
-) -> dict[int, PhotoMask | None]:
-    """The masks by the photos' keys; None: the whole photo is ignored. Full masks are left out.
-
-    Arguments and errors are those of `make_object_masks`.
-    """
-    made = _made(plans, cache, context, write=write)
-    found = {key: look for key, look in made.items() if not look.full}
-    return {key: None if look.empty else look.mask for key, look in found.items()}
-
-
-def make_object_masks(
     plans: Mapping[Key, MaskPlan], cache: Path | None, context: Context = QUIET, *, write: bool
-) -> dict[Key, PhotoMask]:
-    """The masks by the plans' keys, full and empty ones too.
+) -> dict[Key, MadeMask]:
+    """The masks by the plans' keys.
 
     Args:
         plans: how to make them.
@@ -234,23 +231,6 @@ def make_object_masks(
         RunFolderError: the cache cannot be written.
         Stopped: on request.
     """
-    made = _made(plans, cache, context, write=write)
-    return {key: look.mask for key, look in made.items()}
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Made:
-    """A mask, and whether it has no pixel, or all."""
-
-    mask: PhotoMask
-    empty: bool
-    full: bool
-
-
-def _made(
-    plans: Mapping[Key, MaskPlan], cache: Path | None, context: Context, *, write: bool
-) -> dict[Key, _Made]:
-    """The mask of each plan."""
     if not plans:
         return {}
     folder = temporary_folder() if cache is None else own_folder(cache, MASKS)
@@ -258,12 +238,12 @@ def _made(
     if write and not all(path.is_file() for path in paths.values()):
         context.emit(StageStarted(stage=STAGE, total=len(plans)))
     threads = threads_for(max(decoding_bytes(plan.photo, plan.size) for plan in plans.values()))
-    made: dict[Key, _Made] = {}
+    made: dict[Key, MadeMask] = {}
 
-    def look(key: Key) -> _Made:
+    def look(key: Key) -> MadeMask:
         mask = plans[key].kept(paths[key], write=write)
         full, empty = bool(mask.all()), not mask.any()
-        return _Made(mask=_photo_mask(plans[key], paths[key], mask), empty=empty, full=full)
+        return MadeMask(mask=_photo_mask(plans[key], paths[key], mask), empty=empty, full=full)
 
     started = time.monotonic()
     with closing(in_parallel(look, [*plans], threads, context)) as work:
@@ -289,18 +269,15 @@ def _small(mask: Mask) -> NDArray[np.uint8]:
     return np.asarray(grey.resize((width, height), Image.Resampling.BOX))
 
 
-def mention_masks(
-    made: Mapping[int, PhotoMask | None], files: MaskFiles, names: list[str], context: Context
-) -> None:
+def mention_masks(used: int, files: MaskFiles, names: list[str], context: Context) -> None:
     """Say how many photos have a mask, and warn of files that are the mask of no photo.
 
     Args:
-        made: the masks that are used.
+        used: number of masks that are used.
         files: the mask files.
         names: of all photos of the model.
         context: gets the messages.
     """
-    used = sum(mask is not None for mask in made.values())
     if used:
         context.info(f"{counted(used, 'photo')} with a mask: what it ignores is not used.")
     unknown = files.unknown(names)

@@ -23,7 +23,6 @@ from ..photos.mask_paths import USUAL_MASKS, MaskFiles, MaskOptions
 from .camera_masks import (
     HIDDEN,
     make_masks,
-    make_object_masks,
     mention_masks,
     plan_masks,
     plan_object_masks,
@@ -188,9 +187,7 @@ class PhotoLoader:
         for key, image in list(self.posed.items()):
             content = found[image.name]
             if content.whole is False:
-                self.skipped[UNREADABLE].append(image.name)
-                del self.posed[key]
-                self._plans.pop(key, None)
+                self._skip(key, UNREADABLE)
                 continue
             digest = content.digest
             if key in self._plans:
@@ -202,23 +199,27 @@ class PhotoLoader:
         """Give the photos their masks; skip those that are hidden whole. Raises as `make_masks`."""
         plans = plan_masks(self.posed, self._plans, self._mask_files, self._masks)
         made = make_masks(plans, cache, context, write=self._pixels)
-        for key, mask in made.items():
-            if mask is None:
-                self.skipped[HIDDEN].append(self.posed[key].name)
-                del self.posed[key]
-                self._plans.pop(key, None)
-            else:
-                self.posed[key] = replace(self.posed[key], mask=mask)
+        for key, found in made.items():
+            if found.empty:
+                self._skip(key, HIDDEN)
+            elif not found.full:
+                self.posed[key] = replace(self.posed[key], mask=found.mask)
         if self._pixels:
-            mention_masks(made, self._mask_files, self._names, context)
+            used = sum(not found.empty and not found.full for found in made.values())
+            mention_masks(used, self._mask_files, self._names, context)
+
+    def _skip(self, key: int, reason: str) -> None:
+        """Leave out a photo that was posed."""
+        self.skipped[reason].append(self.posed.pop(key).name)
+        self._plans.pop(key, None)
 
     def _mask_objects(self, cache: Path | None, context: Context) -> None:
-        """Give the photos the masks of the boxes' objects. Raises as `make_object_masks`."""
+        """Give the photos the masks of the boxes' objects. Raises as `make_masks`."""
         plans = plan_object_masks(self.posed, self._plans, self._mask_files, self._masks)
-        made = make_object_masks(plans, cache, context, write=self._pixels)
-        for (key, box), mask in made.items():
+        made = make_masks(plans, cache, context, write=self._pixels)
+        for (key, box), found in made.items():
             image = self.posed[key]
-            self.posed[key] = replace(image, objects={**image.objects, box: mask})
+            self.posed[key] = replace(image, objects={**image.objects, box: found.mask})
 
     def _undistort(self, cache: Path | None, context: Context) -> None:
         """Undistort distorted photos, or take them from the cache, see `undistort_all`."""

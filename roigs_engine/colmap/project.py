@@ -25,10 +25,11 @@ from ..model.scene import Float64, Int64, SfmScene
 from ..model.scene_checks import without_outliers
 from ..photos.files import PhotoFolder, find_photos
 from ..photos.mask_paths import USUAL_MASKS, MaskOptions
+from ..requests.choices import MAX_DOWNSCALE, MAX_SIDE
 from .camera_masks import HIDDEN
 from .model_files import HINT_DAMAGED, count_images, read_images, read_model
 from .photo_loader import CANNOT_UNDISTORT, UNPOSED, PhotoLoader, Shrink, photo_name, pose_of
-from .records import MAX_DOWNSCALE, MAX_SIDE, NO_IDS, Model
+from .records import NO_IDS, Model
 from .undistort import HINT_RESAMPLE
 
 SIMPLE_LENSES = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")  # fewer parameters than OPENCV

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..formats.rois import FAR
 from ..model.scene import Float64, Int64
+from ..requests.choices import MAX_SIDE
 
 # COLMAP's camera models: (name, number of parameters), indexed by the id in binary files.
 CAMERA_MODELS = (
@@ -38,8 +39,6 @@ ONE_FOCAL = {
     *("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "SIMPLE_RADIAL_FISHEYE", "SIMPLE_DIVISION"),
     *("SIMPLE_FISHEYE", "RADIAL", "RADIAL_FISHEYE"),
 }
-MAX_SIDE = 1 << 20  # pixels; a larger camera means a damaged file
-MAX_DOWNSCALE = 1_000_000
 NO_IDS = np.empty(0, dtype=np.int64)
 
 Points = tuple[Int64, Float64, NDArray[np.uint8], Int64, Int64]

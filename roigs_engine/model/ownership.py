@@ -56,8 +56,7 @@ def owners(gaussians: Gaussians, rois: Sequence[OrientedBox]) -> Tensor:
 
 def count_owned(gaussians: Gaussians, rois: Sequence[OrientedBox]) -> list[int]:
     """The number of Gaussians that each box owns."""
-    centres = gaussians.means.detach().cpu().double().numpy()
-    owner = nearest_owner(centres, rois)
+    owner = owners(gaussians, rois)
     return [int((owner == index).sum()) for index in range(len(rois))]
 
 

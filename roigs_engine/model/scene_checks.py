@@ -92,11 +92,7 @@ FEW = 5  # photos of a box; with fewer, most of its surface is seen once or neve
 
 
 def scene_warnings(scene: SfmScene, rois: Sequence[OrientedBox]) -> list[str]:
-    """Warnings about a scene and its boxes, one sentence each; empty if there are none."""
-    return _without_points_of_their_own(scene, list(rois))
-
-
-def _without_points_of_their_own(scene: SfmScene, rois: list[OrientedBox]) -> list[str]:
+    """Warnings about boxes that own no point, one sentence each; empty if there are none."""
     owner, found = nearest_owner(scene.points, rois), []
     for index, roi in enumerate(rois):
         inside = int(roi.contains(scene.points).sum())

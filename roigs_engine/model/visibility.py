@@ -7,6 +7,7 @@ compared with that of the sparse points in front of them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,8 @@ from .scene import Float64, Int64, PosedImage, SfmScene
 NEAREST_NAMED = 3
 OTHER_UNITS = 3.0  # a box this many times as large as all points is in other units
 # The depth test without tracks: cells along the image's longer side; the number of points in front
-# that hide a point (one could be an outlier); how far in front they must be, in box diagonals.
+# that hide a point (one could be an outlier); how far in front they must be, in diagonals of the
+# box, or in extents of the scene.
 DEPTH_CELLS = 64
 OCCLUDERS = 2
 DEPTH_SLACK = 0.1
@@ -82,7 +84,9 @@ def observations(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) ->
     if scene.has_tracks:
         seen = _from_tracks(images, rows, len(scene.points))
     else:
-        seen = _from_projection(images, rows, scene.points, roi, context)
+        seen = _by_depth(
+            images, scene.points[rows], scene.points, DEPTH_SLACK * roi.diagonal, context
+        )
         flags = (
             "The model stores no tracks: the sparse points are projected to estimate which photos"
             " see the box.",
@@ -134,13 +138,8 @@ def observed_points(scene: SfmScene, context: Context = QUIET) -> list[Int64]:
     """For each photo, in the scene's order, the rows of the points that it observes, ascending."""
     if scene.has_tracks:
         return [np.unique(image.point_indices) for image in scene.images]
-    occluders = scene.points[:: -(-len(scene.points) // MAX_OCCLUDERS) or 1]
     slack = DEPTH_SLACK * scene.extent()
-    found = []
-    for image in scene.images:
-        context.check_cancelled()
-        found.append(_visible_by_depth(image, scene.points, occluders, slack))
-    return found
+    return _by_depth(scene.images, scene.points, scene.points, slack, context)
 
 
 def _from_tracks(images: list[PosedImage], rows: Int64, total: int) -> list[Int64]:
@@ -151,22 +150,24 @@ def _from_tracks(images: list[PosedImage], rows: Int64, total: int) -> list[Int6
     return [np.unique(points[points >= 0]) for points in found]
 
 
-def _from_projection(
-    images: list[PosedImage], rows: Int64, points: Float64, roi: OrientedBox, context: Context
+def _by_depth(
+    images: Sequence[PosedImage],
+    targets: Float64,
+    points: Float64,
+    slack: float,
+    context: Context,
 ) -> list[Int64]:
-    """As `_from_tracks`, for a model without tracks.
+    """For each photo, the rows of the `targets` that it sees, ascending; without tracks.
 
     A photo sees a point if the point projects into the image, and fewer than `OCCLUDERS` other
-    sparse points of its cell (`DEPTH_CELLS` cells along the longer side) are more than
-    `DEPTH_SLACK` box diagonals in front of it.
+    sparse points of its cell (`DEPTH_CELLS` cells along the longer side) are more than `slack`, in
+    world units, in front of it.
     """
-    step = -(-len(points) // MAX_OCCLUDERS)
-    occluders = points[::step]
-    slack = DEPTH_SLACK * roi.diagonal
+    occluders = points[:: -(-len(points) // MAX_OCCLUDERS) or 1]
     seen = []
     for image in images:
         context.check_cancelled()
-        seen.append(_visible_by_depth(image, points[rows], occluders, slack))
+        seen.append(_visible_by_depth(image, targets, occluders, slack))
     return seen
 
 
@@ -220,9 +221,7 @@ def _empty_box(scene: SfmScene, roi: OrientedBox) -> RoiError:
             f"{message} The model has no points at all.",
             "Export the COLMAP model with its points3D file.",
         )
-    local = finite @ roi.world_to_box[:3, :3].T + roi.world_to_box[:3, 3]
-    outside = np.maximum(np.abs(local) - roi.half_extents, 0.0)
-    distance = np.linalg.norm(outside, axis=1)
+    distance = roi.distance(finite)
     nearest = np.argsort(distance, kind="stable")[:NEAREST_NAMED]
     named = "; ".join(f"{distance[i]:.4g} away at {_position(finite[i])}" for i in nearest)
     size = float(np.linalg.norm(np.ptp(finite, axis=0)))

@@ -31,7 +31,7 @@ RECORD = "masks.json"
 
 @dataclass(frozen=True, kw_only=True)
 class Kept:
-    """What the record says of a mask in the folder; empty: an older record does not say it.
+    """What the record says of a mask in the folder.
 
     Attributes:
         digest: hash of all that decides it.
@@ -40,8 +40,8 @@ class Kept:
     """
 
     digest: str
-    sha256: str = ""
-    photos: str = ""
+    sha256: str
+    photos: str
 
 
 def make_masks(
@@ -196,7 +196,6 @@ def _record(folder: Folder) -> dict[str, Kept]:
         record = read_json(folder.work(RECORD))
     found = {}
     for name, entry in record.items() if isinstance(record, dict) else ():
-        entry = {"digest": entry} if isinstance(entry, str) else entry
         with suppress(TypeError):
             found[name] = Kept(**entry)
     return found

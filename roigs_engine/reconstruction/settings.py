@@ -5,10 +5,6 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-PAIRS = ("auto", "all", "similar", "ordered")
-CAMERAS = ("auto", "one", "each")
-CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
-
 FEW_PHOTOS, MANY, USUAL = 40, 8192, 2048  # photos, and their features; more photos have the usual
 
 
@@ -20,10 +16,10 @@ class Settings:
         max_side: px; features are found in photos of at most this longest side.
         features: most features of a photo; COLMAP may find up to twice as many. 0: `most_features`
             decides.
-        pairs: which photos are matched, one of `PAIRS`.
+        pairs: which photos are matched, one of `choices.PAIRS`.
         neighbours: photos that each photo is matched with, unless all pairs are.
-        cameras: which photos share a camera, one of `CAMERAS`. auto: those of one size, device,
-            lens and focal length.
+        cameras: which photos share a camera, one of `choices.CAMERAS`. auto: those of one size,
+            device, lens and focal length.
         camera_model: COLMAP's name of the lens model.
         masks: hash of the photos' masks, which `reconstruct` sets: features are found only where a
             mask is not black. Empty: no photo has one.

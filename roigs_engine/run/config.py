@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ..errors import ConfigError
-from ..selection.config import MAX_SEED, SelectionConfig
+from ..requests.choices import MAX_SEED
+from ..selection.config import SelectionConfig
 from ..training.config import TrainConfig, miniature, with_steps
 from ..training.mechanisms.floater_pruning import FloaterPruning
 

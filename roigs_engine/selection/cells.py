@@ -281,11 +281,5 @@ def _ordered(groups: Iterable[Sequence[str]], boxes: Sequence[str]) -> Groups:
 
 def nearest_group(positions: Float64, groups: Sequence[Sequence[OrientedBox]]) -> Int64:
     """(N, 3) world positions -> (N,) the group with the box that is nearest to each."""
-    distances = [np.min([_distance(positions, roi) for roi in group], axis=0) for group in groups]
+    distances = [np.min([roi.distance(positions) for roi in group], axis=0) for group in groups]
     return np.asarray(np.argmin(distances, axis=0), dtype=np.int64)
-
-
-def _distance(positions: Float64, roi: OrientedBox) -> Float64:
-    """(N,) distance of positions to a box, world units; 0 inside."""
-    beyond = np.maximum(np.abs(roi.to_box(positions)) - 1, 0) * roi.half_extents
-    return np.asarray(np.linalg.norm(beyond, axis=1))

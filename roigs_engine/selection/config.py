@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 
 from ..errors import ConfigError
+from ..requests.choices import MAX_SEED
 from .methods import METHODS
 
 # The paper selects 150 of 314 candidates (sec. III-A); small scenes use the same share.
 PAPER_COUNT = 150
 PAPER_SHARE = 0.48
-MAX_SEED = (1 << 32) - 1  # what numpy takes
 
 
 @dataclass(frozen=True, kw_only=True)
