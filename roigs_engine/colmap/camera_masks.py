@@ -21,7 +21,7 @@ from ..context import QUIET, Context
 from ..formats.events import StageStarted
 from ..formats.files import own_folder
 from ..formats.run_files import MASKS
-from ..formats.text import counted
+from ..formats.text import counted, first_of
 from ..model.roi import AREA_SIDE
 from ..model.scene import PhotoMask, PosedImage
 from ..photos.headers import content_digest, photo_size
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 STAGE = "masks"
 VERSION = 1  # part of each mask's digest: increase it if masks become others
 HIDDEN = "hidden by its mask"
-NAMED = 3  # unknown masks that a warning names
 Key = TypeVar("Key")
 
 
@@ -282,11 +281,10 @@ def mention_masks(used: int, files: MaskFiles, names: list[str], context: Contex
         context.info(f"{counted(used, 'photo')} with a mask: what it ignores is not used.")
     unknown = files.unknown(names)
     if unknown:
-        more = ", …" if len(unknown) > NAMED else ""
         context.warn(
             f"{counted(len(unknown), 'file')} in {files.folder} or among the photos"
             f" {'is' if len(unknown) == 1 else 'are'} the mask of no photo:"
-            f" {', '.join(unknown[:NAMED])}{more}. The mask of 012.jpg is 012.jpg.png."
+            f" {first_of(unknown)}. The mask of 012.jpg is 012.jpg.png."
         )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..context import QUIET, Context
-from ..formats.text import counted
+from ..formats.text import counted, first_of
 from .roi import AREA_SIDE, OrientedBox
 from .scene import Camera, Float64, PhotoMask, PosedImage, SfmScene
 
@@ -50,7 +50,6 @@ def _small(mask: PhotoMask, camera: Camera) -> NDArray[np.uint8]:
     return small
 
 
-NAMED = 3  # photos that a warning names
 HALF = 128  # least value of a small mask's pixel that shows the object
 
 
@@ -70,12 +69,11 @@ def with_useful_masks(
             photos = counted(len(there) - len(names), "photo")
             context.info(f"Box '{roi.name}': masks of the object on {photos}.")
         if names:
-            more = ", …" if len(names) > NAMED else ""
             verb = "shows" if len(names) == 1 else "show"
             context.warn(
                 f"Box '{roi.name}': {counted(len(names), 'mask')} {verb} nothing in the box and"
                 f" {'is' if len(names) == 1 else 'are'} not used:"
-                f" {', '.join(names[:NAMED])}{more}. White is the object, black all else."
+                f" {first_of(names)}. White is the object, black all else."
             )
     return replace(scene, images=tuple(_with(image, useless) for image in scene.images))
 
@@ -103,8 +101,7 @@ def object_points(
         mask = image.objects.get(roi.name)
         if mask is None:
             continue
-        local = points @ image.world_to_camera[:3, :3].T + image.world_to_camera[:3, 3]
-        camera = image.camera
+        local, camera = image.local(points), image.camera
         with np.errstate(all="ignore"):
             x = (local[:, 0] / local[:, 2] * camera.fx + camera.cx) / camera.width
             y = (local[:, 1] / local[:, 2] * camera.fy + camera.cy) / camera.height

@@ -118,10 +118,14 @@ class PosedImage:
         rotation, translation = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
         return -rotation.T @ translation
 
+    def local(self, points: Float64) -> Float64:
+        """World positions (P, 3) -> (P, 3) in the camera's axes."""
+        found: Float64 = points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
+        return found
+
     def projected(self, points: Float64) -> tuple[Float64, Float64]:
         """World positions (P, 3) -> pixels (F, 2) and depths (F,) of those before the camera."""
-        pose, camera = self.world_to_camera, self.camera
-        local = points @ pose[:3, :3].T + pose[:3, 3]
+        camera, local = self.camera, self.local(points)
         front = local[local[:, 2] > 0]
         focal, centre = (camera.fx, camera.fy), (camera.cx, camera.cy)
         return front[:, :2] / front[:, 2:] * focal + centre, front[:, 2]

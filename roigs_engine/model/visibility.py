@@ -193,8 +193,7 @@ def _visible_by_depth(
 
 def _cells(image: PosedImage, points: Float64) -> tuple[Int64, Float64]:
     """(N, 3) world positions -> (N,) cell of the depth grid, -1 outside the image; (N,) depth."""
-    camera = image.camera
-    local = points @ image.world_to_camera[:3, :3].T + image.world_to_camera[:3, 3]
+    camera, local = image.camera, image.local(points)
     depth = local[:, 2]
     front = depth > 0
     safe = np.where(front, depth, 1.0)

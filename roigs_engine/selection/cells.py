@@ -87,8 +87,7 @@ def _areas(image: PosedImage, points: Float64) -> Float64:
 
     if len(points) == 0:
         return np.empty(0)
-    camera, pose = image.camera, image.world_to_camera
-    local = points @ pose[:3, :3].T + pose[:3, 3]
+    camera, local = image.camera, image.local(points)
     pixels = local[:, :2] / np.maximum(local[:, 2:], 1e-12) * (camera.fx, camera.fy)
     grid = (np.stack(np.meshgrid(np.arange(GRID), np.arange(GRID)), axis=-1) + 0.5) / GRID
     size = np.array([camera.width, camera.height])

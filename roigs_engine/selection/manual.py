@@ -8,7 +8,7 @@ from pathlib import Path
 from ..context import QUIET, Context
 from ..errors import ConfigError
 from ..formats.files import read_json
-from ..formats.text import counted
+from ..formats.text import counted, first_of
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 from ..model.visibility import find_candidates
@@ -17,7 +17,6 @@ from .score import prefix_scores
 from .static import static_features
 
 METHOD = "manual"
-NAMED = 3  # photos named in a warning
 
 
 def load_manual(folder: Path, rois: Sequence[OrientedBox]) -> dict[str, tuple[str, ...]]:
@@ -77,9 +76,8 @@ def usable_manual(
         ("which cannot be used", [name for name in names if name not in usable_names]),
     ):
         if skipped:
-            first = ", ".join(skipped[:NAMED]) + (", …" if len(skipped) > NAMED else "")
             count = counted(len(skipped), "selected photo")
-            context.warn(f"Skipped {count} of box '{roi}', {reason}: {first}.")
+            context.warn(f"Skipped {count} of box '{roi}', {reason}: {first_of(skipped)}.")
     usable = tuple(name for name in names if name in usable_names and name not in test_names)
     if not usable:
         raise ConfigError(

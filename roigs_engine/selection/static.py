@@ -11,13 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..context import QUIET, Context
-from ..formats.text import counted
+from ..formats.text import counted, named
 from ..model.scene import Float64
 from ..model.visibility import Candidates
 from .result import Picks
-
-# Photos named in the warning about cameras inside the box.
-INSIDE_NAMED = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,10 +39,9 @@ class StaticFeatures:
         names = [n for n, inside in zip(candidates.names, self.inside, strict=True) if inside]
         if not names:
             return ()
-        more = f" and {len(names) - INSIDE_NAMED} more" if len(names) > INSIDE_NAMED else ""
         return (
             f"Box '{candidates.roi.name}' contains {counted(len(names), 'camera')}"
-            f" ({', '.join(names[:INSIDE_NAMED])}{more}), whose images it is taken to fill.",
+            f" ({named(names, 3)}), whose images it is taken to fill.",
         )
 
     def to_dict(self, candidates: Candidates) -> dict[str, dict[str, float]]:
