@@ -38,7 +38,8 @@ SAMPLES = 32  # pixels along a cell's side that its colour is the mean of, at mo
 class BackgroundPoints(Mechanism):
     """A stage that starts from the sparse points gets Gaussians where photos show none, too.
 
-    Earns: EARNS_BACKGROUND
+    Earns: +0.12 dB in the silhouettes, −0.02 dB on objects (marginal), +0.28 dB in images. Draft,
+        six boxes of kumamon, flowerpot and the demo, two seeds (notebook/leave_one_out.md).
 
     Attributes:
         cells: along a photo's longer side.

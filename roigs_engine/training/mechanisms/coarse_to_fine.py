@@ -16,7 +16,10 @@ class CoarseToFine(Mechanism):
 
     What they lack is learned after them.
 
-    Earns: EARNS_SMALL
+    Earns: −0.06 dB in the silhouettes by `until`, +0.01 dB by `whole_until` (both marginal).
+        Draft, six boxes of kumamon, flowerpot and the demo, two seeds
+        (notebook/leave_one_out.md). 7 to 8 % less CPU time by the second (kumamon, one seed;
+        notebook/sampling.md).
 
     Attributes:
         until: steps before this one are small.

@@ -23,7 +23,8 @@ class CutoutSteps(Mechanism):
     What is left of an object without the rest of its scene (`training.cutouts`) so looks right. The
     stage must not add or remove Gaussians.
 
-    Earns: EARNS_CUTOUT
+    Earns: objects alone, on all else, are +0.17, +0.39 and +0.82 dB nearer to their photos; whole
+        photos lose 0.2 dB (demo, 640 px, vase, tin and clock, one seed; docs/measurements.md).
     """
 
     name: ClassVar[str] = "cutout_steps"

@@ -25,7 +25,7 @@ VISIBLE_WEIGHT = 1 / 255  # alpha x T below which a Gaussian cannot change an 8-
 class IdlePruning(Mechanism):
     """At the end of a window of steps, removes what stayed below 1/255 on all its pixels.
 
-    Earns: EARNS_IDLE
+    Earns: not measured alone: part of the paper's method.
 
     Attributes:
         every: shortest window, in steps; it includes every photo twice.

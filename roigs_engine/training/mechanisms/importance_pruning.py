@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 class ImportancePruning(Mechanism):
     """Removes the least important Gaussians, as many as the photos do not miss (`importance`).
 
-    Earns: EARNS_IMPORTANCE
+    Earns: 29 % fewer Gaussians at 0.00 dB. Draft, six boxes of kumamon, flowerpot and the demo,
+        two seeds (notebook/leave_one_out.md).
 
     Attributes:
         growth: largest share by which the photos' squared error may grow.

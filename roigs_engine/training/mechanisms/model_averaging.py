@@ -28,7 +28,8 @@ class ModelAveraging(Mechanism):
     most of all where photos differ in exposure. The mean over many steps fits all photos better.
     Unlike a decaying learning rate it does not slow learning down.
 
-    Earns: EARNS_AVERAGE
+    Earns: +0.27 dB in the silhouettes, +0.47 dB in images. Draft, six boxes of kumamon, flowerpot
+        and the demo, two seeds (notebook/leave_one_out.md).
 
     Attributes:
         steps: the last so many; 0: the last model alone.

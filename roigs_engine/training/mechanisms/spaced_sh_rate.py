@@ -26,7 +26,9 @@ class SpacedShRate(Mechanism):
     SH between them, and the same learning rate overfits the photos. Limit and exponent are
     empirical (notebook/few_photos.md). The paper keeps 3DGS's learning rate.
 
-    Earns: EARNS_SPACED
+    Earns: 0.00 dB with all photos, which are close together (six boxes, two seeds;
+        notebook/leave_one_out.md). With 20 photos of the demo, 3DGS's rate has +0.74, +0.67 and
+        −0.59 dB over the fast one (vase, tin, clock; one seed; notebook/few_photos.md).
 
     Attributes:
         limit: the largest view spacing, degrees, at which the rate stays.

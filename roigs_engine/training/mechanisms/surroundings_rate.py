@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 class SurroundingsRate(Mechanism):
     """In steps on whole photos, Gaussians outside the boxes learn faster, to come as far.
 
-    Earns: EARNS_RATE
+    Earns: +0.03 dB in the silhouettes (marginal), +0.12 dB in images. Draft, six boxes of
+        kumamon, flowerpot and the demo, two seeds (notebook/leave_one_out.md).
 
     Attributes:
         factor: on their learning rates.

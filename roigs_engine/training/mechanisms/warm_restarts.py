@@ -22,7 +22,8 @@ class WarmRestarts(Mechanism):
     A Gaussian's steps are then several times as large, and shrink while photos show it some hundred
     times.
 
-    Earns: EARNS_RESTARTS
+    Earns: +0.19 dB in the silhouettes, +0.25 dB in the near third. Draft, six boxes of kumamon,
+        flowerpot and the demo, two seeds (notebook/leave_one_out.md).
 
     Attributes:
         count: restarts at even distances, the first when densification ends.
