@@ -27,7 +27,9 @@ TOP = 26
 OBJECT = "vase"
 LIMIT = 1_500_000
 """The largest file, in bytes."""
-QUALITIES = (80, 70, 60, 52, 45, 38, 32, 26, 20)
+WIDTH = 800
+"""Of the film, in pixels; the window is larger, so that its panels fit."""
+QUALITIES = (60, 45, 40, 36, 33, 30, 26, 20)
 
 BOX_FRAMES, ORBIT_FRAMES = 10, 24
 ORBIT = 55.0
@@ -110,13 +112,18 @@ class Film:
         self.images[first:] = [self.images[k] for k in kept]
         self.milliseconds[first:] = [self.milliseconds[k] for k in kept]
 
+    @staticmethod
+    def _scaled(image: Image.Image) -> Image.Image:
+        height = round(image.height * WIDTH / image.width)
+        return image.resize((WIDTH, height), Image.Resampling.LANCZOS)
+
     def save(self, path: Path) -> int:
         """Write the film as an animated WebP that repeats; returns its bytes.
 
         Raises:
             WindowError: it is too large in every quality.
         """
-        first, *others = self.images
+        first, *others = (self._scaled(image) for image in self.images)
         for quality in QUALITIES:
             data = io.BytesIO()
             first.save(
@@ -127,7 +134,7 @@ class Film:
                 duration=self.milliseconds,
                 loop=0,
                 quality=quality,
-                method=6,
+                method=4,
             )
             if data.tell() <= LIMIT:
                 path.write_bytes(data.getvalue())
@@ -169,6 +176,7 @@ def train(film: Film) -> None:
     while blender.ask(BUSY):
         film.take(140, TRAINING_SECONDS)
     film.thin(first, TRAINING_FRAMES)
+    film.milliseconds[-1] = 700
     error = blender.ask(f"{STATE}.error")
     if error:
         raise WindowError(str(error))
