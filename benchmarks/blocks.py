@@ -1,7 +1,7 @@
 """Scenes in blocks: `python -m benchmarks.blocks WHOLE CUT ...`; see README.md.
 
 Compares finished runs of one scene: WHOLE without blocks, each CUT with blocks or groups. A test
-photo crosses a border if it shows much of two territories of that run. Prints a table.
+photo crosses a border if it shows much of two parts of that run. Prints a table.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Finished:
         """Number of blocks."""
         return int(self.manifest["config"].get("blocks", 1))
 
-    def territories(self) -> Partition:
+    def partition(self) -> Partition:
         """Who owns what of the result."""
         rois: list[OrientedBox] = [
             self.frame.box(roi_from_dict(record)) for record in self.manifest["rois"]
@@ -90,7 +90,7 @@ class Finished:
         train = self.scene.without(set(self.test))
         layout = lay_out(train, rois, self.blocks, tuple(map(tuple, groups)))
         assert layout.cells is not None, "the run is not cut"
-        return layout.cells.territories
+        return layout.cells.partition
 
     def psnr(self) -> dict[str, float]:
         """PSNR of the result on each test photo, dB."""
@@ -114,10 +114,10 @@ class Finished:
         return float(np.mean([roi["rows"][-1]["roi_psnr"] for roi in report["rois"]]))
 
 
-def across(run: Finished, territories: Partition) -> set[str]:
-    """Names of the test photos that show much of two territories or more."""
+def across(run: Finished, partition: Partition) -> set[str]:
+    """Names of the test photos that show much of two models' parts or more."""
     views = Views.of(run.scene.select(run.test))
-    shares = views.shares(territories.owner, int(territories.owner.max()) + 1)
+    shares = views.shares(partition.owner, int(partition.owner.max()) + 1)
     pairs = zip(views.scene.images, shares, strict=True)
     return {image.name for image, share in pairs if (share >= MUCH).sum() >= 2}
 
@@ -128,7 +128,7 @@ def rows(whole: Finished, cuts: list[Finished]) -> Iterator[list[str]]:
     yield [*_cost(whole), *[""] * 6, f"{whole.in_boxes():.2f}"]
     for run in cuts:
         assert run.test == whole.test, "the runs have other test photos"
-        border, now = across(run, run.territories()), run.psnr()
+        border, now = across(run, run.partition()), run.psnr()
         cells = _cost(run)
         for names in (border, set(run.test) - border):
             if not names:

@@ -49,7 +49,7 @@ def used_mask(beside: Path | None, in_run: Path | None, folder: Path) -> Path | 
     return in_run if _unchanged(beside, digests) else beside
 
 
-def made_masks(folder: Path) -> dict[str, str]:
+def generated_masks(folder: Path) -> dict[str, str]:
     """Name -> SHA-256 of the masks that were made and not changed; a damaged record has none."""
     recorded = _recorded(folder).items()
     found = {name: _unchanged(folder / name, digests) for name, digests in recorded}
@@ -119,7 +119,7 @@ def remove_masks(folder: Path) -> int:
     Raises:
         RunFolderError: one cannot be removed, or a folder is a link.
     """
-    made = made_masks(folder)
+    made = generated_masks(folder)
     for name in made:
         file = own_folder(folder, *PurePosixPath(name).parts[:-1]) / PurePosixPath(name).name
         _remove(file)

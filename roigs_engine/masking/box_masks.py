@@ -13,7 +13,7 @@ from ..colmap.photo_pixels import PhotoPixels
 from ..context import QUIET, Context
 from ..errors import ConfigError, SceneError
 from ..formats.files import atomic_write, own_folder, remove_leftovers, sha256
-from ..formats.mask_record import made_masks, made_of, mask_name, record_masks
+from ..formats.mask_record import generated_masks, made_of, mask_name, record_masks
 from ..formats.scribbles import Stroke
 from ..formats.text import counted
 from ..model.roi import OrientedBox
@@ -62,7 +62,7 @@ class BoxMasks:
             Stopped: on request; no mask has changed then.
         """
         remove_leftovers(self.folder)
-        made = made_masks(self.folder)
+        made = generated_masks(self.folder)
         views = self._views(made, context)
         inputs = _inputs(views, self.strokes, self.basis)
         views = views if self.anew else self._with_kept(views, made, inputs)
@@ -141,7 +141,7 @@ class BoxMasks:
 
         The record comes first: masks of a process that is killed here are known to be made.
         """
-        made = made_masks(self.folder)  # a person may have changed some meanwhile
+        made = generated_masks(self.folder)  # a person may have changed some meanwhile
         paths = {name: own_folder(self.folder, *Path(name).parts[:-1]) for name in files}
         names = [name for name in files if name in made or not (self.folder / name).is_file()]
         digests = {name: hashlib.sha256(files[name]).hexdigest() for name in names}

@@ -44,7 +44,7 @@ class Kept:
     photos: str
 
 
-def make_masks(
+def write_masks(
     photos: Sequence[Photo], source: Path, options: MaskOptions, folder: Folder, context: Context
 ) -> dict[str, str]:
     """Write the masks that the folder does not have yet, and say how many there are.
@@ -106,7 +106,7 @@ def make_masks(
 
 
 def digest_of(masks: Mapping[str, str]) -> str:
-    """Hash of all masks of `make_masks`; empty: there are none."""
+    """Hash of all masks of `write_masks`; empty: there are none."""
     return json_digest(dict(masks)) if masks else ""
 
 

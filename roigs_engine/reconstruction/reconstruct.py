@@ -32,7 +32,7 @@ from .database import (
     pair_kinds,
     pair_line,
 )
-from .feature_masks import digest_of, make_masks
+from .feature_masks import digest_of, write_masks
 from .folder import Folder
 from .mapping import map_models, map_rest
 from .pairs import LARGEST, similarities
@@ -245,7 +245,7 @@ def reconstruct(
             files = take_frames(source, folder, frames, context)
         found = _taken(files, {} if video else folder.unread_of(source), folder, context)
         place = folder.images if video else source
-        hidden = make_masks(found.photos, place, masks, folder, context)
+        hidden = write_masks(found.photos, place, masks, folder, context)
         settings = replace(settings, masks=digest_of(hidden))
         key = json_digest({"settings": asdict(settings), "photos": digests_of(found.photos)})
         if folder.is_done(key):

@@ -62,7 +62,7 @@ def trained_on(
             order=mixed_order if cell.rois else None,
         )
         stages.append(stage)
-    return joined(name, stages, cells.territories)
+    return joined(name, stages, cells.partition)
 
 
 def _config(photos: PhotoSets, config: TrainConfig, cell: Cell) -> TrainConfig:
@@ -93,8 +93,8 @@ def seen_part(run: Run, base: Source, images: Sequence[PosedImage], share: float
     return Source(kind=SEEN, base=base, images=tuple(images), share=share)
 
 
-def joined(name: str, stages: Sequence[Stage], territories: Partition) -> PlannedModel:
-    """A model of what each stage's territory owns of its result."""
+def joined(name: str, stages: Sequence[Stage], partition: Partition) -> PlannedModel:
+    """A model of what each stage's model owns of its result."""
     inputs = tuple(stages)
-    source = Source(kind=CELLS, inputs=inputs, digest=territories.digest, territories=territories)
+    source = Source(kind=CELLS, inputs=inputs, digest=partition.digest, partition=partition)
     return PlannedModel(name=name, source=source, stages=inputs)

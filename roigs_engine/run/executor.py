@@ -255,8 +255,8 @@ class Executor:
             chosen = slice(None) if rows is None else rows
             return Gaussians.from_points(scene.points[chosen], scene.colors[chosen])
         models = (self._of(stage) for stage in source.inputs)
-        if source.territories is not None:
-            return joined(models, source.territories)
+        if source.partition is not None:
+            return joined(models, source.partition)
         assert source.base is not None
         pairs = list(zip(source.rois, models, strict=True))
         return merge(self.gaussians(source.base), pairs, self._owners)

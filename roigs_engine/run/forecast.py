@@ -143,8 +143,8 @@ def expected_start(source: Source, ends: dict[str, int], scene: SfmScene) -> int
     if source.kind == POINTS:
         return len(scene.points) if source.rows is None else len(source.rows)
     own = [ends[stage.name] for stage in source.inputs]
-    if source.territories is not None:  # each result has some of what its neighbours own, too
-        owned = np.bincount(source.territories.owner, minlength=len(own))
+    if source.partition is not None:  # each result has some of what its neighbours own, too
+        owned = np.bincount(source.partition.owner, minlength=len(own))
         points = len(scene.points)
         shares = owned / max(points, 1) / [s.start_share(points) for s in source.inputs]
         return round(float((shares.clip(max=1) * own).sum()))

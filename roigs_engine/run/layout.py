@@ -2,7 +2,7 @@
 
 A cell is what one stage trains: the surroundings of a block (the Scene-GS of a scene that is cut),
 or a group of boxes with the surroundings nearest to them. The results of cells are joined by their
-territories. A run of one block and one group has one cell, which is the whole scene.
+partition. A run of one block and one group has one cell, which is the whole scene.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Split:
     """A scene in cells, and who owns what of their results."""
 
     cells: tuple[Cell, ...]
-    territories: Partition
+    partition: Partition
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -196,7 +196,7 @@ class _Making:
     def _split(
         self, owner: Int64, labels: Sequence[str], boxes: Sequence[tuple[OrientedBox, ...]]
     ) -> Split:
-        """Cells from who owns each point and camera: their photos, and their territories."""
+        """Cells from who owns each point and camera: their photos, and their partition."""
         views, scene = self.views, self.scene
         points, cameras = owner[: len(scene.points)].copy(), owner[len(scene.points) :]
         roi_owner = {roi.name: k for k, own in enumerate(boxes) for roi in own}
@@ -219,7 +219,7 @@ class _Making:
         visible = visible_owners(views, points, photos)
         return Split(
             cells=cells,
-            territories=Partition(
+            partition=Partition(
                 points=scene.points,
                 owner=np.where(self.boxed >= 0, points, visible),
                 rois=self.rois,

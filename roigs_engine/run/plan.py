@@ -33,16 +33,16 @@ class Source:
     Attributes:
         kind: `points` (the sparse points), `result` (of the one input), `crop` (the base's
             Gaussians in the one box), `merge` (the base, with the content of the k-th box taken
-            from input k), `cells` (of each input, what its territory owns) or `seen` (the base's
+            from input k), `cells` (of each input, what its model owns) or `seen` (the base's
             Gaussians that photos show).
         base: what `crop`, `merge` and `seen` start from.
         inputs: stages, without those of the base.
         rois: boxes, for `crop` and `merge`.
-        digest: hash of the sparse points, for `points`; of the territories, for `cells`; for
+        digest: hash of the sparse points, for `points`; of the partition, for `cells`; for
             `merge`, of the masks of the boxes' objects, which decide what their content is; empty:
             there are none.
         rows: of the sparse points, for `points`; None: all.
-        territories: of the inputs, for `cells`.
+        partition: of the inputs, for `cells`.
         images: the photos, for `seen`.
         share: of the sparse points that these observe; decides nothing, for estimates.
     """
@@ -53,7 +53,7 @@ class Source:
     rois: tuple[OrientedBox, ...] = ()
     digest: str = ""
     rows: Int64 | None = None
-    territories: Partition | None = None
+    partition: Partition | None = None
     images: tuple[PosedImage, ...] = ()
     share: float = 1.0
 

@@ -30,7 +30,7 @@ def scene_model(photos: PhotoSets, folder: str = "") -> PlannedModel:
         )
         for cell in blocks.cells
     ]
-    return joined(name, stages, blocks.territories)
+    return joined(name, stages, blocks.partition)
 
 
 def scene_stage(photos: PhotoSets, folder: str = "") -> Stage:

@@ -104,10 +104,10 @@ def reserved(orders: Sequence[Sequence[str]], kept_share: float) -> set[str]:
         name
         for order in orders
         for rank, name in enumerate(order)
-        if not evenly_spread(rank, kept_share)
+        if not in_even_share(rank, kept_share)
     }
 
 
-def evenly_spread(step: int, share: float) -> bool:
+def in_even_share(step: int, share: float) -> bool:
     """Whether `step` (from 0) belongs to the share `share` of all steps, evenly."""
     return int((step + 1) * share + 1e-9) > int(step * share + 1e-9)

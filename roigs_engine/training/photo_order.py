@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..selection.split import evenly_spread
+from ..selection.split import in_even_share
 
 PhotoAt = Callable[[int], int]
 
@@ -75,7 +75,7 @@ def mixed(first: PhotoAt, second: PhotoAt, share: float) -> PhotoAt:
 
     def photo_at(step: int) -> int:
         drawn = int(step * share + 1e-9)
-        return second(drawn) if evenly_spread(step, share) else first(step - drawn)
+        return second(drawn) if in_even_share(step, share) else first(step - drawn)
 
     return photo_at
 

@@ -11,7 +11,7 @@ import pytest
 
 from roigs_engine.errors import ConfigError, EngineError
 from roigs_engine.formats.files import sha256
-from roigs_engine.formats.mask_record import MADE, made_masks, record_masks, remove_masks
+from roigs_engine.formats.mask_record import MADE, generated_masks, record_masks, remove_masks
 from roigs_engine.formats.scribbles import (
     BACKGROUND,
     OBJECT,
@@ -80,9 +80,9 @@ def test_only_masks_that_were_made_are_removed(tmp_path: Path) -> None:
         (box / name).write_bytes(name.encode())
     made = {name: sha256(box / name) for name in ("sub/a.jpg.png", "sub/b.jpg.png")}
     record_masks(box, made | {"../../x.png": "0"})
-    assert made_masks(box) == made
+    assert generated_masks(box) == made
     (box / "sub/b.jpg.png").write_bytes(b"changed by hand")
-    assert made_masks(box).keys() == {"sub/a.jpg.png"}
+    assert generated_masks(box).keys() == {"sub/a.jpg.png"}
     assert remove_masks(box) == 1
     left = {path.relative_to(box).as_posix() for path in box.rglob("*.png")}
     assert left == {"sub/b.jpg.png", "c.jpg.png"} and not (box / MADE).exists()
@@ -93,7 +93,7 @@ def test_a_damaged_record_protects_all_masks(tmp_path: Path) -> None:
     (tmp_path / "a.png").write_bytes(b"x")
     for text in ("", "[]", '{"masks": 3}', '{"masks": {"/etc/passwd": "1", "a.png": 3}}'):
         (tmp_path / MADE).write_text(text)
-        assert made_masks(tmp_path) == {}
+        assert generated_masks(tmp_path) == {}
 
 
 def test_a_folder_that_is_a_link_is_not_removed_through(tmp_path: Path) -> None:

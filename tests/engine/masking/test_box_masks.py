@@ -15,7 +15,7 @@ from PIL import Image
 from roigs_engine.context import Context
 from roigs_engine.errors import ConfigError, EngineError, Stopped
 from roigs_engine.formats.events import Event, Message
-from roigs_engine.formats.mask_record import MADE, made_masks
+from roigs_engine.formats.mask_record import MADE, generated_masks
 from roigs_engine.formats.scribbles import BACKGROUND, OBJECT, Stroke
 
 from .scenes import BOX, BallScene, ball_scene, iou, strokes
@@ -59,7 +59,7 @@ def test_one_scribble_gives_the_masks_of_all_photos(ball: BallScene, tmp_path: P
     assert min(scores(ball, tmp_path)) > 0.9, scores(ball, tmp_path)
     rows = knowledge.rows()
     assert float((rows == ball.ball)[: len(rows)].float().mean()) > 0.95
-    assert made_masks(tmp_path).keys() == set(made)
+    assert generated_masks(tmp_path).keys() == set(made)
 
 
 def test_without_a_model_points_and_colours_carry_the_masks(
@@ -194,7 +194,7 @@ def test_masks_of_a_killed_process_are_made_again(
     monkeypatch.undo()
     half = tmp_path / "masks/.5.png.png.1-00000000.part"
     half.write_bytes(b"")
-    assert set(made_masks(tmp_path / "masks")) == {path.name for path in written[:2]}
+    assert set(generated_masks(tmp_path / "masks")) == {path.name for path in written[:2]}
     again = work(ball, tmp_path / "masks", {"0.png": strokes(ball.true["0.png"])}).make(votes(ball))
     assert len(again) == len(ball.photos) and not half.exists()
 

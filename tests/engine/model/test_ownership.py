@@ -51,14 +51,14 @@ def test_the_units_do_not_matter() -> None:
 
 def test_joined_models_have_each_position_once() -> None:
     models = [truth(300, seed=0), truth(300, seed=0)]
-    territories = halves()
-    result = joined(models, territories)
+    partition = halves()
+    result = joined(models, partition)
     assert len(result) == 300  # of two equal models, one
     mine = {tuple(row) for row in models[0].means.tolist()}
     assert {tuple(row) for row in result.means.tolist()} == mine
-    owners = territories.owners(result.means.double().numpy())
-    assert (np.diff(owners) >= 0).all()  # the first territory's first
-    assert torch.equal(joined(models, territories).sh, result.sh)
+    owners = partition.owners(result.means.double().numpy())
+    assert (np.diff(owners) >= 0).all()  # the first model's first
+    assert torch.equal(joined(models, partition).sh, result.sh)
 
 
 def test_the_digest_tells_owners_apart() -> None:

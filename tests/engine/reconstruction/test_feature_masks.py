@@ -16,7 +16,7 @@ from roigs_engine.formats.files import sha256
 from roigs_engine.photos import mask_images
 from roigs_engine.photos.mask_images import stored_mask
 from roigs_engine.photos.mask_paths import MaskFiles, MaskOptions
-from roigs_engine.reconstruction.feature_masks import digest_of, make_masks
+from roigs_engine.reconstruction.feature_masks import digest_of, write_masks
 from roigs_engine.reconstruction.folder import Folder
 from roigs_engine.reconstruction.photo_checks import look_at
 from roigs_engine.reconstruction.settings import Settings
@@ -48,7 +48,7 @@ def test_masks_of_all_kinds_are_written_for_pycolmap(tmp_path: Path) -> None:
     assert set(files) == set(NAMES)  # the mask beside b is no photo
     photos = look_at(files, tmp_path / "photos.json", QUIET).photos
     context = Context(emit=events.append)
-    masks = make_masks(photos, folder.images, MaskOptions(), folder, context)
+    masks = write_masks(photos, folder.images, MaskOptions(), folder, context)
     assert set(masks) == {"a.png", "sub/b.png", "c.png"}
     for name in masks:
         mask = stored_mask(folder.masks / f"{name}.png")
@@ -66,11 +66,11 @@ def test_masks_of_all_kinds_are_written_for_pycolmap(tmp_path: Path) -> None:
 def test_other_masks_are_other_features(tmp_path: Path) -> None:
     folder = scene(tmp_path)
     photos = look_at(folder.photos_of(folder.images), tmp_path / "photos.json", QUIET).photos
-    plain = make_masks(photos, folder.images, MaskOptions(used=False), folder, QUIET)
+    plain = write_masks(photos, folder.images, MaskOptions(used=False), folder, QUIET)
     assert (plain, digest_of(plain), Settings().masks) == ({}, "", "")
-    first = make_masks(photos, folder.images, MaskOptions(), folder, QUIET)
+    first = write_masks(photos, folder.images, MaskOptions(), folder, QUIET)
     options = MaskOptions(inverted=True)
-    second = make_masks(photos, folder.images, options, folder, QUIET)
+    second = write_masks(photos, folder.images, options, folder, QUIET)
     assert len({digest_of(masks) for masks in (plain, first, second)}) == 3
     assert not stored_mask(folder.masks / "a.png.png")[:, :20].any()
     assert stored_mask(folder.masks / "c.png.png")[:, :20].all()  # an alpha channel stays
@@ -82,7 +82,7 @@ def test_hidden_photos_are_named(tmp_path: Path) -> None:
     folder, events = scene(tmp_path), list[Event]()
     Image.new("1", (40, 30)).save(tmp_path / "scene/masks/a.png.png")
     photos = look_at(folder.photos_of(folder.images), tmp_path / "photos.json", QUIET).photos
-    make_masks(photos, folder.images, MaskOptions(), folder, Context(emit=events.append))
+    write_masks(photos, folder.images, MaskOptions(), folder, Context(emit=events.append))
     warned = [e.text for e in events if isinstance(e, Message) and e.level == "warning"]
     assert warned == ["1 photo hidden by its mask: a.png."]
 
@@ -94,9 +94,9 @@ def test_an_alpha_channel_is_decoded_once(tmp_path: Path, monkeypatch: pytest.Mo
     alpha_mask = mask_images.alpha_mask
     monkeypatch.setattr(mask_images, "alpha_mask", lambda p: decoded.append(p) or alpha_mask(p))
     photos = look_at(folder.photos_of(source), tmp_path / "photos.json", QUIET).photos
-    first = make_masks(photos, source, MaskOptions(), folder, QUIET)
+    first = write_masks(photos, source, MaskOptions(), folder, QUIET)
     assert sorted(path.name for path in decoded) == ["c.png", "d.png"]
-    assert make_masks(photos, source, MaskOptions(), folder, QUIET) == first
+    assert write_masks(photos, source, MaskOptions(), folder, QUIET) == first
     assert [path.name for path in decoded[2:]] == ["d.png"]
 
 
@@ -104,28 +104,28 @@ def test_photos_in_the_project_have_the_same_masks_again(tmp_path: Path) -> None
     """`reconstruct SCENE/images --out SCENE`: a mask that was made is none that a photo has."""
     folder = scene(tmp_path)
     photos = look_at(folder.photos_of(folder.images), tmp_path / "photos.json", QUIET).photos
-    first = make_masks(photos, folder.images, MaskOptions(), folder, QUIET)
-    assert make_masks(photos, folder.images, MaskOptions(), folder, QUIET) == first
+    first = write_masks(photos, folder.images, MaskOptions(), folder, QUIET)
+    assert write_masks(photos, folder.images, MaskOptions(), folder, QUIET) == first
     # As in a record of an older version.
     record = folder.work("masks.json")
     record.write_text(json.dumps(first))
-    assert make_masks(photos, folder.images, MaskOptions(), folder, QUIET) == first
+    assert write_masks(photos, folder.images, MaskOptions(), folder, QUIET) == first
     moved = Folder((tmp_path / "scene").rename(tmp_path / "moved"))
     photos = look_at(moved.photos_of(moved.images), tmp_path / "photos.json", QUIET).photos
-    assert make_masks(photos, moved.images, MaskOptions(), moved, QUIET) == first
+    assert write_masks(photos, moved.images, MaskOptions(), moved, QUIET) == first
 
 
 def test_masks_that_a_person_removed_are_removed(tmp_path: Path) -> None:
     folder = scene(tmp_path)
     photos = look_at(folder.photos_of(folder.images), tmp_path / "photos.json", QUIET).photos
-    make_masks(photos, folder.images, MaskOptions(), folder, QUIET)
+    write_masks(photos, folder.images, MaskOptions(), folder, QUIET)
     mine = folder.masks / "sub/b.png.png"
     Image.new("1", (40, 30), 1).save(mine)
     (tmp_path / "scene/masks/a.png.png").unlink()
     (tmp_path / "scene/images/sub/b.mask.png").unlink()
-    assert set(make_masks(photos, folder.images, MaskOptions(), folder, QUIET)) == {"c.png"}
+    assert set(write_masks(photos, folder.images, MaskOptions(), folder, QUIET)) == {"c.png"}
     assert not (folder.masks / "a.png.png").exists() and mine.exists()  # a person painted that
-    assert make_masks(photos, folder.images, MaskOptions(used=False), folder, QUIET) == {}
+    assert write_masks(photos, folder.images, MaskOptions(used=False), folder, QUIET) == {}
     assert not (folder.masks / "c.png.png").exists()
 
 
@@ -134,10 +134,10 @@ def test_masks_beside_the_first_photos_stay(tmp_path: Path) -> None:
     source, folder = scene(tmp_path).images, Folder(tmp_path / "out")
     photos = look_at(folder.photos_of(source), tmp_path / "photos.json", QUIET).photos
     folder.take_photos(list(photos))
-    first = make_masks(photos, source, MaskOptions(), folder, QUIET)
+    first = write_masks(photos, source, MaskOptions(), folder, QUIET)
     photos = look_at(folder.photos_of(folder.images), tmp_path / "own.json", QUIET).photos
     for _ in range(2):
-        assert make_masks(photos, folder.images, MaskOptions(), folder, QUIET) == first
+        assert write_masks(photos, folder.images, MaskOptions(), folder, QUIET) == first
     assert all((folder.masks / f"{name}.png").exists() for name in first)
 
 
@@ -145,9 +145,9 @@ def test_masks_beside_the_first_photos_stay(tmp_path: Path) -> None:
 def test_a_damaged_record_is_made_anew(tmp_path: Path, record: str) -> None:
     folder = scene(tmp_path)
     photos = look_at(folder.photos_of(folder.images), tmp_path / "photos.json", QUIET).photos
-    first = make_masks(photos, folder.images, MaskOptions(), folder, QUIET)
+    first = write_masks(photos, folder.images, MaskOptions(), folder, QUIET)
     folder.work("masks.json").write_text(record)
-    assert make_masks(photos, folder.images, MaskOptions(), folder, QUIET) == first
+    assert write_masks(photos, folder.images, MaskOptions(), folder, QUIET) == first
 
 
 def test_a_record_names_no_file_outside(tmp_path: Path) -> None:
@@ -157,5 +157,5 @@ def test_a_record_names_no_file_outside(tmp_path: Path) -> None:
     entry = {"digest": "", "sha256": sha256(other), "photos": ""}
     folder.masks.mkdir(parents=True)
     folder.work("masks.json").write_text(json.dumps({"../../masks/a.png": entry}))
-    make_masks(photos, folder.images, MaskOptions(used=False), folder, QUIET)
+    write_masks(photos, folder.images, MaskOptions(used=False), folder, QUIET)
     assert other.exists()

@@ -23,7 +23,7 @@ from roigs_engine.photos.mask_paths import MaskOptions
 from roigs_engine.reconstruction import worker
 from roigs_engine.reconstruction.child import WORKER, run_task
 from roigs_engine.reconstruction.database import feature_counts, matched_pairs
-from roigs_engine.reconstruction.feature_masks import digest_of, make_masks
+from roigs_engine.reconstruction.feature_masks import digest_of, write_masks
 from roigs_engine.reconstruction.folder import Folder
 from roigs_engine.reconstruction.photo_checks import Photo, look_at
 from roigs_engine.reconstruction.reconstruct import (
@@ -157,7 +157,7 @@ def test_features_are_not_found_where_a_mask_is_black(tmp_path: Path) -> None:
     folder.work().mkdir()
     found = look_at(folder.photos_of(folder.images), folder.work("photos.json"), QUIET)
     options = MaskOptions(folder=tmp_path / "masks")
-    masks = make_masks(found.photos, folder.images, options, folder, QUIET)
+    masks = write_masks(found.photos, folder.images, options, folder, QUIET)
     settings = replace(QUICK, masks=digest_of(masks))
     find_features(folder, found.photos, settings, 1, QUIET)
     with closing(sqlite3.connect(folder.database)) as file:

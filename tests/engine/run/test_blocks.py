@@ -189,7 +189,7 @@ def test_no_border_cuts_a_box(tmp_path: Path, scene: SfmScene) -> None:
         rng = np.random.default_rng(0)
         for roi in run.rois:
             inside = roi.centre + rng.uniform(-1, 1, (200, 3)) * roi.half_extents * 0.99
-            assert len(set(split.territories.owners(inside))) == 1
+            assert len(set(split.partition.owners(inside))) == 1
 
 
 def test_masks_of_objects_and_the_other_strategy(tmp_path: Path, scene: SfmScene) -> None:

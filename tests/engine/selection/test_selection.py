@@ -15,6 +15,7 @@ from roigs_engine.errors import ConfigError, RoiError
 from roigs_engine.formats.events import Message
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, PosedImage, SfmScene
+from roigs_engine.requests import choices
 from roigs_engine.selection import (
     METHODS,
     SelectionConfig,
@@ -97,6 +98,10 @@ def test_the_area_does_not_depend_on_the_photos_resolution():
         scene = scene_of([photo("a.jpg", [0, -5, 1], sees=[0], camera=camera)], points)
         views.append(select_cameras(scene, BOX, SelectionConfig()).features["a.jpg"]["area"])
     assert views[0] == pytest.approx(views[1], rel=0.03)
+
+
+def test_requests_name_the_methods() -> None:
+    assert set(choices.METHODS) == set(METHODS)
 
 
 @pytest.mark.parametrize("method", METHODS)
