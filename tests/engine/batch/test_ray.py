@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -60,15 +61,18 @@ def events(batch: subprocess.Popen[str]) -> Iterator[dict[str, Any]]:
     return map(json.loads, batch.stdout)
 
 
-def kill_an_engine(run: Path, orphans: list[int]) -> None:
-    """One of the driver that is there: nobody reports the end of a killed driver's."""
-    until = time.monotonic() + 20
-    while time.monotonic() < until:
-        with suppress(ValueError, ProcessLookupError):
-            os.kill(max(set(engines(run)) - set(orphans)), signal.SIGKILL)
-            return
-        time.sleep(0.02)
-    raise AssertionError("no engine came")
+def kill_engines(run: Path, spared: list[int], told: threading.Event) -> None:
+    """Kill engines as they start, before they can have done their part, until one's end is told.
+
+    Not at events of theirs: these come late, so that several would hit the same part, or none.
+    """
+    until, known = time.monotonic() + 120, set(spared)
+    while not told.wait(0.02):
+        assert time.monotonic() < until, "the end of no engine was told"
+        for process in set(engines(run)) - known:
+            known.add(process)
+            with suppress(ProcessLookupError):
+                os.kill(process, signal.SIGKILL)
 
 
 def test_killed_drivers_engines_and_machines(
@@ -81,24 +85,30 @@ def test_killed_drivers_engines_and_machines(
             if event["event"] == "progress":
                 batch.kill()
                 break
-    orphans = engines(run)
-    with start(*options) as batch:  # then engines, until one's end is told, then a machine
-        said: list[dict[str, Any]] = []
-        told = removed = False
+    orphans = engines(run)  # nobody reports their end
+    said: list[dict[str, Any]] = []
+    told, removed = threading.Event(), threading.Event()
+
+    def follow() -> None:
         for event in events(batch):
             said.append(event)
             text = event["text"] if event["event"] == "message" else ""
-            told |= "ended by signal 9" in text and "tried again" in text
-            if event["event"] == "stagestarted" and not told:
-                kill_an_engine(run, orphans)  # which may have done its part already
-            elif event["event"] == "stagestarted" and not removed:
-                removed = True
+            if "ended by signal 9" in text and "tried again" in text:
+                told.set()
+            if event["event"] == "stagestarted" and told.is_set() and not removed.is_set():
+                removed.set()
                 cluster.remove_node(cluster.second, allow_graceful=False)
                 request.addfinalizer(lambda: setattr(cluster, "second", cluster.add_node(**EACH)))
+
+    with start(*options, "--retries", 20) as batch:  # then engines, then a machine
+        reader = threading.Thread(target=follow)
+        reader.start()
+        kill_engines(run, orphans, told)
+        reader.join()
         assert batch.stderr is not None
         errors = batch.stderr.read()
         assert batch.wait(60) == 0, errors
-    assert told and removed and "Traceback" not in errors
+    assert removed.is_set() and "Traceback" not in errors
     whole = [event for event in said if event.get("stage") == "batch"]
     assert whole[-1]["step"] == whole[-1]["total"] == 2
     for name in SCENES:
