@@ -23,6 +23,25 @@ class RootIsNoPackage:
         return pytest.Dir.from_parent(parent, path=path) if path == ROOT else None
 
 
+def same_examples() -> None:
+    """Have hypothesis draw the same examples in each run, with no time limit on one.
+
+    Unasked, it also draws constants of whatever modules of the project are imported. So what a
+    test got depended on the tests before it, and on any line that changed anywhere.
+    """
+    try:
+        import hypothesis
+        from hypothesis.internal.conjecture import providers
+    except ImportError:  # tests/engine and tests/fuzz also run where it is not installed
+        return
+    hypothesis.settings.register_profile(
+        "roigs", derandomize=True, deadline=None, database=None, max_examples=50
+    )
+    hypothesis.settings.load_profile("roigs")
+    providers._get_local_constants = lambda: providers._local_constants
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Register what must be known before collection begins."""
     config.pluginmanager.register(RootIsNoPackage())
+    same_examples()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from pathlib import Path
 from types import ModuleType
 
@@ -14,6 +13,7 @@ from tests.addon.fake_engine import alive, fake, until, use
 from tests.addon.other_blender import engine_pid, other_blender
 from tests.addon.photo_cases import is_shown, panel, photos_in, refusal
 from tests.addon.scenes import ROOT
+from tests.machine_load import Waited
 
 pytestmark = pytest.mark.blender
 
@@ -73,9 +73,9 @@ def test_what_was_stopped_resumes(blender: ModuleType, reconstructing, tmp_path:
     job = current.start(settings.engine(FOR_RECONSTRUCTING), reconstruct_job.spec(scene))
     blender.ops.wm.save_as_mainfile(filepath=str(blend))
     assert until(lambda: not job.poll() or current.state().stage == "features", 60)
-    asked = time.monotonic()
+    waited = Waited()
     assert blender.ops.roigs.stop() == {"FINISHED"}
-    assert until(lambda: not job.poll(), 30) and time.monotonic() - asked < 2
+    assert until(lambda: not job.poll(), 30) and waited.at_most(2)
     assert job.result.stopped and not current.state().error and not scene.roigs.colmap
     assert (project / "reconstruction" / "state.json").is_file()
 

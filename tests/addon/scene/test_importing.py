@@ -313,9 +313,9 @@ def test_a_thousand_cameras_and_a_million_points(
     from roigs_addon.scene import lookup
 
     project = write_large_model(tmp_path / "large", 1000, 1_000_000, 3000)
-    start = time.perf_counter()
+    start = time.process_time()
     scene = imported(blender, project)
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     print(f"{seconds:.1f} s")
     assert len(lookup.cameras(scene)) == 1000
     assert len(lookup.points(scene).data.vertices) == 1_000_000

@@ -123,7 +123,7 @@ def test_window_is_the_silhouette_with_a_margin() -> None:
     assert crop_window(away, CAMERA, np.eye(4)) == (slice(0, 60), slice(0, 80))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.5, 2.0, 6.0]))
 def test_outline_stays_in_the_picture_and_on_the_box(seed: int, distance: float) -> None:
     rng = np.random.default_rng(seed)

@@ -88,7 +88,7 @@ def test_masked_ssim_is_that_of_wang_away_from_the_border() -> None:
     assert metrics.ssim(image, target, mask) == pytest.approx(wang[mask.numpy()].mean(), abs=1e-4)
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(st.integers(0, 2**31), st.floats(0.001, 0.999))
 def test_masked_ssim_is_the_mean_of_the_full_map(seed: int, share: float) -> None:
     image, target = picture(seed), photo(seed + 1)

@@ -59,9 +59,9 @@ def test_too_little_to_tell(count: int) -> None:
 
 
 def test_many_photos_take_no_longer_than_few() -> None:
-    started = time.perf_counter()
+    started = time.process_time()
     assert foreground_bounds(photos(2000), np.tile(room(), (100, 1)), np.eye(4))
-    assert time.perf_counter() - started < 2
+    assert time.process_time() - started < 2
 
 
 def test_a_thin_top_is_inside() -> None:

@@ -55,7 +55,7 @@ def assert_same(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> None:
         assert a[name].tobytes() == b[name].tobytes()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 30), st.sampled_from([1, 4, 9, 16]), st.integers(0, 2**32 - 1))
 def test_round_trip_is_bit_exact(
     tmp_path_factory: pytest.TempPathFactory, count: int, bands: int, seed: int

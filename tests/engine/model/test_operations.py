@@ -42,7 +42,7 @@ def boxes(rng: np.random.Generator, count: int) -> list[OrientedBox]:
     return out
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 3))
 def test_every_gaussian_comes_from_the_model_that_owns_its_place(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
@@ -60,7 +60,7 @@ def test_every_gaussian_comes_from_the_model_that_owns_its_place(seed: int, coun
             assert getattr(kept, name).equal(getattr(original, name))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1))
 def test_putting_the_scene_s_own_parts_back_changes_the_order_only(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -113,7 +113,7 @@ def test_moving_box_and_points_together_changes_nothing(seed: int) -> None:
     assert np.allclose(box.corners() @ motion[:3, :3].T + motion[:3, 3], moved.corners())
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(SEEDS, st.sampled_from([0.5, 1.5, 4.0, 12.0]))
 def test_silhouette_equals_the_rays_that_meet_the_box(seed: int, distance: float) -> None:
     rng = np.random.default_rng(seed)
@@ -125,7 +125,7 @@ def test_silhouette_equals_the_rays_that_meet_the_box(seed: int, distance: float
     assert disagreement(box, pose) < 0.005
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(SEEDS)
 def test_silhouette_holds_every_projected_point_of_the_box(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -277,9 +277,6 @@ def test_pictures_have_limits_and_consistency_has_none() -> None:
 
 @settings(
     max_examples=20,
-    derandomize=True,
-    deadline=None,
-    database=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 @given(

@@ -94,7 +94,7 @@ def naive_greedy(views: int, count: int, value) -> list[int]:
     return order
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seeds)
 def test_the_score_is_density_times_occupancy(seed):
     candidates = instance(seed)
@@ -120,7 +120,7 @@ def test_voxels_are_cubes_and_both_ends_belong_to_the_box():
     assert voxel_indices(dense, BOX).max() + 1 == 16 * 8 * 16
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seeds)
 def test_lazy_greedy_takes_the_exact_argmax_at_every_step(seed):
     candidates = instance(seed, share=0.15)
@@ -133,7 +133,7 @@ def test_lazy_greedy_takes_the_exact_argmax_at_every_step(seed):
     assert sorted(picks.order) == list(range(12))
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seeds, st.sets(st.integers(0, 11)), st.sets(st.integers(0, 11)), st.integers(0, 11))
 def test_coverage_is_monotone_and_submodular(seed, small, more, view):
     candidates = instance(seed)
@@ -151,7 +151,7 @@ def test_coverage_is_monotone_and_submodular(seed, small, more, view):
     assert states[0].gain(view) == 0
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seeds)
 def test_lazy_coverage_equals_naive_greedy(seed):
     candidates = instance(seed)

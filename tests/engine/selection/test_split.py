@@ -94,7 +94,7 @@ def test_impossible_share(every: int) -> None:
         choose_test_views(scene_of([{0}] * 8), [box(0)], every=every)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1), st.integers(2, 10), st.integers(1, 3))
 def test_shares_hold_for_any_scene(seed: int, every: int, count: int) -> None:
     rng = np.random.default_rng(seed)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -77,7 +77,6 @@ def rng() -> torch.Generator:
     return torch.Generator().manual_seed(1)
 
 
-@settings(deadline=None)
 @given(st.integers(1, 40), st.integers(0, 1000))
 def test_clones_and_splits_are_counted_and_traced(count: int, seed: int) -> None:
     before = model(count, seed)
@@ -279,7 +278,6 @@ def test_statistics_after_an_edit() -> None:
     assert weight.tolist() == pytest.approx([0.3, float("inf"), 0.3])
 
 
-@settings(deadline=None)
 @given(st.integers(0, 200), st.integers(0, 1000))
 def test_morton_order_is_a_permutation(count: int, seed: int) -> None:
     order = morton_order(model(count, seed).means)
@@ -308,7 +306,6 @@ def test_morton_order_survives_far_and_equal_positions() -> None:
     assert float(steps.mean()) < 0.3 * float(shuffled.mean())
 
 
-@settings(deadline=None)
 @given(st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: sum(map(abs, q)) > 0.1))
 def test_rotation_matrices_read_quaternions_as_wxyz(quat: list[float]) -> None:
     w, x, y, z = quat
