@@ -17,7 +17,8 @@ from bpy.props import (
     StringProperty,
 )
 
-from .engine.presets import PRESETS, STRATEGIES, follow_preset
+from .engine.presets import PRESETS, follow_preset
+from .shared import choices, declare, project_requests, run_requests, values
 
 KINDS = (
     ("NONE", "None", "Not an object of ROI-GS"),
@@ -27,33 +28,9 @@ KINDS = (
     ("ROI", "Box", "A box (ROI, region of interest) around something to sharpen"),
     ("SPLATS", "Gaussians", "Trained Gaussians"),
 )
-METHODS = (
-    (
-        "coverage",
-        "Coverage",
-        "Photos that together show the box from all sides, as large as possible",
-    ),
-    ("gp9", "Gaussian process (paper)", "A Gaussian process over nine view parameters"),
-    ("gp6", "Gaussian process, 6", "A Gaussian process over six view parameters"),
-    ("greedy", "Greedy", "At each step the photo that improves the score most"),
-    ("static", "Static", "Photos ranked once, by distance, size and points"),
-    ("fvs", "Farthest views", "Viewpoints as far apart as possible"),
-    ("random", "Random", "Random photos, for comparison"),
-)
 RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
 """For a path that may begin with `//`; earlier Blenders need no such option."""
 
-PAIRS = (
-    ("auto", "Auto", "All pairs if there are few photos, otherwise the most similar ones"),
-    ("all", "All", "Every pair: slow with many photos"),
-    ("similar", "Similar", "Each photo with the most similar ones"),
-    ("ordered", "Ordered", "Photos in the order of their names: each with its neighbours"),
-)
-SHARED_CAMERAS = (
-    ("auto", "Auto", "Photos of one device, lens, focal length and size share a camera"),
-    ("one", "One", "All photos of one size share a camera"),
-    ("each", "Each", "Each photo has its own camera"),
-)
 LEVELS = (
     ("RESULT", "Result", "Scene and boxes"),
     ("SCENE", "Coarse", "The whole-scene model, before the boxes were refined"),
@@ -61,6 +38,29 @@ LEVELS = (
     ("PREVIEW", "Preview", "The model that is being trained"),
     ("IMPORTED", "Imported", "A file of Gaussians that the user imported"),
 )
+
+
+MOST = (1 << 31) - 1  # that Blender's integers hold
+
+
+def setting(kind: Any, option: str, request: type[Any] = run_requests.Train, **more: Any) -> Any:
+    """A property for an option of the engine, which tells name, description, range and default.
+
+    Args:
+        kind: of property.
+        option: its name in the request.
+        request: that has it.
+        more: what the option does not tell, or what is different in Blender.
+    """
+    known = declare.options_of(request)[option]
+    facts: dict[str, Any] = {"name": known.label, "description": known.tooltip}
+    if isinstance(known.kind, values.Number):
+        low = 0 if known.kind.zero else known.kind.low
+        number = int if known.kind.integer else float
+        facts |= {"min": number(low), "max": number(min(known.kind.high, MOST))}
+    if known.default is not None:
+        facts["default"] = known.default
+    return kind(**(facts | more))
 
 
 class RoigsPhotoItem(bpy.types.PropertyGroup):
@@ -197,22 +197,10 @@ class RoigsScene(bpy.types.PropertyGroup):
         description="Folder of masks, NAME.png for the photo NAME, black where features are left"
         " out (empty: the folder masks beside the photos, if there is one)",
     )
-    feature_side: IntProperty(
-        name="Photo Size",
-        default=1600,
-        min=64,
-        max=8192,
-        subtype="PIXEL",
-        description="Longest side of the photos in which features are found",
-    )
-    pairs: EnumProperty(
-        items=PAIRS, name="Pairs", default="auto", description="Which photos are matched"
-    )
-    shared_cameras: EnumProperty(
-        items=SHARED_CAMERAS,
-        name="Cameras",
-        default="auto",
-        description="Which photos share a camera",
+    feature_side: setting(IntProperty, "max_side", project_requests.Reconstruct, subtype="PIXEL")
+    pairs: setting(EnumProperty, "pairs", project_requests.Reconstruct, items=choices.PAIR_ITEMS)
+    shared_cameras: setting(
+        EnumProperty, "cameras", project_requests.Reconstruct, items=choices.CAMERA_ITEMS
     )
 
     root: PointerProperty(
@@ -235,47 +223,18 @@ class RoigsScene(bpy.types.PropertyGroup):
         description="Where training keeps its files (empty: chosen when the first job starts)",
     )
     active_roi: PointerProperty(type=bpy.types.Object, name="Active Box")
-    method: EnumProperty(items=METHODS, name="Method", default="coverage")
-    count: IntProperty(
-        name="Photos",
-        default=0,
-        min=0,
-        description="How many photos each box gets; 0: the method decides",
-    )
-    seed: IntProperty(name="Seed", default=0, min=0, description="Seed of all random choices")
-    preset: EnumProperty(items=PRESETS, name="Preset", default="draft", update=follow_preset)
+    method: setting(EnumProperty, "method", items=choices.METHOD_ITEMS, default="coverage")
+    count: setting(IntProperty, "count", min=0, default=0)
+    seed: setting(IntProperty, "seed", default=0)
+    preset: setting(EnumProperty, "preset", items=PRESETS, update=follow_preset)
     is_paper: BoolProperty(description="Whether the settings followed the paper's preset last")
-    strategy: EnumProperty(items=STRATEGIES, name="Boxes", default="joint")
-    steps_factor: FloatProperty(
-        name="Steps ×",
-        default=1.0,
-        min=0.001,
-        max=1000.0,
-        soft_max=10.0,
-        description="Multiplies the preset's steps: fewer are faster, more are finer",
+    strategy: setting(EnumProperty, "strategy", items=choices.STRATEGY_ITEMS, default="joint")
+    steps_factor: setting(FloatProperty, "steps_factor", default=1.0, min=0.001, soft_max=10.0)
+    antialiased: setting(BoolProperty, "antialiased", default=True)
+    max_side: setting(
+        IntProperty, "max_side", default=640, soft_min=64, soft_max=16384, subtype="PIXEL"
     )
-    antialiased: BoolProperty(
-        name="Anti-aliased",
-        default=True,
-        description="Sharp from near and far. Turn it off for viewers without support for"
-        " anti-aliased Gaussians",
-    )
-    max_side: IntProperty(
-        name="Photo Size",
-        default=640,
-        min=1,
-        soft_min=64,
-        max=1 << 20,
-        soft_max=16384,
-        subtype="PIXEL",
-        description="Longest side of the photos in training; larger is sharper and slower",
-    )
-    test_every: IntProperty(
-        name="Test Photos",
-        default=0,
-        min=0,
-        description="Hold out one photo in so many to measure quality: 8 is one in eight; 0: none",
-    )
+    test_every: setting(IntProperty, "test_every", default=0)
     excluded: CollectionProperty(
         type=RoigsExcludedPhoto, description="Photos that are neither selected nor trained on"
     )

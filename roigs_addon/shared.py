@@ -31,6 +31,9 @@ if TYPE_CHECKING or __package__ == "roigs_addon":
         text,
         transforms,
     )
+    from roigs_engine.requests import choices, declare, values
+    from roigs_engine.requests import projects as project_requests
+    from roigs_engine.requests import runs as run_requests
 else:
     from ..roigs_engine.errors import EngineError
     from ..roigs_engine.formats import (
@@ -54,10 +57,15 @@ else:
         text,
         transforms,
     )
+    from ..roigs_engine.requests import choices, declare, values
+    from ..roigs_engine.requests import projects as project_requests
+    from ..roigs_engine.requests import runs as run_requests
 
 __all__ = [
     "EngineError",
+    "choices",
     "clean_up",
+    "declare",
     "drawable",
     "events",
     "files",
@@ -68,12 +76,15 @@ __all__ = [
     "lock",
     "mask_record",
     "names",
+    "project_requests",
     "projects",
     "rois",
     "run_files",
+    "run_requests",
     "scene_transform",
     "scribbles",
     "splat_ply",
     "text",
     "transforms",
+    "values",
 ]

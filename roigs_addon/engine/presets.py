@@ -1,4 +1,4 @@
-"""The presets and strategies of the engine, as Blender offers them. No bpy."""
+"""The presets of the engine, as Blender offers them. No bpy."""
 
 from __future__ import annotations
 
@@ -14,14 +14,6 @@ PRESETS = (
         "Paper",
         f"{sum(PRESET_STEPS['paper']):,} steps, boxes one by one, photos chosen by the paper's"
         " Gaussian process",
-    ),
-)
-STRATEGIES = (
-    ("joint", "All boxes together", "One stage refines all boxes within the whole scene"),
-    (
-        "independent",
-        "One by one (paper)",
-        "A model for each box, which then replaces the coarse one",
     ),
 )
 PAPER_DEFAULTS = {"strategy": "independent", "method": "gp9", "antialiased": False}

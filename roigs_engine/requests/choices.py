@@ -1,11 +1,32 @@
-"""Words that options choose from, and limits of their numbers."""
+"""Words that options choose from, with their names in Blender, and limits of numbers."""
 
 from __future__ import annotations
 
-METHODS = ("static", "gp6", "gp9", "greedy", "coverage", "fvs", "random")
-"""Methods that select photos."""
+METHOD_ITEMS = (
+    (
+        "coverage",
+        "Coverage",
+        "Photos that together show the box from all sides, as large as possible",
+    ),
+    ("gp9", "Gaussian process (paper)", "A Gaussian process over nine view parameters"),
+    ("gp6", "Gaussian process, 6", "A Gaussian process over six view parameters"),
+    ("greedy", "Greedy", "At each step the photo that improves the score most"),
+    ("static", "Static", "Photos ranked once, by distance, size and points"),
+    ("fvs", "Farthest views", "Viewpoints as far apart as possible"),
+    ("random", "Random", "Random photos, for comparison"),
+)
+"""Methods that select photos: word, name, description."""
+METHODS = tuple(word for word, _, _ in METHOD_ITEMS)
 PRESETS = ("draft", "paper", "standard")
-STRATEGIES = ("joint", "independent")
+STRATEGY_ITEMS = (
+    ("joint", "All boxes together", "One stage refines all boxes within the whole scene"),
+    (
+        "independent",
+        "One by one (paper)",
+        "A model for each box, which then replaces the coarse one",
+    ),
+)
+STRATEGIES = tuple(word for word, _, _ in STRATEGY_ITEMS)
 INITS = ("scene", "points", "box")
 ORDERS = ("ordered", "shuffled")
 TEST, VALIDATION = PHOTOS = ("test", "validation")
@@ -14,8 +35,18 @@ COMPARISONS = (*BASELINES, *STRATEGIES)
 DEVICES = ("auto", "cpu", "cuda")
 AXES = ("-y", "y", "z")
 """Axes that may point up in a file of Gaussians."""
-PAIRS = ("auto", "all", "similar", "ordered")
-CAMERAS = ("auto", "one", "each")
+PAIR_ITEMS = (
+    ("auto", "Auto", "All pairs if there are few photos, otherwise the most similar ones"),
+    ("all", "All", "Every pair: slow with many photos"),
+    ("similar", "Similar", "Each photo with the most similar ones"),
+    ("ordered", "Ordered", "Photos in the order of their names: each with its neighbours"),
+)
+CAMERA_ITEMS = (
+    ("auto", "Auto", "Photos of one device, lens, focal length and size share a camera"),
+    ("one", "One", "All photos of one size share a camera"),
+    ("each", "Each", "Each photo has its own camera"),
+)
+PAIRS, CAMERAS = (tuple(item[0] for item in items) for items in (PAIR_ITEMS, CAMERA_ITEMS))
 CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 
 MAX_SEED = (1 << 32) - 1  # what numpy takes

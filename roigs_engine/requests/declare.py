@@ -42,7 +42,7 @@ class Option:
         decides: whether it decides results, so that a run folder keeps it.
         hidden: `help`: the command line takes it, the help does not show it; `line`: only files and
             Python have it.
-        label: its name in Blender's panel; empty: the panel does not have it.
+        label, tooltip: its name and description in Blender's panel; empty: it is not there.
     """
 
     kind: Kind
@@ -59,6 +59,7 @@ class Option:
     decides: bool = True
     hidden: str = ""
     label: str = ""
+    tooltip: str = ""
 
     @property
     def many(self) -> bool:

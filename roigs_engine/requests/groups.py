@@ -66,6 +66,7 @@ class PhotoSize(Photos, Threads, heading="scene"):
         metavar="PX",
         excludes="size",
         label="Photo Size",
+        tooltip="Longest side of the photos in training; larger is sharper and slower",
     )
 
 
@@ -148,21 +149,32 @@ class Boxes(Request, heading="boxes"):
 class Selection(Request, heading="selection"):
     """How photos are selected, and which are test photos."""
 
-    method: str | None = option(Choice(choices.METHODS), "how photos are selected", label="Method")
+    method: str | None = option(
+        Choice(choices.METHODS),
+        "how photos are selected",
+        label="Method",
+        tooltip="How the photos of each box are selected",
+    )
     count: int | None = option(
-        integer(1), "number of photos to select for each box", metavar="K", label="Photos"
+        integer(1),
+        "number of photos to select for each box",
+        metavar="K",
+        label="Photos",
+        tooltip="How many photos each box gets; 0: the method decides",
     )
     seed: int | None = option(
         integer(0, choices.MAX_SEED),
         "seed of all random numbers (default: 0)",
         metavar="N",
         label="Seed",
+        tooltip="Seed of all random choices",
     )
     test_every: int | None = option(
         integer(2, zero=True),
         "make every N-th photo that sees a box a test photo; 0: none",
         metavar="N",
         label="Test Photos",
+        tooltip="Hold out one photo in so many to measure quality: 8 is one in eight; 0: none",
     )
 
 
@@ -171,16 +183,24 @@ class Training(Request, heading="training"):
     """The preset, and settings that override it."""
 
     preset: str = option(
-        Choice(choices.PRESETS), "settings (default: {default})", "draft", label="Preset"
+        Choice(choices.PRESETS),
+        "settings (default: {default})",
+        "draft",
+        label="Preset",
+        tooltip="Steps and settings of a training",
     )
     strategy: str | None = option(
-        Choice(choices.STRATEGIES), "one joint stage for all boxes, or one for each box"
+        Choice(choices.STRATEGIES),
+        "one joint stage for all boxes, or one for each box",
+        label="Boxes",
+        tooltip="Whether boxes are trained together",
     )
     steps_factor: float | None = option(
         Number(low=0, high=choices.MAX_FACTOR, above=True),
         "multiply the steps of both stages by F",
         metavar="F",
         label="Steps ×",
+        tooltip="Multiplies the preset's steps: fewer are faster, more are finer",
     )
     kept_share: float | None = option(
         Number(low=0, high=1),
@@ -202,6 +222,8 @@ class Training(Request, heading="training"):
         "draw fine Gaussians fainter from afar, not thicker: sharp near and far, but only in"
         " viewers that support it (default: on; off in `paper`)",
         label="Anti-aliased",
+        tooltip="Sharp from near and far. Turn it off for viewers without support for"
+        " anti-aliased Gaussians",
     )
     evaluate_on: str | None = option(
         Choice(choices.PHOTOS),

@@ -24,6 +24,7 @@ class _Method(Request, heading="method"):
         1600,
         metavar="PX",
         label="Photo Size",
+        tooltip="Longest side of the photos in which features are found",
     )
     features: int = option(
         integer(64, MOST_FEATURES, zero=True),
@@ -38,6 +39,7 @@ class _Method(Request, heading="method"):
         " similar ones), or all of few photos and else the similar ones (auto, the default)",
         "auto",
         label="Pairs",
+        tooltip="Which photos are matched",
     )
     neighbours: int = option(
         integer(1, MOST_NEIGHBOURS),
@@ -51,6 +53,7 @@ class _Method(Request, heading="method"):
         " default), all of one size, or none",
         "auto",
         label="Cameras",
+        tooltip="Which photos share a camera",
     )
     camera_model: str = option(
         Choice(choices.CAMERA_MODELS), "COLMAP's lens model (default: {default})", "SIMPLE_RADIAL"

@@ -136,7 +136,7 @@ def test_a_failed_registration_is_taken_back(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_the_methods_are_the_engines(addon: ModuleType) -> None:
-    from roigs_addon import properties
+    from roigs_engine.requests import choices
     from roigs_engine.selection import METHODS
 
-    assert {method[0].lower() for method in properties.METHODS} == set(METHODS)
+    assert set(choices.METHODS) == set(METHODS)

@@ -54,3 +54,9 @@ def test_commands_in_the_documents_are_accepted(page: str) -> None:
     for line in commands:
         words = shlex.split(line.rstrip("`").replace("\\", "/"))
         assert build_parser()[0].parse_args(words).command == words[0]
+
+
+def test_the_reference_of_options_is_that_of_the_declarations() -> None:
+    from tools.option_reference import PAGE, page
+
+    assert PAGE.read_text(encoding="utf-8") == page(), "run python -m tools.option_reference"
