@@ -287,7 +287,7 @@ def plan_text(
         measured: the number of stages that were timed.
     """
     from ..batch.board import duration
-    from ..batch.makespan import makespan
+    from ..batch.times import makespan
 
     rows = [HEAD, *(_plan_row(scene, seconds) for scene in scenes)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(HEAD))]

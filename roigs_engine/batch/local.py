@@ -34,7 +34,7 @@ class LocalExecutor:
         self._running: dict[tuple[str, str], Part] = {}
         self._reports: queue.SimpleQueue[Report] = queue.SimpleQueue()
 
-    def has_room(self, part: Part, avoid: tuple[str, ...] = ()) -> bool:
+    def has_capacity(self, part: Part, avoid: tuple[str, ...] = ()) -> bool:
         """Whether the part can start now; a part that is too large alone starts alone.
 
         Args:

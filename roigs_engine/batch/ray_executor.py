@@ -64,8 +64,8 @@ class RayExecutor:
         """Of all machines that fit."""
         return sum(node.get("CPU", 0.0) for node in self._nodes.values())
 
-    def has_room(self, part: Part, avoid: tuple[str, ...] = ()) -> bool:
-        """Whether a core is free; see `LocalExecutor.has_room`."""
+    def has_capacity(self, part: Part, avoid: tuple[str, ...] = ()) -> bool:
+        """Whether a core is free; see `LocalExecutor.has_capacity`."""
         taken = sum(cores for _, cores in self._running.values())
         return taken + 1 <= sum(has.get("CPU", 0.0) for has in self._fit(avoid).values())
 

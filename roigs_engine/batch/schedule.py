@@ -21,7 +21,7 @@ POLL = 0.5
 class Executor(Protocol):
     """Where parts are done; `local.LocalExecutor` says what its methods do."""
 
-    def has_room(self, part: Part, avoid: tuple[str, ...] = ()) -> bool: ...
+    def has_capacity(self, part: Part, avoid: tuple[str, ...] = ()) -> bool: ...
     def start(self, part: Part, waiting: int, avoid: tuple[str, ...] = ()) -> int: ...
     def wait(self, seconds: float) -> list[Report]: ...
     def can_move(self, avoid: tuple[str, ...]) -> bool: ...
@@ -127,7 +127,7 @@ class Scheduler:
         ready = self._ready()
         for index, (_, state) in enumerate(ready):
             avoid = tuple(dict.fromkeys((*state.avoid, *self._slow)))
-            if self._executor.has_room(state.part, avoid):
+            if self._executor.has_capacity(state.part, avoid):
                 state.state, state.started = RUNNING, time.monotonic()
                 state.cores = self._executor.start(state.part, len(ready) - index - 1, avoid)
         if self._executor.can_move(self._slow):
@@ -136,7 +136,7 @@ class Scheduler:
     def _move(self, ready: Sequence[PartState]) -> None:
         """Stop a part that is to go on elsewhere or later, if there is one."""
         states = [state for _, state in self._states()]
-        idle = bool(states) and self._executor.has_room(states[0].part, self._slow)
+        idle = bool(states) and self._executor.has_capacity(states[0].part, self._slow)
         found = next_move(states, self._after, ready, time.monotonic(), idle=idle)
         if found is not None:
             found.state.moving, found.state.from_slow = True, found.slow

@@ -21,7 +21,7 @@ from ..requests.values import is_url
 from ..storage.commits import StoredRun
 from ..storage.lease import Lease, LeaseTakenError
 from ..storage.mirror import SCENES, mirror
-from ..storage.room import claim, keep, limit, make_room
+from ..storage.quota import claim, enforce_quota, keep, limit
 from ..storage.urls import file_system, folder_of
 from .engine_process import DONE, FAILED, LOST, STOPPED, Outcome, run_engine
 
@@ -132,7 +132,7 @@ def _leased(
             out.unlink()
     elif ended.state in (DONE, STOPPED):
         run.publish(folder, staging.part, last=staging.last and ended.state == DONE)
-    make_room()
+    enforce_quota()
     return ended
 
 

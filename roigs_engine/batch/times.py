@@ -1,15 +1,17 @@
-"""How long the parts of a batch may take, by training a few steps of stages of each kind."""
+"""Time estimates of a batch: of its parts, from a few steps of each kind of stage, and of all."""
 
 from __future__ import annotations
 
+import heapq
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from ..formats.text import json_digest
 from ..run.plan import Plan, Stage
 from ..training.config import miniature
-from .parts import WHOLE, ScenePlan, chains, stage_work
+from .parts import WHOLE, Part, ScenePlan, chains, stage_work
 
 if TYPE_CHECKING:
     from ..context import Context
@@ -64,3 +66,56 @@ def _kind(stage: Stage, points: int) -> str:
     sizes = max(i.camera.width * i.camera.height for i in stage.images), points
     rough = [round(ALIKE * math.log(max(size, 1))) for size in sizes]
     return json_digest([config, rough, len(stage.rois)])
+
+
+# --- several machines ---
+
+
+def makespan(
+    scenes: Sequence[Sequence[Part]], seconds: Mapping[tuple[str, str], float], workers: int
+) -> float:
+    """Seconds until all parts are done, each on one of `workers` equal workers.
+
+    Args:
+        scenes: the parts of each scene.
+        seconds: of each part, by its key.
+        workers: how many parts can be done at a time.
+    """
+    needs = {p.key: {(p.scene, name) for name in p.needs} for parts in scenes for p in parts}
+    after = _after(scenes, seconds)
+    ready = [(-after[key], key) for key, needed in needs.items() if not needed]
+    heapq.heapify(ready)
+    running: list[tuple[float, tuple[str, str]]] = []
+    now = 0.0
+    while ready or running:
+        while ready and len(running) < workers:
+            _, key = heapq.heappop(ready)
+            heapq.heappush(running, (now + seconds[key], key))
+        now, ended = heapq.heappop(running)
+        for key, needed in needs.items():
+            if ended in needed:
+                needed.remove(ended)
+                if not needed:
+                    heapq.heappush(ready, (-after[key], key))
+    return now
+
+
+def lower_bound(
+    scenes: Sequence[Sequence[Part]], seconds: Mapping[tuple[str, str], float], workers: int
+) -> float:
+    """Seconds that no order of the parts can beat: all the work, or the longest scene."""
+    return max(
+        sum(seconds.values()) / max(workers, 1), max(_after(scenes, seconds).values(), default=0.0)
+    )
+
+
+def _after(
+    scenes: Sequence[Sequence[Part]], seconds: Mapping[tuple[str, str], float]
+) -> dict[tuple[str, str], float]:
+    """Seconds from the start of each part to the end of its scene."""
+    found: dict[tuple[str, str], float] = {}
+    for parts in scenes:
+        for part in reversed(parts):
+            following = [found[other.key] for other in parts if part.name in other.needs]
+            found[part.key] = seconds[part.key] + max(following, default=0.0)
+    return found

@@ -84,10 +84,7 @@ COMMANDS: dict[str, Command] = {
         request=projects.Inspect,
         does="scenes:inspect",
         help="show what a COLMAP model contains and which photos see each box",
-        examples=(
-            "garden",
-            "garden --rois garden/rois.json --json",
-        ),
+        examples=("garden", "garden --rois garden/rois.json --json"),
         prints=answers.inspected,
         torch=False,
     ),
@@ -108,10 +105,7 @@ COMMANDS: dict[str, Command] = {
         does="scenes:refine_cameras",
         help="fit the cameras of a COLMAP model better, which makes everything trained with them"
         " sharper",
-        examples=(
-            "garden",
-            "garden --out garden-refined",
-        ),
+        examples=("garden", "garden --out garden-refined"),
         prints=answers.refined,
         torch=False,
     ),
@@ -242,10 +236,7 @@ COMMANDS: dict[str, Command] = {
         request=runs.Clean,
         does="upkeep:clean",
         help="remove from a run folder what can be made again: caches, archived stages, previews",
-        examples=(
-            "runs/garden --dry-run",
-            "runs/garden",
-        ),
+        examples=("runs/garden --dry-run", "runs/garden"),
         prints=answers.cleaned,
         torch=False,
     ),
@@ -253,10 +244,7 @@ COMMANDS: dict[str, Command] = {
         request=runs.CheckGpu,
         does="upkeep:check_gpu",
         help="check an NVIDIA GPU against the CPU, and time training steps on both",
-        examples=(
-            "",
-            "--brief",
-        ),
+        examples=("", "--brief"),
         prints=answers.nothing,
         as_it_goes=True,
     ),

@@ -72,9 +72,7 @@ class _Page(Request, heading="web page (OUT.html)"):
 
     title: str | None = option(NAME, "of the page (default: the name of OUT)", metavar="TEXT")
     fly_to: Path | None = option(
-        PATH,
-        "rois.json: a button for each box, which flies there; crops nothing",
-        metavar="FILE",
+        PATH, "rois.json: a button for each box, which flies there; crops nothing", metavar="FILE"
     )
     before: Path | None = option(
         PATH, "a second model, to switch between before/after", metavar="FILE"

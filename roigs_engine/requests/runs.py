@@ -179,9 +179,7 @@ class Batch(Request):
         metavar="N",
     )
     dry_run: bool = option(
-        FLAG,
-        "check the table, print its plan (stages, steps, memory, time), and do nothing",
-        False,
+        FLAG, "check the table, print its plan (stages, steps, memory, time), and do nothing", False
     )
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from ..context import Context
 from ..errors import ConfigError, EngineError
 from ..formats.files import read_json, write_json
-from .room import alone, claim, keep, limit, make_room
+from .quota import alone, claim, enforce_quota, keep, limit
 from .urls import file_system, folder_of
 
 SCENES, FILES, INDEX, LOCK = "scenes", "files", "index.json", "copy.lock"
@@ -45,7 +45,7 @@ def mirror(url: str, context: Context) -> Path:
             (folder / FILES / name).unlink(missing_ok=True)
         write_json(folder / INDEX, {name: known[name] for name in files})
         keep(folder)
-    make_room(context)
+    enforce_quota(context)
     return folder / FILES
 
 

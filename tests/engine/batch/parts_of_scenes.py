@@ -33,7 +33,7 @@ class Instant:
         self._room, self._machines = room, machines
         self._running: list[tuple[Part, tuple[str, ...]]] = []
 
-    def has_room(self, part: Part, avoid: tuple[str, ...] = ()) -> bool:
+    def has_capacity(self, part: Part, avoid: tuple[str, ...] = ()) -> bool:
         return len(self._running) < self._room
 
     def start(self, part: Part, waiting: int, avoid: tuple[str, ...] = ()) -> int:

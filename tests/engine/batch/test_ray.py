@@ -215,7 +215,7 @@ def test_heads_without_cores_do_no_parts(tmp_path: Path, monkeypatch: pytest.Mon
     with a_cluster(num_cpus=0) as cluster:
         executor = ray_executor.RayExecutor(cluster.address, sign, context)
         try:
-            assert executor.has_room(part) and not said
+            assert executor.has_capacity(part) and not said
             assert not executor.can_move((cluster.second.node_id,))
         finally:
             executor.close()

@@ -8,9 +8,9 @@ from roigs_engine.batch import schedule
 from roigs_engine.batch.board import Board
 from roigs_engine.batch.engine_process import DONE, FAILED, LOST, STOPPED, Outcome
 from roigs_engine.batch.local import Report
-from roigs_engine.batch.makespan import lower_bound, makespan
 from roigs_engine.batch.moves import Move
 from roigs_engine.batch.schedule import Scheduler
+from roigs_engine.batch.times import lower_bound, makespan
 from roigs_engine.context import QUIET, Context
 from roigs_engine.errors import Stopped
 from tests.engine.batch.parts_of_scenes import Instant, part, scene

@@ -14,7 +14,7 @@ from roigs_engine.batch import staged
 from roigs_engine.batch.engine_process import FAILED, LOST, STOPPED, Outcome
 from roigs_engine.batch.staged import stored_run
 from roigs_engine.cli import main
-from roigs_engine.storage.room import keep, make_room
+from roigs_engine.storage.quota import enforce_quota, keep
 from tests.engine.batches import contents, table_of
 from tests.engine.commands.command_line import refused
 from tests.engine.commands.forked_engines import forked_engines
@@ -131,7 +131,7 @@ def test_a_part_makes_room_of_what_was_used_long_ago(
         until = time.monotonic() + 20
         while (runs / "hall").stat().st_mtime < old + 1 and time.monotonic() < until:
             time.sleep(0.01)
-        make_room()
+        enforce_quota()
         assert (runs / "hall").is_dir() and not (runs / "cellar").exists()
         return Outcome(state=STOPPED)
 

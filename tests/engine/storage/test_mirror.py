@@ -15,7 +15,7 @@ from roigs_engine.formats.lock import locked
 from roigs_engine.formats.run_files import BATCH_LOCK
 from roigs_engine.requests.values import is_url
 from roigs_engine.storage.mirror import mirror
-from roigs_engine.storage.room import claim, keep, make_room
+from roigs_engine.storage.quota import claim, enforce_quota, keep
 
 URL = "memory://museum/scans/{}"
 
@@ -84,12 +84,12 @@ def test_run_folders_are_within_the_same_limit(
         assert all(folder.exists() for folder in (*runs.values(), *batches.values()))
         monkeypatch.setenv("ROIGS_CACHE_GB", "0.00009")  # three of these
         keep(runs["attic"])  # another engine has begun to work there
-        make_room()
+        enforce_quota()
         left = {folder.name for folder in (*runs.values(), *batches.values()) if folder.exists()}
     assert left == {"attic", "new", "at work"}
     assert not (tmp_path / "home" / "removed").exists()
     os.utime(batches["at work"], (old, old))  # it has ended: nothing holds its folder
-    make_room()
+    enforce_quota()
     assert not batches["at work"].exists() and runs["attic"].exists()
 
 

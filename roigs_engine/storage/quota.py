@@ -1,4 +1,4 @@
-"""The disk that copies of a store take: those used longest ago go, never one that is in use."""
+"""Disk quota for copies of a store: those used longest ago go, never one that is in use."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .urls import home
 
 KINDS = ("scenes/*", "runs/*/*", "batches/*")
 """Where copies are, each a folder: of scenes, of run folders, and of what a batch's page needs."""
-REMOVED, LOCK = "removed", "room.lock"
+REMOVED, LOCK = "removed", "quota.lock"
 LIMIT_VARIABLE = "ROIGS_CACHE_GB"
 LIMIT = 50.0  # GB
 WAIT = 0.5
@@ -51,7 +51,7 @@ def keep(folder: Path) -> None:
         os.utime(folder)
 
 
-def make_room(context: Context = QUIET) -> None:
+def enforce_quota(context: Context = QUIET) -> None:
     """Remove the copies that were used longest ago, until all are within the limit.
 
     What cannot be removed stays, for another time.
