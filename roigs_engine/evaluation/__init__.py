@@ -1,1 +1,1 @@
-"""Evaluates models on test photos: scores, tables, images."""
+"""Evaluation of models on test photos: scores, tables, images."""

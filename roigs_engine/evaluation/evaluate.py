@@ -1,4 +1,4 @@
-"""Compares renders with test photos: the paper's table for every box, and more columns.
+"""Comparison of renders with test photos: the paper's table for every box, and more columns.
 
 There are two masks (docs/method.md, evaluation), the same for every row of a box. The first is the
 silhouette of the box, which is the paper's mask. The second is the object: the silhouette's pixels

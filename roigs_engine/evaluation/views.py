@@ -1,4 +1,4 @@
-"""Measures the models on one test photo."""
+"""Measurements of all models on one test photo."""
 
 from __future__ import annotations
 

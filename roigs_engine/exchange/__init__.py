@@ -1,1 +1,1 @@
-"""Gaussians for other programs: moved models made one, and files."""
+"""Models for other programs: file formats, and models under transforms."""

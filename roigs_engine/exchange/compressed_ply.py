@@ -1,4 +1,4 @@
-"""PlayCanvas's compressed PLY, through the package gsply."""
+"""PlayCanvas's compressed PLY format, through the package gsply."""
 
 from __future__ import annotations
 

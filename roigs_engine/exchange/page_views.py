@@ -1,4 +1,4 @@
-"""Where to look from, when a model comes without its photos."""
+"""Viewpoints for a model that comes without its photos."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..model.scene import Float64
 from .arrays import Arrays, opacities
 
 FIELD = 50.0  # degrees; the viewer's vertical field of view
-ROOM = 1.1  # around what is looked at
+MARGIN = 1.1  # around what is looked at
 ELEVATION = 20.0  # degrees above the horizon
 DIRECTIONS = 24
 AIMED = 20.0  # degrees from a photo's middle to what it looks at
@@ -50,7 +50,7 @@ def photographed(poses: Float64) -> Ball | None:
     if np.median(depths) <= 0:
         return None
     distance = float(np.median(np.linalg.norm(centre - eyes, axis=1)))
-    return Ball(centre=centre, radius=distance * np.sin(np.radians(FIELD / 2)) / ROOM)
+    return Ball(centre=centre, radius=distance * np.sin(np.radians(FIELD / 2)) / MARGIN)
 
 
 def _eyes(poses: Float64) -> Float64:
@@ -92,7 +92,7 @@ def viewpoint(arrays: Arrays, ball: Ball, poses: Float64 | None = None) -> Float
     directions = _ring() if poses is None else photo_directions(poses, ball)
     if not len(directions):
         directions = _ring()
-    distance = ROOM * ball.radius / np.sin(np.radians(FIELD / 2))
+    distance = MARGIN * ball.radius / np.sin(np.radians(FIELD / 2))
     step = max(1, len(arrays["means"]) // SAMPLE)
     means = arrays["means"][::step].astype(np.float64) - ball.centre
     some = {name: values[::step] for name, values in arrays.items()}

@@ -211,7 +211,7 @@ def _palette(sh: Float32, weights: Float32, check: Check) -> tuple[Bytes, Bytes,
 def _clusters(rows: Float32, weights: Float32, check: Check) -> tuple[NDArray[np.int64], Float32]:
     """The set of each row (N,), and the sets (at most PALETTE, D): k-means in two steps.
 
-    A group of similar rows gets sets by how far they are spread, and by how much they are seen.
+    A group of similar rows gets sets by their standard deviation, and by how much they are seen.
     """
     random = np.random.default_rng(0)
     wanted = int(np.clip(len(rows) // EACH, 1, PALETTE))
@@ -219,8 +219,8 @@ def _clusters(rows: Float32, weights: Float32, check: Check) -> tuple[NDArray[np
     groups = min(GROUPS, wanted)
     group = _means(rows[sample], weights[sample], groups).predict(rows)
     members = [np.flatnonzero(group == k) for k in range(groups)]
-    spread = np.array([_spread(rows[m], weights[m]) for m in members])
-    shares = np.array([len(m) for m in members]) * spread
+    deviations = np.array([_deviation(rows[m], weights[m]) for m in members])
+    shares = np.array([len(m) for m in members]) * deviations
     sizes = (shares / max(shares.sum(), 1e-30) * (wanted - groups)).astype(int) + 1
     labels = np.zeros(len(rows), np.int64)
     centres: list[Float32] = []
@@ -235,7 +235,7 @@ def _clusters(rows: Float32, weights: Float32, check: Check) -> tuple[NDArray[np
     return labels, np.concatenate(centres)
 
 
-def _spread(rows: Float32, weights: Float32) -> float:
+def _deviation(rows: Float32, weights: Float32) -> float:
     """Root of the mean weighted square of distances from the mean."""
     if not len(rows):
         return 0.0

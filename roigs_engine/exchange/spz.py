@@ -74,8 +74,8 @@ def write(
         )
     reach = np.abs(arrays["means"].astype(np.float32)).max(axis=1)
     farthest = max(1e-6, min(float(reach.max()), FARTHEST * float(np.median(reach))))
-    room = BITS - 1 - np.ceil(np.log2(farthest))
-    fraction = int(np.clip(room, 1, _enough(scales.astype(np.float32))))
+    free = BITS - 1 - np.ceil(np.log2(farthest))
+    fraction = int(np.clip(free, 1, _enough(scales.astype(np.float32))))
     inside = reach < 2.0 ** (BITS - 1 - fraction)
     if inside.mean() < 1 - LOST:
         raise ConfigError(

@@ -1,4 +1,4 @@
-"""Compiles the C++ kernels: one shared library per instruction set of a platform.
+"""The build of the C++ kernels: one shared library per instruction set of a platform.
 
     python -m roigs_engine.kernels.build [--target PLATFORM] [--compiler zig|cxx]
 

@@ -1,4 +1,4 @@
-"""Finds, builds if necessary, and loads the compiled kernels for this processor.
+"""The compiled kernels for this processor: found, built if necessary, and loaded.
 
 The libraries have a plain C interface and are loaded with ctypes. So one file per platform and
 instruction set works with every Python version. This module imports neither numpy nor torch.

@@ -1,4 +1,4 @@
-"""The rasterizer on compiled kernels, as one differentiable torch function.
+"""The CPU backend: the C++ kernels as one differentiable torch function.
 
 Projection, colours, sorting and blending are one function to autograd. Their intermediate results
 stay in a `KernelView` on the C++ side, whose memory is reused in each step. kernels/roigs.h has the

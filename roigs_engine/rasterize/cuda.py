@@ -1,4 +1,4 @@
-"""The rasterizer on our CUDA kernels, as one differentiable torch function.
+"""The CUDA backend: our CUDA kernels as one differentiable torch function.
 
 cuda/kernels/frame.h has the kernels' interface and their order. Between them torch sorts: Gaussians
 by depth, then the (Gaussian, tile) pairs by tile; both sorts are stable. How many pairs there are

@@ -1,4 +1,4 @@
-"""Shared by all rasterizer backends: the model's constants, the checked inputs, the output."""
+"""The contract of all backends: the model's constants, the checked inputs, the output."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Limits of drawing: Gaussians that the EWA approximation draws wrong, light that is left."""
+"""Limits of rendering: which Gaussians are culled, and where blending ends."""
 
 from __future__ import annotations
 
