@@ -21,9 +21,9 @@ from torch import Tensor
 from benchmarks.markdown import NONE
 from benchmarks.markdown import table as markdown_table
 from benchmarks.synthetic import SyntheticPhotos, trainable
+from roigs_engine.training.loop import StepsAhead
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.optimizer import VisibleAdam
-from roigs_engine.training.steps_ahead import StepsAhead
 
 WARM_UP = 3  # passes over the cameras: kernels are compiled, memory is allocated
 COLUMNS = ("Gaussians", "size", "step", "bare step", "bare / step", "in kernels", "waits", "GiB")

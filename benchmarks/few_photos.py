@@ -40,7 +40,7 @@ from roigs_engine.requests.choices import DEVICES
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.folder import train_run
 from roigs_engine.run.presets import preset
-from roigs_engine.training.threads import one_torch_thread
+from roigs_engine.training.loop import one_torch_thread
 
 KINDS = ("random", "arc", "even")
 OURS = "Joint"

@@ -29,8 +29,8 @@ from roigs_engine.run.presets import PRESETS, preset
 from roigs_engine.run.stage_configs import baseline
 from roigs_engine.training import trainer
 from roigs_engine.training.edits import DensityStats
-from roigs_engine.training.figures import Figures
 from roigs_engine.training.mechanisms.density_control import RunningDensityControl
+from roigs_engine.training.metrics import TrainingMetrics
 from roigs_engine.training.optimizer import VisibleAdam
 from roigs_engine.training.trainer import Trainer
 
@@ -103,7 +103,7 @@ def watch_training() -> Clock:
     clock.watch(VisibleAdam, "step_by", "optimizer")
     clock.watch(VisibleAdam, "set_lr", "optimizer")
     clock.watch(DensityStats, "add", "statistics")
-    clock.watch(Figures, "observe", "running loss and PSNR")
+    clock.watch(TrainingMetrics, "observe", "running loss and PSNR")
     clock.watch(RunningDensityControl, "edit", "densification")
     clock.watch(Trainer, "_apply", "densification")
     return clock

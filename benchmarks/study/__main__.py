@@ -29,7 +29,7 @@ from roigs_engine.formats.files import read_json, write_json, write_text
 from roigs_engine.kernels import library
 from roigs_engine.run.config import PHOTOS, TEST
 from roigs_engine.run.presets import PRESETS, preset
-from roigs_engine.training.threads import one_torch_thread
+from roigs_engine.training.loop import one_torch_thread
 
 
 def main(arguments: Sequence[str] | None = None, stop: StopRequest | None = None) -> int:

@@ -109,7 +109,7 @@ def check_gpu(
 
     from ..cuda import compiler, driver
     from ..cuda.device import CPU, check_cuda, choose_device
-    from ..training import gpu_check, gpu_times
+    from ..training import gpu_check
 
     if request.brief:
         choose_device("auto", context, gpu_check.check_once)
@@ -132,11 +132,11 @@ def check_gpu(
         verdict = "ok   " if error <= gpu_check.LIMIT else "WRONG"
         say(f"  {error:.1e}  {verdict}  {result}")
     gpu_check.check_again(device)
-    width, height = gpu_times.SIZE
-    say(f"Step     {gpu_times.COUNT:,} Gaussians, {width}x{height}:")
-    gpu = gpu_times.step_milliseconds(device, "cuda", steps=GPU_STEPS)
+    width, height = gpu_check.SIZE
+    say(f"Step     {gpu_check.COUNT:,} Gaussians, {width}x{height}:")
+    gpu = gpu_check.step_milliseconds(device, "cuda", steps=GPU_STEPS)
     say(f"  GPU {gpu:8.2f} ms")
-    cpu = gpu_times.step_milliseconds(CPU, "cpu", steps=CPU_STEPS)
+    cpu = gpu_check.step_milliseconds(CPU, "cpu", steps=CPU_STEPS)
     say(f"  CPU {cpu:8.2f} ms")
     context.info("The GPU computes what the CPU does. Training uses it.")
     return Result()

@@ -20,13 +20,13 @@ from ..context import QUIET, Context
 from ..formats.text import json_digest
 from ..model.gaussians import Gaussians
 from ..model.scene import PosedImage, SfmScene
+from ..training.loop import one_torch_thread
 from ..training.mechanisms.box_density_control import BoxDensityControl
 from ..training.mechanisms.density_control import DensityControl
 from ..training.mechanisms.idle_pruning import IdlePruning
 from ..training.mechanisms.importance_pruning import ImportancePruning
 from ..training.mechanisms.masked_steps import MaskedSteps
 from ..training.stage_data import StageData
-from ..training.threads import one_torch_thread
 from ..training.trainer import Trainer
 from .plan import Stage
 

@@ -23,8 +23,8 @@ from ..formats.lock import check_held
 from ..formats.text import counted
 from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
-from ..training.callbacks import PeriodicCallback
 from ..training.checkpoint import (
+    check_state,
     checkpoint_exists,
     checkpoint_fingerprint,
     checkpoint_step,
@@ -33,8 +33,8 @@ from ..training.checkpoint import (
     save_checkpoint,
 )
 from ..training.config import TrainConfig
+from ..training.loop import PeriodicCallback
 from ..training.stage_data import StageData
-from ..training.state import check_state
 from ..training.trainer import Trainer
 from .archive import archive, archive_damaged, archived, restore
 from .stage_record import DamagedError, StageRecord, check_model, read_record, write_record

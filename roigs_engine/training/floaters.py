@@ -39,7 +39,7 @@ from ..model.ownership import owners
 from ..model.roi import OrientedBox
 from ..model.scene import Float64, PosedImage
 from ..rasterize.view import View, blending_weights
-from .spread import spread
+from .photo_order import evenly_spaced
 
 SIDE = 256  # pixels; shares of a view need no more
 NEAREST = 0.25  # least distance of a view from the scene, in distances of the photos near it
@@ -160,8 +160,8 @@ def views_between(images: Sequence[PosedImage], points: Float64) -> tuple[View, 
         At most `MOST_VIEWS` of each kind, evenly spread; none for a photo alone.
     """
     poses = [
-        *spread(poses_between(images), MOST_VIEWS),
-        *spread(_poses_beside(images), MOST_VIEWS),
+        *evenly_spaced(poses_between(images), MOST_VIEWS),
+        *evenly_spaced(_poses_beside(images), MOST_VIEWS),
     ]
     centres = [image.centre for image in images]
     centres += [-pose[:3, :3].T @ pose[:3, 3] for _, pose in poses]

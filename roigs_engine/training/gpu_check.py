@@ -35,6 +35,8 @@ LONGEST = 120.0
 SIZE = (160, 120)
 COUNT = 2000
 NAMES = ("means", "quats", "log_scales", "logit_opacities", "sh")
+COUNT_TIMED, SIZE_TIMED = 100_000, (960, 640)
+WARM_UP = 2  # steps: memory is new, caches are cold
 USE_CPU = "Run `python -m roigs_engine check-gpu` and report what it prints; --device cpu trains."
 
 
@@ -213,3 +215,27 @@ def scene(device: torch.device, count: int, size: tuple[int, int]) -> Scene:
 
 def _relative_error(value: Tensor, truth: Tensor) -> float:
     return float((value - truth).norm()) / max(float(truth.norm()), 1e-30)
+
+
+def step_milliseconds(device: torch.device, backend: str, *, steps: int) -> float:
+    """The mean of some steps on a made-up scene, `COUNT_TIMED` Gaussians on `SIZE_TIMED` pixels."""
+    made = scene(device, COUNT_TIMED, SIZE_TIMED)
+    optimizer = VisibleAdam({name: (made.model[name], 1e-3) for name in NAMES}, fused=True)
+    for _ in range(WARM_UP):
+        _step(made, optimizer, backend)
+    _wait(device)
+    started = time.perf_counter()
+    for _ in range(steps):
+        _step(made, optimizer, backend)
+    _wait(device)
+    return 1000 * (time.perf_counter() - started) / steps
+
+
+def _step(made: Scene, optimizer: VisibleAdam, backend: str) -> None:
+    output = draw(made, backend, backward_step=optimizer.backward_step)
+    photo_loss(output.image, made.photo, backend=backend).loss.backward()  # type: ignore[no-untyped-call]
+
+
+def _wait(device: torch.device) -> None:
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)

@@ -26,7 +26,7 @@ from ..cuda.pair_buffers import PairBuffer
 from ..errors import EngineError
 from ..kernels import bindings
 from ..model.gaussians import Gaussians
-from .row_copies import chosen_rows
+from .edits import chosen_rows
 
 
 class VisibleAdam:

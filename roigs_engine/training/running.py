@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from .edits import Edit
     from .loss_masks import LossMask
     from .optimizer import VisibleAdam
-    from .photo_views import PhotoViews
-    from .stage_data import StageData
+    from .stage_data import PhotoViews, StageData
 
 
 class Training(Protocol):

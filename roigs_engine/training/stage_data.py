@@ -1,16 +1,17 @@
-"""The data that a stage trains on."""
+"""The data that a stage trains on, and its photos on the training device."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from ..cuda.device import CPU
-from ..cuda.photos import Photos
+from ..cuda.photos import Photos, photos_on
 from ..model.gaussians import Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import Float64, PosedImage
@@ -57,3 +58,65 @@ class StageData:
     seed: int = 0
     device: torch.device = CPU
     card_photos: int | None = None
+
+
+class View(NamedTuple):
+    """A camera as the rasterizer takes it: (1, 4, 4) and (1, 3, 3) matrices, pixels.
+
+    `pixel_size` is the side of a pixel in pixels of the whole photo.
+    """
+
+    viewmats: Tensor
+    Ks: Tensor
+    width: int
+    height: int
+    pixel_size: float
+
+
+class PhotoViews:
+    """The photos of a stage in one size.
+
+    Attributes: `images`: with the cameras of that size.
+
+    Args:
+        of: the photos, in their size.
+        device: that trains.
+        limit: bytes of a GPU that they may take; None: a share of what is free.
+    """
+
+    def __init__(
+        self, of: StageData | SmallPhotos, device: torch.device, limit: int | None
+    ) -> None:
+        self.images = of.images
+        self._sizes = [(image.camera.width, image.camera.height) for image in of.images]
+        self._photos = photos_on(device, of.photos, limit)
+        self._viewmats, self._intrinsics = camera_tensors(of.images, device)
+        self._pixel_sizes = [image.pixel_size for image in of.images]
+
+    def photo(self, index: int) -> Tensor:
+        """Its pixels, as `PhotoTensors` has them."""
+        return self._photos[index]
+
+    def prefetch(self, index: int) -> None:
+        """Decode a photo in the background."""
+        self._photos.prefetch([index])
+
+    def view(self, index: int) -> View:
+        """Its camera."""
+        one = slice(index, index + 1)
+        return View(
+            self._viewmats[one],
+            self._intrinsics[one],
+            *self._sizes[index],
+            self._pixel_sizes[index],
+        )
+
+
+def camera_tensors(images: Sequence[PosedImage], device: torch.device) -> tuple[Tensor, Tensor]:
+    """(V, 4, 4) world_to_camera and (V, 3, 3) intrinsics of the photos, float32 on the device."""
+    poses = np.stack([image.world_to_camera for image in images])
+    matrices = np.stack([image.camera.matrix() for image in images])
+    return (
+        torch.from_numpy(poses.astype(np.float32)).to(device),
+        torch.from_numpy(matrices.astype(np.float32)).to(device),
+    )

@@ -20,19 +20,14 @@ from ..model.gaussians import NAMES, Gaussians
 from ..rasterize import RenderOutput, rasterize
 from ..rasterize.limits import TRAINING_LIMITS
 from ..rasterize.tiles import Mask
-from . import full_memory
-from .callbacks import PeriodicCallback
 from .config import TrainConfig
 from .edits import Edit, morton_order, unchanged
-from .figures import Figures
-from .health import CHECK_EVERY, Health
+from .loop import PeriodicCallback, StepsAhead, explained_full_memory, one_torch_thread
 from .loss_masks import LossMask, counted_weights, split_mask
 from .losses import photo_loss
+from .metrics import CHECK_EVERY, Health, TrainingMetrics
 from .optimizer import VisibleAdam, leaves
-from .photo_views import PhotoViews
-from .stage_data import StageData
-from .steps_ahead import StepsAhead
-from .threads import one_torch_thread
+from .stage_data import PhotoViews, StageData
 
 REPORT_SECONDS = 0.5
 
@@ -64,7 +59,7 @@ class Trainer:
         self._small = None if small is None else PhotoViews(small, data.device, data.card_photos)
         self.photos = PhotoViews(data, data.device, data.card_photos)
         self._ahead = StepsAhead(data.device)
-        self._figures = Figures(data.device)
+        self._metrics = TrainingMetrics(data.device)
         self._steps_before = 0  # of the optimizer, in front of this step
         acting = [each for each in config.mechanisms if each.acts(config)]
         self._running = {each.name: each.begin(config, self, context) for each in acting}
@@ -89,7 +84,7 @@ class Trainer:
             stage: the stage's name in progress events.
             callbacks: called between steps to write checkpoints and previews.
         """
-        explained = full_memory.explained(
+        explained = explained_full_memory(
             self.data.images, lambda: (self.step, len(self._parameters))
         )
         with one_torch_thread(), explained:
@@ -111,7 +106,7 @@ class Trainer:
                 done = max(self.step - first, 1)
                 left = (now - started) / done * (self.config.steps - self.step)
                 where = stage, self.step, self.config.steps, len(self._parameters)
-                context.emit(self._figures.progress(*where, left))
+                context.emit(self._metrics.progress(*where, left))
             for callback in callbacks:
                 # Writing files does not count as training time.
                 started += callback.call_if_due(self.seconds)
@@ -129,7 +124,7 @@ class Trainer:
     def train_step(self) -> None:
         """Render a photo, compare, take an optimizer step, then do what is due."""
         config, data = self.config, self.data
-        self._ahead.begin(self.step, self._figures.loss)
+        self._ahead.begin(self.step, self._metrics.loss)
         self._steps_before = self.optimizer.step_count
         self.optimizer.set_lr("means", config.position_learning_rate(self.step) * data.extent)
         own = (each.own_step(self) for each in self._running.values())
@@ -165,7 +160,7 @@ class Trainer:
             for each in self._running.values():
                 each.observe(visible, output.grad2d[0], output.max_weight)
         value = loss.loss.detach()
-        self._figures.observe(self.step, value, (image, target), weights)
+        self._metrics.observe(self.step, value, (image, target), weights)
         self._end_step(index, value)
 
     def _row_rates(self, *, whole: bool) -> Tensor | None:
@@ -180,9 +175,9 @@ class Trainer:
         self.step += 1
         due = [each for each in self._running.values() if each.is_due(self.step)]
         checks, ends = self.step % CHECK_EVERY == 0 or bool(due), self.step == self.config.steps
-        if self._taken_back(wait=checks or ends or self._figures.is_new):
+        if self._taken_back(wait=checks or ends or self._metrics.is_new):
             return
-        self._figures.read()
+        self._metrics.read()
         if checks:
             self.check()
         with torch.no_grad():
@@ -199,7 +194,7 @@ class Trainer:
         if found is None:
             return False
         step, loss = found
-        self._figures.take_back(loss)
+        self._metrics.take_back(loss)
         self.optimizer.step_count -= self.step - step
         self.health.forget(step)
         self.step = step
@@ -310,8 +305,8 @@ class Trainer:
             "step": self.step,
             "seconds": self.seconds,
             "cpu_seconds": self.cpu_seconds,
-            "loss": float(self._figures.loss),
-            "psnr": self._figures.psnr,
+            "loss": float(self._metrics.loss),
+            "psnr": self._metrics.psnr,
             "parameters": {n: t.detach() for n, t in self._parameters.tensors().items()},
             "optimizer": self.optimizer.state_dict(),
             "mechanisms": {name: each.state_dict() for name, each in self._running.items()},
@@ -323,8 +318,8 @@ class Trainer:
         state = on_device(state, self.data.device)
         self.step, self.seconds = int(state["step"]), float(state["seconds"])
         self.cpu_seconds = float(state["cpu_seconds"])
-        self._figures.loss.fill_(float(state["loss"]))
-        self._figures.psnr = float(state["psnr"])
+        self._metrics.loss.fill_(float(state["loss"]))
+        self._metrics.psnr = float(state["psnr"])
         self._parameters = leaves(self._parameters.with_tensors(state["parameters"]))
         self.optimizer = self._new_optimizer()
         self.optimizer.load_state_dict(state["optimizer"])

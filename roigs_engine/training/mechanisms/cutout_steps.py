@@ -1,26 +1,47 @@
-"""Steps on the boxes' objects alone (ours)."""
+"""Steps on the boxes' objects alone: what is left of an object without the rest of its scene.
+
+Fog before an object colours its pixels, and the object learns to make up for it: alone, its colours
+are wrong. Gaussians on its edge reach over it. So most steps of the stage `cutout` draw one
+object alone, on a random colour, and compare it with a photo where the photo shows the object.
+Where a mask shows something else, the object must not be seen, unless something is in front of it.
+"""
 
 from __future__ import annotations
 
+import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from ...context import Context
+import numpy as np
+from numpy.typing import NDArray
+
+from ...context import QUIET, Context
+from ...model.roi import OrientedBox
+from ...model.scene import PosedImage
+from ...photos.mask_images import load_mask, load_object_mask
 from ..config import Mechanism, TrainConfig
+from ..photo_order import mixed, shuffled
 from ..running import Running
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from ..cutouts import Cutouts
+    from ...model.gaussians import Gaussians
     from ..running import Training
+
+EVERY = 4  # one step in so many is an ordinary one
+MASKED_SHARE = 0.15  # of these, the share that uses a photo with a mask of the object
+BLOCKED = 0.5  # share of a pixel's light that something before the object takes: it is hidden there
+CORE = 2  # pixels from the edge of an object, as a photo without a mask shows it, that do not count
+LEAST = 64  # pixels of an object, below which a photo is not used for it
 
 
 @dataclass(frozen=True, kw_only=True)
 class CutoutSteps(Mechanism):
     """Most steps draw one object alone, on a random colour, and compare it with a photo.
 
-    What is left of an object without the rest of its scene (`training.cutouts`) so looks right. The
+    What is left of an object without the rest of its scene so looks right. The
     stage must not add or remove Gaussians.
 
     Earns: objects alone, on all else, are +0.17, +0.39 and +0.82 dB nearer to their photos; whole
@@ -32,7 +53,6 @@ class CutoutSteps(Mechanism):
 
     def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
         """The objects, by the labels of the stage's first model."""
-        from ..cutouts import Cutouts
         from ..edits import morton_order
 
         data = training.data
@@ -75,3 +95,170 @@ class _Running(Running):
             part.step(output.visible[0])
         training.optimizer.put(part, cutout.rows)
         return cutout.photo, loss.loss.detach()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cutout:
+    """One object on one photo.
+
+    Attributes:
+        photo: its row number.
+        box: the object's, its row number.
+        rows: of the object's Gaussians, ascending.
+        shown: (H, W) bool, the pixels that show the object.
+        counted: (H, W) bool, the pixels to compare.
+        background: (3,) the colour behind the object.
+        loss_weight: of the mean loss over these pixels; a whole photo has 1.
+    """
+
+    photo: int
+    box: int
+    rows: Tensor
+    shown: Tensor
+    counted: Tensor
+    background: Tensor
+    loss_weight: float
+
+    def window(self) -> tuple[slice, slice]:
+        """Rows and columns of the smallest rectangle around the pixels to compare."""
+        ys, xs = (self.counted.any(dim=axis).nonzero()[:, 0] for axis in (1, 0))
+        return slice(int(ys[0]), int(ys[-1]) + 1), slice(int(xs[0]), int(xs[-1]) + 1)
+
+    def target(self, photo: Tensor) -> Tensor:
+        """The photo (H, W, 3) uint8 with the background's colour where it shows something else."""
+        from ...cuda.device import sent
+
+        behind = (self.background * 255).round().to(photo)
+        return photo.where(sent(self.shown[..., None], photo.device), behind)
+
+
+class Cutouts:
+    """The objects that the steps of a stage draw alone; a function of (seed, step).
+
+    Boxes that no photo has a mask of are left as they are.
+
+    Args:
+        model: at the start of the stage, in the order of its rows; none is added or removed.
+        owner: (N,) the box whose object each Gaussian is of, -1 for none.
+        rois, images: of the stage.
+        seed: of the order and the colours.
+        context: checked for cancellation between photos.
+    """
+
+    def __init__(
+        self,
+        model: Gaussians,
+        owner: Tensor,
+        rois: Sequence[OrientedBox],
+        images: Sequence[PosedImage],
+        seed: int,
+        context: Context = QUIET,
+    ) -> None:
+        self._seed, self._device = seed, model.means.device
+        self._rows = [(owner == index).nonzero()[:, 0] for index in range(len(rois))]
+        self._pairs: list[tuple[int, int]] = []
+        self._pixels: list[tuple[bytes, tuple[int, int]]] = []
+        masked: list[int] = []
+        shares: list[float] = []
+        objects = {name for image in images for name in image.objects}
+        boxes = [box for box, roi in enumerate(rois) if roi.name in objects]
+        for photo, image in enumerate(images):
+            for box in boxes:
+                roi = rois[box]
+                context.check_cancelled()
+                found = self._compared(model, box, roi, image)
+                if found is None or found[0].sum() < LEAST:
+                    continue
+                if roi.name in image.objects:
+                    masked.append(len(self._pairs))
+                self._pairs.append((photo, box))
+                shares.append(float(found[1].mean()))
+                packed = zlib.compress(np.packbits(np.stack(found)).tobytes(), 1)
+                height, width = found[0].shape
+                self._pixels.append((packed, (height, width)))
+        self._weight = float(np.exp(np.mean(np.log(shares)))) if shares else 0.0
+        others = [k for k in range(len(self._pairs)) if k not in set(masked)]
+        first, second = others or masked, masked or others
+        if self._pairs:
+            order = shuffled(first, seed), shuffled(second, seed + 1)
+            self._pair_at = mixed(*order, MASKED_SHARE)
+
+    def at(self, step: int) -> Cutout | None:
+        """What a step draws; None: it is an ordinary one."""
+        import torch
+
+        from ...cuda.device import sent
+
+        if not self._pairs or step % EVERY == 0:
+            return None
+        pair = self._pair_at(step - step // EVERY - 1)
+        photo, box = self._pairs[pair]
+        packed, shape = self._pixels[pair]
+        bits = np.unpackbits(np.frombuffer(zlib.decompress(packed), np.uint8))
+        both = torch.from_numpy(bits[: 2 * shape[0] * shape[1]].reshape(2, *shape) > 0)
+        colour = np.random.default_rng([self._seed, step]).random(3).astype(np.float32)
+        return Cutout(
+            photo=photo,
+            box=box,
+            rows=self._rows[box],
+            shown=both[0],
+            counted=both[1],
+            background=sent(torch.from_numpy(colour), self._device),
+            loss_weight=self._weight,
+        )
+
+    def _compared(
+        self, model: Gaussians, box: int, roi: OrientedBox, image: PosedImage
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]] | None:
+        """The pixels that show a box's object, and those to compare; None: the box is not seen."""
+        rows, silhouette = self._rows[box], roi.silhouette(image.camera, image.world_to_camera)
+        if not len(rows) or not silhouette.any():
+            return None
+        share = _share(model, rows, image)
+        mask, counted = load_object_mask(image, roi.name), load_mask(image)
+        if mask is None:
+            shown = _core(share > 1 - BLOCKED)
+            used = shown
+        else:
+            alone = _alpha(model.rows(rows), image)
+            shown = mask & silhouette
+            used = silhouette & (mask | (alone - share < BLOCKED))
+        if counted is not None:
+            shown, used = shown & counted, used & counted
+        return shown, used
+
+
+def _share(model: Gaussians, rows: Tensor, image: PosedImage) -> NDArray[np.float32]:
+    """(H, W) the share of each pixel's light that comes from these Gaussians."""
+    import torch
+
+    from ...model.gaussians import SH_C0
+    from ...rasterize.view import rasterize_view
+
+    sh = torch.full_like(model.sh[:, :1], -0.5 / SH_C0)
+    sh[rows] = 0.5 / SH_C0
+    labelled = model.with_tensors({"sh": sh})
+    black = torch.zeros(3, device=sh.device)
+    view = rasterize_view(
+        labelled, image.camera, image.world_to_camera, sh_degree=0, background=black
+    )
+    return np.asarray(view.image[0, ..., 0].cpu().numpy())
+
+
+def _alpha(model: Gaussians, image: PosedImage) -> NDArray[np.float32]:
+    """(H, W) how opaque the model is."""
+    from ...rasterize.view import rasterize_view
+
+    view = rasterize_view(model, image.camera, image.world_to_camera, sh_degree=0)
+    return np.asarray(view.alpha[0].cpu().numpy())
+
+
+def _core(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The mask without its edge."""
+    padded = np.pad(mask, CORE)
+    height, width = mask.shape
+    for axis, size in ((0, height), (1, width)):
+        moved = [np.take(padded, range(k, k + size), axis=axis) for k in range(2 * CORE + 1)]
+        padded = np.logical_and.reduce(moved)
+    core: NDArray[np.bool_] = padded
+    return core

@@ -1,13 +1,27 @@
-"""Importance pruning: Gaussians that the photos hardly show, when densification ends (ours)."""
+"""Importance pruning: Gaussians that the photos hardly show go when densification ends (ours).
+
+Densification leaves many Gaussians behind others, or nearly transparent; some scenes have twice as
+many as they need. When it ends, the least important are removed, as many as the photos do not miss:
+their squared error may grow by a share, which the steps that follow make up for. Nothing else says
+how many there are: that differs from scene to scene (notebook/densification.md).
+
+Photos are judged one by one, and a smaller error counts as the same one. Otherwise a photo that fog
+covers would decide: without the fog its error falls to a fraction, and most Gaussians could go.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from ...context import Context
+from ...context import QUIET, Context
 from ...errors import ConfigError
+from ...model.roi import OrientedBox
+from ...model.scene import PosedImage
 from ..config import Mechanism, TrainConfig
+from ..photo_order import evenly_spaced
 from ..running import Running
 from .density_control import DensityControl
 from .masked_steps import MaskedSteps
@@ -15,13 +29,23 @@ from .masked_steps import MaskedSteps
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from ...model.gaussians import Gaussians
     from ..running import Training
+    from ..stage_data import PhotoViews, StageData
     from ..state_reader import StateReader
+
+WHOLE, EACH = 16, 8  # photos that are asked: of all, and of those that see a box
+MOST = 0.9  # share of the Gaussians that may go
+HALVINGS = 5  # of that range: to 3 % of the Gaussians
+
+Errors = Iterable[tuple[int, float]]
+"""Squared errors of a model in single photos, each with its part: 0 is the whole photo, the others
+are the boxes. They are found as they are asked for."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImportancePruning(Mechanism):
-    """Removes the least important Gaussians, as many as the photos do not miss (`importance`).
+    """Removes the least important Gaussians, as many as the photos do not miss.
 
     Earns: 29 % fewer Gaussians at 0.00 dB. Draft, six boxes of kumamon, flowerpot and the demo,
         two seeds (notebook/leave_one_out.md).
@@ -64,7 +88,6 @@ class _Running(Running):
         """Prune once, when densification has ended; False if stopped."""
         if self._done or training.step < self._due or not training.settled():
             return True
-        from ..importance import unimportant_gaussians
 
         def search() -> Tensor:
             data, photos = training.data, training.photos
@@ -83,3 +106,182 @@ class _Running(Running):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from a `state_dict`."""
         self._done = bool(state["done"])
+
+
+def unimportant_gaussians(
+    gaussians: Gaussians,
+    data: StageData,
+    views: PhotoViews,
+    growth: float,
+    rois: Sequence[OrientedBox] = (),
+    context: Context = QUIET,
+) -> Tensor:
+    """(N,) bool: the Gaussians that a stage's photos do not miss.
+
+    Args:
+        gaussians: the model, N rows.
+        data: of the stage.
+        views: its photos, in the size to judge by.
+        growth: largest mean growth of the photos' errors, as a share of them.
+        rois: boxes that are judged apart.
+        context: checked for cancellation between photos.
+
+    Raises:
+        Stopped: the user stopped.
+    """
+    errors = PhotoErrors(views, rois, data.backgrounds, context)
+    worth = visible_worth(gaussians, data.images, context)
+    return least_important(worth, lambda kept: errors(gaussians.rows(kept)), growth)
+
+
+def visible_worth(
+    gaussians: Gaussians, images: Sequence[PosedImage], context: Context = QUIET
+) -> Tensor:
+    """(N,) about how much the photos' squared error depends on each Gaussian.
+
+    The sum over photos of its largest blending weight times the sum of its weights, which is an
+    upper bound of the sum of its squared weights; photos in half their size.
+
+    Args:
+        gaussians: the model, N rows.
+        images: the training photos; their pixels are not used.
+        context: checked for cancellation between photos.
+    """
+    import torch
+
+    from ...rasterize.view import blending_weights
+
+    worth = torch.zeros(len(gaussians), dtype=torch.float64, device=gaussians.means.device)
+    half = [
+        (
+            image.camera.thumbnail(max(image.camera.width, image.camera.height) // 2),
+            image.world_to_camera,
+        )
+        for image in images
+    ]
+    for weights in blending_weights(gaussians, half, context):
+        worth += weights.total * weights.largest
+    return worth
+
+
+class PhotoErrors:
+    """The mean squared errors of a model on some of the photos that it trains on.
+
+    Args:
+        views: the photos.
+        rois: each box is judged apart, on photos that see it: a small one that few photos show
+            would not be missed in the whole.
+        backgrounds: (photos, 3) colours behind everything; None: black.
+        context: checked for cancellation between photos.
+    """
+
+    def __init__(
+        self,
+        views: PhotoViews,
+        rois: Sequence[OrientedBox],
+        backgrounds: Tensor | None,
+        context: Context = QUIET,
+    ) -> None:
+        self._views, self._rois = views, rois
+        self._backgrounds, self._context = backgrounds, context
+        self._whole = frozenset(evenly_spaced(range(len(views.images)), WHOLE))
+        self._seeing = [
+            evenly_spaced([k for k, image in enumerate(views.images) if _sees(image, roi)], EACH)
+            for roi in rois
+        ]
+
+    def __call__(self, gaussians: Gaussians) -> Iterator[tuple[int, float]]:
+        """Photo by photo, the error on the whole, and on the silhouette of each box that it judges.
+
+        Only pixels that count; what has none is left out.
+        """
+        from ...cuda.device import sent
+
+        for index in sorted(self._whole.union(*self._seeing)):
+            self._context.check_cancelled()
+            squares, counted = self._squares(gaussians, index)
+            parts = [(0, counted)] if index in self._whole else []
+            for box, seeing in enumerate(self._seeing, start=1):
+                if index in seeing:
+                    silhouette = sent(self._silhouette(index, box - 1), counted.device)
+                    parts.append((box, counted & silhouette))
+            for part, pixels in parts:
+                if pixels.any():
+                    yield part, float(squares[pixels].double().mean())
+
+    def _silhouette(self, index: int, box: int) -> Tensor:
+        import torch
+
+        image = self._views.images[index]
+        return torch.from_numpy(self._rois[box].silhouette(image.camera, image.world_to_camera))
+
+    def _squares(self, gaussians: Gaussians, index: int) -> tuple[Tensor, Tensor]:
+        """(H, W) squared errors, and (H, W) bool: which pixels count."""
+        import torch
+
+        from ...rasterize import rasterize
+        from ..loss_masks import split_mask
+
+        photo, counted = split_mask(self._views.photo(index))
+        options: dict[str, Any] = self._views.view(index)._asdict()
+        if self._backgrounds is not None:
+            options["background"] = self._backgrounds[index]
+        output = rasterize(
+            gaussians.means,
+            gaussians.quats,
+            gaussians.log_scales,
+            gaussians.logit_opacities,
+            gaussians.sh,
+            raw=True,
+            antialiased=gaussians.antialiased,
+            **options,
+        )
+        squares = (output.image[0] - photo / 255.0).square().mean(dim=-1)
+        return squares, torch.ones_like(squares, dtype=torch.bool) if counted is None else counted
+
+
+def _sees(image: PosedImage, roi: OrientedBox) -> bool:
+    return roi.projected_area(image.camera, image.world_to_camera) > 0
+
+
+def least_important(worth: Tensor, errors: Callable[[Tensor], Errors], growth: float) -> Tensor:
+    """(N,) bool: the Gaussians of the least worth, as many as may go.
+
+    Args:
+        worth: (N,) of each.
+        errors: of the model with some of its rows, (N,) bool; where there are none, none go.
+        growth: largest mean growth of the photos' errors, in any part.
+    """
+    import torch
+
+    order = worth.argsort(stable=True)
+    order = order[worth[order] > 0]  # what no photo shows, the photos cannot judge
+
+    def least(share: float) -> Tensor:
+        found = torch.zeros(len(worth), dtype=torch.bool, device=worth.device)
+        found[order[: int(share * len(order))]] = True
+        return found
+
+    before = list(errors(~least(0.0)))
+    if not before:
+        return least(0.0)
+    few, many = 0.0, MOST
+    for _ in range(HALVINGS):
+        share = (few + many) / 2
+        holds = is_within(before, errors(~least(share)), growth)
+        few, many = (share, many) if holds else (few, share)
+    return least(few)
+
+
+def is_within(before: Sequence[tuple[int, float]], after: Errors, growth: float) -> bool:
+    """Whether errors have grown by no more than a share, in the mean over the photos of each part.
+
+    Errors that fell count as the same. Asks for no more errors than it takes to say no.
+    """
+    photos = Counter(part for part, _ in before)
+    grown = dict.fromkeys(photos, 0.0)
+    for (part, was), (_, now) in zip(before, after, strict=True):
+        grown[part] += max(now / max(was, 1e-12) - 1, 0.0)
+        if not grown[part] <= growth * photos[part]:  # or it is NaN
+            return False
+    return True

@@ -12,7 +12,7 @@ import torch
 from roigs_engine.cli import main
 from roigs_engine.commands.console import Console
 from roigs_engine.cuda import card, compiler, device, driver
-from roigs_engine.training import gpu_check, gpu_times
+from roigs_engine.training import gpu_check
 from tests.engine.cuda.shim import ShimProgram, compiled
 
 
@@ -29,8 +29,8 @@ def _card(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(torch.cuda, name, lambda _, value=value: value)
     monkeypatch.setattr(gpu_check, "COUNT", 100)
     monkeypatch.setattr(gpu_check, "user_cache", lambda: tmp_path)
-    monkeypatch.setattr(gpu_times, "SIZE", (32, 32))
-    monkeypatch.setattr(gpu_times, "COUNT", 100)
+    monkeypatch.setattr(gpu_check, "SIZE", (32, 32))
+    monkeypatch.setattr(gpu_check, "COUNT", 100)
 
 
 @pytest.mark.usefixtures("_card")

@@ -24,7 +24,7 @@ from torch.utils._pytree import tree_leaves, tree_map
 from roigs_engine.cuda.pair_buffers import Number, PairBuffers
 from roigs_engine.cuda.photos import DevicePhotos, Photos
 from roigs_engine.rasterize import rasterize
-from roigs_engine.training import photo_views, steps_ahead, trainer
+from roigs_engine.training import loop, stage_data, trainer
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.optimizer import VisibleAdam
 
@@ -190,11 +190,11 @@ def use(
     def photos_on(device: torch.device, photos: Photos, limit: int | None) -> DevicePhotos:
         return DevicePhotos(photos, upload, 1 << 40)
 
-    patch.setattr(photo_views, "photos_on", photos_on)
+    patch.setattr(stage_data, "photos_on", photos_on)
     made_buffers = (
         (lambda device: PairBuffers(device, card.arriving(late))) if buffers else lambda _: None
     )
-    patch.setattr(steps_ahead, "pair_buffers_on", made_buffers)
+    patch.setattr(loop, "pair_buffers_on", made_buffers)
 
 
 def upload(pixels: NDArray[np.uint8]) -> Callable[[], Tensor]:

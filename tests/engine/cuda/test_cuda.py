@@ -18,7 +18,7 @@ from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.rasterize import rasterize
 from roigs_engine.rasterize.view import render_view
-from roigs_engine.training import steps_ahead
+from roigs_engine.training import loop
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.floaters import consistent_across_views
 from roigs_engine.training.losses import photo_loss
@@ -168,7 +168,7 @@ def test_views_with_small_buffers_are_drawn_again(
     monkeypatch.setattr(pair_buffers, "LEAST_MARGIN", 0)
     models = []
     for made in (pair_buffers.pair_buffers_on, lambda device: None):
-        monkeypatch.setattr(steps_ahead, "pair_buffers_on", made)
+        monkeypatch.setattr(loop, "pair_buffers_on", made)
         config = TrainConfig(steps=200, mechanisms=(DensityControl(start=50, until=150),))
         trainer = trainer_on_card(scene, config)
         assert trainer.run()

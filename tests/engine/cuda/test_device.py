@@ -29,7 +29,8 @@ from roigs_engine.rasterize import rasterize
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.stage_folder import StageFolder
 from roigs_engine.run.strategies import plan_run
-from roigs_engine.training import photo_views, trainer
+from roigs_engine.training import stage_data as stage_data_module
+from roigs_engine.training import trainer
 from roigs_engine.training.checkpoint import save_checkpoint
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.mechanisms.density_control import RunningDensityControl
@@ -70,7 +71,7 @@ def test_steps_without_kernels_are_those_with_them(
     kernels = trained(scene, config)
     without_kernels(monkeypatch)
     plain = trained(scene, config)
-    assert float(plain._figures.loss) == pytest.approx(float(kernels._figures.loss), rel=1e-4)
+    assert float(plain._metrics.loss) == pytest.approx(float(kernels._metrics.loss), rel=1e-4)
     assert torch.allclose(weights(plain), weights(kernels), atol=1e-3)
     for name in NAMES:
         ours, truth = getattr(plain.gaussians, name), getattr(kernels.gaussians, name)
@@ -100,13 +101,13 @@ def test_masked_steps_without_kernels_are_those_with_them(
     kernels = trained(scene, config)
     without_kernels(monkeypatch)
     monkeypatch.setattr(
-        photo_views,
+        stage_data_module,
         "photos_on",
         lambda _, photos, limit: DevicePhotos(photos, upload, limit=1 << 20),
     )
     plain = trained(scene, config)
     assert sent and set(sent) == {(48, 64, 4)}
-    assert float(plain._figures.loss) == pytest.approx(float(kernels._figures.loss), rel=1e-4)
+    assert float(plain._metrics.loss) == pytest.approx(float(kernels._metrics.loss), rel=1e-4)
     assert torch.allclose(plain.gaussians.means, kernels.gaussians.means, atol=1e-3)
 
 
@@ -119,7 +120,7 @@ def test_densifying_without_kernels_gives_as_good_a_model(
     plain = trained(scene)
     assert len(plain.gaussians) == pytest.approx(len(kernels.gaussians), rel=0.05)
     assert len(plain.gaussians) > 100
-    assert float(plain._figures.loss) == pytest.approx(float(kernels._figures.loss), rel=0.1)
+    assert float(plain._metrics.loss) == pytest.approx(float(kernels._metrics.loss), rel=0.1)
 
 
 def test_a_step_reads_nothing_back(scene: SfmScene, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -107,7 +107,7 @@ def test_training_on_the_kernels_is_training_on_the_cpu(
     ours = trained(scene, config)
     assert {"project_backward_adam", "loss_gradient", "weigh"} < set(shim.launched)
     assert "project_backward" not in shim.launched
-    assert float(ours._figures.loss) == pytest.approx(float(plain._figures.loss), rel=1e-4)
+    assert float(ours._metrics.loss) == pytest.approx(float(plain._metrics.loss), rel=1e-4)
     for name in NAMES:
         mine, theirs = getattr(ours.gaussians, name), getattr(plain.gaussians, name)
         # an alpha next to 1/255 is drawn or not by its last bit, and Adam steps by signs

@@ -20,12 +20,12 @@ from roigs_engine.model.ownership import owners
 from roigs_engine.model.scene import PhotoMask, SfmScene
 from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.photos.mask_images import write_mask
-from roigs_engine.training import cutouts, photo_order
+from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.cutouts import EVERY, Cutouts
 from roigs_engine.training.edits import morton_order
+from roigs_engine.training.mechanisms import cutout_steps
 from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
-from roigs_engine.training.mechanisms.cutout_steps import CutoutSteps
+from roigs_engine.training.mechanisms.cutout_steps import EVERY, Cutouts, CutoutSteps
 from roigs_engine.training.mechanisms.density_control import DensityControl
 from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
 from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
@@ -137,7 +137,7 @@ def test_steps_on_an_object_alone_do_not_wait(
     made = Cutouts(model, owners(model, [BOX]), [BOX], images, seed=3)
     with card:
         made._rows, made._device = [rows.to(FAR) for rows in made._rows], FAR
-        monkeypatch.setattr(cutouts, "Cutouts", lambda *_: made)
+        monkeypatch.setattr(cutout_steps, "Cutouts", lambda *_: made)
         config = CONFIG.using(CutoutSteps())
         trainer = trainer_of(seen, config, labelled=lambda: (model, owners(model, [BOX])))
         trainer.step = 1

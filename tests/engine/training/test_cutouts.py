@@ -11,8 +11,8 @@ import torch
 from roigs_engine.model.gaussians import NAMES
 from roigs_engine.model.scene import PhotoMask, SfmScene
 from roigs_engine.photos.mask_images import load_object_mask, write_mask
-from roigs_engine.training.cutouts import EVERY, Cutouts
 from roigs_engine.training.loss_masks import LossMasks
+from roigs_engine.training.mechanisms.cutout_steps import EVERY, Cutouts
 from roigs_engine.training.optimizer import VisibleAdam
 from tests.engine.synthetic_scene import BOX, make_scene, truth
 from tests.engine.training.mask_pixels import pixels_of

@@ -17,7 +17,7 @@ from roigs_engine.run import stage_folder
 from roigs_engine.run.stage_folder import StageFolder, StageResult
 from roigs_engine.training import trainer
 from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.health import Health
+from roigs_engine.training.metrics import Health
 from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import make_scene, stage_data
 from tests.engine.training.short import SHORT, first_model, same_bits

@@ -22,21 +22,21 @@ from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.rasterize.view import rasterize_view
 from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.importance import (
+from roigs_engine.training.mechanisms import importance_pruning
+from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
+from roigs_engine.training.mechanisms.density_control import DensityControl
+from roigs_engine.training.mechanisms.importance_pruning import (
     EACH,
     WHOLE,
     Errors,
+    ImportancePruning,
     PhotoErrors,
     is_within,
     least_important,
     visible_worth,
 )
-from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
-from roigs_engine.training.mechanisms.density_control import DensityControl
-from roigs_engine.training.mechanisms.importance_pruning import ImportancePruning
 from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
-from roigs_engine.training.photo_views import PhotoViews
-from roigs_engine.training.stage_data import StageData
+from roigs_engine.training.stage_data import PhotoViews, StageData
 from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import BOX, make_scene, small_photos
 
@@ -247,7 +247,7 @@ def test_a_full_memory_while_it_looks_has_changed_nothing(
     def full(*args: object) -> Tensor:
         raise MemoryError
 
-    monkeypatch.setattr("roigs_engine.training.importance.visible_worth", full)
+    monkeypatch.setattr(importance_pruning, "visible_worth", full)
     trainer = Trainer(model_of(scene), stage_data(scene), CONFIG)
     with pytest.raises(MemoryError):
         trainer.run()
@@ -298,7 +298,7 @@ def test_photos_of_full_size_judge(
         widths.append(views.view(0).width)
         return torch.zeros(len(model), dtype=torch.bool)
 
-    monkeypatch.setattr("roigs_engine.training.importance.unimportant_gaussians", asked)
+    monkeypatch.setattr(importance_pruning, "unimportant_gaussians", asked)
     masks = (MaskedSteps(full_every=full_every),) if full_every > 1 else ()
     config = CONFIG.using(*masks, CoarseToFine(until=small_until))
     data = replace(stage_data(scene), small=small_photos(scene), rois=[BOX])

@@ -16,11 +16,10 @@ from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.definition import define_run
 from roigs_engine.training import mechanisms
-from roigs_engine.training.checkpoint import load_checkpoint, save_checkpoint
+from roigs_engine.training.checkpoint import check_state, load_checkpoint, save_checkpoint
 from roigs_engine.training.config import Mechanism, TrainConfig, share_of_steps, with_steps
 from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
 from roigs_engine.training.running import Running
-from roigs_engine.training.state import check_state
 from roigs_engine.training.trainer import Trainer
 from tests.engine.runs import tiny
 from tests.engine.synthetic_scene import BOX, make_scene, stage_data

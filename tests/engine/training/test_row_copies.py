@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from roigs_engine.kernels import library
-from roigs_engine.training.row_copies import chosen_rows
+from roigs_engine.training.edits import chosen_rows
 
 
 @pytest.mark.parametrize("shape", [(), (3,), (16, 3)])

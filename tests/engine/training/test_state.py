@@ -17,7 +17,7 @@ from roigs_engine.context import Context
 from roigs_engine.errors import RunFolderError
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.gaussians import Gaussians
-from roigs_engine.training.checkpoint import load_checkpoint, save_checkpoint
+from roigs_engine.training.checkpoint import check_state, load_checkpoint, save_checkpoint
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.mechanisms.box_density_control import BoxDensityControl
 from roigs_engine.training.mechanisms.density_control import DensityControl
@@ -27,7 +27,6 @@ from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
 from roigs_engine.training.mechanisms.opacity_decay import OpacityDecay
 from roigs_engine.training.mechanisms.surroundings_rate import SurroundingsRate
 from roigs_engine.training.stage_data import StageData
-from roigs_engine.training.state import check_state
 from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import BOX, make_scene, stage_data
 

@@ -17,7 +17,7 @@ from roigs_engine.evaluation.views import EvaluatedModel
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.selection.split import choose_test_views
-from roigs_engine.training.callbacks import PeriodicCallback
+from roigs_engine.training.loop import PeriodicCallback
 from roigs_engine.training.mechanisms.box_density_control import box_budgets
 from tests.engine.synthetic_colmap import camera, write_project
 from tests.engine.synthetic_scene import BOX, make_scene
