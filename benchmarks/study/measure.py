@@ -24,8 +24,7 @@ from roigs_engine.formats.names import safe_name
 from roigs_engine.kernels import library
 from roigs_engine.machine import processor_name, usable_cores
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.run import baselines, stage_configs, strategies
-from roigs_engine.run.baselines import BASELINE
+from roigs_engine.run import stage_configs, strategies
 from roigs_engine.run.config import MAX_FACTOR, TEST, RunConfig
 from roigs_engine.run.definition import Run, define_run, inputs_record
 from roigs_engine.run.executor import Executor, TrainedModel
@@ -33,8 +32,9 @@ from roigs_engine.run.folder import open_folder
 from roigs_engine.run.manifest import from_json
 from roigs_engine.run.photo_sets import PhotoSets
 from roigs_engine.run.plan import Plan
-from roigs_engine.run.scene_stages import scene_stage
 from roigs_engine.run.stage_folder import StageResult
+from roigs_engine.run.stages import scene_stage
+from roigs_engine.run.strategies import BASELINE
 from roigs_engine.training.config import with_steps
 from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
 from roigs_engine.training.mechanisms.density_control import DensityControl
@@ -118,7 +118,7 @@ class Bench:
             self.folder, self.sfm, self.scene.rois, self._own_config(), context=self.context
         )
         photos = PhotoSets(own, self.context)
-        plan = baselines.full_scene(photos)
+        plan = strategies.full_scene(photos)
         if row.kind in BASELINES:
             return own, plan + _baseline(row.kind, photos)
         run, coarse = replace(own, config=self._config(row)), None
@@ -141,7 +141,7 @@ class Bench:
         Trains both, unless they are finished. Their seconds are on disk, so that the factor is the
         same whenever the row is resumed.
         """
-        tuned = baselines.full_scene_tuned(PhotoSets(own, self.context))
+        tuned = strategies.full_scene_tuned(PhotoSets(own, self.context))
         ours = strategies.strategy(PhotoSets(joint, self.context))
         open_folder(joint, self.context, update=True)
         executor = Executor(joint, self.context, update=True)
@@ -258,24 +258,24 @@ def _baseline(kind: str, photos: PhotoSets) -> Plan:
     """The baseline of that kind, which stands beside Full Scene."""
     match kind:
         case rows.FULL_OBJECT:
-            return baselines.full_objects(photos)
+            return strategies.full_objects(photos)
         case rows.TUNED:
-            return baselines.full_scene_tuned(photos)
+            return strategies.full_scene_tuned(photos)
         case rows.OBJECT_TUNED:
-            return baselines.full_objects_tuned(photos)
+            return strategies.full_objects_tuned(photos)
         case rows.ONE_STAGE:
             return one_stage(photos)
         case rows.MATCHED | rows.MATCHED_TUNED:
             ours = strategies.strategy(photos).models[-1]
             tuned = kind == rows.MATCHED_TUNED
-            return (baselines.matched_tuned if tuned else baselines.matched)(photos, ours)
+            return (strategies.matched_tuned if tuned else strategies.matched)(photos, ours)
     return Plan()
 
 
 def one_stage(photos: PhotoSets) -> Plan:
     """The tuned Full Scene in one stage on photos of full size, with a name of its own."""
-    plan = baselines.full_scene_tuned(photos, coarse_to_fine=False)
-    return replace(plan, models=(replace(plan.models[0], name=f"{baselines.TUNED}, one stage"),))
+    plan = strategies.full_scene_tuned(photos, coarse_to_fine=False)
+    return replace(plan, models=(replace(plan.models[0], name=f"{strategies.TUNED}, one stage"),))
 
 
 def _stages(models: Sequence[TrainedModel]) -> dict[str, StageResult]:

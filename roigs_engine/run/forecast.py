@@ -1,23 +1,44 @@
-"""What a plan's stages will take: Gaussians and seconds, with what is done already."""
+"""Estimates of what a plan's stages will take: Gaussians and seconds, with what is done already.
+
+The time of a step is measured twice by training a few, on the stage's cameras and masks: with the
+number of Gaussians at the start of the stage, and with the number expected at its end. In between
+it is interpolated. A rule of thumb gives the number of Gaussians that densification adds.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+import time
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
+from numpy.typing import NDArray
 
-from ..context import Context
+from ..context import QUIET, Context
 from ..errors import EngineError
-from ..formats.text import counted
+from ..formats.text import counted, json_digest
 from ..kernels import library
-from ..model.scene import SfmScene
+from ..model.gaussians import Gaussians
+from ..model.scene import PosedImage, SfmScene
+from ..training.loop import one_torch_thread
+from ..training.mechanisms.box_density_control import BoxDensityControl
+from ..training.mechanisms.density_control import DensityControl
+from ..training.mechanisms.idle_pruning import IdlePruning
+from ..training.mechanisms.importance_pruning import ImportancePruning
+from ..training.mechanisms.masked_steps import MaskedSteps
+from ..training.stage_data import StageData
+from ..training.trainer import Trainer
 from .definition import Run
-from .estimate import Estimator, StageEstimate, evaluation_seconds
 from .executor import Executor
 from .plan import POINTS, Plan, Source, Stage
 from .stage_folder import StageStatus
+
+# One densification adds the share GROWTH to a small model, and less to a larger one: half of it to
+# a model of HALF Gaussians. Seen in two scenes whose growth differs by a factor of 2
+# (notebook/densification.md).
 
 WORTH_SAYING = 2000  # steps; an estimate takes as long as a few hundred of them
 
@@ -156,3 +177,202 @@ def _minutes(seconds: float) -> str:
     if seconds < 90:
         return counted(max(1, round(seconds)), "second")
     return f"{seconds / 60:.0f} minutes" if seconds < 5400 else f"{seconds / 3600:.1f} hours"
+
+
+GROWTH, HALF, SATURATION = 0.4, 100_000, 1.3
+TRAINED = 0.3  # of that, around the boxes of a model that is trained already (35 % on kumamon)
+FAINT = 0.3  # share of the Gaussians that is removed as faint (24 to 39 % in two scenes)
+WARM_UP, MEASURED = 4, 12  # steps
+MOST_MEASURED = 300_000  # Gaussians; the time of more is extrapolated
+RENDER_SHARE = 0.5  # of a training step's time, to render and compare a test photo
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageEstimate:
+    """The estimate of one stage.
+
+    Attributes:
+        end, most: number of Gaussians at the end, and the largest before.
+        seconds: training time.
+        step_seconds: time of a step at the end.
+    """
+
+    end: int
+    most: int
+    seconds: float
+    step_seconds: float
+
+
+class Estimator:
+    """Estimates the stages of one run; measures stages with the same settings once.
+
+    Args:
+        scene: its points become the models that are timed.
+        context: gives the device; checked for cancellation between measurements.
+    """
+
+    def __init__(self, scene: SfmScene, context: Context = QUIET) -> None:
+        self._scene, self._context = scene, context
+        self._times: dict[tuple[object, ...], tuple[float, float]] = {}
+
+    def estimate(self, stage: Stage, start: int) -> StageEstimate:
+        """The estimate of a stage that starts with `start` Gaussians."""
+        counts = expected_counts(stage, start, self._share_in_boxes(stage))
+        end, most = counts[-1], max(counts)
+        seconds = small = self._line(stage, stage.images, start, most)
+        if stage.small_images:
+            small = self._line(stage, stage.small_images, start, most)
+        config = stage.config
+        total = sum(
+            (small if config.is_small(step) else seconds)(count)
+            for step, count in enumerate(counts)
+        )
+        return StageEstimate(end=end, most=most, seconds=total, step_seconds=seconds(end))
+
+    def _line(
+        self, stage: Stage, images: Sequence[PosedImage], start: int, most: int
+    ) -> Callable[[int], float]:
+        """Number of Gaussians -> seconds of a step on such photos."""
+        few, many = min(start, MOST_MEASURED), min(most, MOST_MEASURED)
+        low, high = self._step_seconds(stage, images, few, many)
+        slope = (high - low) / (many - few) if many > few else high / max(few, 1)
+        return lambda count: low + slope * (count - few)
+
+    def _share_in_boxes(self, stage: Stage) -> float:
+        """Share of the scene's points that lie in the stage's boxes."""
+        inside = np.zeros(len(self._scene.points), dtype=bool)
+        for roi in stage.rois:
+            inside |= roi.contains(self._scene.points)
+        return float(inside.mean()) if len(inside) else 0.0
+
+    def _step_seconds(
+        self, stage: Stage, images: Sequence[PosedImage], start: int, end: int
+    ) -> tuple[float, float]:
+        """Seconds of a step on such photos with `start` and with `end` Gaussians."""
+        largest = max(image.camera.width * image.camera.height for image in images)
+        settings = replace(stage.config, steps=0).to_dict()
+        key = (json_digest(settings), largest, _rounded(start), _rounded(end))
+        if key not in self._times:
+            first = self._measured(stage, images, start)
+            last = first if end == start else self._measured(stage, images, end)
+            self._times[key] = first, max(first, last)
+        return self._times[key]
+
+    def _measured(self, stage: Stage, images: Sequence[PosedImage], count: int) -> float:
+        """Seconds of a training step with `count` Gaussians, the median of a few."""
+        self._context.check_cancelled()
+        images = images[:: max(1, len(images) // 8)]
+        data = StageData(
+            images=images,
+            photos=_GreyPhotos(images),
+            photo_at=lambda step: step % len(images),
+            extent=stage.extent,
+            rois=stage.rois,
+            device=torch.device(self._context.device),
+        )
+        config = replace(stage.config, steps=WARM_UP + MEASURED).only(MaskedSteps, IdlePruning)
+        if masks := config.get(MaskedSteps):
+            config = config.using(replace(masks, view_weighting=0.0, seeing=()))
+        trainer = Trainer(model_of_size(self._scene, count), data, config)
+        times = []
+        with one_torch_thread():
+            for _ in range(WARM_UP + MEASURED):
+                began = time.perf_counter()
+                trainer.train_step()
+                _finish(data.device)
+                times.append(time.perf_counter() - began)
+        return float(np.median(times[WARM_UP:]))
+
+
+@dataclass
+class _Growing:
+    """Gaussians that grow by one threshold: their number, where it saturates, its limit, speed."""
+
+    count: float
+    half: float
+    limit: float
+    speed: float
+
+    def grow(self) -> None:
+        """One densification."""
+        share = min(1.0, GROWTH * self.speed / (1 + (self.count / self.half) ** SATURATION))
+        self.count = max(self.count, min(self.count * (1 + share), self.limit))
+
+
+def expected_counts(stage: Stage, start: int, share_in_boxes: float) -> list[int]:
+    """Number of Gaussians at each step of a stage, by the rule of thumb."""
+    density, counts = stage.config.get(DensityControl), []
+    pruning = stage.config.get(ImportancePruning)
+    prunes = density is not None and pruning is not None and pruning.acts(stage.config)
+    parts = _growing(density, start, share_in_boxes)
+    for step in range(1, stage.config.steps + 1):
+        if density is not None and density.grows(step):
+            for part in parts:
+                part.grow()
+        if density is not None and prunes and step == density.until:
+            for part in parts:
+                part.count *= 1 - FAINT
+        counts.append(round(sum(part.count for part in parts)))
+    return counts
+
+
+def _growing(density: DensityControl | None, start: int, share_in_boxes: float) -> list[_Growing]:
+    """The Gaussians of a stage: in its boxes and outside, where their thresholds differ."""
+    usual = DensityControl.grad_threshold
+    speed = usual / density.grad_threshold if density else 0.0
+    if not (isinstance(density, BoxDensityControl) and density.box_sizes):
+        return [_Growing(float(start), HALF, math.inf, speed)]
+    share, limit = share_in_boxes, math.inf  # as much detail as their share of the scene
+    if density.budgets is not None:
+        limit = float(sum(density.budgets))
+    inside = _Growing(start * share, max(1.0, HALF * share), limit, speed)
+    outside, rest = density.outside_threshold, 1 - share
+    speed = TRAINED * usual / outside if outside else 0.0
+    return [inside, _Growing(start * rest, max(1.0, HALF * rest), math.inf, speed)]
+
+
+def evaluation_seconds(ends: Sequence[StageEstimate], tests: int) -> float:
+    """Seconds to render the test photos with each stage's model and to compare them."""
+    return sum(RENDER_SHARE * stage.step_seconds * tests for stage in ends)
+
+
+def model_of_size(scene: SfmScene, count: int) -> Gaussians:
+    """The scene's points as `count` Gaussians: some of the points, or all with smaller copies."""
+    rng = np.random.default_rng(0)
+    rows = rng.permutation(len(scene.points))[:count]
+    copies = -(-count // max(len(rows), 1))
+    model = Gaussians.from_points(scene.points[rows], scene.colors[rows])
+    if copies == 1:
+        return model
+    values = {
+        name: torch.cat([tensor] * copies)[:count] for name, tensor in model.tensors().items()
+    }
+    spread = values["log_scales"].exp()
+    generator = torch.Generator().manual_seed(0)
+    values["means"] = values["means"] + spread * torch.randn(count, 3, generator=generator)
+    values["log_scales"] = values["log_scales"] - float(np.log(copies)) / 2  # same total area
+    return model.with_tensors(values)
+
+
+class _GreyPhotos:
+    """Grey photos: the content of a photo hardly changes the time of a step."""
+
+    def __init__(self, images: Sequence[PosedImage]) -> None:
+        self._images = images
+
+    def __getitem__(self, index: int) -> NDArray[np.uint8]:
+        camera = self._images[index].camera
+        return np.full((camera.height, camera.width, 3), 128, dtype=np.uint8)
+
+    def prefetch(self, indices: Sequence[int]) -> None:
+        """Nothing to decode."""
+
+
+def _finish(device: torch.device) -> None:
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+
+
+def _rounded(count: int) -> int:
+    """The same number for counts within 5 %: they share one measurement."""
+    return round(20 * float(np.log(max(count, 1))))

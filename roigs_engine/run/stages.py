@@ -1,18 +1,24 @@
-"""Stages from a run's photos, boxes and settings."""
+"""Stages from a run's photos, boxes and settings: of the whole scene, or one for each cell."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
 
+from ..errors import SceneError
+from ..formats import run_files
+from ..model.ownership import Partition
 from ..model.roi import OrientedBox
 from ..model.scene import Int64, PosedImage
 from ..training.config import PlannedViews, TrainConfig
+from ..training.mechanisms.cutout_steps import CutoutSteps
 from ..training.mechanisms.masked_steps import MaskedSteps
 from ..training.photo_order import PhotoOrder
+from . import stage_configs
 from .definition import Run
+from .layout import Cell
 from .photo_sets import PhotoSets
-from .plan import POINTS, Source, Stage
+from .plan import CELLS, POINTS, SEEN, PlannedModel, Source, Stage
 
 Order = Callable[[PhotoSets, Sequence[PosedImage], TrainConfig], PhotoOrder]
 
@@ -90,3 +96,124 @@ def points_source(run: Run, rows: Int64 | None = None) -> Source:
 def path_of(folder: str, stage: str) -> str:
     """The name of a stage in a folder below the run folder; empty: in the run folder itself."""
     return f"{folder}/{stage}" if folder else stage
+
+
+def trained_on(
+    name: str,
+    photos: PhotoSets,
+    config: TrainConfig,
+    base: Source | None,
+    *,
+    folder: str = "",
+) -> PlannedModel:
+    """A model that is trained on in all boxes, cell by cell if the run has cells.
+
+    Args:
+        name: of the stage; after the cell's label, if there is one.
+        photos: of the run.
+        config: of the stage for the whole scene.
+        base: what it goes on with; None: the sparse points.
+        folder: of the stages, below the run folder.
+    """
+    cells = photos.run.layout.cells
+    if cells is None:
+        stage = make_stage(
+            path_of(folder, name),
+            photos,
+            photos.images,
+            config,
+            rois=photos.rois,
+            start=base,
+            order=mixed_order,
+        )
+        return PlannedModel.of_stages(name, stage)
+    alone = config.get(CutoutSteps) is not None
+    stages = []
+    for index, cell in enumerate(cells.cells):
+        if alone and base is not None and not cell.rois:  # no object: it stays as it is
+            stages.append(base.inputs[index])
+            continue
+        own = photos.of(cell)
+        stage = make_stage(
+            path_of(folder, f"{cell.label}-{name}"),
+            own,
+            own.images,
+            _config(photos, config, cell),
+            rois=cell.rois,
+            start=_start(photos.run, base, cell, own.images),
+            order=mixed_order if cell.rois else None,
+        )
+        stages.append(stage)
+    return joined(name, stages, cells.partition)
+
+
+def _config(photos: PhotoSets, config: TrainConfig, cell: Cell) -> TrainConfig:
+    """Of a cell's stage: a group has all steps, a block its share of them."""
+    if photos.run.layout.blocks is None:
+        return config
+    share = len(cell.photos) / len(photos.images)
+    if cell.rois:
+        return stage_configs.block_stage(config, cell.share, share)
+    return stage_configs.surroundings_stage(config, share)
+
+
+def _start(
+    run: Run, base: Source | None, cell: Cell, images: Sequence[PosedImage]
+) -> Source | None:
+    """What a cell's stage starts from: in a scene that is cut, only what its photos show."""
+    if run.layout.blocks is None:
+        return base
+    if base is None:
+        return points_source(run, cell.points)
+    return seen_part(run, base, images, len(cell.points) / len(run.train_scene.points))
+
+
+def seen_part(run: Run, base: Source, images: Sequence[PosedImage], share: float = 1.0) -> Source:
+    """The Gaussians that a stage on some photos starts from: in a scene that is cut, a part."""
+    if run.layout.blocks is None:
+        return base
+    return Source(kind=SEEN, base=base, images=tuple(images), share=share)
+
+
+def joined(name: str, stages: Sequence[Stage], partition: Partition) -> PlannedModel:
+    """A model of what each stage's model owns of its result."""
+    inputs = tuple(stages)
+    source = Source(kind=CELLS, inputs=inputs, digest=partition.digest, partition=partition)
+    return PlannedModel(name=name, source=source, stages=inputs)
+
+
+def scene_model(photos: PhotoSets, folder: str = "") -> PlannedModel:
+    """The Scene-GS: of one stage, or of one for each block of a scene that is cut."""
+    run, name = photos.run, "Scene-GS"
+    blocks = run.layout.blocks
+    if blocks is None:
+        return PlannedModel.of_stages(name, scene_stage(photos, folder))
+    stages = [
+        make_stage(
+            path_of(folder, f"{cell.label}-{run_files.SCENE_STAGE}"),
+            photos,
+            _images(photos, photos.of(cell).images),
+            stage_configs.surroundings_stage(run.config.scene, cell.share),
+            start=points_source(run, cell.points),
+        )
+        for cell in blocks.cells
+    ]
+    return joined(name, stages, blocks.partition)
+
+
+def scene_stage(photos: PhotoSets, folder: str = "") -> Stage:
+    """The Scene-GS of a scene that is not cut."""
+    name = path_of(folder, run_files.SCENE_STAGE)
+    return make_stage(name, photos, _images(photos, photos.images), photos.run.config.scene)
+
+
+def _images(photos: PhotoSets, images: Sequence[PosedImage]) -> tuple[PosedImage, ...]:
+    """These photos without the reserved ones, at the size of the Scene-GS."""
+    reserved = photos.reserved()
+    kept = tuple(image for image in images if image.name not in reserved)
+    if not kept:
+        raise SceneError(
+            "All photos are reserved for boxes: none is left to train the scene on.",
+            "Raise --kept-share (1 keeps all), or select fewer photos (--count).",
+        )
+    return tuple(image.scaled(photos.run.config.scene_scale) for image in kept)

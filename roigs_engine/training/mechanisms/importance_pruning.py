@@ -195,6 +195,8 @@ class PhotoErrors:
 
         Only pixels that count; what has none is left out.
         """
+        import torch
+
         from ...cuda.device import sent
 
         for index in sorted(self._whole.union(*self._seeing)):
@@ -207,7 +209,7 @@ class PhotoErrors:
                     parts.append((box, counted & silhouette))
             for part, pixels in parts:
                 if pixels.any():
-                    yield part, float(squares[pixels].double().mean())
+                    yield part, float(squares[pixels].mean(dtype=torch.float64))
 
     def _silhouette(self, index: int, box: int) -> Tensor:
         import torch

@@ -20,8 +20,8 @@ from roigs_engine.model.scene import PosedImage, SfmScene
 from roigs_engine.run import forecast
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.dry_run import describe_plan
-from roigs_engine.run.estimate import MOST_MEASURED, Estimator, expected_counts, model_of_size
 from roigs_engine.run.folder import train_run
+from roigs_engine.run.forecast import MOST_MEASURED, Estimator, expected_counts, model_of_size
 from roigs_engine.run.plan import Stage
 from roigs_engine.run.presets import preset
 from roigs_engine.run.strategies import plan_run

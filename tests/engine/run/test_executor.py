@@ -20,14 +20,13 @@ from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.ownership import count_owned
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.run.baselines import matched
 from roigs_engine.run.definition import Run, define_run
 from roigs_engine.run.executor import Executor
 from roigs_engine.run.folder import train_run
 from roigs_engine.run.photo_sets import PhotoSets
-from roigs_engine.run.scene_stages import scene_stage
 from roigs_engine.run.stage_folder import StageFolder, StageResult
-from roigs_engine.run.strategies import plan_run, strategy
+from roigs_engine.run.stages import scene_stage
+from roigs_engine.run.strategies import matched, plan_run, strategy
 from roigs_engine.training import health
 from roigs_engine.training.mechanisms.background_points import BackgroundPoints
 from roigs_engine.training.stage_data import StageData

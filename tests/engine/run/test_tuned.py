@@ -12,14 +12,13 @@ from roigs_engine.formats.run_files import is_own
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run import stage_configs
-from roigs_engine.run.baselines import full_scene_tuned, matched_tuned
 from roigs_engine.run.config import BASELINES, RunConfig
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.folder import train_run
 from roigs_engine.run.photo_sets import PhotoSets
 from roigs_engine.run.plan import POINTS, Plan, Stage
 from roigs_engine.run.presets import PRESETS, preset
-from roigs_engine.run.strategies import plan_run, strategy
+from roigs_engine.run.strategies import full_scene_tuned, matched_tuned, plan_run, strategy
 from roigs_engine.training.mechanisms.background_points import BackgroundPoints
 from roigs_engine.training.mechanisms.box_density_control import BoxDensityControl
 from roigs_engine.training.mechanisms.density_control import DensityControl
