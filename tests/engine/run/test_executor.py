@@ -27,7 +27,7 @@ from roigs_engine.run.photo_sets import PhotoSets
 from roigs_engine.run.stage_folder import StageFolder, StageResult
 from roigs_engine.run.stages import scene_stage
 from roigs_engine.run.strategies import matched, plan_run, strategy
-from roigs_engine.training import health
+from roigs_engine.training import metrics
 from roigs_engine.training.mechanisms.background_points import BackgroundPoints
 from roigs_engine.training.stage_data import StageData
 from tests.engine.runs import opened, plys, tiny, train
@@ -80,7 +80,7 @@ def test_a_photo_that_does_not_fit_is_named_by_one_stage(
     scene: SfmScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, value in {"VISITS": 1, "DEVIATIONS": -9.0, "TIMES": 1.0, "NAMED": 99}.items():
-        monkeypatch.setattr(health, name, value)  # half of the photos stand out
+        monkeypatch.setattr(metrics, name, value)  # half of the photos stand out
     events: list[Event] = []
     train(tmp_path, scene, [BOX], tiny("joint"), context=Context(emit=events.append))
     said = [e.text for e in events if isinstance(e, Message) and "matched worse" in e.text]
