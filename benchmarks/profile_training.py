@@ -28,7 +28,6 @@ from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.run.presets import PRESETS, preset
 from roigs_engine.run.stage_configs import baseline
 from roigs_engine.training import trainer
-from roigs_engine.training.edits import DensityStats
 from roigs_engine.training.mechanisms.density_control import RunningDensityControl
 from roigs_engine.training.metrics import TrainingMetrics
 from roigs_engine.training.optimizer import VisibleAdam
@@ -102,7 +101,7 @@ def watch_training() -> Clock:
     clock.watch(VisibleAdam, "step", "optimizer")
     clock.watch(VisibleAdam, "step_by", "optimizer")
     clock.watch(VisibleAdam, "set_lr", "optimizer")
-    clock.watch(DensityStats, "add", "statistics")
+    clock.watch(RunningDensityControl, "observe", "statistics")
     clock.watch(TrainingMetrics, "observe", "running loss and PSNR")
     clock.watch(RunningDensityControl, "edit", "densification")
     clock.watch(Trainer, "_apply", "densification")

@@ -181,7 +181,7 @@ def _minutes(seconds: float) -> str:
 
 GROWTH, HALF, SATURATION = 0.4, 100_000, 1.3
 TRAINED = 0.3  # of that, around the boxes of a model that is trained already (35 % on kumamon)
-FAINT = 0.3  # share of the Gaussians that is removed as faint (24 to 39 % in two scenes)
+PRUNED = 0.3  # share of the Gaussians that importance pruning removes (24 to 39 % in two scenes)
 WARM_UP, MEASURED = 4, 12  # steps
 MOST_MEASURED = 300_000  # Gaussians; the time of more is extrapolated
 RENDER_SHARE = 0.5  # of a training step's time, to render and compare a test photo
@@ -311,7 +311,7 @@ def expected_counts(stage: Stage, start: int, share_in_boxes: float) -> list[int
                 part.grow()
         if density is not None and prunes and step == density.until:
             for part in parts:
-                part.count *= 1 - FAINT
+                part.count *= 1 - PRUNED
         counts.append(round(sum(part.count for part in parts)))
     return counts
 

@@ -1,6 +1,8 @@
-"""Estimates the memory of a run before it starts.
+"""Estimates of a run's memory, on the machine and on a GPU, before it starts.
 
-The constants were measured with `python -m benchmarks.memory` (docs/reliability.md).
+The machine's constants were measured with `python -m benchmarks.memory` (docs/reliability.md). A
+GPU's are what a training's tensors take, counted on the simulated GPU of the tests
+(tests/engine/run/test_card_memory.py compares). How much more torch's cache takes is an assumption.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from ..context import QUIET, Context
-from ..cuda.device import card_memory
+from ..cuda.device import SHARE_OF_PHOTOS, card_memory
 from ..errors import SceneError
 from ..formats.events import Message
 from ..formats.text import in_gb
@@ -20,7 +22,6 @@ from ..model.scene import PosedImage, SfmScene
 from ..rasterize.inputs import TILE
 from ..training.config import TrainConfig
 from ..training.mechanisms.density_control import DensityControl
-from .card_memory import CardPlan, plan_card
 from .config import RunConfig
 from .layout import Layout
 from .plan import Stage
@@ -34,6 +35,50 @@ PER_PIXEL_AT_MOST = 120 + PER_PAIR * PAIRS // TILE**2
 PER_DENSIFICATION = 30_000  # Gaussians that one adds, on average; the largest of four scenes
 AHEAD = 3  # photos in memory at least: the one in use, and two that are decoded ahead
 DEFAULT_SHARE = 4  # the cache takes at most 1/4 of the machine's memory
+CARD_PER_GAUSSIAN = 850  # bytes: parameters and moments, statistics, what a step computes of it
+CARD_PER_GAUSSIAN_EDITED = 1600  # .. and the copies while densifying, without a step's
+CARD_PER_PIXEL = (
+    110  # of the largest photo: pictures, gradients, the checkpoints of half-filled groups
+)
+CARD_PER_PAIR = 180  # of a Gaussian and a tile: its place in lists, its moments, the checkpoints
+CARD_BUFFER = 1.25  # cuda.pair_buffers: for more pairs than there are
+CARD_CACHE = 1.2  # torch keeps freed blocks of other sizes
+CARD_PER_PIXEL_AT_MOST = CARD_PER_PIXEL + int(CARD_PER_PAIR * PAIRS * CARD_BUFFER) // TILE**2
+CARD_AHEAD = 3  # photos on the GPU at least: the one in use, and two that are sent ahead
+
+
+@dataclass(frozen=True, kw_only=True)
+class CardPlan:
+    """The expected GPU memory of a run, in bytes.
+
+    Attributes:
+        free, total: of the GPU, before the training.
+        photos: the photos that are kept there, at most.
+        training: all but photos, on the largest photo, if the model grows to `count` Gaussians.
+        count: that number (not bytes).
+    """
+
+    free: int
+    total: int
+    photos: int
+    training: int
+    count: int
+
+    def messages(self) -> list[Message]:
+        """Messages for the user before the run starts."""
+        text = (
+            f"GPU memory: up to about {in_gb(self.training + self.photos)} of"
+            f" {in_gb(self.free)} free ({in_gb(self.total)} in all): photos {in_gb(self.photos)},"
+            f" {in_gb(self.training)} if a model grows to {self.count:,} Gaussians."
+        )
+        found = [Message(text=text)]
+        if self.training + self.photos > self.free:
+            text = (
+                f"GPU memory will run out if the model grows to {self.count:,} Gaussians. Use a"
+                " smaller --max-side or --steps-factor, or --device cpu, if that happens."
+            )
+            found.append(Message(text=text, level="warning"))
+        return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,6 +268,38 @@ def plan_memory(
     )
 
 
+def plan_card(
+    images: Sequence[PosedImage], points: int, count: int, card: tuple[int, int]
+) -> CardPlan:
+    """The GPU memory that training on these photos needs.
+
+    Args:
+        images: all photos of the run.
+        points: number of sparse points, which become the first Gaussians.
+        count: the largest number of Gaussians that is expected.
+        card: free and total bytes of the GPU.
+
+    Raises:
+        SceneError: the start of training does not fit; the hint says what would.
+    """
+    free, total = card
+    pixels = max(i.camera.width * i.camera.height for i in images)
+    ahead = CARD_AHEAD * max(image.decoded_bytes for image in images)
+    model = int(CARD_CACHE * CARD_PER_GAUSSIAN * points)
+    if model + CARD_CACHE * CARD_PER_PIXEL * pixels + ahead > free:
+        need = model + int(CARD_CACHE * CARD_PER_PIXEL * pixels) + ahead
+        raise SceneError(
+            f"Training needs at least {in_gb(need)} of GPU memory ({points:,} points, photos of up"
+            f" to {pixels / 1e6:.1f} megapixels); {in_gb(free)} of {in_gb(total)} are free.",
+            _card_advice(images, free - model),
+        )
+    step = CARD_CACHE * (CARD_PER_GAUSSIAN * count + CARD_PER_PIXEL_AT_MOST * pixels) + ahead
+    training = int(max(step, CARD_CACHE * CARD_PER_GAUSSIAN_EDITED * count))
+    most = min(free // SHARE_OF_PHOTOS, max(free - training, 0))
+    photos = min(sum(image.decoded_bytes for image in images), most)
+    return CardPlan(free=free, total=total, photos=photos, training=training, count=count)
+
+
 def _densifications(*stages: TrainConfig) -> int:
     """How many densifications these stages have."""
     found = [(config.get(DensityControl), config.steps) for config in stages]
@@ -234,10 +311,24 @@ def _densifications(*stages: TrainConfig) -> int:
 
 
 def _advice(images: Sequence[PosedImage], left: int) -> str:
-    """A hint with the size of photos that fits."""
-    pixels = left / (3 * AHEAD + PER_PIXEL)
-    if pixels < 1:
+    """A hint with the size of photos that fits into so many bytes of the machine's memory."""
+    side = _largest_side(images, left / (3 * AHEAD + PER_PIXEL))
+    if side is None:
         return "Use a machine with more memory, or a model with fewer points."
+    return f"Use --max-side {side} or less."
+
+
+def _card_advice(images: Sequence[PosedImage], left: int) -> str:
+    """A hint with the size of photos that fits on a GPU, beside the points."""
+    side = _largest_side(images, left / (3 * CARD_AHEAD + CARD_CACHE * CARD_PER_PIXEL))
+    otherwise = "lose other programs that use the GPU, or train on the CPU (--device cpu)."
+    return f"C{otherwise}" if side is None else f"Use --max-side {side} or less, c{otherwise}"
+
+
+def _largest_side(images: Sequence[PosedImage], pixels: float) -> int | None:
+    """The longer side of the largest photo, reduced to so many pixels; None: to less than one."""
+    if pixels < 1:
+        return None
     largest = max((i.camera for i in images), key=lambda c: c.width * c.height)
     shrink = (pixels / (largest.width * largest.height)) ** 0.5
-    return f"Use --max-side {max(1, int(shrink * max(largest.width, largest.height)))} or less."
+    return max(1, int(shrink * max(largest.width, largest.height)))

@@ -186,9 +186,9 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         with open(path, "rb", opener=regular) as file:
             header = _header(file)
             tensors: list[Tensor] = []
-            room = os.fstat(file.fileno()).st_size - file.tell() - SUM.size
-            state = _restored(header["state"], tensors, room)
-            if sum(t.nbytes for t in tensors) != room:
+            left = os.fstat(file.fileno()).st_size - file.tell() - SUM.size
+            state = _restored(header["state"], tensors, left)
+            if sum(t.nbytes for t in tensors) != left:
                 raise _DamagedError("has the wrong size")
             checksum = 0
             for chunk in _chunks(tensors):
@@ -235,10 +235,10 @@ def _described(value: Any, tensors: list[Tensor]) -> Any:
     return value
 
 
-def _restored(value: Any, tensors: list[Tensor], room: int) -> Any:
+def _restored(value: Any, tensors: list[Tensor], left: int) -> Any:
     """The inverse of `_described`; appends the tensors, still without values, to the list.
 
-    They are allocated only if they all fit into `room` bytes, the rest of the file.
+    They are allocated only if they all fit into `left` bytes, the rest of the file.
     """
     if not isinstance(value, dict):
         return value
@@ -248,11 +248,11 @@ def _restored(value: Any, tensors: list[Tensor], room: int) -> Any:
             raise ValueError("a shape that is none")
         if len(tensors) == MAX_TENSORS:
             raise ValueError("more tensors than training has")
-        if sum(t.nbytes for t in tensors) + math.prod(shape) * TYPES[kind].itemsize > room:
+        if sum(t.nbytes for t in tensors) + math.prod(shape) * TYPES[kind].itemsize > left:
             raise _DamagedError("has the wrong size")
         tensors.append(torch.empty(shape, dtype=TYPES[kind]))
         return tensors[-1]
-    return {key: _restored(item, tensors, room) for key, item in value.items()}
+    return {key: _restored(item, tensors, left) for key, item in value.items()}
 
 
 def _chunks(tensors: list[Tensor]) -> Iterator[memoryview]:

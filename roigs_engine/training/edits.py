@@ -91,33 +91,6 @@ def _children(parents: Gaussians, rng: torch.Generator) -> Gaussians:
     return parents.with_tensors(values)
 
 
-@dataclass
-class DensityStats:
-    """Sums over training views since the last edit.
-
-    Attributes:
-        gradient: (N,) sum of 2D gradient norms (`RenderOutput.grad2d`).
-        views: (N,) number of views that showed it.
-    """
-
-    gradient: Tensor
-    views: Tensor
-
-    @classmethod
-    def zeros(cls, count: int, device: torch.device | None = None) -> DensityStats:
-        """Empty statistics of `count` Gaussians."""
-        return cls(*(torch.zeros(count, device=device) for _ in range(2)))
-
-    def add(self, visible: Tensor, grad2d: Tensor) -> None:
-        """Add one training view; all arguments (N,)."""
-        self.gradient += grad2d
-        self.views += visible
-
-    def mean_gradient(self) -> Tensor:
-        """(N,) mean gradient norm over the views that showed each Gaussian."""
-        return self.gradient / self.views.clamp(min=1)
-
-
 def morton_order(means: Tensor) -> Tensor:
     """(N, 3) positions -> (N,) row numbers along a Z-order curve.
 

@@ -65,9 +65,11 @@ class Running:
     """A mechanism in a stage that trains. All hooks do nothing by default; none needs gradients.
 
     Attributes:
+        kept: names of the attributes that are its state in checkpoints: tensors and plain numbers.
         needs_max_weight: whether `observe` needs each Gaussian's largest blending weight.
     """
 
+    kept: tuple[str, ...] = ()
     needs_max_weight: bool = False
 
     def own_step(self, training: Training) -> tuple[int, Tensor] | None:
@@ -108,7 +110,9 @@ class Running:
 
     def state_dict(self) -> dict[str, Any]:
         """The state, as `load_state_dict` needs it to continue exactly."""
-        return {}
+        return {name: getattr(self, name) for name in self.kept}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from a `state_dict`."""
+        for name in self.kept:
+            setattr(self, name, state[name])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -116,6 +116,7 @@ class RunningBoxDensityControl(RunningDensityControl):
     """See `BoxDensityControl`."""
 
     settings: BoxDensityControl
+    kept = ("gradient", "views", "began")
 
     def __init__(self, settings: BoxDensityControl, training: Training) -> None:
         from ...model.ownership import count_owned
@@ -124,7 +125,10 @@ class RunningBoxDensityControl(RunningDensityControl):
         self.rois = self.data.rois
         self.ends = settings.budgets or ()
         counts = count_owned(training.gaussians, self.rois) if self.ends else ()
-        self.began = [min(count, end) for count, end in zip(counts, self.ends, strict=True)]
+        # (B,) Gaussians in each box at the start, as far as its budget allows
+        self.began = self.views.new_tensor(
+            [min(count, end) for count, end in zip(counts, self.ends, strict=True)]
+        )
 
     def limits(self, progress: float) -> list[int]:
         """The limit of each box when the share `progress` (0 to 1) of densification is done.
@@ -134,14 +138,14 @@ class RunningBoxDensityControl(RunningDensityControl):
         """
         return [
             round(begin + (end - begin) * min(progress, 1.0))
-            for begin, end in zip(self.began, self.ends, strict=True)
+            for begin, end in zip(self.began.tolist(), self.ends, strict=True)
         ]
 
     def densify_mask(self, gaussians: Gaussians, step: int) -> Tensor:
         """(N,) bool; if a box's budget is too small for all, the largest gradients go first."""
         from ...model.ownership import owners
 
-        gradient = self.stats.mean_gradient()
+        gradient = self.mean_gradient()
         owner = owners(gaussians, self.rois)
         mask = self._outside(gaussians, gradient, owner)
         mask = (gradient > self.settings.grad_threshold).where(owner >= 0, mask)
@@ -186,13 +190,3 @@ class RunningBoxDensityControl(RunningDensityControl):
             for index, roi in enumerate(self.rois):
                 reference[owner == index] = min(self.data.extent, roi.diagonal)
         return reference
-
-    def state_dict(self) -> dict[str, Any]:
-        """The sums, and where the budgets began."""
-        began = self.stats.views.new_tensor(self.began)
-        return {**super().state_dict(), "began": began}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from a `state_dict`."""
-        self.began = [int(count) for count in state["began"].tolist()]
-        super().load_state_dict({name: state[name] for name in ("gradient", "views")})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from ...context import Context
 from ...errors import ConfigError
@@ -85,15 +85,20 @@ class DensityControl(Mechanism):
 class RunningDensityControl(Running):
     """Statistics of each Gaussian; subclasses override which are densified, and their size."""
 
-    def __init__(self, settings: DensityControl, training: Training) -> None:
-        from ..edits import DensityStats
+    kept: tuple[str, ...] = ("gradient", "views")
 
+    def __init__(self, settings: DensityControl, training: Training) -> None:
         self.settings, self.data = settings, training.data
-        self.stats = DensityStats.zeros(len(training.gaussians), training.data.device)
+        # (N,) sums over training views since the last edit: of norms of 2D gradients, of views.
+        self.gradient = training.gaussians.logit_opacities.detach().new_zeros(
+            len(training.gaussians)
+        )
+        self.views = self.gradient.clone()
 
     def observe(self, visible: Tensor, grad2d: Tensor, max_weight: Tensor | None) -> None:
         """Add the statistics of one training view; all arguments (N,)."""
-        self.stats.add(visible, grad2d)
+        self.gradient += grad2d
+        self.views += visible
 
     def is_due(self, step: int) -> bool:
         """Whether to densify or to reset."""
@@ -117,11 +122,15 @@ class RunningDensityControl(Running):
 
     def follow(self, rows: Tensor, gaussians: Gaussians) -> None:
         """Sums restart at zero."""
-        self.stats = type(self.stats).zeros(len(rows), rows.device)
+        self.gradient, self.views = (self.gradient.new_zeros(len(rows)) for _ in range(2))
+
+    def mean_gradient(self) -> Tensor:
+        """(N,) mean gradient norm over the views that showed each Gaussian."""
+        return self.gradient / self.views.clamp(min=1)
 
     def densify_mask(self, gaussians: Gaussians, step: int) -> Tensor:
         """(N,) bool: which Gaussians to clone or split."""
-        return self.stats.mean_gradient() > self.settings.grad_threshold
+        return self.mean_gradient() > self.settings.grad_threshold
 
     def size_reference(self, gaussians: Gaussians) -> Tensor:
         """(N,) the length that `split_fraction` is relative to: the scene's extent."""
@@ -153,11 +162,3 @@ class RunningDensityControl(Running):
             largest = gaussians.log_scales.detach().exp().amax(dim=1)
             keep &= largest <= settings.prune_size * self.data.extent
         return ~keep
-
-    def state_dict(self) -> dict[str, Any]:
-        """The sums."""
-        return {"gradient": self.stats.gradient, "views": self.stats.views}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from a `state_dict`."""
-        self.stats = type(self.stats)(**state)

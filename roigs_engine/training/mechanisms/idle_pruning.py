@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from ...context import Context
 from ...errors import ConfigError
@@ -56,44 +56,37 @@ class IdlePruning(Mechanism):
 
 
 class _Running(Running):
+    kept = ("window", "weight")
     needs_max_weight = True
 
     def __init__(self, settings: IdlePruning, training: Training) -> None:
         self._steps = max(settings.every, 2 * len(training.data.images))
-        self._window = 0  # the step at which the current window began
+        self.window = 0  # the step at which the current window began
         # (N,) largest alpha x T on any training pixel of the window; infinite for Gaussians added
         # in it, since some photos have not been drawn after that.
         gaussians = training.gaussians
-        self._weight = gaussians.logit_opacities.detach().new_zeros(len(gaussians))
+        self.weight = gaussians.logit_opacities.detach().new_zeros(len(gaussians))
 
     def observe(self, visible: Tensor, grad2d: Tensor, max_weight: Tensor | None) -> None:
         """Take the largest weights of a step."""
         assert max_weight is not None
-        self._weight = self._weight.maximum(max_weight)
+        self.weight = self.weight.maximum(max_weight)
 
     def is_due(self, step: int) -> bool:
         """At the end of a window."""
-        return step - self._window >= self._steps
+        return step - self.window >= self._steps
 
     def after_step(self, training: Training) -> None:
         """Remove what contributed to no pixel, and begin a window."""
         from ..edits import unchanged
 
-        keep = self._weight >= VISIBLE_WEIGHT
+        keep = self.weight >= VISIBLE_WEIGHT
         if not bool(keep.all()):
             training.apply(unchanged(training.gaussians).keep(keep.nonzero()[:, 0]))
-        self._weight.zero_()
-        self._window = training.step
+        self.weight.zero_()
+        self.window = training.step
 
     def follow(self, rows: Tensor, gaussians: Gaussians) -> None:
         """Weights stay with their rows."""
-        old = self._weight[rows.clamp(min=0)]
-        self._weight = old.masked_fill(rows < 0, float("inf"))
-
-    def state_dict(self) -> dict[str, Any]:
-        """The window and its weights."""
-        return {"window": self._window, "weight": self._weight}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from a `state_dict`."""
-        self._window, self._weight = int(state["window"]), state["weight"]
+        old = self.weight[rows.clamp(min=0)]
+        self.weight = old.masked_fill(rows < 0, float("inf"))

@@ -80,13 +80,15 @@ class ImportancePruning(Mechanism):
 
 
 class _Running(Running):
+    kept = ("done",)
+
     def __init__(self, growth: float, due: int, *, by_box: bool) -> None:
         self._growth, self._due, self._by_box = growth, due, by_box
-        self._done = False
+        self.done = False
 
     def between_steps(self, training: Training, context: Context) -> bool:
         """Prune once, when densification has ended; False if stopped."""
-        if self._done or training.step < self._due or not training.settled():
+        if self.done or training.step < self._due or not training.settled():
             return True
 
         def search() -> Tensor:
@@ -96,16 +98,8 @@ class _Running(Running):
                 training.gaussians, data, photos, self._growth, rois, context
             )
 
-        self._done = training.prune(context, "Gaussians that the photos hardly show", search)
-        return self._done
-
-    def state_dict(self) -> dict[str, Any]:
-        """Whether it is done."""
-        return {"done": self._done}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from a `state_dict`."""
-        self._done = bool(state["done"])
+        self.done = training.prune(context, "Gaussians that the photos hardly show", search)
+        return self.done
 
 
 def unimportant_gaussians(

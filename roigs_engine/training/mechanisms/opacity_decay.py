@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from ..config import Mechanism, PlannedViews, TrainConfig
 from ..running import Running
 from .masked_steps import MaskedSteps
 from .spaced_sh_rate import view_directions
-from .surroundings_rate import OutsideRows
+from .surroundings_rate import outside_boxes
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -88,23 +88,21 @@ class OpacityDecay(Mechanism):
 
     def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
         """Which Gaussians are outside, if they decay in another way."""
-        outside = None if self.outside_share is None else OutsideRows(training)
-        return _Running(self, config.steps, len(training.data.images), outside)
+        return _Running(self, config.steps, training)
 
     def check_state(self, state: StateReader) -> None:
-        """It knows who is outside."""
-        if self.outside_share is None:
-            state.tensors({})
-        else:
-            OutsideRows.check_state(state)
+        """It knows who is outside, if it must."""
+        rows = {} if self.outside_share is None else {"outside": state.rows}
+        state.tensors(rows, flags=True)
 
 
 class _Running(Running):
-    def __init__(
-        self, settings: OpacityDecay, steps: int, photos: int, outside: OutsideRows | None
-    ) -> None:
-        self._settings, self._steps, self._outside = settings, steps, outside
-        self._every = max(photos, DECAY_EVERY)
+    def __init__(self, settings: OpacityDecay, steps: int, training: Training) -> None:
+        self._settings, self._steps, self._rois = settings, steps, training.data.rois
+        self._every = max(len(training.data.images), DECAY_EVERY)
+        if settings.outside_share is not None:
+            self.kept = ("outside",)
+            self.outside = outside_boxes(training.gaussians, self._rois)
 
     def is_due(self, step: int) -> bool:
         """Not after the last step, as no photo could give back what is needed."""
@@ -112,29 +110,16 @@ class _Running(Running):
 
     def after_step(self, training: Training) -> None:
         """Lower the opacities."""
-        decay_opacities(training.gaussians.logit_opacities, self._shares())
-
-    def _shares(self) -> float | Tensor:
-        """Of each Gaussian: one for all, or (N,) float64."""
         share, outside_share = self._settings.share, self._settings.outside_share
-        if self._outside is None or outside_share is None:
-            return share
-        rows = self._outside.rows
-        return rows.double().fill_(share).masked_fill_(rows, outside_share)
+        shares: float | Tensor = share
+        if outside_share is not None:
+            shares = self.outside.double().fill_(share).masked_fill_(self.outside, outside_share)
+        decay_opacities(training.gaussians.logit_opacities, shares)
 
     def follow(self, rows: Tensor, gaussians: Gaussians) -> None:
         """Find who is outside anew."""
-        if self._outside is not None:
-            self._outside.follow(gaussians)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Which Gaussians are outside."""
-        return {} if self._outside is None else self._outside.state_dict()
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from a `state_dict`."""
-        if self._outside is not None:
-            self._outside.load_state_dict(state)
+        if self._settings.outside_share is not None:
+            self.outside = outside_boxes(gaussians, self._rois)
 
 
 def decay_opacities(logit_opacities: Tensor, share: float | Tensor) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from ...context import Context
 from ...errors import ConfigError
+from ...model.roi import OrientedBox
 from ..config import Mechanism, TrainConfig
 from ..running import Running
 from .masked_steps import MaskedSteps
@@ -43,44 +45,26 @@ class SurroundingsRate(Mechanism):
 
     def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
         """Which Gaussians are outside."""
-        return _Running(self.factor, OutsideRows(training))
+        return _Running(self.factor, training)
 
     def check_state(self, state: StateReader) -> None:
         """It knows who is outside."""
-        OutsideRows.check_state(state)
-
-
-class OutsideRows:
-    """The Gaussians whose centre is in no box, as found when the model last got other rows."""
-
-    def __init__(self, training: Training) -> None:
-        self._rois = training.data.rois
-        self.follow(training.gaussians)
-
-    def follow(self, gaussians: Gaussians) -> None:
-        """The model has other rows."""
-        from ...model.ownership import owners
-
-        self.rows = owners(gaussians, self._rois) < 0
-        """(N,) bool"""
-
-    def state_dict(self) -> dict[str, Any]:
-        """Gaussians may have crossed a box's side since."""
-        return {"outside": self.rows}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from a `state_dict`."""
-        self.rows = state["outside"]
-
-    @staticmethod
-    def check_state(state: StateReader) -> None:
-        """One flag for each Gaussian."""
         state.tensors({"outside": state.rows}, flags=True)
 
 
+def outside_boxes(gaussians: Gaussians, rois: Sequence[OrientedBox]) -> Tensor:
+    """(N,) bool: the Gaussians whose centre is in no box."""
+    from ...model.ownership import owners
+
+    return owners(gaussians, rois) < 0
+
+
 class _Running(Running):
-    def __init__(self, factor: float, outside: OutsideRows) -> None:
-        self._factor, self._outside = factor, outside
+    kept = ("outside",)  # Gaussians may have crossed a box's side since that was found
+
+    def __init__(self, factor: float, training: Training) -> None:
+        self._factor, self._rois = factor, training.data.rois
+        self.outside = outside_boxes(training.gaussians, self._rois)
 
     def row_rates(self, *, whole: bool) -> Tensor | None:
         """(N,) the factors in a step on a whole photo."""
@@ -88,16 +72,8 @@ class _Running(Running):
             return None
         import torch
 
-        return torch.where(self._outside.rows, self._factor, 1.0).to(torch.float32)
+        return torch.where(self.outside, self._factor, 1.0).to(torch.float32)
 
     def follow(self, rows: Tensor, gaussians: Gaussians) -> None:
         """Find them anew."""
-        self._outside.follow(gaussians)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Which Gaussians are outside."""
-        return self._outside.state_dict()
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from a `state_dict`."""
-        self._outside.load_state_dict(state)
+        self.outside = outside_boxes(gaussians, self._rois)

@@ -16,9 +16,9 @@ from roigs_engine.cuda import card, pair_buffers
 from roigs_engine.errors import SceneError
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.rasterize import cuda
-from roigs_engine.run import card_memory, memory
-from roigs_engine.run.card_memory import plan_card
+from roigs_engine.run import memory
 from roigs_engine.run.definition import define_run
+from roigs_engine.run.memory import plan_card
 from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.mechanisms.density_control import DensityControl
@@ -108,9 +108,9 @@ def test_the_plan_is_what_tensors_take(
         end = len(trainer.gaussians)
     assert (end > 1.5 * count) == grows
     tiles = 96 * 64 / 16**2
-    monkeypatch.setattr(card_memory, "CACHE", 1.0)
-    at_most = card_memory.PER_PIXEL + card_memory.PER_PAIR * max(pairs) / tiles / 16**2
-    monkeypatch.setattr(card_memory, "PER_PIXEL_AT_MOST", at_most)
+    monkeypatch.setattr(memory, "CARD_CACHE", 1.0)
+    at_most = memory.CARD_PER_PIXEL + memory.CARD_PER_PAIR * max(pairs) / tiles / 16**2
+    monkeypatch.setattr(memory, "CARD_PER_PIXEL_AT_MOST", at_most)
     plan = plan_card(images, count, end, (GB, GB))
     assert 0.95 * pretended.most < plan.training < 2 * pretended.most
 

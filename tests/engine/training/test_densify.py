@@ -17,7 +17,7 @@ from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.rotations import rotation_matrices
 from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.edits import DensityStats, clone_and_split, morton_order, unchanged
+from roigs_engine.training.edits import clone_and_split, morton_order, unchanged
 from roigs_engine.training.mechanisms.box_density_control import BoxDensityControl
 from roigs_engine.training.mechanisms.density_control import DensityControl, RunningDensityControl
 from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
@@ -40,10 +40,9 @@ def model(count: int, seed: int = 0, spread: float = 2.0) -> Gaussians:
     )
 
 
-def stats(gradient: torch.Tensor) -> DensityStats:
-    made = DensityStats.zeros(len(gradient))
-    made.add(torch.ones(len(gradient), dtype=torch.bool), gradient)
-    return made
+def stats(gradient: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Sums of gradients, and of views, after one."""
+    return gradient, torch.ones_like(gradient)
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ class Training:
 
 def control(
     settings: DensityControl,
-    made: DensityStats,
+    made: tuple[torch.Tensor, torch.Tensor],
     rois: Sequence[OrientedBox] = (),
     budgets: tuple[int, ...] | None = None,
     extent: float = 10.5,
@@ -65,11 +64,11 @@ def control(
     if budgets is not None:
         settings = replace(settings, budgets=budgets)
     data = StageData(images=[], photos=None, photo_at=lambda step: 0, extent=extent, rois=rois)
-    training = Training(data, model(len(made.gradient), spread=0.0))
+    training = Training(data, model(len(made[0]), spread=0.0))
     chosen = settings.begin(TrainConfig(steps=100), training, QUIET)
     if budgets is not None:
-        chosen.began = list(budgets)
-    chosen.stats = made
+        chosen.began = torch.tensor(budgets)
+    chosen.gradient, chosen.views = made
     return chosen
 
 
@@ -138,11 +137,12 @@ def test_only_gaussians_in_the_box_are_chosen() -> None:
 
 
 def test_the_threshold_is_on_the_mean_over_views_that_saw_it() -> None:
-    made = DensityStats.zeros(3)
-    made.add(torch.tensor([True, True, False]), torch.tensor([3e-4, 3e-4, 0.0]))
-    made.add(torch.tensor([True, False, False]), torch.tensor([0.0, 0.0, 0.0]))
-    assert made.mean_gradient().tolist() == pytest.approx([1.5e-4, 3e-4, 0.0])
-    chosen = control(EVERYWHERE, made).densify_mask(model(3), 0)
+    density = control(EVERYWHERE, stats(torch.zeros(3)))
+    density.follow(torch.arange(3), model(3))
+    density.observe(torch.tensor([True, True, False]), torch.tensor([3e-4, 3e-4, 0.0]), None)
+    density.observe(torch.tensor([True, False, False]), torch.tensor([0.0, 0.0, 0.0]), None)
+    assert density.mean_gradient().tolist() == pytest.approx([1.5e-4, 3e-4, 0.0])
+    chosen = density.densify_mask(model(3), 0)
     assert chosen.tolist() == [False, True, False]
 
 
@@ -272,7 +272,7 @@ def test_statistics_after_an_edit() -> None:
     assert pruning.state_dict()["weight"].tolist() == pytest.approx([0.3, 0.2, 0.3])
     for running in (density, pruning):
         running.follow(torch.tensor([2, -1, 0]), gaussians)
-    assert density.stats.gradient.tolist() == density.stats.views.tolist() == [0, 0, 0]
+    assert density.gradient.tolist() == density.views.tolist() == [0, 0, 0]
     # A newborn has not been seen by every photo yet, so no window may call it useless.
     weight = pruning.state_dict()["weight"]
     assert weight.tolist() == pytest.approx([0.3, float("inf"), 0.3])

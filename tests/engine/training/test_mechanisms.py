@@ -6,7 +6,7 @@ import importlib
 import pkgutil
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import pytest
 
@@ -52,6 +52,8 @@ class Drift(Mechanism):
 
 
 class Drifting(Running):
+    kept = ("moves",)
+
     def __init__(self, settings: Drift) -> None:
         self.settings, self.moves = settings, 0
 
@@ -61,12 +63,6 @@ class Drifting(Running):
     def after_step(self, training: Training) -> None:
         self.moves += 1
         training.gaussians.means.add_(self.settings.by * self.moves)
-
-    def state_dict(self) -> dict[str, Any]:
-        return {"moves": self.moves}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        self.moves = int(state["moves"])
 
 
 CONFIG = SHORT.using(Drift())
