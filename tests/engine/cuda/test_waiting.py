@@ -183,7 +183,7 @@ def test_a_view_without_a_buffer_is_drawn_again(
     for with_buffers in (False, True):
         use(monkeypatch, card, buffers=with_buffers)
         with card:
-            trainer = trainer_of(scene, config, **inputs(scene))
+            trainer = trainer_of(scene, **(inputs(scene) | {"config": config}))
             assert trainer.run()
             losses = {photo: list(last) for photo, last in trainer.health._recent.items()}
             states.append({**trainer.state_dict(), "losses": losses})
