@@ -110,7 +110,9 @@ def main() -> int:
     if index is None:
         index = choose_index(ask_pip(requirement))
     print(f"Installing {requirement} from {index or 'the default index'}.", flush=True)
-    return pip("install", *(["--index-url", index] if index else []), requirement).returncode
+    where = ["--index-url", index] if index else []
+    # Its thousands of modules are compiled as they are imported: most never are.
+    return pip("install", "--quiet", "--no-compile", *where, requirement).returncode
 
 
 if __name__ == "__main__":
