@@ -55,11 +55,12 @@ def read_splats(path: str | Path) -> SplatCloud:
     except EngineError as error:
         raise ValueError(str(error)) from error
     quats = stored["quats"]
+    opacities = 1 / (1 + np.exp(-stored["logit_opacities"]))
     return SplatCloud(
         means=stored["means"].astype(np.float32, copy=False),
         quats=quats / np.linalg.norm(quats, axis=1, keepdims=True),
         scales=np.exp(stored["log_scales"]),
-        opacities=1 / (1 + np.exp(-stored["logit_opacities"])),
+        opacities=opacities.astype(np.float32, copy=False),
         sh=stored["sh"].astype(np.float32, copy=False),
         antialiased=antialiased,
     )

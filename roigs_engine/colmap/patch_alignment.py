@@ -85,7 +85,8 @@ def normalised(patches: Grey) -> tuple[Grey, Grey]:
     """Patches (N, P) with zero weighted mean and unit variance; and their (N,) deviations."""
     centred = patches - (patches @ WEIGHTS)[:, None]
     deviation = np.sqrt((centred * centred) @ WEIGHTS)
-    return centred / np.maximum(deviation, 1e-3)[:, None], deviation
+    normal = centred / np.maximum(deviation, 1e-3)[:, None]
+    return normal.astype(np.float32, copy=False), deviation
 
 
 def _parts(count: int) -> list[slice]:

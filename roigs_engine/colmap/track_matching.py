@@ -195,7 +195,7 @@ def _wanted(
     towards = views.centres[references.view[points]] - seen.points[points]
     distance = np.linalg.norm(towards, axis=1)
     pixel = distance / views.focals[references.view[points]]
-    for row in np.flatnonzero(usable):
+    for row in map(int, np.flatnonzero(usable)):
         own = views.centres[row] - seen.points[points]
         own_distance = np.linalg.norm(own, axis=1)
         cosine = (own * towards).sum(axis=1) / (own_distance * distance)

@@ -102,7 +102,9 @@ def predicted_share(
     chosen = chosen[:: -(-len(chosen) // MOST_POINTS)]
     sightings = _sightings(images, photos, points, chosen, context)
     parts = [_variances(group) for group in _groups(sightings)]
-    near, all_ = (np.concatenate(part) for part in zip(*parts, strict=True)) if parts else ([], [])
+    if not parts:
+        return None
+    near, all_ = (np.concatenate(part) for part in zip(*parts, strict=True))
     if len(all_) < ENOUGH_POINTS:
         return None
     kept = all_ <= np.quantile(all_, TRIMMED)
