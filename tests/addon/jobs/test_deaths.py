@@ -107,9 +107,10 @@ def test_no_engine_outlives_a_killed_blender(engine, project: Path, tmp_path: Pa
     with blender_process(tmp_path, project, 10.0) as process:
         pid = engine_pid(process, "Training")
         events = run / "events.jsonl"
-        assert until(lambda: events.is_file() and TRAINING in events.read_text(), 60)
-        assert alive(pid)
-        process.kill()
+        trains = until(lambda: events.is_file() and TRAINING in events.read_text(), 60)
+        lives = alive(pid)
+        process.kill()  # whatever was found: it trains for minutes
+    assert trains and lives
     assert until(lambda: not alive(pid), 5)
     assert checkpoints(run)
     arguments = ["train", str(run / "blender" / "train.json"), "--run-dir", str(run)]
@@ -122,4 +123,4 @@ def test_no_engine_outlives_a_killed_blender(engine, project: Path, tmp_path: Pa
 
     assert until(says_so, 60)
     resumed.stop()
-    assert resumed.wait(5) and resumed.result().stopped
+    assert resumed.wait(60) and resumed.result().stopped
