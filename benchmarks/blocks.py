@@ -105,7 +105,7 @@ class Finished:
 
     def stages(self) -> list[dict[str, Any]]:
         """The records of its stages."""
-        files = sorted(self.folder.glob(f"*/{run_files.STAGE}"))
+        files = sorted(self.folder.glob(f"{run_files.STAGES}/*/{run_files.STAGE}"))
         return [json.loads(file.read_text("utf-8")) for file in files]
 
     def in_boxes(self) -> float:

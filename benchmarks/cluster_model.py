@@ -23,7 +23,7 @@ from roigs_engine.batch.engine_process import DONE
 from roigs_engine.batch.moves import RUNNING, WAITING, PartState, next_move, share
 from roigs_engine.batch.parts import Part
 from roigs_engine.batch.times import START
-from roigs_engine.formats.run_files import STAGE
+from roigs_engine.formats.run_files import STAGE, STAGES
 from roigs_engine.run.stage_folder import CHECKPOINT_SECONDS
 from roigs_engine.run.stage_record import read_record
 
@@ -200,7 +200,7 @@ def scene_seconds(batch: Path) -> list[float]:
     """Training seconds of each finished scene of a batch."""
     found = []
     for scene in sorted(path.parent for path in batch.glob("*/result.ply")):
-        records = [read_record(path) for path in sorted(scene.glob(f"*/{STAGE}"))]
+        records = [read_record(path) for path in sorted(scene.glob(f"{STAGES}/*/{STAGE}"))]
         found.append(sum(record.seconds for record in records if record is not None))
     return found
 

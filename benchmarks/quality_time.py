@@ -16,6 +16,7 @@ import numpy as np
 from roigs_engine.evaluation.scores import FULL_SCENE, FULL_SCENE_TUNED, Evaluation
 from roigs_engine.formats import run_files
 from roigs_engine.formats.files import read_json
+from roigs_engine.formats.stage_list import read_stage_list
 
 SHOWN = {
     FULL_SCENE: ("#bbbbbb", "standard 3DGS"),
@@ -37,13 +38,13 @@ def points(run: Path) -> dict[str, tuple[float, float]]:
                 found.setdefault(row.model, []).append(row.roi_psnr)
                 stages[row.model] = tuple(row.stages) or (run_files.FULL_SCENE_STAGE,)
     return {
-        name: (sum(_cpu_seconds(run / stage) for stage in stages[name]), float(np.mean(values)))
+        name: (sum(_cpu_seconds(run, stage) for stage in stages[name]), float(np.mean(values)))
         for name, values in found.items()
     }
 
 
-def _cpu_seconds(stage: Path) -> float:
-    return float(read_json(stage / run_files.STAGE)["cpu_seconds"])
+def _cpu_seconds(run: Path, stage: str) -> float:
+    return float(read_json(read_stage_list(run)[stage] / run_files.STAGE)["cpu_seconds"])
 
 
 def draw(runs: Sequence[Path], out: Path) -> None:

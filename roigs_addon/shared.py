@@ -28,6 +28,7 @@ if TYPE_CHECKING or __package__ == "roigs_addon":
         scene_transform,
         scribbles,
         splat_ply,
+        stage_list,
         text,
         transforms,
     )
@@ -54,6 +55,7 @@ else:
         scene_transform,
         scribbles,
         splat_ply,
+        stage_list,
         text,
         transforms,
     )
@@ -84,6 +86,7 @@ __all__ = [
     "scene_transform",
     "scribbles",
     "splat_ply",
+    "stage_list",
     "text",
     "transforms",
     "values",

@@ -157,7 +157,7 @@ def test_what_is_done_is_not_measured_again(
     assert {path: path.read_bytes() for path in (done / "rows").rglob("*.json")} == before
 
 
-def test_a_record_of_another_manifest_is_archived_and_measured_again(
+def test_a_record_of_another_manifest_is_kept_and_measured_again(
     done: Path,
     scene_folder: Path,
     tmp_path: Path,
@@ -174,8 +174,8 @@ def test_a_record_of_another_manifest_is_archived_and_measured_again(
     assert study(scene_folder, out, "--rows", *ROWS, "--seeds", "0", "1") == 0
     assert measured == ["joint 0"]
     assert "settings, photos or boxes have changed" in capsys.readouterr().err
-    (archived,) = (path.parent / "archive").iterdir()
-    assert json.loads(archived.read_text(encoding="utf-8")) == record
+    (earlier,) = (path.parent / "earlier").iterdir()
+    assert json.loads(earlier.read_text(encoding="utf-8")) == record
     assert len(load_records(out / "rows")) == len(load_records(done / "rows"))
 
 
@@ -194,11 +194,8 @@ def test_ablations_start_from_the_scene_of_the_unchanged_settings(
         for row in ("independent", "gp6-20")
     )
     assert first["stages"]["scene"] == second["stages"]["scene"]
-    assert {path.name.rpartition("-")[0] for path in (folder / "archive").iterdir()} == {
-        "object-thing",
-        "object-part",
-        "results",
-    }
+    stages = [path.name.rpartition("-")[0] for path in (folder / "stages").iterdir()]
+    assert sorted(stages) == [*["full-scene"], *2 * ["object-part"], *2 * ["object-thing"], "scene"]
 
 
 def test_the_page_shows_missing_rows_and_single_seeds(done: Path, scene_folder: Path) -> None:
@@ -276,7 +273,8 @@ def test_a_study_cut_short_goes_on(
     assert measured == ["full-scene 3", "box-20 3", "joint-20 3"]
     runs = tmp_path / "runs" / "ball" / "seed-3"
     # The stages of both ablations are gone, those that rows share have stayed.
-    assert {path.parent.name for path in runs.glob("*/stage.json")} == {"full-scene", "scene"}
+    left = {path.parent.name.rpartition("-")[0] for path in runs.glob("stages/*/stage.json")}
+    assert left == {"full-scene", "scene"}
     results = Results(load_records(tmp_path / "rows"))
     (entry,) = results.entries("ball", "thing", "joint-20", "Joint").values()
     selected = entry.record["selected"]["thing"]

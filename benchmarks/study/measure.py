@@ -51,7 +51,7 @@ class Bench:
         seed: of everything random.
         preset, factor: settings, and what their steps are multiplied by.
         evaluate_on: `test` or `validation` photos.
-        folder: run folder of all rows; stages are in it or in its `archive`.
+        folder: run folder of all rows; each row has its stages there.
         pictures: folder of the crops.
         context: of the work.
     """
@@ -86,7 +86,7 @@ class Bench:
         """
         run, plan = self._planned(row)
         open_folder(run, self.context, update=True)
-        executor = Executor(run, self.context, update=True)
+        executor = Executor(run, self.context)
         made = executor.execute(plan)
         models = [model.evaluated() for model in made]
         evaluation = evaluate(
@@ -105,8 +105,9 @@ class Bench:
             "evaluation": evaluation.to_dict(),
         }
         if not keep_models and (row.is_ablation or row.kind == VARIANT):
-            for name in _stages(made[1:]).keys() - {*_stages(made[:1]), "scene"}:
-                rmtree(self.folder / name, ignore_errors=True)
+            own = _stages(made[1:])
+            for name in own.keys() - {*_stages(made[:1]), "scene"}:
+                rmtree(own[name].model_path.parent, ignore_errors=True)
         return record
 
     def _planned(self, row: Row) -> tuple[Run, Plan]:
@@ -144,7 +145,7 @@ class Bench:
         tuned = strategies.full_scene_tuned(PhotoSets(own, self.context))
         ours = strategies.strategy(PhotoSets(joint, self.context))
         open_folder(joint, self.context, update=True)
-        executor = Executor(joint, self.context, update=True)
+        executor = Executor(joint, self.context)
         made = executor.execute(tuned + replace(ours, outputs=()))
         theirs, boxes = (_seconds(made[row]) for row in (0, -1))
         scene = boxes.pop(run_files.SCENE_STAGE)

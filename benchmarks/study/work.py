@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from benchmarks.study.measure import Bench
 from benchmarks.study.rows import Row
@@ -17,7 +18,6 @@ from roigs_engine.formats.lock import locked
 from roigs_engine.formats.names import safe_name
 from roigs_engine.formats.text import json_digest
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.run.archive import archive, restore
 
 Item = tuple[StudyScene, int, Row]
 
@@ -103,12 +103,13 @@ class Work:
         )
         manifest = bench.manifest(row)
         if path.exists() and (before := read_json(path).get("manifest")) != manifest:
-            archive(path, json_digest(before))
+            _move(path, _earlier(path, before))
             self.context.warn(
                 f"{title}: settings, photos or boxes have changed; the earlier record is in"
-                " archive/."
+                " earlier/."
             )
-        restore(path, json_digest(manifest))
+        if not path.exists() and _earlier(path, manifest).exists():
+            _move(_earlier(path, manifest), path)
         if path.exists():
             return False
         self.context.info(title)
@@ -125,3 +126,13 @@ class Work:
                 context=self.context,
             )
         return self._loaded[scene.name]
+
+
+def _earlier(path: Path, manifest: Any) -> Path:
+    """Where a record of an earlier manifest is."""
+    return path.parent / "earlier" / f"{path.stem}-{json_digest(manifest)[:8]}.json"
+
+
+def _move(source: Path, target: Path) -> None:
+    target.parent.mkdir(exist_ok=True)
+    source.replace(target)

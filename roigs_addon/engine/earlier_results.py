@@ -1,4 +1,4 @@
-"""Results of earlier trainings in a run folder, which the engine keeps in its archive. No bpy."""
+"""Results of earlier settings, which the engine keeps in a run folder. No bpy."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from ..errors import AddonError
 from ..shared import clean_up, files, run_files
 from . import report, run_settings
 from .run_settings import RunSettings
-
-FOLDERS = f"{run_files.ARCHIVED_RESULTS}-*"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +35,7 @@ class EarlierResult:
 def earlier_results(run: Path) -> list[EarlierResult]:
     """The earlier results of a run folder, newest first."""
     found = []
-    for folder in files.matching(run / run_files.ARCHIVE, FOLDERS):
+    for folder in files.matching(run / run_files.EARLIER, "*"):
         try:
             made = (folder / run_files.RESULT).stat().st_mtime
             if not os.path.isfile(folder / run_files.BACKGROUND):
@@ -54,7 +52,7 @@ def earlier_results(run: Path) -> list[EarlierResult]:
 
 
 def where_it_is_now(run: Path, file: Path) -> Path | None:
-    """A file of a run's results that a new training has archived; None if it is not there."""
+    """A file of a run's results that a new training has moved aside; None if it is not there."""
     try:
         part = file.relative_to(run)
     except ValueError:
@@ -64,7 +62,7 @@ def where_it_is_now(run: Path, file: Path) -> Path | None:
 
 
 def delete(run: Path, name: str) -> None:
-    """Delete an earlier result; the stages that it was made of stay in the archive.
+    """Delete an earlier result; the stages that it was made of stay.
 
     Raises:
         AddonError: there is none of that name, or it cannot be deleted.

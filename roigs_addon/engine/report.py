@@ -11,7 +11,7 @@ def psnr(folder: Path, side: int | None = None) -> str:
     """'27.4 dB at 640 px on 5 test photos', the mean of all boxes; empty if it was not measured.
 
     Args:
-        folder: a run folder, or an archived result.
+        folder: a run folder, or an earlier result.
         side: longest side of the photos, if known: it decides what a PSNR is worth.
     """
     try:

@@ -113,7 +113,7 @@ def _plain(value: Any) -> Any:
 
 
 def read(folder: Path, config: Mapping[str, Any] | None = None) -> RunSettings:
-    """The settings of a run folder, or of an archived result; unknown ones are None."""
+    """The settings of a run folder, or of an earlier result; unknown ones are None."""
     try:
         values = files.read_json(folder / run_files.SETTINGS)
     except EngineError:

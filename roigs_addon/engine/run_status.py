@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..shared import EngineError, files, lock, run_files
+from ..shared import EngineError, files, lock, run_files, stage_list
 from . import run_settings
 from .run_settings import RunSettings
 
@@ -56,12 +56,16 @@ def read(folder: Path) -> RunStatus:
 
 
 def _read(folder: Path) -> RunStatus:
-    stages = sorted(folder.glob(f"*/{run_files.STAGE}"), key=_age)
-    left = [path.parent.name for path in folder.glob("*/checkpoint*.bin")]
+    places = stage_list.read_stage_list(folder)
+    records = {name: place / run_files.STAGE for name, place in places.items()}
+    done = sorted(
+        (name for name in records if records[name].is_file()), key=lambda n: _age(records[n])
+    )
+    left = [name for name, place in places.items() if files.matching(place, "checkpoint*.bin")]
     manifest = _object(folder / run_files.MANIFEST)
     return RunStatus(
-        done=tuple(path.parent.name for path in stages),
-        seconds={path.parent.name: _seconds(path) for path in stages},
+        done=tuple(done),
+        seconds={name: _seconds(records[name]) for name in done},
         left=left[0] if left else "",
         result=(folder / run_files.RESULT).is_file(),
         boxes=_boxes(manifest),

@@ -61,7 +61,7 @@ def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> JobSpec:
 def boxes_to_resume(scene: bpy.types.Scene, status: RunStatus) -> list[bpy.types.Object]:
     """The boxes of the training that was stopped; all boxes if one of those is gone.
 
-    With other boxes the engine would archive what it has of these.
+    With other boxes the engine would train these again.
     """
     every = lookup.rois(scene)
     if not status.unfinished or not status.boxes:

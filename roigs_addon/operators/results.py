@@ -203,7 +203,7 @@ class SelectGaussians(bpy.types.Operator):
 
 
 def _follow() -> None:
-    """A training that was stopped may have archived what the scenes show."""
+    """A training that was stopped may have moved aside what the scenes show."""
     for scene in bpy.data.scenes:
         splats.follow(scene, run_folders.run_folder(scene))
 

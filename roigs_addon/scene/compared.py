@@ -19,7 +19,7 @@ def shown_result(scene: bpy.types.Scene) -> Path | None:
 
 
 def switch(scene: bpy.types.Scene, folder: Path) -> None:
-    """Show the result of a run folder, or an archived one.
+    """Show the result of a run folder, or an earlier one.
 
     What it does not have, such as edited copies, is parked: hidden until a result is shown that
     has it.

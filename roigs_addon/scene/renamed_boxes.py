@@ -1,6 +1,6 @@
 """Boxes that have another name in another result: told by where their Gaussians are.
 
-The files of an archived result keep the names of their training, and say no places.
+The files of an earlier result keep the names of their training, and say no places.
 """
 
 from __future__ import annotations

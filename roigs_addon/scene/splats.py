@@ -147,7 +147,7 @@ def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
 
 
 def follow(scene: bpy.types.Scene, folder: Path) -> None:
-    """Keep showing a run's result when a new training has archived its files."""
+    """Keep showing a run's result when a new training has moved its files aside."""
     for item in lookup.splats(scene):
         props = object_props(item)
         if props.level == "PREVIEW" or not props.ply or os.path.isfile(props.ply):

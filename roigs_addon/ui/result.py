@@ -65,7 +65,7 @@ class ResultPanel(SidebarPanel):
                 continue  # the next line says it
             named = not path or path in problem
             show.wrong(layout, problem if named else f"{Path(path).name}: {problem}")
-        # While it trains, the engine archives files.
+        # While it trains, the engine moves files aside.
         if not current.busy() and (missing := run_facts.missing_splats(scene)):
             show.wrong(layout, _missing_in_words(scene, missing))
         _draw_results(layout, scene)

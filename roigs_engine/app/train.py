@@ -52,11 +52,7 @@ def train(request: Train, context: Context = QUIET) -> Trained:
     with logged(context) as (context, log):
         with opened(asked, context, log) as (run, context):
             trained = train_opened(
-                run,
-                asked.compare,
-                context,
-                update=request.update,
-                preview_seconds=request.preview_seconds,
+                run, asked.compare, context, preview_seconds=request.preview_seconds
             )
             if asked.evaluated:
                 table = _evaluate(run, trained, context)

@@ -49,7 +49,7 @@ class Times:
         points = len(run.train_scene.points)
         kinds = {stage.name: _kind(stage, points) for stage in plan.stages}
         if not kinds.keys() <= {n for n, kind in kinds.items() if kind in self._rates}:
-            for expected in forecast(run, plan, context, update=True).stages:
+            for expected in forecast(run, plan, context).stages:
                 work = max(stage_work(expected.stage), 1e-9)
                 self._rates[kinds[expected.stage.name]] = expected.whole.seconds / work
                 self.measured += 1

@@ -160,7 +160,8 @@ COMMANDS: dict[str, Command] = {
         help="compare PLYs on test photos, in each box and on the whole image",
         examples=(
             "garden --rois garden/rois.json --split runs/garden/split.json --out out --model"
-            ' "Full Scene=runs/garden/full-scene/model.ply" --model Ours=runs/garden/result.ply',
+            ' "Full Scene=runs/garden/stages/full-scene-1f0c9a3e/model.ply" --model'
+            " Ours=runs/garden/result.ply",
         ),
         prints=answers.evaluated,
     ),
@@ -235,7 +236,7 @@ COMMANDS: dict[str, Command] = {
     "clean": Command(
         request=runs.Clean,
         does="upkeep:clean",
-        help="remove from a run folder what can be made again: caches, archived stages, previews",
+        help="remove what can be made again: caches, stages of earlier settings, previews",
         examples=("runs/garden --dry-run", "runs/garden"),
         prints=answers.cleaned,
         torch=False,

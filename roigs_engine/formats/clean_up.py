@@ -11,6 +11,7 @@ from pathlib import Path
 from ..errors import RunFolderError
 from . import run_files
 from .files import is_link, matching
+from .stage_list import read_stage_list
 
 
 def is_run_folder(folder: Path) -> bool:
@@ -19,9 +20,10 @@ def is_run_folder(folder: Path) -> bool:
 
 
 def removable(run: Path) -> list[Path]:
-    """What can be removed: undistorted photos, masks made for them, archived stages, old previews.
+    """What can be removed: undistorted photos and masks, stages of earlier settings, old previews.
 
-    The preview of a training that was stopped stays: it is all there is to look at.
+    Results of earlier settings stay, and so does the preview of a training that was stopped: it is
+    all there is to look at.
     """
     if not is_run_folder(run):
         return []
@@ -29,9 +31,9 @@ def removable(run: Path) -> list[Path]:
     found = [cache / run_files.UNDISTORTED, cache / run_files.MASKS]
     if os.path.isfile(run / run_files.RESULT):
         found.append(run / run_files.PREVIEW)
-    for home in (run, *matching(run, f"{run_files.COMPARED}*")):
-        stages = matching(home / run_files.ARCHIVE, "*")
-        found += [f for f in stages if not f.name.startswith(run_files.ARCHIVED_RESULTS)]
+    if present := {folder.name for folder in read_stage_list(run).values()}:
+        stages = matching(run / run_files.STAGES, "*")
+        found += [folder for folder in stages if folder.name not in present]
     return [path for path in found if os.path.exists(path) and not _is_linked(path, run)]
 
 

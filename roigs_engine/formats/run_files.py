@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 MANIFEST = "manifest.json"
 """What the run was made for: boxes, photos, settings."""
 SETTINGS = "settings.json"
@@ -12,9 +10,10 @@ PROVENANCE = "provenance.json"
 SPLIT = "split.json"
 LOCK = "run.lock"
 EVENTS = "events.jsonl"
-ARCHIVE = "archive"
-ARCHIVED_RESULTS = "results"
-"""In the archive, followed by `-` and a hash: results of a run; the other folders are stages."""
+STAGES, STAGES_FILE = "stages", "stages.json"
+"""A folder for each stage, `NAME-FINGERPRINT`, and the list of those of the present settings."""
+EARLIER = "earlier"
+"""Results of earlier settings: a folder for each, named after a hash of their manifest."""
 CACHE, UNDISTORTED, MASKS = "cache", "undistorted", "masks"
 """The latter two are in the former."""
 OBJECT_MASKS = "blender/masks"
@@ -50,47 +49,27 @@ FULL_SCENE_STAGE, MATCHED_STAGE, FULL_OBJECT_STAGE = "full-scene", "matched-scen
 TUNED_STAGE, TUNED_COARSE_STAGE = "tuned-", "tuned-coarse-"
 """Followed by `scene`, `matched` (the first only), or `object-` and the box's name."""
 COMPARED = "compare-"
-"""Followed by the name of another strategy: the folder of its run. No stage is called that."""
-
-CELL = re.compile(r"(block-\d+(-group-\d+)?|group-\d+)-(scene|joint|cutout|refine)")
-"""Names of the stages of a scene in blocks, or of boxes in groups."""
+"""Followed by the name of another strategy: the folder of its result, and of its stages' names."""
 
 BATCH_LOCK, BATCH, BATCH_ROWS, BATCH_OUTPUTS = "batch.lock", "batch.json", "rows", "outputs"
 """In the folder of a batch: its lock, what is done, a folder of options files, one of outputs."""
 CLUSTER_OPTIONS, CLUSTER_LOCK = "cluster.json", "cluster.held"
 """Of a run on a cluster: its options file; the lock of who gives out its parts."""
 
-_FILES = (MANIFEST, SETTINGS, PROVENANCE, SPLIT, LOCK, EVENTS, BOXES, RESULT, BACKGROUND)
-_RESULTS = (
-    PREVIEW,
-    PROJECT,
-    FINE,
-    COARSE,
-    REPORT,
-    REPORT_DATA,
-    REPORT_PAGE,
-    LEVELS,
-    LEVELS_FILE,
-    CROPS,
-    SELECTION,
-    ARCHIVE,
-    CACHE,
+RESULTS = (
+    *(RESULT, BACKGROUND, FINE, COARSE),
+    *(REPORT, REPORT_DATA, REPORT_PAGE, CROPS, LEVELS, LEVELS_FILE, SELECTION),
+    *(SETTINGS, STAGES_FILE),
+    *(f"{COMPARED}independent", f"{COMPARED}joint"),
 )
-_STAGES = (
-    *(SCENE_STAGE, JOINT_STAGE, REFINE_STAGE, CUTOUT_STAGE),
-    *(FULL_SCENE_STAGE, MATCHED_STAGE),
+"""Results of a run as a whole, not of one stage."""
+_OTHERS = (
+    *(MANIFEST, PROVENANCE, SPLIT, LOCK, EVENTS, BOXES, PREVIEW, PROJECT, CACHE),
+    *(STAGES, EARLIER, CLUSTER_OPTIONS, CLUSTER_LOCK),
 )
-_PREFIXES = (OBJECT_STAGE, FULL_OBJECT_STAGE, TUNED_STAGE, COMPARED)
-_NAMES = {*_FILES, CLUSTER_OPTIONS, CLUSTER_LOCK, *_RESULTS, *_STAGES}
-
-
-def is_strategy_stage(name: str) -> bool:
-    """Whether a strategy may have a stage of that name; those of baselines are called otherwise."""
-    fixed = name in (SCENE_STAGE, JOINT_STAGE, REFINE_STAGE, CUTOUT_STAGE)
-    return fixed or name.startswith(OBJECT_STAGE) or CELL.fullmatch(name) is not None
+_NAMES = {*RESULTS, *_OTHERS}
 
 
 def is_own(name: str) -> bool:
     """Whether a run writes a file or folder of that name; case does not count."""
-    name = name.casefold()
-    return name in _NAMES or name.startswith(_PREFIXES) or CELL.fullmatch(name) is not None
+    return name.casefold() in _NAMES

@@ -47,8 +47,8 @@ class Train(Scene, ObjectMasks, Boxes, Selection, Training, Layout, Device):
     )
     update: bool = option(
         FLAG,
-        "reuse a run folder of other settings: results that still fit are kept, the others move to"
-        " its folder 'archive'",
+        "reuse a run folder of other settings: stages that still fit are kept, the results move to"
+        " its folder 'earlier'",
         False,
         decides=False,
     )

@@ -140,13 +140,11 @@ class RunConfig:
         return self.scene.steps + self.roi.steps
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON; without `groups`, and without `blocks` if there is one."""
+        """Plain values for JSON; without `groups`."""
         record = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
         record["selection"] = dataclasses.asdict(self.selection)
         record |= {"scene": self.scene.to_dict(), "roi": self.roi.to_dict()}
         del record["groups"]  # the manifest has those that follow from the photos, too
-        if self.blocks == 1:
-            del record["blocks"]
         return record
 
     def scaled(self, factor: float) -> RunConfig:

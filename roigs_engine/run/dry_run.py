@@ -8,14 +8,13 @@ from ..colmap.undistortion_cache import missing_in
 from ..context import QUIET, Context
 from ..formats.lock import holder
 from ..formats.run_files import CACHE, LOCK, MANIFEST
-from ..formats.text import counted
+from ..formats.text import counted, in_gb
 from .definition import Run
-from .describe_layout import describe_layout
-from .disk import disk_space
-from .forecast import StageForecast, forecast
+from .forecast import StageForecast, disk_space, forecast
+from .layout import Cell
 from .manifest import check_version, from_json, manifest_difference, read_manifest
+from .memory import cell_memory
 from .plan import Plan, Stage
-from .renaming import renamed_boxes, with_names
 from .strategies import plan_run
 
 HEAD = ("stage", "photos", "size", "steps", "starts from", "Gaussians", "minutes", "")
@@ -31,16 +30,16 @@ def describe_plan(
     Args:
         run, compare: see `strategies.plan_run`.
         context: gives the device; checked for cancellation.
-        update: whether the run would archive other results in its folder.
+        update: whether the run may move the results of other settings aside.
 
     Raises:
         As `plan_run`; SceneError: the scene does not fit into the machine's memory;
-        RunFolderError: an earlier version made the folder.
+        RunFolderError: another version made the folder.
     """
     check_version(run.folder)
     memory = run.memory(context)
     plan = plan_run(run, compare, context)
-    expected = forecast(run, plan, context, update=update)
+    expected = forecast(run, plan, context)
     rows = [_row(stage) for stage in expected.stages]
     lines = [*_head(run, plan, context), "", *_table(rows), ""]
     lines += [message.text for message in (*memory.messages(), disk_space(run, expected))]
@@ -70,7 +69,30 @@ def _head(run: Run, plan: Plan, context: Context) -> list[str]:
             f" {counted(len(s.candidates), 'candidate')}"
             for s in selections
         ]
-    return [*lines, *describe_layout(run, context)]
+    return [*lines, *_layout(run, context)]
+
+
+def _layout(run: Run, context: Context) -> list[str]:
+    """A line for each block and each group; none if there is one block and one box."""
+    layout, lines = run.layout, []
+    if layout.blocks:
+        plans = cell_memory(run.scene, layout, run.config, context.photo_memory)
+        lines = [
+            f"{_cell(cell)}, {counted(len(cell.points), 'point')}, {in_gb(plan.total)}"
+            for cell, plan in zip(layout.blocks.cells, plans, strict=False)
+        ]
+    if layout.cells:
+        return lines + [_cell(cell) for cell in layout.cells.cells if "group" in cell.label]
+    if len(run.rois) > 1 and run.config.strategy == "joint":
+        lines.append(f"Boxes trained together: {', '.join(layout.groups[0])}")
+    return lines
+
+
+def _cell(cell: Cell) -> str:
+    """For example `Block 2: vase, tin; 73 photos`."""
+    boxes = ", ".join(roi.name for roi in cell.rois) or "no box"
+    name = cell.label.replace("-", " ").capitalize()
+    return f"{name}: {boxes}; {counted(len(cell.photos), 'photo')}"
 
 
 def _held_out(run: Run) -> str:
@@ -128,14 +150,14 @@ def _folder_notes(run: Run, *, update: bool) -> list[str]:
     path = run.folder / MANIFEST
     if not path.exists():
         return notes
-    before, now = read_manifest(path), from_json(run.manifest())
-    difference = manifest_difference(before, now)
-    if update and difference:
-        difference = manifest_difference(with_names(before, renamed_boxes(before, now)), now)
+    difference = manifest_difference(read_manifest(path), from_json(run.manifest()))
     if difference and update:
-        notes.append(f"Folder: another run ({difference}) would be archived.")
+        notes.append(
+            f"Folder: the results of another run ({difference}) would move to 'earlier' in it."
+        )
     elif difference:
         notes.append(
-            f"Folder: it has another run ({difference}). Add --update to archive that run."
+            f"Folder: it has another run ({difference}). Add --update to move its results to"
+            " 'earlier' in it."
         )
     return notes

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -13,6 +14,7 @@ from ..evaluation.views import EvaluatedModel
 from ..formats import run_files
 from ..formats.files import own_folder, write_json
 from ..formats.lock import check_held
+from ..formats.stage_list import write_stage_list
 from ..model.gaussians import Gaussians
 from ..model.operations import crop, merge
 from ..model.ownership import count_owned, joined, owners
@@ -26,7 +28,7 @@ from ..training.mechanisms.box_density_control import BoxDensityControl
 from ..training.stage_data import SmallPhotos, StageData
 from .definition import Run
 from .plan import CELLS, CROP, MERGE, POINTS, Output, Plan, PlannedModel, Source, Stage
-from .stage_folder import StageFolder, StageResult, StageStatus
+from .stage_folder import StageFolder, StageResult, StageStatus, folder_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,7 +78,6 @@ class Executor:
     Args:
         run: the run of the plans.
         context: of the run; gives the device.
-        update: archive stages of other settings instead of raising an error.
         preview_seconds: seconds of training between two updates of `preview.ply`; 0: none.
     """
 
@@ -85,11 +86,10 @@ class Executor:
         run: Run,
         context: Context = QUIET,
         *,
-        update: bool = False,
         preview_seconds: float = 0.0,
     ) -> None:
         self.run, self.context = run, context
-        self._update, self._preview_seconds = update, preview_seconds
+        self._preview_seconds = preview_seconds
         self._memory = run.memory(context)
         self._keeps = run.layout.blocks is None  # models, which blocks are too large for
         self._named: set[str] = set()
@@ -102,10 +102,11 @@ class Executor:
 
         Raises:
             Stopped: on request; the same call resumes later.
-            RunFolderError: a stage's folder has other settings, or is damaged.
+            RunFolderError: a stage's folder cannot be read or written.
             TrainingError: a stage diverged twice.
         """
         self._refuse_links(plan)
+        self.list_stages(plan)
         for folder, selections in plan.selections.items():
             for chosen in selections:
                 place = own_folder(self.run.folder, folder, run_files.SELECTION)
@@ -116,6 +117,7 @@ class Executor:
             for output in plan.outputs:
                 if output.model is planned:
                     self._write(output)
+        self.list_stages(plan)  # some may be the same as others
         self.close()
         return [self.model(planned) for planned in plan.models]
 
@@ -189,20 +191,27 @@ class Executor:
         """How far the stage is; nothing is trained or moved."""
         return self._folder(stage).peek()
 
+    def list_stages(self, plan: Plan) -> None:
+        """Write where the plan's stages are; RunFolderError if that fails."""
+        folders = {stage.name: self._place(stage) for stage in plan.stages}
+        write_stage_list(self.run.folder, folders)
+
     def close(self) -> None:
         """Drop the decoded photos."""
         for cache in self._photos.values():
             cache.close()
         self._photos = {}
 
+    def _place(self, stage: Stage) -> Path:
+        return folder_of(self.run.folder, stage.name, stage.fingerprint)
+
     def _folder(self, stage: Stage) -> StageFolder:
         preview = self.run.folder / run_files.PREVIEW if self._preview_seconds else None
         return StageFolder(
             name=stage.name,
-            folder=own_folder(self.run.folder, stage.name),
+            folder=self._place(stage),
             fingerprint=stage.fingerprint,
             frame=self.run.frame,
-            update=self._update,
             preview=preview,
             preview_seconds=self._preview_seconds,
             named=self._named,
@@ -211,7 +220,7 @@ class Executor:
     def _refuse_links(self, plan: Plan) -> None:
         """Before hours of training: RunFolderError if a result would be written through a link."""
         for stage in plan.stages:
-            own_folder(self.run.folder, stage.name)
+            self._place(stage)
         for output in plan.outputs:
             for name in (run_files.FINE, run_files.COARSE):
                 own_folder(self.run.folder, output.folder, name)

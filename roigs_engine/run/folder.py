@@ -9,12 +9,10 @@ from ..formats.files import write_json
 from ..formats.run_files import SPLIT
 from ..model.scene_checks import scene_warnings
 from .definition import Run
-from .disk import disk_space
 from .executor import Executor, TrainedModel
-from .forecast import forecast_if_long
+from .forecast import disk_space, forecast_if_long
 from .manifest import claim
 from .strategies import plan_run
-from .unplanned import archive_unplanned
 
 
 def open_folder(run: Run, context: Context = QUIET, *, update: bool = False) -> None:
@@ -23,8 +21,8 @@ def open_folder(run: Run, context: Context = QUIET, *, update: bool = False) -> 
     Args:
         run: the run; its folder must not be in use (`formats.lock`).
         context: receives the warnings.
-        update: accept a folder made for other settings: results that still fit are kept, the
-            others are archived.
+        update: accept a folder made for other settings: stages that still fit are kept, the
+            results move to `earlier/`.
 
     Raises:
         RunFolderError: the folder has a run of other settings, or of an earlier version.
@@ -42,13 +40,12 @@ def train_opened(
     compare: Sequence[str] = (),
     context: Context = QUIET,
     *,
-    update: bool = False,
     preview_seconds: float = 0.0,
 ) -> list[TrainedModel]:
     """Plan and train a run whose folder is open; returns the models, the run's result last.
 
     Args:
-        run, context, update: see `open_folder`.
+        run, context: see `open_folder`.
         compare: models to compare with, from `config.COMPARISONS`.
         preview_seconds: seconds of training between two updates of `preview.ply`; 0: none.
 
@@ -56,16 +53,13 @@ def train_opened(
         As `plan_run` and `Executor.execute`.
     """
     plan = plan_run(run, compare, context)
-    expected = forecast_if_long(run, plan, context, update=update)
+    expected = forecast_if_long(run, plan, context)
     if expected is not None:
         context.info(expected.time_line())
         space = disk_space(run, expected)
         if space.level == "warning":
             context.emit(space)
-    if update:
-        archive_unplanned(run, plan, context)
-    executor = Executor(run, context, update=update, preview_seconds=preview_seconds)
-    return executor.execute(plan)
+    return Executor(run, context, preview_seconds=preview_seconds).execute(plan)
 
 
 def train_run(
@@ -78,4 +72,4 @@ def train_run(
 ) -> list[TrainedModel]:
     """`open_folder`, then `train_opened`."""
     open_folder(run, context, update=update)
-    return train_opened(run, compare, context, update=update, preview_seconds=preview_seconds)
+    return train_opened(run, compare, context, preview_seconds=preview_seconds)

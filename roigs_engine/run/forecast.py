@@ -1,4 +1,4 @@
-"""Estimates of what a plan's stages will take: Gaussians and seconds, with what is done already.
+"""Forecast of a plan: Gaussians, seconds and disk space, less what is done already.
 
 The time of a step is measured twice by training a few, on the stage's cameras and masks: with the
 number of Gaussians at the start of the stage, and with the number expected at its end. In between
@@ -17,10 +17,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ..colmap.undistortion_cache import PER_PIXEL, missing_in
 from ..context import QUIET, Context
 from ..errors import EngineError
+from ..formats.events import Message
+from ..formats.run_files import CACHE
 from ..formats.text import counted, json_digest
 from ..kernels import library
+from ..machine import disk_message
 from ..model.gaussians import Gaussians
 from ..model.scene import PosedImage, SfmScene
 from ..training.loop import one_torch_thread
@@ -41,6 +45,10 @@ from .stage_folder import StageStatus
 # (notebook/densification.md).
 
 WORTH_SAYING = 2000  # steps; an estimate takes as long as a few hundred of them
+PER_GAUSSIAN = 62 * 4  # bytes in a PLY with SH of degree 3
+PER_STATE = 4 * 62 * 4  # in a checkpoint: parameters, two moments, the mean of models
+CHECKPOINTS = 3  # the last one, the one before, and the one that is written
+OUTPUTS = 4  # times a model: whole, without boxes, the boxes' Gaussians, a preview
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,20 +105,19 @@ class Forecast:
         return f"Time: about {_minutes(seconds)} on this machine ({self.device}){done}."
 
 
-def forecast(run: Run, plan: Plan, context: Context, *, update: bool) -> Forecast:
+def forecast(run: Run, plan: Plan, context: Context) -> Forecast:
     """What a plan will take; trains a few steps to measure their time.
 
     Args:
         run, plan: the run and its plan.
         context: gives the device; checked for cancellation.
-        update: whether results would be restored from the archive.
     """
-    return _forecast(run, plan, _statuses(run, plan, context, update=update), context)
+    return _forecast(run, plan, _statuses(run, plan, context), context)
 
 
-def forecast_if_long(run: Run, plan: Plan, context: Context, *, update: bool) -> Forecast | None:
+def forecast_if_long(run: Run, plan: Plan, context: Context) -> Forecast | None:
     """`forecast`; None if little is left to train, or if it fails: it is only a text."""
-    statuses = _statuses(run, plan, context, update=update)
+    statuses = _statuses(run, plan, context)
     left = [
         stage.config.steps - status.step
         for stage, status in zip(plan.stages, statuses, strict=True)
@@ -123,8 +130,8 @@ def forecast_if_long(run: Run, plan: Plan, context: Context, *, update: bool) ->
     return None
 
 
-def _statuses(run: Run, plan: Plan, context: Context, *, update: bool) -> list[StageStatus]:
-    executor = Executor(run, context, update=update)
+def _statuses(run: Run, plan: Plan, context: Context) -> list[StageStatus]:
+    executor = Executor(run, context)
     return [executor.status(stage) for stage in plan.stages]
 
 
@@ -171,6 +178,18 @@ def expected_start(source: Source, ends: dict[str, int], scene: SfmScene) -> int
         return round(float((shares.clip(max=1) * own).sum()))
     base = expected_start(source.base, ends, scene) if source.base else 0
     return max([round(source.share * base), *own])
+
+
+def disk_space(run: Run, expected: Forecast) -> Message:
+    """What the run will write at most; a warning if less is free."""
+    missing = [stage.whole for stage in expected.stages if not stage.is_done]
+    distorted = missing_in(run.folder / CACHE, run.scene.images)
+    needed = PER_PIXEL * sum(image.camera.width * image.camera.height for image in distorted)
+    if missing:
+        ends = [stage.end for stage in missing]
+        needed += PER_STATE * CHECKPOINTS * max(stage.most for stage in missing)
+        needed += PER_GAUSSIAN * (sum(ends) + OUTPUTS * max(ends))
+    return disk_message(needed, run.folder)
 
 
 def _minutes(seconds: float) -> str:

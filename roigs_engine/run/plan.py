@@ -79,7 +79,7 @@ class Stage:
     """One training stage.
 
     Attributes:
-        name: its folder below the run folder, for example `compare-joint/scene`.
+        name: unique in the plan, for example `compare-joint/scene`.
         images: the photos, with cameras of the size used for training.
         config: settings.
         start: the Gaussians to start from.

@@ -20,6 +20,7 @@ from ..errors import EngineError, RunFolderError, Stopped
 from ..formats.files import read_json, write_json
 from ..formats.lock import check_held
 from ..formats.run_files import PROVENANCE, STAGE
+from ..formats.stage_list import read_stage_list
 from ..kernels import library
 from ..machine import machine_memory, processor_name, usable_cores
 from .stage_record import DamagedError, read_record
@@ -98,9 +99,9 @@ def _version(name: str) -> str:
 def _stages(folder: Path) -> dict[str, float]:
     """Finished stage -> its seconds of training."""
     found = {}
-    for path in sorted(folder.glob(f"*/{STAGE}")):
+    for name, place in read_stage_list(folder).items():
         with suppress(RunFolderError, DamagedError):
-            record = read_record(path)
+            record = read_record(place / STAGE)
             if record is not None:
-                found[path.parent.name] = round(record.seconds, 1)
+                found[name] = round(record.seconds, 1)
     return found

@@ -85,7 +85,8 @@ def train_stage(run: Run, plan: Plan, name: str, context: Context) -> None:
             f"{run.folder} is prepared for another run ({difference}).",
             "Start again: `batch` prepares it anew, and keeps what still fits.",
         )
-    executor = Executor(run, context, update=True)
+    executor = Executor(run, context)
+    executor.list_stages(plan)
     missing = tuple(s for s in _with_inputs(by_name[name]) if executor.status(s).result is None)
     with stage_held(run.folder, missing or (by_name[name],), context):
         executor.result(by_name[name])

@@ -18,7 +18,7 @@ from ..cuda.device import CPU
 from ..errors import GpuMemoryError, RunFolderError, Stopped, TrainingError
 from ..formats import run_files
 from ..formats.events import Preview, StageStarted
-from ..formats.files import sha256
+from ..formats.files import is_link, matching, own_folder, sha256
 from ..formats.lock import check_held
 from ..formats.text import counted
 from ..model.gaussians import Gaussians
@@ -26,7 +26,6 @@ from ..model.local_frame import LocalFrame
 from ..training.checkpoint import (
     check_state,
     checkpoint_exists,
-    checkpoint_fingerprint,
     checkpoint_step,
     load_checkpoint,
     remove_checkpoint,
@@ -36,7 +35,7 @@ from ..training.config import TrainConfig
 from ..training.loop import PeriodicCallback
 from ..training.stage_data import StageData
 from ..training.trainer import Trainer
-from .archive import archive, archive_damaged, archived, restore
+from .earlier import move_damaged
 from .stage_record import DamagedError, StageRecord, check_model, read_record, write_record
 
 CHECKPOINT_SECONDS = 60.0
@@ -88,16 +87,36 @@ class StageStatus:
     step: int = 0
 
 
+def folder_of(run: Path, name: str, fingerprint: str) -> Path:
+    """Where a stage is in a run folder: in `stages/NAME-FINGERPRINT`, which need not exist.
+
+    If that does not exist, a finished stage of the same fingerprint serves, whatever its name: the
+    box was renamed, or two stages of a plan are the same.
+
+    Raises:
+        RunFolderError: the folder is a link, or no folder.
+    """
+    stages, mark = own_folder(run, run_files.STAGES), fingerprint[:8]
+    own = own_folder(stages, f"{name.replace('/', '-')}-{mark}")
+    if own.exists():
+        return own
+    for twin in matching(stages, f"*-{mark}"):
+        with suppress(RunFolderError, DamagedError):
+            record = read_record(twin / run_files.STAGE)
+            if record and record.fingerprint == fingerprint and not is_link(twin):
+                return twin
+    return own
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StageFolder:
     """The folder that a stage is trained in.
 
     Attributes:
         name: the stage's name, shown to the user.
-        folder: the stage's folder.
+        folder: the stage's folder (`folder_of`).
         fingerprint: of the stage.
         frame: that the stage is trained in; its PLYs are in the world's.
-        update: archive a stage with another fingerprint instead of raising an error.
         preview: file for the preview of the current Gaussians; None: no preview.
         preview_seconds: seconds of training between two previews.
         named: photos that no warning names any more, as one has; gets those of this stage.
@@ -107,7 +126,6 @@ class StageFolder:
     folder: Path
     fingerprint: str
     frame: LocalFrame = field(default_factory=LocalFrame.world)
-    update: bool = False
     preview: Path | None = None
     preview_seconds: float = 0.0
     named: set[str] = field(default_factory=set)
@@ -121,18 +139,7 @@ class StageFolder:
         return self.folder / run_files.STAGE
 
     def peek(self) -> StageStatus:
-        """How far the stage is; changes nothing.
-
-        With `update`, it may be in the archive, from where `finished` would restore it.
-        """
-        found = self._peek()
-        if found == StageStatus() and self.update:
-            with suppress(RunFolderError):
-                place = archived(self.folder, self.fingerprint)
-                found = replace(self, folder=place)._peek()
-        return found
-
-    def _peek(self) -> StageStatus:
+        """How far the stage is; changes nothing."""
         with suppress(RunFolderError, DamagedError):
             record = read_record(self._record)
             if record is not None:
@@ -140,39 +147,28 @@ class StageFolder:
         return StageStatus(step=checkpoint_step(self._checkpoint, self.fingerprint))
 
     def finished(self, context: Context = QUIET) -> StageResult | None:
-        """The stage's result if it is finished, or None; `update` archives another stage first.
+        """The stage's result if it is finished, or None.
 
-        A result that is damaged is archived, with a warning, and counts as missing.
+        A result that is damaged is moved aside, with a warning, and counts as missing.
 
         Raises:
-            RunFolderError: the folder has other settings, or cannot be read.
+            RunFolderError: the folder cannot be read.
         """
-        if self.update:
-            self._make_room(context)
-        record = self._usable_record(context)
-        if record is None:
-            return None
         try:
+            record = read_record(self._record)
+            if record is None:
+                return None
             result = self._verified(record)
         except DamagedError as error:
-            self._archive_damaged(error, context)
+            self._move_damaged(error, context)
             return None
         remove_checkpoint(self._checkpoint)  # left if the engine was killed at the very end
         gaussians = counted(result.count, "Gaussian")
         context.info(f"{self.name}: finished in an earlier training; its {gaussians} are used.")
         return result
 
-    def _usable_record(self, context: Context) -> StageRecord | None:
-        """The record of a finished stage; one that is damaged is archived, with its model."""
-        try:
-            return read_record(self._record)
-        except DamagedError as error:
-            self._archive_damaged(error, context)
-            return None
-
-    def _archive_damaged(self, error: DamagedError, context: Context) -> None:
-        names = (run_files.STAGE, run_files.MODEL)
-        place = archive_damaged(self.folder, names)
+    def _move_damaged(self, error: DamagedError, context: Context) -> None:
+        place = move_damaged(self.folder, (run_files.STAGE, run_files.MODEL))
         again = "resumed from its checkpoint" if checkpoint_exists(self._checkpoint) else "repeated"
         context.warn(
             f"{self.name}: {error}. The stage is {again}; its damaged files are in {place}."
@@ -182,15 +178,11 @@ class StageFolder:
         """The result of a finished stage, whose model is as it was trained.
 
         Raises:
-            RunFolderError: it is of another stage, or cannot be read.
-            DamagedError: the model is damaged or missing.
+            RunFolderError: the model cannot be read.
+            DamagedError: the model is damaged or missing, or the record is of another stage.
         """
         if record.fingerprint != self.fingerprint:
-            raise RunFolderError(
-                f"{self.folder} was trained with other settings or photos.",
-                "Add --update to archive it and train again, or choose another run folder"
-                " (--run-dir).",
-            )
+            raise DamagedError(f"{self._record} is of another stage")
         path = self.folder / run_files.MODEL
         check_model(path, record)
         return StageResult(
@@ -292,25 +284,6 @@ class StageFolder:
             check_held(self.folder)
             trainer.gaussians.save_ply(self.preview, self.frame)
             context.emit(Preview(path=str(self.preview)))
-
-    def _make_room(self, context: Context) -> None:
-        """Archive a stage with another fingerprint; restore this one from the archive."""
-        present = self._present_fingerprint(context)
-        if present == self.fingerprint:
-            return
-        if present is not None:
-            archive(self.folder, present)
-            context.info(f"{self.name}: archived the stage of other settings or photos.")
-        restore(self.folder, self.fingerprint)
-
-    def _present_fingerprint(self, context: Context) -> str | None:
-        """The fingerprint of the stage in the folder, finished or not; None: no stage."""
-        record = self._usable_record(context)
-        if record is not None:
-            return record.fingerprint
-        if checkpoint_exists(self._checkpoint):
-            return checkpoint_fingerprint(self._checkpoint)
-        return None
 
     def _finish(self, trainer: Trainer) -> StageResult:
         model = trainer.gaussians.detached().to(CPU)

@@ -97,11 +97,11 @@ def run(
 def two(blender: ModuleType, run):
     """The last result, which is shown, and an earlier one."""
     from roigs_engine.formats.splat_ply import read_ply
-    from tests.addon.results import PARTS, archive
+    from tests.addon.results import PARTS, set_aside
     from tests.addon.splat_cases import random_ply
 
     scene, folder = run
-    older = archive(folder)
+    older = set_aside(folder)
     for part in PARTS:
         copy = shutil.copytree if (older / part).is_dir() else shutil.copy
         copy(older / part, folder / part)

@@ -12,9 +12,9 @@ PARTS = ("result.ply", "background.ply", "rois", "coarse")
 MORE = ("report.json", "settings.json")
 
 
-def archive(folder: Path, name: str = "results-abcdef12") -> Path:
-    """Archive the results of a run folder, as a training with other settings does."""
-    place = folder / "archive" / name
+def set_aside(folder: Path, name: str = "abcdef12") -> Path:
+    """Move the results of a run folder aside, as a training with other settings does."""
+    place = folder / "earlier" / name
     place.mkdir(parents=True)
     for part in (*PARTS, *MORE):
         if (folder / part).exists():

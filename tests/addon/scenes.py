@@ -112,3 +112,13 @@ def drawn_points(bpy: ModuleType) -> dict[str, dict[str, object]]:
                 "attributes": set(data.attributes.keys()),
             }
     return found
+
+
+def listed_stage(run: Path, name: str) -> Path:
+    """The folder of a stage of a run's present settings, made and listed as the engine does."""
+    from roigs_engine.formats.stage_list import write_stage_list
+
+    folder = run / "stages" / f"{name}-abcdefab"
+    folder.mkdir(parents=True, exist_ok=True)
+    write_stage_list(run, {name: folder})
+    return folder

@@ -229,7 +229,7 @@ def _engine(arguments: list[str], at: Moment | None, folder: Path) -> None:
     clock = _Clock(at)
     stage_folder.PeriodicCallback = functools.partial(_EverySoManySteps, clock)  # type: ignore[misc, assignment]
     _before(trainer.Trainer, "train_step", lambda *_: clock.tick("step"))
-    _before(trainer.Trainer, "_apply", lambda *_: clock.tick("edit"))
+    _before(trainer.Trainer, "apply", lambda *_: clock.tick("edit"))
     _before(Console, "should_stop", lambda *_: clock.tick("check"))
     _before(Console, "emit", lambda _, event: clock.watch(event))
     files.open = clock.open  # type: ignore[attr-defined]

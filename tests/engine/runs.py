@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from roigs_engine.context import QUIET, Context
+from roigs_engine.formats.stage_list import read_stage_list
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.config import RunConfig
@@ -37,8 +38,13 @@ def tiny(strategy: str, **changes: object) -> RunConfig:
 
 
 def plys(folder: Path) -> dict[str, bytes]:
-    """Every PLY below a folder."""
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*.ply"))}
+    """Every PLY below a folder; of those in `earlier` and in damaged stages, none."""
+    found = (p.relative_to(folder) for p in sorted(folder.rglob("*.ply")))
+    return {
+        str(p): (folder / p).read_bytes()
+        for p in found
+        if p.parts[0] != "earlier" and "-damaged" not in p.parts[-2:][0]
+    }
 
 
 def opened(
@@ -79,3 +85,14 @@ SECOND = OrientedBox.axis_aligned("second", [-0.2, -0.2, -0.2], [0.5, 0.5, 0.5])
 
 def production(strategy: str = "joint", **changes: object) -> RunConfig:
     return tiny(strategy, test_every=0, kept_share=1.0, **changes)
+
+
+def stage_of(run: Path, name: str) -> Path:
+    """The folder of a stage of a run's present settings."""
+    return read_stage_list(run)[name]
+
+
+def finished(run: Path) -> set[str]:
+    """Names of the finished stages of a run's present settings."""
+    stages = read_stage_list(run)
+    return {name for name, folder in stages.items() if (folder / "stage.json").exists()}

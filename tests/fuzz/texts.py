@@ -133,8 +133,8 @@ def controls(dice: random.Random, folder: Path) -> Case:
 
 # Places to write to
 
-OWN = ("", "result.ply", "report.md", "crops", "crops/thing", "selection", "scene", "rois", "cache",
-       "archive/x", "compare-joint", "object-thing/a", "Manifest.json")  # fmt: skip
+OWN = ("", "result.ply", "report.md", "crops", "crops/thing", "selection", "stages", "rois",
+       "cache", "earlier/x", "compare-joint", "stages/a", "Manifest.json")  # fmt: skip
 FREE = ("renders", "evaluation/crops", "other")
 
 

@@ -157,7 +157,7 @@ def first_window(blender: Blender, folder: Path) -> None:
     check("Esc ends a transform only", bool(blender.ask(f"{BUSY} and not {JOB}.stopping")))
 
     stopped(blender, pid, "Esc", blender.press("Escape"))
-    left = list(run.glob("*/checkpoint.bin"))
+    left = list(run.glob("stages/*/checkpoint.bin"))
     check(f"a checkpoint is kept: {[p.parent.name for p in left]}", bool(left))
     blender.until(f"not {BUSY}")
     time.sleep(0.5)
@@ -194,7 +194,7 @@ def second_window(blender: Blender, folder: Path) -> None:
     place = blender.find("roigs.train_roi", x=0.3)
     time.sleep(0.5)
     blender.screen.picture(folder / "reopened.png")
-    left = [p.parent.name for p in (folder / "run").glob("*/checkpoint.bin")]
+    left = [p.parent.name for p in (folder / "run").glob("stages/*/checkpoint.bin")]
     check(f"opened again: the run is at {left}", bool(left))
     blender.ask("bpy.context.scene.roigs.steps_factor")
     blender.click(place)

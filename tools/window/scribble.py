@@ -229,7 +229,7 @@ def train(blender: Blender, box: str, side: int, run: Path, shot: Callable[[str]
     blender.until(f"not {BUSY}", WAIT)
     part = run / "rois" / f"{box}.ply"
     check(f"trained: {blender.ask(STATE + '.outcome')}", part.is_file())
-    stages = sorted(path.parent.name for path in run.glob("*/stage.json"))
+    stages = sorted(path.parent.name.rpartition("-")[0] for path in run.glob("stages/*/stage.json"))
     check(f"stages: {', '.join(stages)}", "cutout" in stages)
     name = f"{box} Gaussians"
     blender.until(f"bpy.data.objects.get({name!r}) is not None", 60)

@@ -12,13 +12,14 @@ from roigs_addon.engine.own_files import stage_in_words, warning_in_words
 from roigs_addon.engine.run_status import RunStatus
 from roigs_engine.formats.run_files import MANIFEST
 from tests.addon.engine.folders import HOLD, write
-from tests.addon.scenes import ROOT
+from tests.addon.scenes import ROOT, listed_stage
 
 
 def test_a_run_is_read_from_its_folder(tmp_path: Path) -> None:
     assert run_status.read(tmp_path / "none") == RunStatus()
-    write(tmp_path / "scene" / "stage.json")
-    write(tmp_path / "object-vase" / "checkpoint.bin")
+    write(listed_stage(tmp_path, "scene") / "stage.json")
+    write(listed_stage(tmp_path, "object-vase") / "checkpoint.bin")
+    write(tmp_path / "stages" / "joint-1234abcd" / "checkpoint.bin")  # of other settings
     box = {"name": "vase", "world_to_box": [[1]], "half_extents": [1]}
     write(tmp_path / MANIFEST, json.dumps({"rois": [box]}))
     run = run_status.read(tmp_path)

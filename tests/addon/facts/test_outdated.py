@@ -8,7 +8,7 @@ from types import ModuleType
 
 import pytest
 
-from tests.addon.scenes import add_box, record, status
+from tests.addon.scenes import add_box, listed_stage, record, status
 
 pytestmark = pytest.mark.blender
 PHOTOS = [f"photo {number}.png" for number in range(8)]
@@ -38,8 +38,8 @@ def write(scene, folder: Path, **manual: list[str]) -> None:
     manifest["rois"] = [record(box, scene) for box in boxes]
     (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
     for name, seconds in (("scene", 240.0), ("joint", 360.0)):
-        (folder / name).mkdir(exist_ok=True)
-        (folder / name / "stage.json").write_text(json.dumps({"seconds": seconds}))
+        place = listed_stage(folder, name)
+        (place / "stage.json").write_text(json.dumps({"seconds": seconds}))
 
 
 def words(scene) -> str:
@@ -170,10 +170,10 @@ def test_a_renamed_box_is_trained(blender: ModuleType, trained) -> None:
 
 
 def test_an_earlier_result_with_these_settings(trained) -> None:
-    from tests.addon.results import archive
+    from tests.addon.results import set_aside
 
     scene, folder = trained
-    archive(folder)
+    set_aside(folder)
     scene.roigs.max_side = 16
     write(scene, folder)
     (folder / "result.ply").touch()
@@ -197,7 +197,7 @@ def test_a_stopped_training_says_it_too(blender: ModuleType, trained) -> None:
 
     scene, folder = trained
     (folder / "result.ply").unlink()
-    (folder / "joint" / "checkpoint.bin").touch()
+    (listed_stage(folder, "joint") / "checkpoint.bin").touch()
     assert "Stopped during: all boxes" in " ".join(said(blender, TrainPanel))
     assert "Train starts again" not in " ".join(said(blender, TrainPanel))
     scene.roigs.max_side = 16

@@ -21,7 +21,7 @@ TRAINING = '{"event": "progress", "stage": "scene"'
 
 
 def checkpoints(folder: Path) -> list[Path]:
-    return list(folder.glob("*/checkpoint.bin"))
+    return list(folder.glob("stages/*/checkpoint.bin"))
 
 
 def training(state) -> bool:

@@ -15,12 +15,14 @@ from tests.addon.scenes import (
     add_box,
     command_line,
     imported,
+    listed_stage,
     options,
     ready,
     record,
     start_training,
     status,
 )
+from tests.engine.runs import stage_of
 
 pytestmark = pytest.mark.blender
 
@@ -98,10 +100,11 @@ def test_the_whole_scene_is_reused_for_another_box(
     scene = ready(bpy, project, run)
     bpy.ops.roigs.train_roi()
     assert set(status(scene).done) == {"joint", "scene"} and not status(scene).left
-    made = (run / "scene" / "stage.json").stat().st_mtime_ns
+    made = stage_of(run, "scene"), (stage_of(run, "scene") / "stage.json").stat().st_mtime_ns
     add_box(bpy, "second", (-0.5, -0.5, -0.5), (0.0, 0.1, 0.2))
     bpy.ops.roigs.train_roi(active_only=True)
-    assert (run / "scene" / "stage.json").stat().st_mtime_ns == made
+    now = stage_of(run, "scene"), (stage_of(run, "scene") / "stage.json").stat().st_mtime_ns
+    assert now == made
     assert [path.stem for path in (run / "rois").iterdir()] == ["second"]
     # The first box keeps the Gaussians it had.
     levels = {(o.roigs.level, o.roigs.roi) for o in lookup.splats(scene)}
@@ -120,14 +123,15 @@ def test_a_renamed_box_is_not_trained_again(
     scene.roigs.strategy = "independent"
     bpy.ops.roigs.train_roi()
     assert outdated.in_words(scene, status(scene)) == ""
-    before, made = plys(run), (run / "object-thing" / "stage.json").stat().st_mtime_ns
+    before, made = plys(run), stage_of(run, "object-thing")
     item = scene.objects["thing Gaussians"]
     item.location.x = 7
     scene.objects["thing"].name = "a pot"  # now the first by name
     assert outdated.in_words(scene, status(scene)) == ""
     bpy.ops.roigs.train_roi()
-    assert (run / "object-a pot" / "stage.json").stat().st_mtime_ns == made
-    assert plys(run) == {name.replace("thing", "a pot"): data for name, data in before.items()}
+    assert stage_of(run, "object-a pot") == made
+    names = {name: name if "stages" in name else name.replace("thing", "a pot") for name in before}
+    assert plys(run) == {names[name]: data for name, data in before.items()}
     assert item.name == "a pot Gaussians" and item.location.x == 7
     assert item.roigs.ply == str(run / "rois" / "a pot.ply")
     assert not current.state().error
@@ -177,7 +181,7 @@ def test_a_stopped_training_resumes_to_the_same_bytes(
 def test_resuming_trains_the_same_boxes(
     blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
 ) -> None:
-    """Training others too would archive the work of a stopped 'Only …'."""
+    """Training others too would not go on with a stopped 'Only …'."""
     from roigs_addon.operators.train import TrainRoi
 
     class Asker:
@@ -195,10 +199,10 @@ def test_resuming_trains_the_same_boxes(
 
     assert trained() == ["jug", "thing", "vase"]
     boxes = {"rois": [record(scene.objects["jug"], scene)]}
-    (run / "joint").mkdir(parents=True)
+    joint = listed_stage(run, "joint")
     (run / MANIFEST).write_text(json.dumps(boxes), encoding="utf-8")
     assert trained() == ["jug", "thing", "vase"], "nothing was begun"
-    (run / "joint" / "checkpoint.bin").touch()
+    (joint / "checkpoint.bin").touch()
     assert trained() == ["jug"]
     Asker.resume = False
     assert trained() == ["jug", "thing", "vase"]

@@ -13,6 +13,7 @@ import pytest
 from roigs_engine.formats.splat_ply import write_ply
 from tests.addon.panels import Layout, stand_in
 from tests.addon.results import choose, cut, files
+from tests.addon.scenes import listed_stage
 from tests.addon.splat_cases import random_arrays, random_ply
 
 pytestmark = pytest.mark.blender
@@ -229,7 +230,7 @@ def test_the_earlier_result_that_was_shown_last(blender: ModuleType, two) -> Non
     from roigs_addon.scene import compared
 
     scene, folder, older = two
-    newer = folder / "archive" / "results-00000000"
+    newer = folder / "earlier" / "00000000"
     shutil.copytree(older, newer)
     blender.ops.roigs.load_results(earlier=older.name)
     blender.ops.roigs.compare_results()
@@ -277,7 +278,8 @@ def test_clean_up(blender: ModuleType, two) -> None:
     _, folder, older = two
     assert not blender.ops.roigs.clean_up.poll()
     (folder / "manifest.json").write_text("{}")
-    gone = ("preview.ply", "archive/scene-12345678/model.ply", "cache/undistorted/1.png")
+    listed_stage(folder, "scene")
+    gone = ("preview.ply", "stages/scene-1234abcd/model.ply", "cache/undistorted/1.png")
     for path in (Path(folder, name) for name in gone):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(bytes(1_000_000))

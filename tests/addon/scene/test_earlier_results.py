@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 
-from tests.addon.results import PARTS, archive, files
+from tests.addon.results import PARTS, files, set_aside
 
 pytestmark = pytest.mark.blender
 
@@ -20,7 +20,7 @@ def test_what_is_shown_stays_when_a_new_training_starts(blender: ModuleType, run
 
     scene, folder = run
     blender.ops.roigs.load_results()
-    place = archive(folder)
+    place = set_aside(folder)
     assert run_facts.missing_splats(scene)
     for listener in current.on_end:  # the training was stopped
         listener()
@@ -29,9 +29,9 @@ def test_what_is_shown_stays_when_a_new_training_starts(blender: ModuleType, run
 
 
 def test_without_a_result_the_last_one_is_loaded(blender: ModuleType, run) -> None:
-    """As after the next day's start: nothing but the archive is there."""
+    """As after the next day's start: nothing but the earlier result is there."""
     scene, folder = run
-    place = archive(folder)
+    place = set_aside(folder)
     blender.ops.roigs.load_results()
     assert files(scene) == {
         place / part for part in ("background.ply", "rois/thing.ply", "coarse/thing.ply")
@@ -40,7 +40,7 @@ def test_without_a_result_the_last_one_is_loaded(blender: ModuleType, run) -> No
 
 def test_results_are_switched(blender: ModuleType, run) -> None:
     bpy, (scene, folder) = blender, run
-    older = archive(folder)
+    older = set_aside(folder)
     for part in PARTS:  # the new result has another box
         source = older / part
         if source.is_dir():
@@ -56,7 +56,7 @@ def test_results_are_switched(blender: ModuleType, run) -> None:
     bpy.ops.roigs.load_results()
     assert not any(older in file.parents for file in files(scene))
     with pytest.raises(RuntimeError, match="is gone"):
-        bpy.ops.roigs.load_results(earlier="results-none")
+        bpy.ops.roigs.load_results(earlier="none")
 
 
 def test_copies_follow(blender: ModuleType, run) -> None:
@@ -64,19 +64,19 @@ def test_copies_follow(blender: ModuleType, run) -> None:
     bpy.ops.roigs.load_results()
     copy = scene.objects["thing Gaussians"].copy()
     scene.collection.objects.link(copy)
-    place = archive(folder)
+    place = set_aside(folder)
     bpy.ops.roigs.load_results()
     assert Path(copy.roigs.ply) == place / "rois" / "thing.ply"
 
 
 def test_an_earlier_result_is_deleted(blender: ModuleType, run) -> None:
     bpy, (_, folder) = blender, run
-    place = archive(folder)
-    (folder / "archive" / "scene-abcdef12").mkdir()
+    place = set_aside(folder)
+    (folder / "earlier" / "mine").mkdir()
     bpy.ops.roigs.delete_result(earlier=place.name)
-    assert not place.exists() and (folder / "archive" / "scene-abcdef12").is_dir()
-    with pytest.raises(RuntimeError, match="gone already"):
-        bpy.ops.roigs.delete_result(earlier="../archive")
+    assert not place.exists() and (folder / "earlier" / "mine").is_dir()
+    with pytest.raises(RuntimeError, match="deleted already"):
+        bpy.ops.roigs.delete_result(earlier="../earlier")
     assert not bpy.ops.roigs.load_results.poll()
 
 
@@ -93,7 +93,7 @@ def test_the_panel_lists_them(blender: ModuleType, run) -> None:
     (folder / "settings.json").write_text(json.dumps(settings))
     texts = " ".join(said(blender, ResultPanel))
     assert "Last result: Standard, 960 px, 27.4 dB on 2 test photos" in texts
-    place = archive(folder)
+    place = set_aside(folder)
     texts = said(blender, ResultPanel)
     assert "Earlier results, 1 MB in total" in texts
     assert "Standard, 960 px" in texts

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from roigs_engine.formats.splat_ply import read_ply, write_ply
-from tests.addon.results import PARTS, archive, cut
+from tests.addon.results import PARTS, cut, set_aside
 from tests.addon.splat_cases import random_arrays
 
 pytestmark = pytest.mark.blender
@@ -123,7 +123,7 @@ def test_points_stay_in_their_places(blender: ModuleType, far, change, old: bool
     assert_close(places, world_points(item), drawn_points(item))
     change(bpy, item)
     assert_close(places, world_points(item), drawn_points(item))
-    older = archive(folder)
+    older = set_aside(folder)
     for part in PARTS:
         copy = shutil.copytree if (older / part).is_dir() else shutil.copy
         copy(older / part, folder / part)

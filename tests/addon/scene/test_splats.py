@@ -135,17 +135,17 @@ def test_new_results_replace_old_ones(blender: ModuleType, run) -> None:
         bpy.ops.roigs.load_results()
 
 
-def test_archived_results_are_removed(blender: ModuleType, run) -> None:
+def test_results_that_are_gone_are_removed(blender: ModuleType, run) -> None:
     scene, folder = run
     blender.ops.roigs.load_results()
     others = [item for item in levels(scene).values() if item.roigs.level != "RESULT"]
     data = [item.data for item in others]
     assert len(data) == 2
     random_ply(folder / "rois" / "other.ply", 7, seed=1)
-    archive = folder / "archive"
-    archive.mkdir()
+    earlier = folder / "earlier"
+    earlier.mkdir()
     for name in ("rois", "coarse"):
-        (folder / name / "thing.ply").rename(archive / f"{name}.ply")
+        (folder / name / "thing.ply").rename(earlier / f"{name}.ply")
     names = [mesh.name for mesh in data]
     blender.ops.roigs.load_results()
     assert {item.roigs.roi for item in levels(scene).values()} == {"", "other"}

@@ -183,17 +183,17 @@ def test_psnr_of_other_sizes_is_not_compared(blender: ModuleType, run) -> None:
     report = {"test_views": ["1"], "rois": [{"rows": [{"roi_psnr": 25}]}]}
     (folder / "report.json").write_text(json.dumps(report))
     (folder / "settings.json").write_text(json.dumps({"preset": "draft", "max_side": 640}))
-    archived = folder / "archive" / "results-1"
+    earlier = folder / "earlier" / "1"
     for file in (run_files.RESULT, run_files.BACKGROUND, "report.json", "settings.json"):
-        (archived / file).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(folder / file, archived / file)
+        (earlier / file).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(folder / file, earlier / file)
 
     def text() -> str:
         return " ".join(said(blender, ResultPanel))
 
     assert "25.0 dB at 640 px on 1 test photo" in text()
     assert "one photo size only" not in text()
-    (archived / "settings.json").write_text(json.dumps({"max_side": 320}))
+    (earlier / "settings.json").write_text(json.dumps({"max_side": 320}))
     assert "25.0 dB at 320 px on 1 test photo" in text()
     assert "one photo size only" in text()
 

@@ -44,7 +44,7 @@ class Done:
         self._times: dict[Path, int] = {}
 
     def check(self, run: Path) -> None:
-        for path in run.glob(f"*/*/{run_files.STAGE}"):
+        for path in run.glob(f"*/{run_files.STAGES}/*/{run_files.STAGE}"):
             time_ = path.stat().st_mtime_ns
             assert self._times.setdefault(path, time_) == time_, f"{path} was trained again"
 

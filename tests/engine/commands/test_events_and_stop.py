@@ -13,6 +13,7 @@ import pytest
 from roigs_engine.formats.events import Message, Progress, to_json
 from roigs_engine.training.checkpoint import checkpoint_fingerprint, load_checkpoint
 from tests.engine.commands.command_line import BOX, EMPTY, python, start
+from tests.engine.runs import stage_of
 from tests.engine.synthetic_colmap import Project
 
 
@@ -64,7 +65,7 @@ def train(project: Project, folder: Path, *options: object) -> subprocess.Popen[
 
 
 def checkpoint_step(folder: Path) -> int:
-    path = folder / "scene" / "checkpoint.bin"
+    path = stage_of(folder, "scene") / "checkpoint.bin"
     return int(load_checkpoint(path, checkpoint_fingerprint(path))["step"])
 
 

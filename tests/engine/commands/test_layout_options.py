@@ -15,6 +15,7 @@ from roigs_engine.context import QUIET
 from roigs_engine.formats import run_files
 from roigs_engine.run import blocks
 from tests.engine.commands.command_line import BOX, refused
+from tests.engine.runs import finished
 from tests.engine.synthetic_colmap import Project, write_project
 
 TWO = ("--roi", BOX, "--roi", "other=-0.9,-0.9,-0.9,0.2,0.2,0.2")
@@ -59,8 +60,7 @@ def test_what_auto_has_chosen_stays(
         small.setattr(blocks, "_needed", lambda scene, layout, *_: 2 - bool(layout.blocks))
         small.setattr(blocks, "machine_memory", lambda: 1)
         assert main(["train", *auto]) == 0
-    stages = {path.parent.name for path in tmp_path.glob(f"*/{run_files.STAGE}")}
-    assert {"block-1-scene", "block-2-scene"} <= stages
+    assert {"block-1-scene", "block-2-scene"} <= finished(tmp_path)
     assert main(["train", *auto]) == 0  # with enough memory, too
     manifest = json.loads((tmp_path / run_files.MANIFEST).read_text(encoding="utf-8"))
     assert manifest["config"]["blocks"] == 2

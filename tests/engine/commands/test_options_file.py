@@ -172,5 +172,5 @@ def test_a_run_folders_settings_are_an_options_file(
     assert main(["train", str(run / "settings.json"), "--run-dir", str(run)]) == 0
     assert "joint: finished in an earlier training" in capsys.readouterr().err
     assert main([*line, "--seed", "1"]) == 0
-    (archived,) = (run / "archive").glob("results-*/settings.json")
-    assert json.loads(archived.read_text(encoding="utf-8")) == settings
+    (earlier,) = (run / "earlier").glob("*/settings.json")
+    assert json.loads(earlier.read_text(encoding="utf-8")) == settings

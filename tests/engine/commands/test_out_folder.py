@@ -17,8 +17,8 @@ from tests.engine.commands.command_line import refused
 
 BOX = "thing=-0.5,-0.5,-0.5,0.5,0.5,0.5"
 OWN = (
-    *("", "selection", "result.ply", "Crops", "scene", "object-a b/x", "cache/undistorted"),
-    *("compare-joint/result.ply", "full-object-vase", "archive/results-1234"),
+    *("", "selection", "result.ply", "Crops", "stages.json", "stages/x", "cache/undistorted"),
+    *("compare-joint/result.ply", "stages", "earlier/1234"),
 )
 FREE = ("renders", "evaluation/crops", "mine.ply", "nest/renders")
 
@@ -74,7 +74,7 @@ def test_the_commands_refuse_in_one_line(
     select = ["select", scene, "--out"]
     evaluate = ["evaluate", scene, "--roi", BOX, "--model", "A=a.ply", "--out"]
     compose = ["compose", "a.ply", "--roi", BOX, "--object", "thing=b.ply"]
-    train = ["--roi", BOX, "--run-dir", str(run / "scene")]
+    train = ["--roi", BOX, "--run-dir", str(run / "stages")]
     for command in (
         [*select, str(run / "selection"), "--roi", BOX],
         [*select, str(run), "--roi", BOX.replace("thing", "manifest")],

@@ -14,7 +14,7 @@ from roigs_engine.evaluation import evaluate
 from roigs_engine.formats import run_files
 from tests.engine.commands.command_line import BOX, refused
 from tests.engine.commands.photo_scenes import arguments, scene
-from tests.engine.runs import plys
+from tests.engine.runs import plys, stage_of
 from tests.engine.synthetic_colmap import Project
 
 
@@ -136,7 +136,11 @@ def test_models_of_a_run_are_tested_on_its_test_photos(
     project, run, out = scene(tmp_path), tmp_path / "run", tmp_path / "out"
     assert main([*arguments(project, run), "--seed", "3"]) == 0
     command = ["evaluate", str(project.folder), "--roi", BOX, "--out", str(out), "--model"]
-    models = [f"A={run / run_files.RESULT}", "--model", f"B={run / 'scene' / run_files.MODEL}"]
+    models = [
+        f"A={run / run_files.RESULT}",
+        "--model",
+        f"B={stage_of(run, 'scene') / run_files.MODEL}",
+    ]
     capsys.readouterr()
     assert main([*command, *models]) == 0
     assert "Testing on the photos of" in capsys.readouterr().err
@@ -177,12 +181,14 @@ def test_changed_photos_are_refused_or_trained_again(
     assert main(arguments(project, run, "--update")) == 0
     said = capsys.readouterr().err
     assert "finished in an earlier training" not in said and "10 photos changed" in said
-    assert all(data != before[name] for name, data in plys(run).items() if name in before)
+    now = plys(run)
+    assert all((now.get(name) == data) == ("stages" in name) for name, data in before.items())
     for path, data in kept.items():
         path.write_bytes(data)
     assert main(arguments(project, run, "--update")) == 0
     assert "finished in an earlier training" in capsys.readouterr().err
-    assert {name: data for name, data in plys(run).items() if "archive" not in name} == before
+    again = plys(run)
+    assert {name: again[name] for name in before} == before
 
 
 def selected(project: Project, folder: Path) -> list[str]:
@@ -264,7 +270,7 @@ def test_undistorted_photos_are_made_again_and_tidied_up(
     before = plys(run)
     for path, damage in zip(made, (b"", made[next(iter(made))][:-50], b"text"), strict=False):
         path.write_bytes(damage)
-    for stage in run.glob("*/stage.json"):
+    for stage in run.glob("stages/*/stage.json"):
         stage.unlink()
     for path in (project.folder / "images").iterdir():
         path.touch()

@@ -8,13 +8,14 @@ import pytest
 
 from roigs_engine.cli import main
 from roigs_engine.formats import clean_up
+from roigs_engine.formats.stage_list import write_stage_list
 from tests.engine.commands.command_line import refused
 from tests.engine.other_process import in_the_middle
 
 GONE = (
     *("cache/undistorted/1.png", "preview.ply"),
-    *("archive/scene-12345678/model.ply", "archive/joint-12345678-2/checkpoint.bin"),
-    *("archive/joint-damaged/stage.json", "compare-joint/archive/scene-1/model.ply"),
+    *("stages/scene-12345678/model.ply", "stages/joint-12345678/checkpoint.bin"),
+    "stages/joint-abcdefab-damaged/stage.json",
 )
 HOLD = """
 import sys
@@ -25,9 +26,10 @@ with locked(Path(sys.argv[1])):
     sys.stdin.read()
 """
 KEPT = (
-    *("manifest.json", "result.ply", "rois/a.ply", "coarse/a.ply", "scene/model.ply"),
-    *("cache/photos.json", "archive/results-12345678/result.ply", "renders/1.png"),
-    *("joint/checkpoint.bin", "blender/train.json", "compare-joint/archive/results-1/report.md"),
+    *("manifest.json", "result.ply", "rois/a.ply", "coarse/a.ply"),
+    *("stages.json", "stages/scene-abcdefab/model.ply"),
+    *("cache/photos.json", "earlier/12345678/result.ply", "renders/1.png"),
+    *("stages/joint-abcdefab/checkpoint.bin", "blender/train.json", "compare-joint/result.ply"),
 )
 
 
@@ -41,7 +43,11 @@ def run(tmp_path: Path) -> Path:
         path = tmp_path / "run" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(bytes(1000))
-    return tmp_path / "run"
+    run = tmp_path / "run"
+    write_stage_list(
+        run, {name: run / "stages" / f"{name}-abcdefab" for name in ("scene", "joint")}
+    )
+    return run
 
 
 def test_what_can_be_made_again_goes(run: Path) -> None:
@@ -53,7 +59,7 @@ def test_what_can_be_made_again_goes(run: Path) -> None:
 
 def test_the_command_says_what_it_removes(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["clean", str(run), "--dry-run"]) == 0
-    assert "archive/scene-12345678" in capsys.readouterr().out.replace("\\", "/")
+    assert "stages/scene-12345678" in capsys.readouterr().out.replace("\\", "/")
     assert files(run) == {*GONE, *KEPT}
     assert main(["clean", str(run)]) == 0
     assert "Removed 1 MB" in capsys.readouterr().err
@@ -80,11 +86,16 @@ def test_other_folders_are_left_alone(
 
 def test_links_are_not_followed(run: Path, tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "scene-1").mkdir()
-    (run / "archive").rename(tmp_path / "real")
-    (run / "archive").symlink_to(tmp_path / "mine")
+    (tmp_path / "mine" / "scene-12345678").mkdir()
+    (run / "stages").rename(tmp_path / "real")
+    (run / "stages").symlink_to(tmp_path / "mine")
     clean_up.remove(run)
-    assert (tmp_path / "mine" / "scene-1").is_dir()
+    assert (tmp_path / "mine" / "scene-12345678").is_dir()
+
+
+def test_without_a_list_no_stage_goes(run: Path) -> None:
+    (run / "stages.json").write_text("{", encoding="utf-8")
+    assert not [path for path in clean_up.removable(run) if path.parent.name == "stages"]
 
 
 def test_a_run_in_use_is_left_alone(run: Path, capsys: pytest.CaptureFixture[str]) -> None:

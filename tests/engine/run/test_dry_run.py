@@ -29,7 +29,7 @@ from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
 from roigs_engine.training.mechanisms.density_control import DensityControl
 from roigs_engine.training.mechanisms.importance_pruning import ImportancePruning
 from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
-from tests.engine.runs import tiny
+from tests.engine.runs import stage_of, tiny
 from tests.engine.synthetic_scene import BOX, make_scene
 
 ALL = ("full-scene", "full-object", "independent")
@@ -73,10 +73,10 @@ def test_what_is_done_is_said(scene: SfmScene, tmp_path: Path) -> None:
     other = replace(run, config=tiny("joint", seed=1))
     text = describe_plan(other)
     assert "seed was 0, now 1" in text and "--update" in text
-    assert "would be archived" in describe_plan(other, update=True)
+    assert "would move to 'earlier'" in describe_plan(other, update=True)
     train_run(other, update=True)
-    archived = rows(describe_plan(run, update=True))  # restored, if this run goes on
-    assert {name for name, row in archived.items() if row[-1] == "done"} == {"scene", "joint"}
+    former = rows(describe_plan(run, update=True))
+    assert {name for name, row in former.items() if row[-1] == "done"} == {"scene", "joint"}
 
 
 def test_an_unfinished_stage_is_said_with_its_steps(scene: SfmScene, tmp_path: Path) -> None:
@@ -122,14 +122,14 @@ def test_the_disk_space_is_said(
     assert warning.level == "warning" and "can be resumed" in warning.text
 
 
-def test_a_folder_of_an_earlier_version_is_refused(scene: SfmScene, tmp_path: Path) -> None:
-    (tmp_path / "request.json").write_text("{}", encoding="utf-8")
+def test_a_folder_of_another_version_is_refused(scene: SfmScene, tmp_path: Path) -> None:
+    (tmp_path / "manifest.json").write_text('{"version": 0}', encoding="utf-8")
     run = define_run(tmp_path, scene, [BOX], tiny("joint"))
     for work in (describe_plan, train_run):
-        with pytest.raises(RunFolderError, match="earlier version") as caught:
+        with pytest.raises(RunFolderError, match="another version") as caught:
             work(run)
         assert "--run-dir" in caught.value.hint
-    assert [path.name for path in tmp_path.iterdir()] == ["request.json"]
+    assert [path.name for path in tmp_path.iterdir()] == ["manifest.json"]
 
 
 def test_expected_counts_follow_the_schedule(scene: SfmScene, tmp_path: Path) -> None:
@@ -191,7 +191,7 @@ def test_a_large_model_is_extrapolated_not_made(
 def test_a_stage_without_its_model_is_not_done(scene: SfmScene, tmp_path: Path) -> None:
     run = define_run(tmp_path, scene, [BOX], tiny("joint"))
     train_run(run)
-    (tmp_path / "joint" / "model.ply").unlink()
+    (stage_of(tmp_path, "joint") / "model.ply").unlink()
     found = rows(describe_plan(run))
     assert found["scene"][-1] == "done" and found["joint"][-1] != "done"
 

@@ -17,7 +17,7 @@ from roigs_engine.run.definition import define_run
 from roigs_engine.run.dry_run import describe_plan
 from roigs_engine.run.executor import TrainedModel
 from roigs_engine.run.strategies import plan_run
-from tests.engine.runs import opened, plys, tiny, train
+from tests.engine.runs import opened, plys, stage_of, tiny, train
 from tests.engine.two_rooms import BOXES, two_rooms
 
 TOGETHER = (("east", "west"),)
@@ -53,7 +53,7 @@ def test_boxes_that_share_no_photo_are_trained_side_by_side(
     assert models[-1].name == "Joint"
     for number, roi in enumerate(BOXES, start=1):
         part = read_ply(folder / run_files.FINE / f"{roi.name}.ply")["means"]
-        own = read_ply(folder / f"group-{number}-joint" / run_files.MODEL)["means"]
+        own = read_ply(stage_of(folder, f"group-{number}-joint") / run_files.MODEL)["means"]
         assert len(part) == roi.contains(own).sum() > 20
 
 
@@ -69,16 +69,15 @@ def test_another_grouping_is_another_run(scene: SfmScene, tmp_path: Path) -> Non
         opened(tmp_path, scene, BOXES, tiny("joint", groups=TOGETHER))
 
 
-def test_stages_of_another_grouping_are_archived(scene: SfmScene, tmp_path: Path) -> None:
+def test_stages_of_another_grouping_stay(scene: SfmScene, tmp_path: Path) -> None:
     train(tmp_path, scene, BOXES, tiny("joint"))
     made = plys(tmp_path)
     train(tmp_path, scene, BOXES, tiny("joint", groups=TOGETHER), update=True)
-    assert not list(tmp_path.glob("group-*"))
-    archived = [path for path in removable(tmp_path) if path.name.startswith("group-")]
-    assert len(archived) == 2
+    former = [path for path in removable(tmp_path) if path.name.startswith("group-")]
+    assert len(former) == 2
     train(tmp_path, scene, BOXES, tiny("joint"), update=True)  # and back: none is trained again
     assert {name: data for name, data in plys(tmp_path).items() if name in made} == made
-    assert not list(tmp_path.glob("archive/group-*")) and not (tmp_path / "joint").exists()
+    assert [path.name.partition("-")[0] for path in removable(tmp_path)] == ["joint"]
 
 
 def test_a_box_with_another_name_keeps_its_group(scene: SfmScene, tmp_path: Path) -> None:
@@ -89,18 +88,19 @@ def test_a_box_with_another_name_keeps_its_group(scene: SfmScene, tmp_path: Path
     after = plys(tmp_path)
     assert after["result.ply"] == before["result.ply"]
     assert after["rois/lamp.ply"] == before["rois/east.ply"]
-    assert not (tmp_path / run_files.ARCHIVE).exists()
+    assert {k: v for k, v in after.items() if "stages" in k} == {
+        k: v for k, v in before.items() if "stages" in k
+    }
 
 
 def test_one_changed_box_trains_its_group_alone(scene: SfmScene, tmp_path: Path) -> None:
     train(tmp_path, scene, BOXES, tiny("joint"))
-    before = plys(tmp_path)
+    names = ("scene", "group-1-joint", "group-2-joint")
+    before = [stage_of(tmp_path, name) for name in names]
     smaller = [BOXES[0], BOXES[1].scaled(0.9)]
     train(tmp_path, scene, smaller, tiny("joint"), update=True)
-    after = plys(tmp_path)
-    assert after["scene/model.ply"] == before["scene/model.ply"]
-    assert after["group-1-joint/model.ply"] == before["group-1-joint/model.ply"]
-    assert after["group-2-joint/model.ply"] != before["group-2-joint/model.ply"]
+    after = [stage_of(tmp_path, name) for name in names]
+    assert after[:2] == before[:2] and after[2] != before[2]
 
 
 def test_the_plan_lists_the_groups(scene: SfmScene, tmp_path: Path) -> None:

@@ -17,10 +17,11 @@ from roigs_engine.formats.lock import holder, locked
 from roigs_engine.formats.splat_ply import read_ply
 from roigs_engine.training.checkpoint import checkpoint_fingerprint
 from tests.engine.killing import Request, contents, engine
+from tests.engine.runs import stage_of
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="the engine is forked")
 MINE = b"mine, and not the engine's"
-READ_FIRST = {"manifest.json", "provenance.json", "stage.json"}
+READ_FIRST = {"manifest.json", "provenance.json", "stages.json", "stage.json"}
 READ_LATER = {"checkpoint.bin", "checkpoint.before.bin", "model.ply"}
 
 
@@ -102,8 +103,8 @@ def test_what_a_resumed_run_reads_is_not_written_through_links(
 
 
 def test_every_linked_folder_is_refused(request_: Request, tmp_path: Path) -> None:
-    folders = [*paths(request_.whole, folders=True), Path("archive"), Path("blender")]
-    assert {"rois", "coarse", "selection", "scene", "crops"} <= {path.name for path in folders}
+    folders = [*paths(request_.whole, folders=True), Path("earlier"), Path("blender")]
+    assert {"rois", "coarse", "selection", "stages", "crops"} <= {path.name for path in folders}
     for number, path in enumerate(folders):
         run, target = tmp_path / f"run {number}", tmp_path / f"target {number}"
         (run / path).parent.mkdir(parents=True)
@@ -128,7 +129,7 @@ def test_a_linked_folder_that_comes_later(request_: Request, tmp_path: Path) -> 
     ended = engine(request_.arguments(tmp_path))
     assert ended.status == 2
     assert f"{tmp_path / 'rois'} is a link" in ended.errors.splitlines()[-1]
-    assert not (tmp_path / "scene").exists()
+    assert not (tmp_path / "stages").exists()
 
 
 @pytest.mark.parametrize("name", ["manifest.json", "provenance.json", "run.lock", "events.jsonl"])
@@ -152,7 +153,7 @@ def test_pipes_devices_and_folders_are_one_line(
     assert str(path) in last and "space" not in last
 
 
-@pytest.mark.parametrize("name", ["rois", "scene", "selection", "cache"])
+@pytest.mark.parametrize("name", ["rois", "stages", "selection", "cache"])
 def test_a_file_in_the_place_of_a_folder_is_one_line(
     request_: Request, tmp_path: Path, name: str
 ) -> None:
@@ -160,15 +161,13 @@ def test_a_file_in_the_place_of_a_folder_is_one_line(
     ended = engine(request_.arguments(tmp_path))
     last = ended.errors.splitlines()[-1]
     assert ended.status == 2 and str(tmp_path / name) in last and "Move away" in last
-    assert (tmp_path / name).read_bytes() == MINE and not (
-        tmp_path / "scene" / "model.ply"
-    ).exists()
+    assert (tmp_path / name).read_bytes() == MINE and not list(tmp_path.rglob("model.ply"))
 
 
 @pytest.mark.parametrize("name", ["stage.json", "model.ply", "checkpoint.bin"])
 def test_pipes_in_a_stage_are_one_line(request_: Request, tmp_path: Path, name: str) -> None:
     shutil.copytree(request_.whole, tmp_path / "run")
-    path = tmp_path / "run" / "scene" / name
+    path = stage_of(tmp_path / "run", "scene") / name
     if name == "checkpoint.bin":
         (path.parent / "stage.json").unlink()
     path.unlink(missing_ok=True)

@@ -12,7 +12,7 @@ import pytest
 from roigs_engine.context import Context
 from roigs_engine.errors import ConfigError, RunFolderError, Stopped
 from roigs_engine.formats.clean_up import removable
-from roigs_engine.formats.events import Event, Message, Preview
+from roigs_engine.formats.events import Event, Message, Preview, StageStarted
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.folder import train_run
@@ -21,7 +21,7 @@ from roigs_engine.run.photo_sets import PhotoSets
 from roigs_engine.selection import METHODS, SelectionConfig, select_cameras
 from roigs_engine.selection.manual import load_manual
 from roigs_engine.training.checkpoint import checkpoint_fingerprint, load_checkpoint
-from tests.engine.runs import SECOND, opened, plys, production, tiny, train
+from tests.engine.runs import SECOND, opened, plys, production, stage_of, tiny, train
 from tests.engine.synthetic_scene import BOX, make_scene
 
 MOVED = OrientedBox.axis_aligned("thing", [-0.4, -0.6, -0.6], [0.7, 0.6, 0.6])
@@ -32,16 +32,14 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
     return make_scene(tmp_path_factory.mktemp("photos"))
 
 
-def stage(folder: Path, name: str) -> str:
-    return str(
-        json.loads((folder / name / "stage.json").read_text(encoding="utf-8"))["fingerprint"]
-    )
+def written(folder: Path, name: str) -> tuple[Path, int]:
+    """What changes when a stage is trained."""
+    path = stage_of(folder, name) / "stage.json"
+    return path, path.stat().st_mtime_ns
 
 
-def written(folder: Path, name: str) -> tuple[int, int]:
-    """What changes when a stage is trained, but not when it is moved to and fro."""
-    status = (folder / name / "stage.json").stat()
-    return status.st_ino, status.st_mtime_ns
+def messages(events: list[Event]) -> list[str]:
+    return [event.text for event in events if isinstance(event, Message)]
 
 
 # --- no test photos ---
@@ -88,7 +86,7 @@ def test_given_photos_that_cannot_be_used(scene: SfmScene, tmp_path: Path) -> No
         tmp_path / "b", known, [BOX], config, manual=given, context=Context(emit=events.append)
     )
     assert PhotoSets(run).selection(BOX).names == (there,)
-    texts = [event.text for event in events if isinstance(event, Message)]
+    texts = messages(events)
     assert any("held out for the evaluation" in text and test[0] in text for text in texts)
     assert any("cannot be used" in text and "gone.png" in text for text in texts)
     with pytest.raises(ConfigError, match=r"'nothing\.png'"):
@@ -111,10 +109,10 @@ def test_selection_files_as_select_writes_them(scene: SfmScene, tmp_path: Path) 
 def test_other_photos_of_the_same_number_are_another_stage(scene: SfmScene, tmp_path: Path) -> None:
     one, other = ["001.png", "002.png"], ["001.png", "003.png"]
     train(tmp_path, scene, [BOX], production(), manual={"thing": one})
-    before = stage(tmp_path, "joint"), stage(tmp_path, "scene")
+    before = stage_of(tmp_path, "joint"), stage_of(tmp_path, "scene")
     train(tmp_path, scene, [BOX], production(), manual={"thing": other}, update=True)
-    assert stage(tmp_path, "joint") != before[0]
-    assert stage(tmp_path, "scene") == before[1]
+    assert stage_of(tmp_path, "joint") != before[0]
+    assert stage_of(tmp_path, "scene") == before[1]
 
 
 # --- bringing a run up to date ---
@@ -126,18 +124,18 @@ def test_a_moved_box_keeps_the_scene(scene: SfmScene, tmp_path: Path, strategy: 
     name = "joint" if strategy == "joint" else "object-thing"
     train(tmp_path, scene, [BOX], config)
     first = plys(tmp_path)
-    before = {n: (stage(tmp_path, n), written(tmp_path, n)) for n in ("scene", name)}
+    before = {n: written(tmp_path, n) for n in ("scene", name)}
     train(tmp_path, scene, [MOVED], config, update=True)
-    assert written(tmp_path, "scene") == before["scene"][1]
-    assert stage(tmp_path, name) != before[name][0]
-    assert (tmp_path / "archive" / f"{name}-{before[name][0][:8]}" / "model.ply").exists()
+    assert written(tmp_path, "scene") == before["scene"]
+    assert stage_of(tmp_path, name) != before[name][0].parent
+    assert before[name][0].exists()
     # What a fresh run would have made.
     train(tmp_path / "fresh", scene, [MOVED], config)
     for path in ("result.ply", "rois/thing.ply"):
         assert (tmp_path / path).read_bytes() == (tmp_path / "fresh" / path).read_bytes()
     # And back: nothing is trained again.
     train(tmp_path, scene, [BOX], config, update=True)
-    assert written(tmp_path, name) == before[name][1]
+    assert written(tmp_path, name) == before[name]
     again = plys(tmp_path)
     assert {path: again[path] for path in first} == first
 
@@ -148,7 +146,7 @@ def test_a_second_box_keeps_the_scene_and_the_first_object(scene: SfmScene, tmp_
     before = [written(tmp_path, n) for n in ("scene", "object-thing")]
     train(tmp_path, scene, [BOX, SECOND], config, update=True)
     assert [written(tmp_path, n) for n in ("scene", "object-thing")] == before
-    assert (tmp_path / "object-second" / "model.ply").exists()
+    assert (stage_of(tmp_path, "object-second") / "model.ply").exists()
     assert (tmp_path / "rois" / "second.ply").exists()
     train(tmp_path, scene, [BOX], config, update=True)
     assert not (tmp_path / "rois" / "second.ply").exists()
@@ -160,12 +158,10 @@ def test_a_box_less_leaves_no_stage_that_clean_does_not_find(
     config = production("independent")
     train(tmp_path, scene, [BOX, SECOND], config, ["full-scene"])
     before = written(tmp_path, "object-second")
-    (tmp_path / "object-third").mkdir()  # of an engine that was killed at its first file
+    train(tmp_path, scene, [BOX, SECOND], config)
+    assert removable(tmp_path) == []  # a baseline may be asked for again
     train(tmp_path, scene, [BOX], config, update=True)
-    assert not (tmp_path / "object-second").exists() and not (tmp_path / "object-third").exists()
-    assert (tmp_path / "full-scene").is_dir()  # a baseline may be asked for again
-    (archived,) = (tmp_path / "archive").glob("object-*")
-    assert archived in removable(tmp_path)
+    assert before[0].parent in removable(tmp_path)
     train(tmp_path, scene, [BOX, SECOND], config, update=True)
     assert written(tmp_path, "object-second") == before
 
@@ -175,18 +171,18 @@ def test_an_unfinished_stage_is_kept_and_gone_on_with(scene: SfmScene, tmp_path:
 
     def soon() -> bool:
         nonlocal asked
-        asked += bool((tmp_path / "scene" / "stage.json").exists())
+        asked += bool([*tmp_path.glob("stages/scene-*/stage.json")])
         return asked > 25 + len(scene.images)  # the photos are looked at first, twice each
 
     with pytest.raises(Stopped):
         train(tmp_path, scene, [BOX], production(), context=Context(should_stop=soon))
-    assert (tmp_path / "joint" / "checkpoint.bin").exists()
+    kept = stage_of(tmp_path, "joint") / "checkpoint.bin"
+    assert kept.exists()
     train(tmp_path, scene, [MOVED], production(), update=True)
-    (kept,) = (tmp_path / "archive").glob("joint-*/checkpoint.bin")
     step = load_checkpoint(kept, checkpoint_fingerprint(kept))["step"]
     events: list[Event] = []
     train(tmp_path, scene, [BOX], production(), update=True, context=Context(emit=events.append))
-    texts = [event.text for event in events if isinstance(event, Message)]
+    texts = messages(events)
     assert f"joint: resumes at step {step}." in texts
     train(tmp_path / "whole", scene, [BOX], production())
     result = (tmp_path / "result.ply").read_bytes()
@@ -195,12 +191,12 @@ def test_an_unfinished_stage_is_kept_and_gone_on_with(scene: SfmScene, tmp_path:
 
 def test_other_points_are_another_start(scene: SfmScene, tmp_path: Path) -> None:
     train(tmp_path, scene, [BOX], production())
-    before = stage(tmp_path, "scene")
+    before = stage_of(tmp_path, "scene")
     other = replace(scene, colors=255 - scene.colors)
     with pytest.raises(RunFolderError, match="--update"):
         train(tmp_path, other, [BOX], production())
     train(tmp_path, other, [BOX], production(), update=True)
-    assert stage(tmp_path, "scene") != before
+    assert stage_of(tmp_path, "scene") != before
 
 
 def test_another_model_of_the_same_photos_is_refused_before_anything_is_written(
@@ -218,13 +214,42 @@ def test_another_model_of_the_same_photos_is_refused_before_anything_is_written(
     assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     opened(tmp_path, other, [BOX], production(), update=True)
     assert not (tmp_path / "result.ply").exists()
-    assert [path.name for path in (tmp_path / "archive").rglob("result.ply")] == ["result.ply"]
+    assert [path.name for path in (tmp_path / "earlier").rglob("result.ply")] == ["result.ply"]
 
 
 def test_updating_what_fits_changes_nothing(scene: SfmScene, tmp_path: Path) -> None:
     train(tmp_path, scene, [BOX], production())
     train(tmp_path, scene, [BOX], production(), update=True)
-    assert not (tmp_path / "archive").exists()
+    assert not (tmp_path / "earlier").exists()
+
+
+@pytest.mark.parametrize("strategy", ["joint", "independent"])
+def test_a_renamed_box_is_not_trained_again(scene: SfmScene, tmp_path: Path, strategy: str) -> None:
+    config, manual = production(strategy), ["007.png", "002.png", "004.png"]
+    train(tmp_path, scene, [BOX, SECOND], config, manual={"thing": manual})
+    before = plys(tmp_path)
+    events: list[Event] = []
+    context, boxes = Context(emit=events.append), [replace(BOX, name="pot"), SECOND]
+    train(tmp_path, scene, boxes, config, manual={"pot": manual}, update=True, context=context)
+    assert not [event for event in events if isinstance(event, StageStarted)]
+    after = plys(tmp_path)
+    names = {name: name.replace("s/thing.ply", "s/pot.ply") for name in before}
+    names["coarse/thing.ply"] = "coarse/pot.ply"
+    assert after == {names[name]: data for name, data in before.items()}
+    assert {path.stem for path in (tmp_path / "selection").iterdir()} == {"pot", "second"}
+    train(tmp_path, scene, [BOX, SECOND], config, manual={"thing": manual}, update=True)
+    assert plys(tmp_path) == before
+    assert not [path for path in removable(tmp_path) if path.parent.name == "stages"]
+
+
+def test_stages_that_are_the_same_are_trained_once(scene: SfmScene, tmp_path: Path) -> None:
+    """`full-object-thing` where every photo sees the box; the next engine finds it, too."""
+    events: list[Event] = []
+    compare = ("full-scene", "full-object")
+    train(tmp_path, scene, [BOX], production(), compare, context=Context(emit=events.append))
+    started = [event.stage for event in events if isinstance(event, StageStarted)]
+    assert sorted(started) == ["full-scene", "joint", "scene"]
+    assert stage_of(tmp_path, "full-object-thing") == stage_of(tmp_path, "full-scene")
 
 
 # --- previews and stops ---
@@ -274,13 +299,13 @@ def test_every_selection_stops(scene: SfmScene, method: str, tracks: bool) -> No
             select_cameras(scene, BOX, config, Context(should_stop=soon))
 
 
-def test_update_archives_the_results_of_the_other_strategy(scene: SfmScene, tmp_path: Path) -> None:
+def test_update_moves_the_results_of_the_other_strategy(scene: SfmScene, tmp_path: Path) -> None:
     train_run(opened(tmp_path, scene, [BOX], production()), compare=("independent",))
     compared = tmp_path / "compare-independent" / "result.ply"
     before = compared.read_bytes()
-    train_run(opened(tmp_path, scene, [MOVED], production(), update=True), update=True)
+    train(tmp_path, scene, [MOVED], production(), update=True)
     assert not compared.exists()  # it belongs to the box before
-    train_run(opened(tmp_path, scene, [BOX], production(), update=True), update=True)
+    train(tmp_path, scene, [BOX], production(), update=True)
     assert compared.read_bytes() == before
 
 
@@ -291,9 +316,7 @@ def test_the_other_strategys_run_and_a_stage_of_its_name_do_not_meet(
     train(tmp_path, scene, [BOX], joint)
     before, made = written(tmp_path, "joint"), plys(tmp_path)
     train(tmp_path, scene, [BOX], independent, ["joint"], update=True)
-    assert (tmp_path / "compare-joint" / "joint" / "model.ply").exists()
-    (archived,) = (tmp_path / "archive").glob("joint-*")
-    assert sorted(path.name for path in archived.iterdir()) == ["model.ply", "stage.json"]
+    assert (stage_of(tmp_path, "compare-joint/joint") / "model.ply").exists()
     train(tmp_path, scene, [MOVED], independent, ["joint"], update=True)
     train(tmp_path, scene, [BOX], joint, update=True)
     assert written(tmp_path, "joint") == before
@@ -301,7 +324,24 @@ def test_the_other_strategys_run_and_a_stage_of_its_name_do_not_meet(
 
 
 def test_other_blocks_and_groups_in_words() -> None:
-    one, two = {"config": {}}, {"config": {"blocks": 2}}
+    one, two = {"config": {"blocks": 1}}, {"config": {"blocks": 2}}
     assert manifest_difference(one, two) == "blocks was 1, now 2"
     split = {"groups": [["vase", "tin"], ["clock"]]}
     assert manifest_difference({}, split) == "groups was all boxes, now vase,tin and clock"
+
+
+def test_other_mechanisms_and_boxes_in_words() -> None:
+    def config(**mechanisms: object) -> dict[str, object]:
+        return {"config": {"roi": {"mechanisms": mechanisms}}}
+
+    off, on, more = config(), config(decay={"rate": 0.1}), config(decay={"rate": 0.2})
+    assert manifest_difference(off, on) == "roi.decay was off, now on"
+    assert manifest_difference(on, off) == "roi.decay was on, now off"
+    assert manifest_difference(on, more) == "roi.decay.rate was 0.1, now 0.2"
+    one, other = {"rois": [{"name": "pot", "x": 1}]}, {"rois": [{"name": "pot", "x": 2}]}
+    two = {"rois": [*one["rois"], {"name": "tin"}, {"name": "vase"}]}
+    assert manifest_difference(one, other) == "the box pot changed"
+    assert manifest_difference(one, two) == "2 boxes are new, the first is tin"
+    assert manifest_difference(two, one) == "2 boxes are gone, the first is tin"
+    swapped = {"rois": two["rois"][::-1]}
+    assert manifest_difference(two, swapped) == "the order of the boxes changed"

@@ -1,0 +1,45 @@
+"""`stages.json`: which folders in `stages/` belong to a run's present settings, by stage."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ..errors import EngineError
+from .files import read_json, write_json
+from .run_files import STAGES, STAGES_FILE
+
+FOLDER = re.compile(r"[^/\\:\x00-\x1f\ud800-\udfff]+-[0-9a-f]{8}")
+
+
+def write_stage_list(run: Path, stages: Mapping[str, Path]) -> None:
+    """Add stages to the list: their names, and their folders in `run`/stages.
+
+    Stages that only another command needs (baselines) stay in it.
+
+    Raises:
+        RunFolderError: the file cannot be written.
+    """
+    known = read_stage_list(run)
+    now = {**known, **stages}
+    if now != known:
+        record = {name: folder.name for name, folder in now.items()}
+        write_json(run / STAGES_FILE, {"stages": record})
+
+
+def read_stage_list(run: Path) -> dict[str, Path]:
+    """Stage -> its folder, in the order of training; empty if there is no list that can be read.
+
+    A folder need not exist: the list is written before the first stage is trained.
+    """
+    try:
+        record: Any = read_json(run / STAGES_FILE)
+        return {
+            str(name): run / STAGES / folder
+            for name, folder in record["stages"].items()
+            if FOLDER.fullmatch(folder)
+        }
+    except (EngineError, OSError, AttributeError, KeyError, TypeError):
+        return {}
