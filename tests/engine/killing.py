@@ -29,6 +29,9 @@ from roigs_engine.commands.console import Console
 from roigs_engine.commands.process import run_process
 from roigs_engine.commands.stopping import StopRequest
 from roigs_engine.formats import files
+from roigs_engine.requests.choices import PRESETS
+from roigs_engine.requests.declare import options_of
+from roigs_engine.requests.runs import Train
 from roigs_engine.run import presets, stage_folder
 from roigs_engine.run.config import RunConfig
 from roigs_engine.training import trainer
@@ -226,6 +229,8 @@ def _engine(arguments: list[str], at: Moment | None, folder: Path) -> None:
     sys.modules["tqdm"] = None  # type: ignore[assignment] # its semaphores would outlive a kill
     os.environ["SOME_TOKEN"] = SECRET
     presets.PRESETS["tiny"] = tiny
+    kind = options_of(Train)["preset"].kind
+    object.__setattr__(kind, "words", (*PRESETS, "tiny"))
     clock = _Clock(at)
     stage_folder.PeriodicCallback = functools.partial(_EverySoManySteps, clock)  # type: ignore[misc, assignment]
     _before(trainer.Trainer, "train_step", lambda *_: clock.tick("step"))
