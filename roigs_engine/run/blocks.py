@@ -1,4 +1,4 @@
-"""How many blocks a scene is cut into."""
+"""The number of blocks that a scene is cut into."""
 
 from __future__ import annotations
 

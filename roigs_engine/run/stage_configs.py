@@ -1,4 +1,4 @@
-"""The settings of each stage, derived from the run's."""
+"""Settings of each stage, derived from the run's: lists of the mechanisms that it uses."""
 
 from __future__ import annotations
 

@@ -191,7 +191,7 @@ class TrainConfig:
         """The stage's mechanism of that kind; ConfigError if it has none."""
         found = self.get(kind)
         if found is None:
-            who = "the stage" if needed_by is None else needed_by.name
+            who = "The stage" if needed_by is None else needed_by.name
             raise ConfigError(
                 f"{who} needs {kind.name}, which the stage does not use.",
                 f"Add {kind.__name__} to its mechanisms.",

@@ -1,4 +1,4 @@
-"""Whether a GPU computes what the CPU does: a small scene, drawn and differentiated on both.
+"""Check of a GPU against the CPU: a small scene, drawn and differentiated on both.
 
 It is done once for each combination of card, driver, torch and kernels; a record on disk says that
 it has passed.

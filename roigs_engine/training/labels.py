@@ -1,4 +1,4 @@
-"""Which Gaussians belong to an object, by the votes of its masks on some photos.
+"""Object labels of Gaussians, by the votes of an object's masks on some photos.
 
 Each pixel of a masked photo votes with the weight alpha x T that it blends a Gaussian with: for the
 object where the mask shows it, else against, unless the photo's own mask ignores the pixel. A

@@ -1,4 +1,4 @@
-"""Masks: the pixels of a photo that the box stage trains on, the boxes' silhouettes and a rim.
+"""Loss masks: the pixels of a photo that a step trains on, the boxes' silhouettes and a rim.
 
 In a photo with a mask of a box's object, the object takes the place of the box's silhouette. Photos
 may have masks of their own (`photos.mask_images`): what these ignore is trained on by no stage.

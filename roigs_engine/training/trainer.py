@@ -1,4 +1,4 @@
-"""Trains the Gaussians of one stage; a resumed stage gives the same bits as an unstopped one."""
+"""The trainer of one stage; a resumed stage gives the same bits as an uninterrupted one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The SH learning rate by whether the photos show that colours depend on the view (ours).
+"""SH learning rate by measured view dependence of colours (ours).
 
 A point has another colour in each photo that observes it: because light and camera change with the
 view, which SH can learn, and because of noise, texture and neighbours, which they cannot. If it is

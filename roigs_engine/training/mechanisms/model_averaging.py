@@ -1,4 +1,4 @@
-"""The mean of the models of the last steps (Polyak and Juditsky 1992)."""
+"""Model averaging: the mean of the models of the last steps (Polyak and Juditsky 1992)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The SH learning rate by the angular spacing of the photos around the boxes (ours)."""
+"""SH learning rate by the angular spacing of the photos around the boxes (ours)."""
 
 from __future__ import annotations
 

@@ -118,7 +118,7 @@ def test_a_stage_has_one_of_a_kind() -> None:
         TrainConfig(steps=1, mechanisms=(Drift(), Drift(by=1.0)))
     first, *others = TrainConfig(steps=1).using(Drift(), ModelAveraging(), Drift(by=1.0)).mechanisms
     assert first == Drift(by=1.0) and others == [ModelAveraging()]
-    with pytest.raises(ConfigError, match="the stage needs drift"):
+    with pytest.raises(ConfigError, match="The stage needs drift"):
         SHORT.of(Drift)
 
 
