@@ -90,7 +90,9 @@ def check_version(folder: Path) -> None:
     refuse_foreign_files(folder)
     path = folder / MANIFEST
     record = read_manifest(path) if path.exists() else None
-    if isinstance(record, dict) and record.get("version", MANIFEST_VERSION) != MANIFEST_VERSION:
+    if not isinstance(record, dict) or not {"config", "version"} & record.keys():
+        return  # none, or damaged: `claim` tells
+    if record.get("version") != MANIFEST_VERSION:
         raise RunFolderError(
             f"{folder} was made by another version; this version cannot resume it.",
             "Choose another run folder (--run-dir); the results in this one stay as they are.",
