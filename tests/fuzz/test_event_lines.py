@@ -8,7 +8,7 @@ import tracemalloc
 from typing import Any
 
 import pytest
-from hypothesis import example, given, seed, settings
+from hypothesis import example, given, seed
 from hypothesis import strategies as st
 
 from roigs_addon.engine.event_log import read_lines
@@ -53,7 +53,6 @@ def assert_sound(event: dict[str, Any] | None) -> None:
 
 
 @seed(SEED)
-@settings(max_examples=250)
 @given(RECORDS)
 @example({"event": "message", "text": "\ud800\0\n\x1b[2J"})
 @example({"event": "progress", "step": float("nan"), "loss": 10**400})
@@ -66,7 +65,6 @@ def test_events_of_any_content(record: dict[str, Any]) -> None:
 
 
 @seed(SEED)
-@settings(max_examples=300)
 @given(st.binary(max_size=200) | st.text(max_size=200).map(lambda t: t.encode("utf-8", "replace")))
 def test_lines_of_any_bytes(data: bytes) -> None:
     for line in read_lines(io.TextIOWrapper(io.BytesIO(data), encoding="utf-8", errors="replace")):

@@ -12,7 +12,7 @@ import pytest
 
 from roigs_engine.formats.events import Message, Progress, to_json
 from roigs_engine.training.checkpoint import checkpoint_fingerprint, load_checkpoint
-from tests.engine.commands.command_line import BOX, EMPTY, python, start
+from tests.engine.commands.command_line import BOX, EMPTY, python, refused, start
 from tests.engine.runs import stage_of
 from tests.engine.synthetic_colmap import Project
 
@@ -99,8 +99,8 @@ def test_the_log_has_every_event(project: Project, tmp_path: Path) -> None:
     assert log.read_text(encoding="utf-8") == first.stdout
     second = python(*command, "--run-dir", folder, *tiny)
     assert log.read_text(encoding="utf-8") == first.stdout + second.stdout
-    refused = python(*command, "--run-dir", folder, *tiny, "--seed", 1)
-    assert refused.returncode == 2
+    other = python(*command, "--run-dir", folder, *tiny, "--seed", 1)
+    assert other.returncode == 2
     assert log.read_text(encoding="utf-8") == first.stdout + second.stdout
     shutil.rmtree(project.folder / "sparse" / "1")
 
@@ -116,15 +116,15 @@ def test_a_run_outlives_nobody_and_leaves_a_checkpoint(project: Project, tmp_pat
     assert checkpoint_step(folder) > 0
 
 
-def test_a_second_engine_is_refused(project: Project, tmp_path: Path) -> None:
+def test_a_second_engine_is_refused(
+    project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = tmp_path / "run"
     process = train(project, folder)
     lock = json.loads((folder / "run.lock").read_text(encoding="utf-8"))
     assert lock["pid"] == process.pid
-    second = python("train", project.folder, "--roi", BOX, "--run-dir", folder, "--test-every", 3)
-    assert second.returncode == 2
-    assert f"process {process.pid}" in second.stderr
-    assert len(second.stderr.strip().splitlines()) == 1
+    second = ("train", project.folder, "--roi", BOX, "--run-dir", folder, "--test-every", 3)
+    assert f"process {process.pid}" in refused(capsys, *second)
     process.kill()
     process.communicate()
     assert (folder / "run.lock").exists()

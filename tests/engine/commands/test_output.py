@@ -89,7 +89,7 @@ def test_training_goes_on_without_output(project: Project, tmp_path: Path, ends:
     assert (tmp_path / "result.ply").exists()
 
 
-@pytest.mark.parametrize("ctrl_c", [True, False])
+@pytest.mark.parametrize("ctrl_c", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_progress_bar_whose_reader_goes_away(
     project: Project, tmp_path: Path, ctrl_c: bool
 ) -> None:

@@ -300,8 +300,7 @@ def gp_order(candidates: Candidates, extended: bool = True, count: int = 15, **o
     return order_gp(candidates, features, count, extended=extended, **options)
 
 
-@pytest.mark.parametrize("extended", [False, True])
-@pytest.mark.parametrize("options", [{}, {"seed": 7}])
+@pytest.mark.parametrize(("extended", "options"), [(False, {}), (True, {"seed": 7})])
 def test_gp_is_deterministic_and_silent(extended, options):
     candidates = instance(2, views=40, points=300, share=0.08)
     with warnings.catch_warnings():
