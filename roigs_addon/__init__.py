@@ -2,9 +2,9 @@
 
 It talks to the engine as to another program, through options files, JSON lines and a run folder
 (docs/files.md). Of `roigs_engine` it imports only the formats and their errors, through
-`shared.py`. A room imports only from those above it:
+`shared.py`. A package imports only from those above it:
 
-| room | what |
+| package | contents |
 |---|---|
 | `geometry/` | cameras and boxes in COLMAP's frame and in Blender's; no bpy |
 | `engine/` | the engine as another program: run, find, install, look at its runs; no bpy |

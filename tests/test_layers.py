@@ -13,9 +13,9 @@ import pytest
 
 from tests.project_imports import ADDON, ENGINE, ROOT, files, imports, package_imports, unit
 
-# A room of the engine imports rooms above it in this list, never one below. A new room needs
+# A package of the engine imports packages above it in this list, never one below. A new one needs
 # a place here and in architecture.md.
-ROOMS = (
+PACKAGES = (
     "errors",
     "formats",
     "requests",
@@ -77,15 +77,15 @@ def outside(path: Path) -> set[str]:
     return {entry.target.split(".")[0] for entry in imports(path) if not entry.typing}
 
 
-def test_every_file_has_a_room() -> None:
+def test_every_file_has_a_package() -> None:
     there = {unit(module) for module in files(ENGINE)} - {""}
-    assert there == set(ROOMS)
+    assert there == set(PACKAGES)
     flat = list((ROOT / ENGINE).glob("*.py"))
     assert len(flat) <= 12
 
 
-def test_imports_go_to_the_same_room_or_one_above() -> None:
-    rank = {name: depth for depth, name in enumerate(ROOMS)}
+def test_imports_go_to_the_same_package_or_one_above() -> None:
+    rank = {name: depth for depth, name in enumerate(PACKAGES)}
     wrong = [
         f"{module} -> {target}"
         for module, targets in package_imports(ENGINE).items()

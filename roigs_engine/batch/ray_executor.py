@@ -103,7 +103,7 @@ class RayExecutor:
         ended: list[Any] = []
         if self._running:
             ended, _ = self._ray.wait(list(self._running), timeout=seconds)
-        else:  # no machine has room
+        else:  # no machine has resources left
             time.sleep(seconds)
         if time.monotonic() - self._looked > REFRESH:
             self._refresh()

@@ -1,4 +1,4 @@
-"""The rooms of the add-on: each imports only from those above it."""
+"""The layers of the add-on: each package imports only from those above it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import roigs_addon
 
 PACKAGE = Path(roigs_addon.__path__[0])
-ROOMS = (
+PACKAGES = (
     {"errors", "shared", "worker"},
     {"geometry"},
     {"engine"},
@@ -21,8 +21,8 @@ ROOMS = (
     {"operators"},
     {"ui"},
 )
-"""Rooms and single files, from the top. Those in one line do not import one another."""
-RANK = {name: rank for rank, names in enumerate(ROOMS) for name in names}
+"""Packages and single files, from the top. Those in one line do not import one another."""
+RANK = {name: rank for rank, names in enumerate(PACKAGES) for name in names}
 MODULES = {
     ".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__"): path
     for path in PACKAGE.rglob("*.py")
@@ -43,11 +43,11 @@ def imports(module: str) -> Iterator[str]:
             yield deeper if deeper in MODULES else ".".join(stem)
 
 
-def test_every_module_is_in_a_room() -> None:
+def test_every_module_is_in_a_package() -> None:
     assert {module.partition(".")[0] for module in MODULES} == set(RANK)
 
 
-def test_rooms_import_from_those_above() -> None:
+def test_packages_import_from_those_above() -> None:
     wrong = [
         f"{module} -> {target}"
         for module in MODULES
