@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from roigs_engine import Convert, Evaluate, convert, evaluate
+from roigs_engine.formats.stage_list import read_stage_list
 
 
 def main(scene: Path, rois: Path, run_dir: Path, out: Path, **options: Any) -> str:
@@ -12,7 +13,8 @@ def main(scene: Path, rois: Path, run_dir: Path, out: Path, **options: Any) -> s
 
     The result is also written as `out`/result.glb, for other programs.
     """
-    models = (f"Scene-GS={run_dir / 'scene/model.ply'}", f"Ours={run_dir / 'result.ply'}")
+    first = read_stage_list(run_dir)["scene"] / "model.ply"
+    models = (f"Scene-GS={first}", f"Ours={run_dir / 'result.ply'}")
     request = Evaluate(scene=scene, rois=rois, model=models, out=out, **options)
     table = evaluate(request).table
     convert(Convert(source=run_dir / "result.ply", out=out / "result.glb"))

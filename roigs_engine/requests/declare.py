@@ -76,7 +76,7 @@ class Option:
         return self.help.replace("{default}", f"{self.default}")
 
     def checked(self, value: Any, where: str) -> Any:
-        """A value of JSON, TOML or Python, converted.
+        """A value of JSON, TOML or Python, converted; arrays and numbers of numpy are Python's.
 
         Args:
             value: the value.
@@ -85,13 +85,14 @@ class Option:
         Raises:
             ConfigError: it does not fit.
         """
+        value = value.tolist() if hasattr(value, "tolist") else value
         try:
             if self.many:
                 items = value if isinstance(value, (list, tuple)) else [value]
                 return tuple(self.kind.of_json(item) for item in items)
             return self.kind.of_json(value)
         except ArgumentTypeError as error:
-            raise ConfigError(f"{where}: {error}.", f"See --help for '{self.name}'.") from error
+            raise ConfigError(f"{where}: {error}.", "Correct or remove it.") from error
 
 
 def option(kind: Kind, text: str, default: Any = None, **facts: Any) -> Any:
@@ -109,10 +110,13 @@ class Request:
     """What a piece of work is asked for. Its values are checked when it is made.
 
     Lists become tuples and texts become paths, so that `Select(scene="garden", roi=["auto"])` is as
-    good as the exact types.
+    good as the exact types. None is as good as no value.
 
     Attributes:
         options_file: the file that some of the values were read from; it must not be replaced.
+
+    Raises:
+        ConfigError: a value does not fit, is missing, or excludes another.
     """
 
     heading: ClassVar[str] = ""
@@ -126,9 +130,12 @@ class Request:
         given = {}
         for name, known in options_of(type(self)).items():
             value = getattr(self, name)
-            if value is not None and value != known.default:
-                given[name] = known.checked(value, f"'{name}'")
-                object.__setattr__(self, name, given[name])
+            value = known.default if value is None else known.checked(value, f"'{name}'")
+            if known.required and value in (None, ()):
+                raise ConfigError(f"The request has no '{name}'.", "Give it a value.")
+            object.__setattr__(self, name, value)
+            if value != known.default:
+                given[name] = value
         refuse_both(type(self), given, "The request")
 
     @classmethod

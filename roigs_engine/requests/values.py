@@ -111,9 +111,7 @@ class PathName(Name):
 
     def of_json(self, value: Any) -> Any:
         """The path of JSON, TOML or Python."""
-        if isinstance(value, Path):
-            return value
-        text = super().of_json(value)
+        text = super().of_json(str(value) if isinstance(value, Path) else value)
         if is_url(text):
             raise ArgumentTypeError(f"{shown(text)} is an address; only `batch` takes one")
         return Path(text)

@@ -5,9 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from roigs_engine import Convert, Floaters, Select, Train, TrainAndEvaluate, plan_training, train
+from roigs_engine import (
+    Convert,
+    Evaluate,
+    Floaters,
+    Select,
+    Train,
+    TrainAndEvaluate,
+    plan_training,
+    train,
+)
 from roigs_engine.commands.table import COMMANDS
 from roigs_engine.errors import ConfigError
 from roigs_engine.requests import choices
@@ -37,11 +47,38 @@ def test_plain_values_become_those_of_the_fields() -> None:
         ({"method": "best"}, "'method': 'best' is not one of"),
         ({"no_masks": 1}, "'no_masks': 1 is not true or false"),
         ({"max_side": 9, "downscale": 2.0}, "both 'downscale' and 'max_side'"),
+        ({"scene": None}, "has no 'scene'"),
+        ({"scene": Path("a\0b")}, "'scene': .* is not a string"),
+        ({"no_masks": 0}, "'no_masks': 0 is not true or false"),
     ],
 )
 def test_values_that_do_not_fit(values: dict[str, Any], says: str) -> None:
     with pytest.raises(ConfigError, match=says):
-        Select(scene=Path("garden"), **values)
+        Select(**{"scene": Path("garden"), **values})
+
+
+def test_numbers_and_arrays_of_numpy_are_those_of_python() -> None:
+    given: dict[str, Any] = {
+        "roi": np.array(["auto"]),
+        "seed": np.int64(3),
+        "downscale": np.float32(2),
+        "no_masks": np.bool_(True),
+    }
+    request = Select(scene=Path("garden"), **given)
+    assert request == Select(
+        scene=Path("garden"), roi=("auto",), seed=3, downscale=2.0, no_masks=True
+    )
+
+
+def test_none_is_no_value() -> None:
+    given: dict[str, Any] = {"roi": None, "exclude": None, "preset": None, "update": None}
+    request = Train(scene=Path("garden"), run_dir=Path("run"), **given)
+    assert request == Train(scene=Path("garden"), run_dir=Path("run"))
+
+
+def test_what_must_be_given_is_not_empty() -> None:
+    with pytest.raises(ConfigError, match="has no 'model'"):
+        Evaluate(scene=Path("garden"), out=Path("out"), model=())
 
 
 def test_a_training_is_not_started_by_a_plan(tmp_path: Path) -> None:

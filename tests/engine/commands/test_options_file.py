@@ -53,7 +53,7 @@ def test_a_options_file_stands_for_options(
         ({"count": True}, "'count'"),
         ({"count": float("inf")}, "'count'"),
         ({"count": [1, 2]}, "'count'"),
-        ({"max-side": 10**400}, "max_side"),
+        ({"max-side": 10**400}, "max-side"),
         ({"downscale": 10**400}, "'downscale'"),
         ({"only": [5]}, "'only'"),
         ({"only": {"a": 1}}, "'only'"),
