@@ -25,7 +25,7 @@ def open_folder(run: Run, context: Context = QUIET, *, update: bool = False) -> 
             results move to `earlier/`.
 
     Raises:
-        RunFolderError: the folder has a run of other settings, or of an earlier version.
+        RunFolderError: the folder has a run of other settings, or of another version.
         SceneError: the scene does not fit into the machine's memory.
     """
     run.memory(context)

@@ -282,7 +282,7 @@ def test_undistorted_photos_are_made_again_and_tidied_up(
     assert len(other) == 10 and not made.keys() & set(other)
 
 
-def test_a_run_folder_of_an_earlier_version(
+def test_a_run_folder_of_another_version(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its stages know nothing of what is in the photos."""
@@ -294,7 +294,7 @@ def test_a_run_folder_of_an_earlier_version(
     path.write_text(json.dumps(record), encoding="utf-8")
     capsys.readouterr()
     for more in ([], ["--dry-run"], ["--update"]):
-        assert "made by an earlier version" in refused(capsys, *arguments(project, run, *more))
+        assert "made by another version" in refused(capsys, *arguments(project, run, *more))
 
 
 def test_what_is_wrong_is_said_before_photos_are_looked_at(
