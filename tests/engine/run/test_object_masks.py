@@ -17,7 +17,7 @@ from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, PhotoMask, PosedImage, SfmScene
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.manifest import manifest_difference
-from roigs_engine.run.plan import MERGE, POINTS, Source, Stage, result_of
+from roigs_engine.run.plan import POINTS, Source, Stage, result_of
 from roigs_engine.run.strategies import plan_run
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.mechanisms.box_density_control import BoxDensityControl
@@ -27,10 +27,6 @@ from tests.engine.run.masked import masked
 from tests.engine.runs import finished, plys, stage_of, tiny, train
 from tests.engine.settings import without
 from tests.engine.synthetic_scene import BOX, make_scene
-
-# Before there were masks of objects.
-SCENE = "14fcf29c764948dfb8e094091fa1ad1631eee4ea1eac60a832cde0fdb19813e2"
-JOINT = "18755b5f6b9701678d164bdbbd4e522ceca427029b895773eae55bac937a0433"
 
 
 @pytest.fixture(scope="module")
@@ -80,19 +76,13 @@ def stages(**of_photos: object) -> tuple[Stage, Stage]:
     return scene, joint
 
 
-def test_without_masks_fingerprints_are_those_of_before() -> None:
-    scene, joint = stages()
-    assert (scene.fingerprint, joint.fingerprint) == (SCENE, JOINT)
-    merged = Source(kind=MERGE, inputs=(scene, joint), rois=joint.rois)
-    assert merged.fingerprint == f"merge::{SCENE}:{JOINT}"
-
-
 def test_a_stage_depends_on_the_masks_it_uses() -> None:
     mask = PhotoMask(
         digest="m", path=Path("m"), remake=lambda: None, small=np.zeros((1, 1), np.uint8)
     )
-    scene, joint = stages(objects={"thing": mask})
-    assert scene.fingerprint == SCENE and joint.fingerprint != JOINT
+    (plain_scene, plain), (scene, joint) = stages(), stages(objects={"thing": mask})
+    assert scene.fingerprint == plain_scene.fingerprint
+    assert joint.fingerprint != plain.fingerprint
     renamed = replace(
         joint,
         rois=tuple(replace(roi, name="pot") for roi in joint.rois),
@@ -100,9 +90,8 @@ def test_a_stage_depends_on_the_masks_it_uses() -> None:
     )
     assert renamed.fingerprint == joint.fingerprint
     _, other = stages(objects={"other": mask})
-    assert other.fingerprint == JOINT
+    assert other.fingerprint == plain.fingerprint
     whole = replace(joint, config=without(joint.config, MaskedSteps))
-    _, plain = stages()
     assert whole.fingerprint == replace(plain, config=whole.config).fingerprint
 
 
