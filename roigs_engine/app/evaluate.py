@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 from ..context import QUIET, Context
 from ..errors import ConfigError
 from ..formats.files import own_folder, read_json
-from ..formats.run_files import CACHE, CROPS, REPORT, REPORT_DATA, REPORT_PAGE, SPLIT
+from ..formats.run_files import CACHE, CROPS, REPORT, REPORT_DATA, REPORT_PAGE, SPLIT, STAGES
 from ..formats.splat_ply import check_ply
+from ..formats.stage_list import read_stage_list
 from ..formats.text import counted
 from ..model.mask_coverage import with_useful_masks
 from ..model.scene import SfmScene
@@ -143,12 +144,10 @@ def _check_test_photos(test: Sequence[str], split: Path | None, cameras: SfmScen
 def _split_of_run(models: Sequence[Path], context: Context) -> Path | None:
     """The split of the run that all models are from; None, with a warning, if they are from none.
 
-    A model of a run lies in its folder, or in one or two folders below.
+    A model of a run lies in its folder, or in one or two folders below. What its stages of earlier
+    settings were trained on, the run does not know.
     """
-    found = {
-        next((p / SPLIT for p in list(path.absolute().parents)[:3] if (p / SPLIT).is_file()), None)
-        for path in models
-    }
+    found = {_split_beside(path.absolute()) for path in models}
     split = found.pop()
     if split is None or found:
         context.warn(
@@ -158,6 +157,16 @@ def _split_of_run(models: Sequence[Path], context: Context) -> Path | None:
         return None
     context.info(f"Testing on the photos of {split}.")
     return split
+
+
+def _split_beside(model: Path) -> Path | None:
+    """The split of the run that a model is from; None: it is from none, or an earlier one."""
+    for run in list(model.parents)[:3]:
+        if (run / SPLIT).is_file():
+            of_stage = model.is_relative_to(run / STAGES)
+            is_present = model.parent in read_stage_list(run).values()
+            return run / SPLIT if is_present or not of_stage else None
+    return None
 
 
 def _read_split(path: Path) -> tuple[str, list[str]]:
