@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -77,12 +78,15 @@ def _other_run(folder: Path, difference: str) -> RunFolderError:
 
 
 def read_manifest(path: Path) -> Any:
-    """The manifest of a run folder; RunFolderError if it cannot be read."""
+    """The manifest of a run folder; RunFolderError if it cannot be read, or is none."""
+    hint = "Delete it; finished stages that still fit are kept."
     try:
-        return read_json(path)
+        record = read_json(path)
     except RunFolderError as error:
-        hint = "Delete it; finished stages that still fit are kept."
         raise RunFolderError(error.message, hint) from error
+    if not isinstance(record, dict):
+        raise RunFolderError(f"{path} is no manifest of a run.", hint)
+    return record
 
 
 def check_version(folder: Path) -> None:
@@ -90,7 +94,7 @@ def check_version(folder: Path) -> None:
     refuse_foreign_files(folder)
     path = folder / MANIFEST
     record = read_manifest(path) if path.exists() else None
-    if not isinstance(record, dict) or not {"config", "version"} & record.keys():
+    if record is None or not {"config", "version"} & record.keys():
         return  # none, or damaged: `claim` tells
     if record.get("version") != MANIFEST_VERSION:
         raise RunFolderError(
@@ -131,7 +135,9 @@ def manifest_difference(before: Any, now: dict[str, Any]) -> str:
         return OTHER_SCENE
     for key in sorted({**old, **now}, key=lambda key: key not in FIRST):
         if old.get(key) != now.get(key):
-            return _WORDS.get(key, _setting)(key, old.get(key), now.get(key))
+            with suppress(AttributeError, IndexError, TypeError):  # not as an engine wrote it
+                return _WORDS.get(key, _setting)(key, old.get(key), now.get(key))
+            return f"{key} changed"
     return ""
 
 

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 from dataclasses import FrozenInstanceError, replace
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roigs_engine.errors import ConfigError
+from roigs_engine.errors import ConfigError, RunFolderError
 from roigs_engine.run import stage_configs
 from roigs_engine.run.config import RunConfig
-from roigs_engine.run.manifest import manifest_difference
+from roigs_engine.run.manifest import manifest_difference, read_manifest
 from roigs_engine.run.presets import PRESETS, in_strategy, preset
 from roigs_engine.training.config import TrainConfig, with_steps
 from roigs_engine.training.mechanisms.background_points import BackgroundPoints
@@ -272,3 +273,17 @@ def test_parts_of_a_scene_have_no_background_points() -> None:
     scene = preset("draft").scene
     assert scene.get(BackgroundPoints) is not None
     assert stage_configs.surroundings_stage(scene, 0.5).get(BackgroundPoints) is None
+
+
+@pytest.mark.parametrize("value", [5, [5], "x", {"x": 5}, [{"name": []}], None])
+@pytest.mark.parametrize("key", ["sizes", "rois", "groups", "contents", "masks", "object_masks"])
+def test_a_damaged_manifest_differs_in_words(key: str, value: object) -> None:
+    good = {"sizes": [[9, 9]], "rois": [{"name": "a"}], "masks": {"a": "b"}}
+    assert manifest_difference({**good, key: value}, good) or value == good.get(key)
+
+
+def test_what_is_no_manifest_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "manifest.json"
+    path.write_text("[]", encoding="utf-8")
+    with pytest.raises(RunFolderError, match=r"is no manifest.* Delete it"):
+        read_manifest(path)
