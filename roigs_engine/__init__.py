@@ -1,7 +1,7 @@
 """ROI-GS: boxed objects trained sharper inside 3D Gaussian Splatting scenes.
 
-Each piece of work is a function of a request, a frozen dataclass whose fields are the options of
-the command of that name:
+Each piece of work is a function of a request. A request is a frozen dataclass; its fields are the
+options of a command (`help(roigs_engine.Train)`):
 
     from pathlib import Path
     from roigs_engine import Train, train

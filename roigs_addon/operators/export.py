@@ -12,7 +12,7 @@ from bpy_extras.io_utils import ExportHelper
 
 from ..blender import absolute, registration, scene_of
 from ..errors import AddonError
-from ..jobs import current, export_job, import_job
+from ..jobs import current, export_job, import_gaussians_job, import_job
 from ..jobs.spec import JobSpec
 from ..properties import scene_props
 from ..scene.frame_request import shown
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ..blender import OperatorResult
 
 
-ENDINGS = (".ply", ".spz", ".sog", ".glb", ".usdc", ".usda", ".usdz", ".splat", ".html")
+ENDINGS = (*(e for e in import_gaussians_job.ENDINGS if e.count(".") == 1), ".html")
 """Of names that say the format, whatever is chosen."""
 NOTHING = "Renders show no Gaussians. Load results or import some first"
 GLOB = ";".join(f"*{ending}" for ending in ENDINGS)
