@@ -123,7 +123,7 @@ COMMANDS: dict[str, Command] = {
     "train": Command(
         request=runs.Train,
         does=_training,
-        help="train the scene and its boxes, and write one PLY",
+        help="select photos, train the scene and its boxes, and write one PLY",
         examples=(
             "garden --rois garden/rois.json --run-dir runs/garden",
             "garden --rois garden/rois.json --run-dir runs/garden --dry-run",
@@ -134,7 +134,7 @@ COMMANDS: dict[str, Command] = {
     "run": Command(
         request=runs.TrainAndEvaluate,
         does=_training,
-        help="do everything: select photos, train, compare with baselines, evaluate",
+        help="do what train does, then compare with baselines and evaluate",
         examples=(
             "garden --rois garden/rois.json --max-side 640 --run-dir runs/garden",
             "garden --rois garden/rois.json --run-dir runs/garden --dry-run",
@@ -198,7 +198,7 @@ COMMANDS: dict[str, Command] = {
             "runs/garden/result.ply garden.spz",
             "result.ply vase.glb --rois rois.json --only vase --sh-degree 0",
             "placed.json garden.compressed.ply",
-            "result.ply vase.html --fly-to rois.json --before scene/model.ply",
+            "result.ply vase.html --fly-to rois.json --before old.ply",
         ),
         prints=answers.converted,
     ),
