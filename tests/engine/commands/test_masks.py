@@ -12,6 +12,7 @@ from PIL import Image
 from roigs_engine.cli import main
 from roigs_engine.formats import run_files
 from tests.engine.commands.command_line import BOX, refused
+from tests.engine.runs import finished
 from tests.engine.synthetic_colmap import write_project
 
 NAMES = [f"{k}.png" for k in range(10)]
@@ -125,7 +126,7 @@ def test_a_run_with_masks_of_an_object_and_without(
     said = capsys.readouterr()
     assert "Box 'thing': masks of the object on 5 photos." in said.err
     assert "mask PSNR (dB)" in said.out and "Joint, cut out" in said.out
-    assert not (tmp_path / "none/cutout").exists() and (tmp_path / "run/cutout").exists()
+    assert "cutout" not in finished(tmp_path / "none") and "cutout" in finished(tmp_path / "run")
     for name in (run_files.RESULT, "rois/thing.ply", "background.ply", "coarse/thing.ply"):
         files = [(tmp_path / run / name).read_bytes() for run in ("empty", "none")]
         assert files[0] == files[1]
@@ -153,7 +154,7 @@ def test_masks_of_objects_in_the_run_folder(
     found = "Box 'thing': masks of the object on 5 photos."
     assert found in capsys.readouterr().err
     assert main(words) == 0
-    assert found in capsys.readouterr().err and (run / "cutout").exists()
+    assert found in capsys.readouterr().err and "cutout" in finished(run)
     select = ["select", str(scene), "--roi", BOX, "--object-masks"]
     assert main([*select, str(run / "blender/masks")]) == 0
     assert found in capsys.readouterr().err
