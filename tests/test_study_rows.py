@@ -11,7 +11,7 @@ from benchmarks.study.results import Stat, mean_of
 from benchmarks.study.rows import all_rows, changed, parse_variant, wanted
 from benchmarks.study.scenes import StudyScene
 from roigs_engine.errors import ConfigError
-from roigs_engine.run.config import MAX_FACTOR
+from roigs_engine.requests.choices import MAX_FACTOR
 from roigs_engine.run.presets import preset
 from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
 from roigs_engine.training.mechanisms.density_control import DensityControl

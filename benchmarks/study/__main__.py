@@ -27,7 +27,7 @@ from roigs_engine.errors import ConfigError
 from roigs_engine.formats.events import Failed
 from roigs_engine.formats.files import read_json, write_json, write_text
 from roigs_engine.kernels import library
-from roigs_engine.run.config import PHOTOS, TEST
+from roigs_engine.requests.choices import PHOTOS, TEST
 from roigs_engine.run.presets import PRESETS, preset
 from roigs_engine.training.loop import one_torch_thread
 

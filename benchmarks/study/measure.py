@@ -24,8 +24,9 @@ from roigs_engine.formats.names import safe_name
 from roigs_engine.kernels import library
 from roigs_engine.machine import processor_name, usable_cores
 from roigs_engine.model.scene import SfmScene
+from roigs_engine.requests.choices import MAX_FACTOR, TEST
 from roigs_engine.run import stage_configs, strategies
-from roigs_engine.run.config import MAX_FACTOR, TEST, RunConfig
+from roigs_engine.run.config import RunConfig
 from roigs_engine.run.definition import Run, define_run, inputs_record
 from roigs_engine.run.executor import Executor, TrainedModel
 from roigs_engine.run.folder import open_folder

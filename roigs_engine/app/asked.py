@@ -13,10 +13,10 @@ from ..errors import ConfigError, RunFolderError
 from ..formats import run_files
 from ..formats.files import read_json
 from ..formats.projects import model_folders, model_suffix
-from ..requests.choices import COMPARISONS
+from ..requests.choices import COMPARISONS, MOST_BLOCKS
 from ..requests.runs import Train, TrainAndEvaluate
 from ..requests.values import AUTO
-from ..run.config import AUTO_BLOCKS, MOST_BLOCKS, RunConfig
+from ..run.config import AUTO_BLOCKS, RunConfig
 from ..run.presets import in_strategy, preset
 from ..selection.cells import parsed_groups
 from ..selection.manual import load_manual

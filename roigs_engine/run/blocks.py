@@ -11,8 +11,9 @@ from ..formats.text import counted, in_gb
 from ..machine import machine_memory
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
+from ..requests.choices import MOST_BLOCKS
 from ..selection.cells import Groups
-from .config import AUTO_BLOCKS, MOST_BLOCKS, RunConfig
+from .config import AUTO_BLOCKS, RunConfig
 from .layout import Layout, given_groups, lay_out
 
 FEWEST = 24  # photos of a block: with fewer, its surroundings are guessed

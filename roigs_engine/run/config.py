@@ -11,20 +11,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ..errors import ConfigError
-from ..requests.choices import MAX_SEED
+from ..requests import choices
 from ..selection.config import SelectionConfig
 from ..training.config import TrainConfig, miniature, with_steps
 from ..training.mechanisms.floater_pruning import FloaterPruning
 
-STRATEGIES = ("joint", "independent")
-INITS = ("scene", "points", "box")
-ORDERS = ("ordered", "shuffled")
-TEST, VALIDATION = PHOTOS = ("test", "validation")
 AUTO_BLOCKS = 0  # as many as this machine's memory needs
-MOST_BLOCKS = 64
-MAX_FACTOR = 1000  # of the steps: a larger one is a typing error
-BASELINES = ("full-scene", "full-object", "full-scene-tuned", "full-object-tuned")
-COMPARISONS = (*BASELINES, *STRATEGIES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,17 +66,17 @@ class RunConfig:
     baseline_densify: float = 0.5
     whole_schedule: bool = False
     test_every: int = 8
-    evaluate_on: str = TEST
+    evaluate_on: str = choices.TEST
     seed: int = 0
     blocks: int = 1
     groups: tuple[tuple[str, ...], ...] = ()
 
     def __post_init__(self) -> None:
         for name, value, allowed in (
-            ("strategy", self.strategy, STRATEGIES),
-            ("roi_init", self.roi_init, INITS),
-            ("roi_order", self.roi_order, ORDERS),
-            ("evaluate_on", self.evaluate_on, PHOTOS),
+            ("strategy", self.strategy, choices.STRATEGIES),
+            ("roi_init", self.roi_init, choices.INITS),
+            ("roi_order", self.roi_order, choices.ORDERS),
+            ("evaluate_on", self.evaluate_on, choices.PHOTOS),
         ):
             if value not in allowed:
                 raise ConfigError(f"{name} is '{value}'.", f"Use one of {', '.join(allowed)}.")
@@ -110,18 +102,19 @@ class RunConfig:
             raise ConfigError(
                 f"scene_scale is {self.scene_scale:g}.", "Use a number above 0, at most 1."
             )
-        if not 0 <= self.seed <= MAX_SEED:
+        if not 0 <= self.seed <= choices.MAX_SEED:
             raise ConfigError(
-                f"The seed is {self.seed}.", f"Use an integer from 0 to {MAX_SEED:,}."
+                f"The seed is {self.seed}.", f"Use an integer from 0 to {choices.MAX_SEED:,}."
             )
-        if self.evaluate_on == VALIDATION and not self.test_every:
+        if self.evaluate_on == choices.VALIDATION and not self.test_every:
             raise ConfigError(
                 "Without test photos (test_every 0) there are no validation photos.",
                 "Set test_every to 2 or more.",
             )
-        if not 0 <= self.blocks <= MOST_BLOCKS:
+        if not 0 <= self.blocks <= choices.MOST_BLOCKS:
             raise ConfigError(
-                f"blocks is {self.blocks}.", f"Use a number from 1 to {MOST_BLOCKS}, or auto."
+                f"blocks is {self.blocks}.",
+                f"Use a number from 1 to {choices.MOST_BLOCKS}, or auto.",
             )
         if self.strategy != "joint" and self.groups:
             raise ConfigError(
@@ -152,9 +145,10 @@ class RunConfig:
 
         With `whole_schedule` see `miniature`, else `with_steps`.
         """
-        if not 0 < factor <= MAX_FACTOR:
+        if not 0 < factor <= choices.MAX_FACTOR:
             raise ConfigError(
-                f"The step factor is {factor:g}.", f"Use a number above 0, at most {MAX_FACTOR}."
+                f"The step factor is {factor:g}.",
+                f"Use a number above 0, at most {choices.MAX_FACTOR}.",
             )
         scene, roi = (max(1, round(c.steps * factor)) for c in (self.scene, self.roi))
         resized = miniature if self.whole_schedule else with_steps

@@ -15,10 +15,11 @@ from ..model.mask_coverage import with_useful_masks
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 from ..model.visibility import check_has_points
+from ..requests.choices import TEST, VALIDATION
 from ..selection.manual import usable_manual
 from ..selection.split import choose_test_views
 from .blocks import number_of_blocks
-from .config import TEST, VALIDATION, RunConfig
+from .config import RunConfig
 from .layout import Layout, given_groups, lay_out
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from ..formats import run_files
 from ..formats.text import json_digest
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
+from ..requests.choices import STRATEGIES
 from . import stage_configs
-from .config import STRATEGIES
 from .definition import Run
 from .photo_sets import PhotoSets
 from .plan import CROP, MERGE, Output, Plan, PlannedModel, Source, Stage, result_of

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from ...context import Context
 from ...errors import ConfigError
+from ...requests.choices import MIN_VIEWS
 from ..config import Mechanism, TrainConfig
 from ..running import Running
 
@@ -30,7 +31,7 @@ class FloaterPruning(Mechanism):
 
     name: ClassVar[str] = "floater_pruning"
 
-    min_views: int = 4
+    min_views: int = MIN_VIEWS
 
     def check(self, config: TrainConfig) -> None:
         """Refuse no photos."""

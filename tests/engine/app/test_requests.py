@@ -11,7 +11,6 @@ import pytest
 from roigs_engine import (
     Convert,
     Evaluate,
-    Floaters,
     Select,
     Train,
     TrainAndEvaluate,
@@ -22,10 +21,8 @@ from roigs_engine.commands.table import COMMANDS
 from roigs_engine.errors import ConfigError
 from roigs_engine.requests import choices
 from roigs_engine.requests.declare import options_of, settings_of
-from roigs_engine.run import config
 from roigs_engine.run.presets import PRESETS
 from roigs_engine.selection import METHODS
-from roigs_engine.training.mechanisms.floater_pruning import FloaterPruning
 from tests.engine.synthetic_colmap import write_project
 
 
@@ -91,21 +88,8 @@ def test_a_training_is_not_started_by_a_plan(tmp_path: Path) -> None:
     assert "Box 'thing'" in plan_training(request).text and not run.exists()
 
 
-def test_words_and_limits_are_the_engines() -> None:
+def test_methods_and_presets_are_those_of_the_engine() -> None:
     assert set(choices.METHODS) == set(METHODS) and set(choices.PRESETS) == set(PRESETS)
-    names = [
-        "STRATEGIES",
-        "INITS",
-        "ORDERS",
-        "PHOTOS",
-        "BASELINES",
-        "COMPARISONS",
-        "MAX_FACTOR",
-        "MOST_BLOCKS",
-    ]
-    assert all(getattr(choices, name) == getattr(config, name) for name in names)
-    default = options_of(Floaters)["min_views"].default
-    assert default == FloaterPruning().min_views
 
 
 def test_each_option_has_one_kind_wherever_it_is() -> None:

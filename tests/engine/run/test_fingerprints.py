@@ -10,7 +10,8 @@ import pytest
 
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, PosedImage, SfmScene
-from roigs_engine.run.config import COMPARISONS, RunConfig
+from roigs_engine.requests.choices import COMPARISONS
+from roigs_engine.run.config import RunConfig
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.presets import preset
 from roigs_engine.run.strategies import plan_run

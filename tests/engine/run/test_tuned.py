@@ -11,8 +11,9 @@ from roigs_engine.evaluation.evaluate import evaluate
 from roigs_engine.formats.run_files import is_own
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
+from roigs_engine.requests.choices import BASELINES
 from roigs_engine.run import stage_configs
-from roigs_engine.run.config import BASELINES, RunConfig
+from roigs_engine.run.config import RunConfig
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.folder import train_run
 from roigs_engine.run.photo_sets import PhotoSets
