@@ -20,13 +20,7 @@ from ..photos.contents import Contents
 from ..photos.files import PhotoFolder
 from ..photos.headers import check_complete, photo_size
 from ..photos.mask_paths import USUAL_MASKS, MaskFiles, MaskOptions
-from .camera_masks import (
-    HIDDEN,
-    make_masks,
-    mention_masks,
-    plan_masks,
-    plan_object_masks,
-)
+from .camera_masks import HIDDEN, MaskPlan, find_mask, make_masks, mention_masks, plan_object_masks
 from .records import NO_IDS, Model, ModelCamera, ModelImage, same_shape
 from .undistort import (
     UndistortionPlan,
@@ -197,16 +191,28 @@ class PhotoLoader:
 
     def _mask(self, cache: Path | None, context: Context) -> None:
         """Give the photos their masks; skip those that are hidden whole. Raises as `make_masks`."""
-        plans = plan_masks(self.posed, self._plans, self._mask_files, self._masks)
+        plans = {}
+        for key, image in self.posed.items():
+            plan = find_mask(
+                image.name, image.path, image.file_digest, self._mask_files, self._masks
+            )
+            if plan is not None:
+                plans[key] = self._for_camera(plan, key)
         made = make_masks(plans, cache, context, write=self._pixels)
-        for key, found in made.items():
-            if found.empty:
+        for key, (mask, share) in made.items():
+            if not share:
                 self._skip(key, HIDDEN)
-            elif not found.full:
-                self.posed[key] = replace(self.posed[key], mask=found.mask)
+            elif share < 1:
+                self.posed[key] = replace(self.posed[key], mask=mask)
         if self._pixels:
-            used = sum(not found.empty and not found.full for found in made.values())
+            used = sum(0 < share < 1 for _, share in made.values())
             mention_masks(used, self._mask_files, self._names, context)
+
+    def _for_camera(self, plan: MaskPlan, key: int) -> MaskPlan:
+        """The plan of a mask as the photo's camera sees it."""
+        camera = self.posed[key].camera
+        target = (camera.width, camera.height)
+        return replace(plan, undistortion=self._plans.get(key), target=target)
 
     def _skip(self, key: int, reason: str) -> None:
         """Leave out a photo that was posed."""
@@ -215,11 +221,12 @@ class PhotoLoader:
 
     def _mask_objects(self, cache: Path | None, context: Context) -> None:
         """Give the photos the masks of the boxes' objects. Raises as `make_masks`."""
-        plans = plan_object_masks(self.posed, self._plans, self._mask_files, self._masks)
+        found = plan_object_masks(self.posed, self._mask_files, self._masks)
+        plans = {(key, box): self._for_camera(plan, key) for (key, box), plan in found.items()}
         made = make_masks(plans, cache, context, write=self._pixels)
-        for (key, box), found in made.items():
+        for (key, box), (mask, _) in made.items():
             image = self.posed[key]
-            self.posed[key] = replace(image, objects={**image.objects, box: found.mask})
+            self.posed[key] = replace(image, objects={**image.objects, box: mask})
 
     def _undistort(self, cache: Path | None, context: Context) -> None:
         """Undistort distorted photos, or take them from the cache, see `undistort_all`."""

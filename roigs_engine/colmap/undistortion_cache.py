@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Sequence
-from contextlib import closing, suppress
+from contextlib import suppress
 from pathlib import Path
 
 from ..context import QUIET, Context
 from ..errors import SceneError
-from ..formats.events import StageStarted
 from ..formats.files import cannot_write, own_folder
 from ..formats.run_files import UNDISTORTED
 from ..formats.text import in_gb
@@ -31,36 +29,39 @@ def undistort_all(
     Args:
         plans: of the photos; equal ones are undistorted once.
         cache: their folder `undistorted` keeps the photos; None: a temporary folder.
-        context: gets the progress; checked for cancellation.
+        context: gets the progress.
 
     Raises:
         SceneError: the machine has too little memory for one of them.
         RunFolderError: the cache cannot be written.
-        Stopped: on request.
     """
-    folder = temporary_folder() if cache is None else _created(own_folder(cache, UNDISTORTED))
+    folder = temporary_folder() if cache is None else own_folder(cache, UNDISTORTED)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise cannot_write(folder, error) from error
     by_key = {plan.key(): plan for plan in plans}
     paths = {key: folder / f"{key}.png" for key in by_key}
     missing = [plan for key, plan in by_key.items() if not paths[key].is_file()]
     if not missing:
         return paths
-    threads = _threads(missing, context)
+    memory = _memory(missing, context)
     space = disk_message(
         PER_PIXEL * sum(plan.target.width * plan.target.height for plan in missing), folder
     )
     if space.level == "warning":
         context.emit(space)
-    context.emit(StageStarted(stage=STAGE, total=len(missing)))
-    started = time.monotonic()
-    jobs = in_parallel(lambda plan: undistort(plan, folder), missing, threads, context)
-    with closing(jobs) as work:
-        for step, (plan, job) in enumerate(work, start=1):
+
+    def make(plan: UndistortionPlan) -> Path:
+        return undistort(plan, folder)
+
+    with in_parallel(make, missing, memory, context, STAGE) as work:
+        for plan, job in work:
             try:
                 job.result()
             except PhotoError as error:
                 context.warn(error.message)
                 del paths[plan.key()]
-            context.progress(STAGE, step, len(missing), started)
     release_freed_memory()
     return paths
 
@@ -83,8 +84,8 @@ def remove_unused(cache: Path, images: Iterable[PosedImage]) -> None:
                 path.unlink()
 
 
-def _threads(plans: Sequence[UndistortionPlan], context: Context) -> int:
-    """The number of threads that fit into the memory; tells the user what they take."""
+def _memory(plans: Sequence[UndistortionPlan], context: Context) -> int:
+    """Bytes that the largest photo needs; tells the user what all threads take."""
     largest = max(plans, key=UndistortionPlan.memory)
     needed, machine = largest.memory(), machine_memory()
     if needed + ENGINE > machine:
@@ -100,13 +101,4 @@ def _threads(plans: Sequence[UndistortionPlan], context: Context) -> int:
         f"Memory: up to about {in_gb(threads * needed + ENGINE)} of {in_gb(machine)} while photos"
         f" are undistorted, {threads} at a time."
     )
-    return threads
-
-
-def _created(folder: Path) -> Path:
-    """The folder, created if it does not exist."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise cannot_write(folder, error) from error
-    return folder
+    return needed

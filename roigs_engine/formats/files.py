@@ -292,6 +292,14 @@ def write_json(path: Path, value: Any, *, durable: bool = True) -> None:
     write_text(path, json.dumps(value, indent=1, ensure_ascii=False) + "\n", durable=durable)
 
 
+def read_record(path: Path) -> dict[str, Any]:
+    """The JSON object in `path`; empty if there is none, or it is damaged."""
+    with suppress(RunFolderError):
+        record = read_json(path)
+        return record if isinstance(record, dict) else {}
+    return {}
+
+
 def read_json(path: Path, kind: type[EngineError] = RunFolderError, hint: str = DAMAGED) -> Any:
     """The JSON value in `path`: UTF-8, with or without a byte order mark.
 

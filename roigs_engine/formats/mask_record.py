@@ -20,8 +20,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
-from ..errors import RunFolderError
-from .files import cannot_write, own_folder, read_json, sha256, write_json
+from .files import cannot_write, own_folder, read_record, sha256, write_json
 
 MADE = "made.json"
 KEY, WRITING, INPUTS = "masks", "writing", "inputs"
@@ -58,12 +57,12 @@ def generated_masks(folder: Path) -> dict[str, str]:
 
 def made_of(folder: Path) -> dict[str, object]:
     """Name -> hash of what a mask was made of, as far as that is known."""
-    return _part(_record(folder), INPUTS)
+    return _part(read_record(folder / MADE), INPUTS)
 
 
 def _recorded(folder: Path) -> dict[str, list[object]]:
     """Name -> the digests that the record has of it; only names inside the folder."""
-    record = _record(folder)
+    record = read_record(folder / MADE)
     found: dict[str, list[object]] = {}
     for key in (KEY, WRITING):
         for name, digest in _part(record, key).items():
@@ -72,16 +71,8 @@ def _recorded(folder: Path) -> dict[str, list[object]]:
     return found
 
 
-def _record(folder: Path) -> object:
-    """The record; None: there is none, or it is damaged."""
-    try:
-        return read_json(folder / MADE)
-    except RunFolderError:
-        return None
-
-
-def _part(record: object, key: str) -> dict[str, object]:
-    part = record.get(key) if isinstance(record, dict) else None
+def _part(record: Mapping[str, object], key: str) -> dict[str, object]:
+    part = record.get(key)
     return part if isinstance(part, dict) else {}
 
 

@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from ..context import QUIET, Context
 from ..errors import RunFolderError
-from ..formats.events import StageStarted
-from ..formats.files import read_json, write_json
+from ..formats.files import read_record, write_json
 from ..formats.text import counted, first_of, json_digest
 from .headers import PhotoError, content_digest, photo_size
-from .parallel import decoding_bytes, in_parallel, threads_for
+from .parallel import decoding_bytes, in_parallel
 
 FILE = "photos.json"
 VERSION = 2  # increase it if what is found of a photo changes
@@ -69,7 +69,7 @@ class Contents:
 
         Args:
             photos: name -> file.
-            context: gets the progress and warnings; checked for cancellation.
+            context: gets the progress, if photos are decoded, and warnings.
             check: decode the photos too; otherwise `whole` may stay unknown, and nothing is
                 remembered.
 
@@ -79,17 +79,16 @@ class Contents:
         found = {name: self._current(name, path, check) for name, path in photos.items()}
         missing = [name for name, content in found.items() if content is None]
         self._known = {name: content for name, content in found.items() if content is not None}
-        if missing and check:
-            context.emit(StageStarted(stage=STAGE, total=len(missing)))
-        started = last = time.monotonic()
-        threads = threads_for(max((_memory(photos[name]) for name in missing), default=0))
-        jobs = in_parallel(lambda n: _read(photos[n], check, context), missing, threads, context)
+        last, stage = time.monotonic(), STAGE if check else ""
+        memory = max((_memory(photos[name]) for name in missing), default=0)
+
+        def look(name: str) -> Content:
+            return _read(photos[name], check, context)
+
         try:
-            with closing(jobs) as work:
-                for step, (name, job) in enumerate(work, start=1):
+            with in_parallel(look, missing, memory, context, stage) as work:
+                for name, job in work:
                     found[name] = self._known[name] = job.result()
-                    if check:
-                        context.progress(STAGE, step, len(missing), started)
                     if check and time.monotonic() - last > WRITE_SECONDS:
                         last = time.monotonic()
                         self._write()
@@ -169,16 +168,11 @@ def _memory(path: Path) -> int:
 
 def _remembered(path: Path) -> dict[str, Content]:
     """Name -> content, from the file; nothing if it is missing or damaged."""
-    try:
-        record = read_json(path)
-    except RunFolderError:
-        return {}
-    if not isinstance(record, dict) or record.get("version") != VERSION:
-        return {}
-    photos = record.get("photos")
-    if not isinstance(photos, dict) or record.get(CHECKSUM) != json_digest(photos):
+    record = read_record(path)
+    photos: Any = record.get("photos")
+    if record.get("version") != VERSION or record.get(CHECKSUM) != json_digest(photos):
         return {}
     try:
         return {name: Content(**content) for name, content in photos.items()}
-    except TypeError:  # written by a person, checksum included
+    except (TypeError, AttributeError):  # written by a person, checksum included
         return {}

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
 from ..context import Context
+from ..formats.events import StageStarted
 from ..machine import machine_memory, usable_cores
 
 Item = TypeVar("Item")
@@ -31,23 +34,41 @@ def threads_for(largest: int) -> int:
     return max(1, min(MOST, usable_cores(), fitting))
 
 
+@contextmanager
 def in_parallel(
-    work: Callable[[Item], Result], items: Sequence[Item], threads: int, context: Context
-) -> Generator[tuple[Item, Future[Result]]]:
+    work: Callable[[Item], Result],
+    items: Sequence[Item],
+    memory: int,
+    context: Context,
+    stage: str = "",
+) -> Iterator[Iterator[tuple[Item, Future[Result]]]]:
     """Each item, in order, with its finished work; the caller reads the result or the error.
 
-    Close it (`contextlib.closing`): that waits for work that has begun, and drops the rest.
+    At the end of the block, work that has begun is waited for, and the rest is dropped.
 
-    Raises:
-        Stopped: on request; work that has begun is waited for.
+    Args:
+        work: of one item; called on several threads.
+        items: what there is to do.
+        memory: most bytes that the work on one item takes.
+        context: may stop the block between items.
+        stage: name of the progress that is reported; empty: none is.
     """
-    pool = ThreadPoolExecutor(threads, thread_name_prefix="photos")
-    try:
-        jobs = [pool.submit(work, item) for item in items]
-        for item, job in zip(items, jobs, strict=True):
+    pool = ThreadPoolExecutor(threads_for(memory), thread_name_prefix="photos")
+    jobs = [pool.submit(work, item) for item in items]
+
+    def finished() -> Iterator[tuple[Item, Future[Result]]]:
+        started = time.monotonic()
+        for step, (item, job) in enumerate(zip(items, jobs, strict=True), start=1):
             while not wait([job], timeout=0.2).done:
                 context.check_cancelled()
             context.check_cancelled()
             yield item, job
+            if stage:
+                context.progress(stage, step, len(jobs), started)
+
+    try:
+        if stage and jobs:
+            context.emit(StageStarted(stage=stage, total=len(jobs)))
+        yield finished()
     finally:
         pool.shutdown(cancel_futures=True)

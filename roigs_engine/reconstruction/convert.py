@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
-from contextlib import closing, suppress
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 from ..context import Context
-from ..errors import EngineError, RunFolderError, SceneError
-from ..formats.events import StageStarted
-from ..formats.files import atomic_write, own_folder, read_json, write_json
+from ..errors import EngineError, SceneError
+from ..formats.files import atomic_write, own_folder, read_record, write_json
 from ..formats.text import counted
 from ..photos.decode import check_whole, to_rgb
 from ..photos.files import HEIC
 from ..photos.headers import PhotoError, content_digest, open_photo
-from ..photos.parallel import in_parallel, threads_for
+from ..photos.parallel import in_parallel
 from .folder import IMAGES, Folder
 
 STAGE = "convert photos"
@@ -36,13 +33,12 @@ def converted(files: Mapping[str, Path], folder: Folder, context: Context) -> di
     Args:
         files: name -> file.
         folder: of the reconstruction; what an earlier call has converted is used again.
-        context: gets the progress; checked for cancellation.
+        context: gets the progress.
 
     Raises:
         EngineError: pillow-heif is not installed, and needed.
         SceneError: another photo has been converted to that name.
         RunFolderError: the folder cannot be written.
-        Stopped: on request; what is done stays.
     """
     foreign = [name for name in files if Path(name).suffix.lower() in FOREIGN]
     if not foreign:
@@ -52,23 +48,20 @@ def converted(files: Mapping[str, Path], folder: Folder, context: Context) -> di
         _register(len(heic))
     names = {name: f"{name}.jpg" for name in foreign}
     found = {name: path for name, path in files.items() if name not in {*foreign, *names.values()}}
-    made = _made(folder)
-    context.emit(StageStarted(stage=STAGE, total=len(foreign)))
-    began = time.monotonic()
+    made = read_record(folder.work(RECORD))  # name -> digest
 
     def convert(name: str) -> str:
         target = own_folder(folder.root, IMAGES) / names[name]
         return _convert(files[name], target, made.get(name, ""))
 
     try:
-        with closing(in_parallel(convert, foreign, threads_for(BYTES), context)) as work:
-            for step, (name, job) in enumerate(work, start=1):
+        with in_parallel(convert, foreign, BYTES, context, STAGE) as work:
+            for name, job in work:
                 with suppress(PhotoError):
                     made[name] = job.result()
                 good = job.exception() is None
                 key = names[name] if good else name
                 found[key] = folder.images / names[name] if good else files[name]
-                context.progress(STAGE, step, len(foreign), began)
     finally:
         write_json(folder.work(RECORD), made)
     return dict(sorted(found.items()))
@@ -85,14 +78,6 @@ def _register(photos: int) -> None:
             "Run: pip install pillow-heif (Blender: set up the engine again). Or convert to JPEG.",
         ) from error
     pillow_heif.register_heif_opener()
-
-
-def _made(folder: Folder) -> dict[str, str]:
-    """Name -> digest, of the photos that were converted."""
-    record: Any = {}
-    with suppress(RunFolderError):
-        record = read_json(folder.work(RECORD))
-    return record if isinstance(record, dict) else {}
 
 
 def _convert(source: Path, target: Path, known: str) -> str:

@@ -9,20 +9,18 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
 
-from ..colmap.camera_masks import HIDDEN, MaskPlan, find_mask, mask_digest
+from ..colmap.camera_masks import HIDDEN, MaskPlan, find_mask
 from ..context import Context
-from ..errors import RunFolderError
-from ..formats.files import cannot_write, own_folder, read_json, sha256, write_json
+from ..formats.files import cannot_write, own_folder, read_record, sha256, write_json
 from ..formats.text import counted, json_digest, named
 from ..photos.headers import PhotoError, photo_size
 from ..photos.mask_images import write_mask
 from ..photos.mask_paths import MaskFiles, MaskOptions
-from ..photos.parallel import decoding_bytes, in_parallel, threads_for
+from ..photos.parallel import decoding_bytes, in_parallel
 from .folder import Folder
 from .photo_checks import Photo
 
@@ -56,7 +54,7 @@ def write_masks(
         source: their folder.
         options: which masks are wanted.
         folder: of the reconstruction.
-        context: gets the messages; checked for cancellation between photos.
+        context: gets the messages.
 
     Returns:
         Hash of each mask, by the photo's name; a photo with an opaque alpha channel has none.
@@ -64,10 +62,10 @@ def write_masks(
     Raises:
         MaskError, PhotoError: a mask cannot be used.
         RunFolderError: the folder cannot be written.
-        Stopped: on request.
     """
     plans, known = _plans(photos, source, options, context), _record(folder)
-    place = _place_of(source, folder)
+    path, root = Path(os.path.realpath(source)), Path(os.path.realpath(folder.root))
+    place = (path.relative_to(root) if path.is_relative_to(root) else path).as_posix()
     digests = {name: plan.digest() for name, plan in plans.items()}
     missing = [
         name
@@ -80,13 +78,13 @@ def write_masks(
     def make(name: str) -> bool | None:
         """Write a mask; whether anything of the photo is used. None: an opaque alpha channel."""
         mask = plans[name].make()
-        if plans[name].source.file is None and mask.all():
+        if plans[name].file is None and mask.all():
             return None
         write_mask(_place(folder, name), mask)
         return bool(mask.any())
 
     sizes = (decoding_bytes(plan.photo, plan.size) for plan in plans.values())
-    with closing(in_parallel(make, missing, threads_for(max(sizes, default=1)), context)) as work:
+    with in_parallel(make, missing, max(sizes, default=1), context) as work:
         used = {name: job.result() for name, job in work}
     masks = {} if not options.used else _of_other_photos(photos, plans, known, place, folder)
     for name in plans:
@@ -113,38 +111,19 @@ def digest_of(masks: Mapping[str, str]) -> str:
 def _plans(
     photos: Sequence[Photo], source: Path, options: MaskOptions, context: Context
 ) -> dict[str, MaskPlan]:
-    """How to make the masks; nothing is decoded, so of opaque alpha channels as well.
-
-    The masks in the folder are none of them: they are made of others.
-    """
-    if not options.used:
-        return {}
-    files = MaskFiles(source, options.folder, made=False)
-    found = {}
-    for photo in photos:
+    """How to make the masks; nothing is decoded, so of opaque alpha channels as well."""
+    files = MaskFiles(source, options.folder, made=False)  # the folder's are made of others
+    plans = {}
+    for photo in photos if options.used else ():
         context.check_cancelled()
-        place = find_mask(photo.name, photo.path, files, options)
-        if place is None:
-            continue
-        found[photo.name] = MaskPlan(
-            photo=photo.path,
-            size=photo.size,
-            source=place,
-            content=photo.digest if place.file is None else mask_digest(place.file),
-            undistortion=None,
-            target=photo.size,
-        )
-    return found
+        plan = find_mask(photo.name, photo.path, photo.digest, files, options)
+        if plan is not None:
+            plans[photo.name] = plan
+    return plans
 
 
 def _place(folder: Folder, name: str) -> Path:
     return folder.masks / f"{name}.png"
-
-
-def _place_of(source: Path, folder: Folder) -> str:
-    """The name of a folder of photos in the record."""
-    path, root = Path(os.path.realpath(source)), Path(os.path.realpath(folder.root))
-    return (path.relative_to(root) if path.is_relative_to(root) else path).as_posix()
 
 
 def _of_other_photos(
@@ -191,11 +170,8 @@ def _forget(names: Iterable[str], known: Mapping[str, Kept], folder: Folder) -> 
 
 def _record(folder: Folder) -> dict[str, Kept]:
     """What is known of the masks that were written, by the photos' names."""
-    record: Any = {}
-    with suppress(RunFolderError):
-        record = read_json(folder.work(RECORD))
     found = {}
-    for name, entry in record.items() if isinstance(record, dict) else ():
+    for name, entry in read_record(folder.work(RECORD)).items():
         with suppress(TypeError):
             found[name] = Kept(**entry)
     return found

@@ -14,10 +14,9 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from itertools import count
 from pathlib import Path
-from typing import Any
 
-from ..errors import RunFolderError, SceneError
-from ..formats.files import cannot_write, own_folder, read_json, write_json
+from ..errors import SceneError
+from ..formats.files import cannot_write, own_folder, read_record, write_json
 from ..formats.lock import locked
 from ..formats.projects import PHOTO_FOLDERS, RECONSTRUCTION, SPARSE, model_suffix
 from ..photos.files import EXTENSIONS, HEIC, UNREAD, PhotoFolder
@@ -35,30 +34,16 @@ class Folder:
 
     Attributes:
         root: the folder.
+        images, database: the photos, and COLMAP's database.
+        model, report: the result, and what was found, to read.
     """
 
     def __init__(self, root: Path) -> None:
         self.root = root
-
-    @property
-    def images(self) -> Path:
-        """The photos."""
-        return self.root / IMAGES
-
-    @property
-    def database(self) -> Path:
-        """COLMAP's database."""
-        return self.root / DATABASE
-
-    @property
-    def model(self) -> Path:
-        """The result."""
-        return self.root / SPARSE / "0"
-
-    @property
-    def report(self) -> Path:
-        """What was found, to read."""
-        return self.root / REPORT
+        self.images = root / IMAGES
+        self.database = root / DATABASE
+        self.model = root / SPARSE / "0"
+        self.report = root / REPORT
 
     def work(self, *names: str) -> Path:
         """A place of the engine's own."""
@@ -96,10 +81,9 @@ class Folder:
         Returns:
             What begins again, and why, as a sentence; empty: nothing, or this is the first time.
         """
-        state = self._state()
+        state = read_record(self._record)
         features = settings.of_features()
-        digests = digests_of(photos)
-        known: dict[str, str] = state.get("photos", {})
+        digests, known = digests_of(photos), state.get("photos", {})
         why = ""
         if self.database.exists():
             if state.get("version") != VERSION or state.get("features") != features:
@@ -108,8 +92,8 @@ class Folder:
                 why = "Photos were changed or removed, so features are found again."
         if why:
             self.forget()
-        state = {"version": VERSION, "features": features, "photos": digests}
-        write_json(self._record, state | {"done": self._done()})
+        state |= {"version": VERSION, "features": features, "photos": digests}
+        write_json(self._record, state)
         return why
 
     def forget(self) -> None:
@@ -132,23 +116,13 @@ class Folder:
         """Settings and photos; it is written before anything else that takes time to make."""
         return self.work("state.json")
 
-    def _done(self) -> Any:
-        return self._state().get("done")
-
     def is_done(self, key: str) -> bool:
         """Whether the model that is there was made with this key."""
-        return self._done() == key and model_suffix(self.model) is not None
+        return read_record(self._record).get("done") == key and model_suffix(self.model) is not None
 
     def finish(self, key: str) -> None:
         """Record that the model was made with this key."""
-        write_json(self._record, self._state() | {"done": key})
-
-    def _state(self) -> dict[str, Any]:
-        try:
-            record = read_json(self._record)
-        except RunFolderError:
-            return {}
-        return record if isinstance(record, dict) else {}
+        write_json(self._record, read_record(self._record) | {"done": key})
 
     def take_model(self, source: Path) -> None:
         """Make the model in `source` the result; an earlier result is kept beside it."""

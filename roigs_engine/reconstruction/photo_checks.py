@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,12 +13,11 @@ from numpy.typing import NDArray
 
 from ..context import Context
 from ..errors import SceneError
-from ..formats.events import StageStarted
 from ..formats.text import counted, named
 from ..photos.contents import Contents
 from ..photos.decode import decode
 from ..photos.headers import open_photo, photo_size
-from ..photos.parallel import decoding_bytes, in_parallel, threads_for
+from ..photos.parallel import decoding_bytes, in_parallel
 
 STAGE = "look at photos"
 LOOK_SIDE = 1024  # px of the longest side, for the sharpness
@@ -69,11 +67,10 @@ def look_at(files: Mapping[str, Path], remembered: Path, context: Context) -> Fo
     Args:
         files: name -> file.
         remembered: file that keeps what was found, see `photos.contents`.
-        context: gets the progress; checked for cancellation.
+        context: gets the progress.
 
     Raises:
         SceneError: fewer than two can be used.
-        Stopped: on request.
     """
     contents = Contents(remembered).read(files, context)
     whole = [name for name in sorted(files) if contents[name].whole]
@@ -113,9 +110,8 @@ def _look(
     names: Sequence[str], files: Mapping[str, Path], digests: Mapping[str, str], context: Context
 ) -> list[Photo]:
     """The photos of these names, decoded once, small."""
-    context.emit(StageStarted(stage=STAGE, total=len(names)))
     sizes = {name: photo_size(files[name]) or (1, 1) for name in names}
-    threads = threads_for(max(decoding_bytes(files[name], sizes[name]) for name in names))
+    memory = max(decoding_bytes(files[name], sizes[name]) for name in names)
 
     def look(name: str) -> Photo:
         return Photo(
@@ -127,12 +123,8 @@ def _look(
             sharpness=_sharpness(files[name], sizes[name]),
         )
 
-    found, started = [], time.monotonic()
-    with closing(in_parallel(look, names, threads, context)) as work:
-        for step, (_, job) in enumerate(work, start=1):
-            found.append(job.result())
-            context.progress(STAGE, step, len(names), started)
-    return found
+    with in_parallel(look, names, memory, context, STAGE) as work:
+        return [job.result() for _, job in work]
 
 
 def _device(path: Path) -> str:

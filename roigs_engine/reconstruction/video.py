@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,9 +18,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..context import Context
-from ..errors import EngineError, RunFolderError, SceneError
+from ..errors import EngineError, SceneError
 from ..formats.events import StageStarted
-from ..formats.files import atomic_write, own_folder, read_json, write_json
+from ..formats.files import atomic_write, own_folder, read_record, write_json
 from ..formats.text import counted
 from ..photos.headers import content_digest
 from .folder import IMAGES, Folder
@@ -163,13 +162,12 @@ def take_frames(path: Path, folder: Folder, wanted: int, context: Context) -> di
         path: of the video.
         folder: of the reconstruction.
         wanted: about how many frames; 0: as many as the motion asks for.
-        context: gets the progress; checked for cancellation.
+        context: gets the progress.
 
     Raises:
         SceneError: the video cannot be read, shows too little, or the folder has another's frames.
         EngineError: PyAV is not installed.
         RunFolderError: the folder cannot be written.
-        Stopped: on request; what is done stays.
     """
     video, images = Video(path), own_folder(folder.root, IMAGES)
     seen = _seen(video, folder, context)
@@ -198,10 +196,8 @@ def _seen(video: Video, folder: Folder, context: Context) -> list[Seen]:
     except OSError as error:
         text = f"Cannot read the video {video.path} ({error.strerror or error})."
         raise SceneError(text, "Give another.") from error
-    record: Any = {}
-    with suppress(RunFolderError):
-        record = read_json(path)
-    if not isinstance(record, dict) or record.get("video") != digest:
+    record = read_record(path)
+    if record.get("video") != digest:
         if any(folder.images.glob("frame_*.jpg")):
             raise SceneError(f"{folder.images} has frames of another video.", "Give another --out.")
         record = {}

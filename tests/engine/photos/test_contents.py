@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import time
-from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -153,7 +152,7 @@ def test_after_an_error_no_photo_is_looked_at(tmp_path: Path) -> None:
         return item
 
     def read_all() -> None:
-        with closing(in_parallel(work, range(100), 2, Context())) as jobs:
+        with in_parallel(work, range(100), 1, Context()) as jobs:
             for _, job in jobs:
                 job.result()
 
