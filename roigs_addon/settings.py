@@ -106,8 +106,7 @@ def environments() -> tuple[Path, ...]:
 
 def chosen_python() -> str:
     """The Python that the user named; empty to find one."""
-    chosen = get().engine_python
-    return bpy.path.abspath(chosen) if chosen else ""
+    return get().engine_python
 
 
 def engine(packages: tuple[str, ...]) -> Engine:
@@ -126,4 +125,4 @@ def engine(packages: tuple[str, ...]) -> Engine:
 
 def _chosen_cache() -> Path | None:
     chosen = get().cache
-    return Path(bpy.path.abspath(chosen)) if chosen else None
+    return Path(chosen) if chosen and not chosen.startswith("//") else None

@@ -74,7 +74,7 @@ def installed(requirement: str) -> bool:
 
 def pip(*arguments: str, capture: bool = False) -> subprocess.CompletedProcess[str]:
     """Run this environment's pip."""
-    command = [sys.executable, "-m", "pip", "--disable-pip-version-check", *arguments]
+    command = [sys.executable, "-I", "-m", "pip", "--disable-pip-version-check", *arguments]
     output = subprocess.PIPE if capture else None
     return subprocess.run(command, check=False, text=True, stdout=output, stderr=output)
 

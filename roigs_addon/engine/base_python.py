@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 from ..errors import AddonError
-from .command import HIDDEN, without_blender
-from .python import own_python
+from .command import HIDDEN, ISOLATED, variables
+from .programs import find_program
+from .python import SOURCE, own_python
 
 PYTHONS = ((3, 13), (3, 12), (3, 11), (3, 14))
 """Versions that torch has wheels for, in the order in which they are looked for."""
@@ -52,21 +52,16 @@ def choose_python(wheels: Path | None = None) -> Path:
 def _pythons() -> Iterator[list[str]]:
     """Command lines of Pythons to try."""
     yield [str(own_python())]
-    folders = [os.environ.get("PATH", "")]
-    if sys.platform == "darwin":
-        folders += MAC_FOLDERS
-    path = os.pathsep.join(folders)
-    launcher = shutil.which("py") if os.name == "nt" else None
+    folders = MAC_FOLDERS if sys.platform == "darwin" else ()
+    launcher = find_program("py") if os.name == "nt" else None
+    names = []
     for major, minor in PYTHONS:
         if launcher:
-            yield [launcher, f"-{major}.{minor}"]
-        found = shutil.which(f"python{major}.{minor}", path=path)
-        if found:
-            yield [found]
-    for name in ("python3", "python"):
-        found = shutil.which(name, path=path)
-        if found:
-            yield [found]
+            yield [str(launcher), f"-{major}.{minor}"]
+        names.append(f"python{major}.{minor}")
+    for name in (*names, "python3", "python"):
+        if found := find_program(name, folders):
+            yield [str(found)]
 
 
 def _version(command: list[str]) -> tuple[int, int]:
@@ -88,11 +83,12 @@ def _program(command: list[str]) -> Path:
 
 def _ask(command: list[str], code: str) -> str:
     result = subprocess.run(
-        [*command, "-c", code],
+        [*command, ISOLATED, "-c", code],
         capture_output=True,
         text=True,
         timeout=PROBE_SECONDS,
-        env=without_blender(os.environ),
+        env=variables(),
+        cwd=SOURCE,
         check=True,
         creationflags=HIDDEN,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,9 +11,16 @@ HIDDEN = 0x08000000 if os.name == "nt" else 0
 """Creation flags of every process that is started: CREATE_NO_WINDOW on Windows."""
 
 
-def without_blender(variables: Mapping[str, str]) -> dict[str, str]:
-    """Environment variables without those that lead another Python to Blender's packages."""
-    return {k: v for k, v in variables.items() if k not in ("PYTHONHOME", "PYTHONPATH")}
+ISOLATED = "-I"
+"""Python's option: nothing is imported from the working folder or where variables lead."""
+
+
+def variables() -> dict[str, str]:
+    """This process's environment without Python's own variables.
+
+    They lead another Python to Blender's packages, or to code that the user did not choose.
+    """
+    return {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,8 +35,8 @@ class Engine:
         return [str(self.python), "-m", "roigs_engine", *arguments]
 
     def environment(self) -> dict[str, str]:
-        """This process's variables, without what belongs to Blender's own Python."""
-        return without_blender(os.environ) | {
+        """The variables of its process."""
+        return variables() | {
             "PYTHONPATH": str(self.source),
             "PYTHONSAFEPATH": "1",  # no modules from the folder that Blender was started in
             "PYTHONUNBUFFERED": "1",

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .command import HIDDEN
+from .programs import find_program
 
 SECONDS = 20.0
 """How long the driver may take to answer."""
@@ -112,9 +112,8 @@ def find() -> Card | None:
 
 def _programs() -> Iterator[str]:
     """Where nvidia-smi may be: it is not always on the path of programs started from a desktop."""
-    found = shutil.which("nvidia-smi")
-    if found:
-        yield found
+    if found := find_program("nvidia-smi"):
+        yield str(found)
     places = [Path("/usr/bin"), Path("/usr/lib/wsl/lib"), Path("/run/current-system/sw/bin")]
     name = "nvidia-smi"
     if sys.platform == "win32":  # whose variables have any case

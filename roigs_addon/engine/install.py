@@ -19,11 +19,17 @@ from typing import IO
 
 from ..errors import AddonError
 from .base_python import choose_python
-from .command import HIDDEN, without_blender
+from .command import HIDDEN, variables
 from .environments import DOWNLOADS, SETUP_LOG, alone, made, remove_replaced
 from .install_steps import Plan, Step, requirements, steps
+from .programs import windows_tool
 from .python import MARKER, environment_python
 
+_CONNECTION = re.compile(
+    "PIP_((EXTRA_)?INDEX_URL|NO_INDEX|FIND_LINKS|TRUSTED_HOST|PROXY|(CLIENT_)?CERT|CONFIG_FILE"
+    "|(DEFAULT_)?TIMEOUT|RETRIES|KEYRING_PROVIDER)"
+)
+"""pip's variables that say how to reach packages; the others may not change what is done here."""
 _RAW_PROGRESS = re.compile(r"Progress (\d+) of (\d+)")
 
 
@@ -117,7 +123,8 @@ class Installation:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            env=without_blender(os.environ) | self._variables(step),
+            env=self._variables(step),
+            cwd=self.folder,  # its own: no file of a stranger is in it
             text=True,
             encoding="utf-8",
             errors="replace",
@@ -148,13 +155,19 @@ class Installation:
             raw = {}
         # Python compiles a module when it is first used; most never are.
         pip = {"PIP_COMPILE": "0", "PIP_CACHE_DIR": str(self.folder / DOWNLOADS)}
-        return pip | {"PYTHONUNBUFFERED": "1", "PYTHONUTF8": "1", "PYTHONNOUSERSITE": "1"} | raw
+        kept = {
+            name: value
+            for name, value in variables().items()
+            if not name.startswith("PIP_") or _CONNECTION.fullmatch(name)
+        }
+        python = {"PYTHONUNBUFFERED": "1", "PYTHONUTF8": "1", "PYTHONNOUSERSITE": "1"}
+        return kept | pip | python | raw
 
 
 def _end(process: subprocess.Popen[str]) -> None:
     """End a program and everything that it started."""
     if os.name == "nt":
-        command = ["taskkill", "/T", "/F", "/PID", str(process.pid)]
+        command = [windows_tool("taskkill"), "/T", "/F", "/PID", str(process.pid)]
         subprocess.run(command, capture_output=True, check=False, creationflags=HIDDEN)
         return
     with contextlib.suppress(ProcessLookupError, PermissionError):  # it has ended

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from .command import ISOLATED
 from .python import SOURCE, environment_python
 
 OPTIONAL = ("video", "heic", "masks")
@@ -81,21 +82,21 @@ def name_of(package: str) -> str:
 def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
     """The programs that make `environment` with the Python `base`."""
     python = str(environment_python(environment))
-    pip = [python, "-m", "pip", "install", "--no-input", "--disable-pip-version-check"]
+    runs = [python, ISOLATED]
+    pip = [*runs, "-m", "pip", "install", "--no-input", "--disable-pip-version-check"]
     wanted = requirements()
-    make = Step(
-        title="Creating the environment", command=[str(base), "-m", "venv", str(environment)]
-    )
+    venv = [str(base), ISOLATED, "-m", "venv", str(environment)]
+    make = Step(title="Creating the environment", command=venv)
     finish = [
-        Step(title="Removing what is not needed", command=[python, _script("trim_engine")]),
-        Step(title="Testing the environment", command=[python, _script("try_engine")]),
+        Step(title="Removing what is not needed", command=[*runs, _script("trim_engine")]),
+        Step(title="Testing the environment", command=[*runs, _script("try_engine")]),
     ]
     if plan.wheels is not None:
         source = ["--no-index", "--find-links", str(plan.wheels)]
         install = Step(title="Installing", command=[*pip, *source, *wanted])
         return [make, install, *_optional([*pip, *source], plan), *finish]
     index = ["--index", plan.torch_index] if plan.torch_index else []
-    torch = [python, _script("install_torch"), *index]
+    torch = [*runs, _script("install_torch"), *index]
     return [
         make,
         # From this version on, pip reports how much of a file it has.

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..shared import files
-from .command import HIDDEN, Engine
+from .command import HIDDEN, ISOLATED, Engine, variables
 
 SOURCE = Path(__file__).resolve().parents[2]
 """The folder that holds `roigs_engine`: the extension's own."""
@@ -71,13 +71,16 @@ class Ability:
 @functools.lru_cache(maxsize=32)
 def ability(python: Path) -> Ability:
     """Start a Python and ask it, once; call `ability.cache_clear()` after an installation."""
+    if not python.is_absolute():
+        return _faulty("it is not a full path; choose the program again")
     try:
         result = subprocess.run(
-            [str(python), "-c", _PROBE],
+            [str(python), ISOLATED, "-c", _PROBE],
             capture_output=True,
             text=True,
             timeout=PROBE_SECONDS,
-            env=Engine(python=python, source=SOURCE).environment(),
+            env=variables(),
+            cwd=SOURCE,
             check=False,
             creationflags=HIDDEN,
         )
@@ -134,7 +137,8 @@ def candidates(chosen: str, environments: Iterable[Path]) -> list[Path]:
     """
     named = chosen or os.environ.get(VARIABLE, "")
     if named:
-        return [Path(named)]
+        # Blender writes `//` for the folder of the open .blend, where a stranger's program may be.
+        return [Path(named.lstrip("/") if named.startswith("//") else named)]
     made = [environment_python(environment) for environment in complete_environments(environments)]
     return [*made, own_python()]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from pathlib import Path
@@ -120,10 +119,10 @@ class SetUpEngine(bpy.types.Operator):
         return TORCH_BUILDS[0].index if self.build == "CUDA" else ""
 
     def _plan(self) -> Plan:
-        wheels = Path(bpy.path.abspath(self.wheels)) if self.wheels else None
+        wheels = Path(self.wheels) if self.wheels else None
         if wheels is None and not bpy.app.online_access:
             raise AddonError(OFFLINE)
-        if wheels is not None and not os.path.isdir(wheels):
+        if self.wheels.startswith("//") or (wheels is not None and not wheels.is_dir()):
             raise AddonError(f"There is no folder {wheels}. Choose the folder with the wheels.")
         return Plan(
             environments=settings.environments(),

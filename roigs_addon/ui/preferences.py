@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from .. import blender, settings
-from ..blender import region_of, registration
+from ..blender import full_path, region_of, registration
 from ..engine import check, install
 from ..engine.event_log import DEVICE
 from ..engine.graphics_card import Choice
@@ -28,9 +29,19 @@ if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import IconItems
 
 
-def _show_anew(_page: RoigsPreferences, _context: bpy.types.Context) -> None:
-    """The sidebar says whether this Python can train."""
-    redraw_sidebars()
+def _full_path(name: str) -> Callable[[RoigsPreferences, bpy.types.Context], None]:
+    """What happens when a path is set: it is stored in full, and the sidebar looks again.
+
+    Blender would store `//` for the folder of the open .blend, which means another one in the next.
+    """
+
+    def update(page: RoigsPreferences, _context: bpy.types.Context) -> None:
+        path = getattr(page, name)
+        if path.startswith("//") and bpy.data.filepath:
+            setattr(page, name, str(full_path(path)))
+        redraw_sidebars()
+
+    return update
 
 
 class RoigsPreferences(bpy.types.AddonPreferences):
@@ -42,7 +53,7 @@ class RoigsPreferences(bpy.types.AddonPreferences):
         name="Engine Python",
         subtype="FILE_PATH",
         description="Python that runs the engine (empty: found automatically)",
-        update=_show_anew,
+        update=_full_path("engine_python"),
     )
     threads: IntProperty(
         name="Threads", default=0, min=0, description="CPU threads that the engine uses; 0: all"
@@ -74,6 +85,7 @@ class RoigsPreferences(bpy.types.AddonPreferences):
         name="Cache Folder",
         subtype="DIR_PATH",
         description="For imported models and the runs of unsaved files (empty: the user's folder)",
+        update=_full_path("cache"),
     )
     preview_seconds: FloatProperty(
         name="Preview Every",
@@ -97,6 +109,7 @@ class RoigsPreferences(bpy.types.AddonPreferences):
         name="Folder of Wheels",
         subtype="DIR_PATH",
         description="Install from the wheels in this folder, without a network (empty: from PyPI)",
+        update=_full_path("wheels"),
     )
 
     def draw(self, context: bpy.types.Context) -> None:

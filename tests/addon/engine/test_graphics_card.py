@@ -71,7 +71,7 @@ def test_a_driver_that_hangs_is_not_waited_for(
 
 
 def test_without_a_driver(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(graphics_card.shutil, "which", lambda name: None)
+    monkeypatch.setattr(graphics_card, "find_program", lambda name: None)
     monkeypatch.setattr(Path, "is_file", lambda self: False)
     assert find() is None
 
@@ -80,7 +80,7 @@ def test_without_a_driver(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_where_windows_has_it(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Newer drivers have it in the first folder, older ones in the second, both off the path."""
     monkeypatch.setattr(graphics_card.sys, "platform", "win32")
-    monkeypatch.setattr(graphics_card.shutil, "which", lambda name: None)
+    monkeypatch.setattr(graphics_card, "find_program", lambda name: None)
     monkeypatch.setenv("SYSTEMROOT", "C:/Windows")
     monkeypatch.setenv("PROGRAMW6432", "C:/PF")
     monkeypatch.setattr(Path, "is_file", lambda self: self == Path(place, "nvidia-smi.exe"))
