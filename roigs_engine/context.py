@@ -25,6 +25,8 @@ def _never() -> bool:
 class Context:
     """Passed down as one value; nothing in it changes a result, except for rounding on a GPU.
 
+    Functions that take one report messages and progress to it, and raise `Stopped` on request.
+
     Attributes:
         emit: receives events.
         should_stop: whether a stop was requested; called often, so it must be fast.

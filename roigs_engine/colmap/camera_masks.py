@@ -180,7 +180,6 @@ def make_masks(
     Args:
         plans: how to make them.
         cache: its folder `masks` keeps them; None: a temporary folder.
-        context: gets the progress.
         write: False: nothing is written, and the masks' files may be missing.
 
     Raises:
@@ -221,7 +220,6 @@ def mention_masks(used: int, files: MaskFiles, names: list[str], context: Contex
         used: number of masks that are used.
         files: the mask files.
         names: of all photos of the model.
-        context: gets the messages.
     """
     if used:
         context.info(f"{counted(used, 'photo')} with a mask: what it ignores is not used.")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -58,16 +58,10 @@ def write_export(
 
 
 def _image_record(image: PosedImage) -> dict[str, object]:
-    camera = image.camera
     return {
         "name": image.name,
         "path": str(image.path.absolute()),
-        "width": camera.width,
-        "height": camera.height,
-        "fx": camera.fx,
-        "fy": camera.fy,
-        "cx": camera.cx,
-        "cy": camera.cy,
+        **asdict(image.camera),
         "world_to_camera": image.world_to_camera.tolist(),
         "distorted": image.distorted,
     }
@@ -76,9 +70,7 @@ def _image_record(image: PosedImage) -> dict[str, object]:
 def stored_transform(folder: Path, scene: SfmScene) -> Float64:
     """(4, 4) similarity from the COLMAP frame to the world, of the file beside the model.
 
-    Args:
-        folder: of the project, or of the model.
-        scene: the model.
+    `folder` is that of the project or of the model.
 
     Raises:
         ConfigError: there is none of this model, or the file is damaged.

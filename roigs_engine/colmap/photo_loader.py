@@ -14,7 +14,7 @@ from ..context import QUIET, Context
 from ..errors import SceneError
 from ..formats.rois import FAR
 from ..model.rotations import rotation_entries
-from ..model.scene import Camera, Float64, PosedImage, SfmScene
+from ..model.scene import Float64, PosedImage, SfmScene
 from ..photos.contents import FILE as CONTENTS
 from ..photos.contents import Contents
 from ..photos.files import PhotoFolder
@@ -117,15 +117,16 @@ class PhotoLoader:
             return UNREADABLE
         if not same_shape((camera.width, camera.height), size):
             return WRONG_SIZE
-        pinhole, distorted = as_pinhole(camera), False
+        pinhole = as_pinhole(camera)
         try:
-            if pinhole is None:
-                distorted, target = (
-                    True,
-                    self._undistorted_camera(image, path, camera, size, shrink),
-                )
-            else:
+            if pinhole is not None:
                 target = pinhole.resized(*shrink(*size))
+            elif self._pixels or has_pycolmap():
+                plan = plan_undistortion(path, camera, size, shrink)
+                self._plans[image.image_id], target = plan, plan.target
+            else:
+                self.approximate = True
+                target = without_distortion(camera).resized(*shrink(*size))
         except SceneError:
             return f"{camera.model} {CANNOT_UNDISTORT}"
         self.posed[image.image_id] = PosedImage(
@@ -134,32 +135,15 @@ class PhotoLoader:
             camera=target,
             world_to_camera=pose,
             point_indices=NO_IDS,
-            distorted=distorted,
+            distorted=pinhole is None,
         )
         return ""
-
-    def _undistorted_camera(
-        self,
-        image: ModelImage,
-        path: Path,
-        camera: ModelCamera,
-        size: tuple[int, int],
-        shrink: Shrink,
-    ) -> Camera:
-        """The pinhole of a distorted camera; plans the photo's undistortion."""
-        if not self._pixels and not has_pycolmap():
-            self.approximate = True
-            return without_distortion(camera).resized(*shrink(*size))
-        plan = plan_undistortion(path, camera, size, shrink)
-        self._plans[image.image_id] = plan
-        return plan.target
 
     def load(self, cache: Path | None, context: Context = QUIET) -> None:
         """Look at the photos; with `pixels`, skip damaged ones and undistort distorted ones.
 
         Args:
             cache: see `load_colmap`.
-            context: gets the progress; checked for cancellation.
 
         Raises:
             As `undistort_all` and `make_masks`.
@@ -239,7 +223,7 @@ class PhotoLoader:
                 self.skipped[UNREADABLE].append(image.name)
                 del self.posed[key]
                 continue
-            remake = partial(undistort_again, plan, path.parent)
+            remake = partial(undistort_again, plan, path)
             self.posed[key] = replace(image, path=path, remake=remake, distorted=False)
 
 

@@ -96,7 +96,6 @@ def photo_pixels(
     Args:
         model: the model's folder (`find_model`).
         images: photos of a scene that was loaded without pixels.
-        context: checked for cancellation.
     """
     images = list(images)
     lenses: dict[str, ModelCamera] = {}

@@ -66,7 +66,6 @@ def load_colmap(
             Needs numpy alone, unless there are masks; without pycolmap, lens distortion is
             ignored, with a warning.
         check: called with the cameras before any photo is decoded; raises what is wrong with them.
-        context: receives messages; checked for cancellation between files and photos.
 
     Raises:
         SceneError: no usable model, points or photos, or a mask that cannot be used.

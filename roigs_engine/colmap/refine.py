@@ -87,7 +87,6 @@ def refine_cameras(
     Args:
         model: a folder with COLMAP's files.
         out: the new folder; nothing is written unless the result is better.
-        context: receives progress; checked for cancellation between the adjustments.
         images: the photos' folder; None: the project's.
         look: whether to look at the photos, too; without any, only the tracks are used.
 

@@ -102,14 +102,10 @@ def fit_to_matches(
         colmap: the module pycolmap.
         scene: its reconstruction; not changed.
         photos: the file of each of `Views(scene).ids`.
-        context: receives progress; checked for cancellation.
 
     Returns:
         The scene with its tracks and the cameras that fit best, its points where they then fit
         (its photos may lose their names); and what was done.
-
-    Raises:
-        Stopped: on request.
     """
     matches = match_tracks(scene, photos, context)
     tracked = colmap.Reconstruction(scene)

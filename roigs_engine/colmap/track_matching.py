@@ -92,11 +92,7 @@ def match_tracks(
     Args:
         scene: with points, tracks and cameras that are right to a pixel or so.
         photos: the file of each of `Views(scene).ids`; None: missing.
-        context: receives progress; checked for cancellation between photos.
         seed: for the choice of points.
-
-    Raises:
-        Stopped: on request.
     """
     views = Views(scene)
     usable = np.array([path is not None for path in photos])
@@ -308,14 +304,10 @@ class Views:
         places: Float64 = np.asarray(self.lenses[view].img_from_cam(local)).reshape(-1, 2)
         return places
 
-    def depths(self, view: int, points: Float64) -> Float64:
-        """(N,) distances along the photo's axis, world units."""
-        depths: Float64 = points @ self._poses[view, 2, :3] + self._poses[view, 2, 3]
-        return depths
-
     def footprints(self, view: int, points: Float64) -> Float64:
         """(N,) what a pixel of the photo covers at each point, world units."""
-        size: Float64 = self.depths(view, points) / self.focals[view]
+        depths = points @ self._poses[view, 2, :3] + self._poses[view, 2, 3]
+        size: Float64 = depths / self.focals[view]
         return size
 
     def jacobians(self, view: int, points: Float64, axes: Float64) -> Float64:

@@ -93,10 +93,7 @@ def as_pinhole(camera: ModelCamera) -> Camera | None:
     first_extra = PINHOLE_AT_ZERO.get(camera.model)
     if first_extra is None or any(camera.params[first_extra:]):
         return None
-    focals = camera.params[:1] * 2 if camera.model in ONE_FOCAL else camera.params[:2]
-    cx, cy = camera.params[first_extra - 2 : first_extra]
-    fx, fy = focals
-    return Camera(width=camera.width, height=camera.height, fx=fx, fy=fy, cx=cx, cy=cy)
+    return without_distortion(camera)
 
 
 def without_distortion(camera: ModelCamera) -> Camera:
@@ -149,27 +146,19 @@ def plan_undistortion(
     return UndistortionPlan(photo=photo, size=size, source=source, target=target)
 
 
-def undistort(plan: UndistortionPlan, folder: Path) -> Path:
-    """The undistorted photo in `folder`; created now if it is not in the cache.
+def undistort_again(plan: UndistortionPlan, path: Path) -> None:
+    """Replace a damaged or lost photo in the cache; raises as `undistort`."""
+    with _again:  # two threads may find the damage at the same time
+        undistort(plan, path)
+
+
+def undistort(plan: UndistortionPlan, path: Path) -> None:
+    """Undistort the photo to a PNG.
 
     Raises:
         PhotoError: the photo cannot be decoded.
-        RunFolderError: the cache folder cannot be written.
+        RunFolderError: the file cannot be written.
     """
-    path = folder / f"{plan.key()}.png"
-    if not path.is_file():
-        _write(plan, path)
-    return path
-
-
-def undistort_again(plan: UndistortionPlan, folder: Path) -> None:
-    """Replace a damaged or lost photo in the cache; raises as `undistort`."""
-    with _again:  # two threads may find the damage at the same time
-        _write(plan, folder / f"{plan.key()}.png")
-
-
-def _write(plan: UndistortionPlan, path: Path) -> None:
-    """Undistort the photo to a PNG."""
     from PIL import Image  # only for pixels: cameras do not need it
 
     from ..photos.decode import decode
@@ -221,7 +210,8 @@ def _mesh(camera: ModelCamera) -> list[Quad]:
     """
     pinhole = undistorted_camera(camera)
     side = max(3, round((max(camera.width, camera.height) / 16) ** 0.5))
-    columns, rows = (_edges(length, side) for length in (pinhole.width, pinhole.height))
+    columns = [*range(0, pinhole.width, side), pinhole.width]
+    rows = [*range(0, pinhole.height, side), pinhole.height]
     x, y = np.meshgrid(columns, rows)
     rays = ((x - pinhole.cx) / pinhole.fx, (y - pinhole.cy) / pinhole.fy, np.ones(x.shape))
     found = _colmap_camera(camera).img_from_cam(np.stack(rays, axis=-1).reshape(-1, 3))
@@ -235,11 +225,6 @@ def _mesh(camera: ModelCamera) -> list[Quad]:
     ]
 
 
-def _edges(length: int, side: int) -> list[int]:
-    """0, side, 2 side, ..., length."""
-    return [*range(0, length, side), length]
-
-
 @lru_cache(maxsize=1024)
 def undistorted_camera(camera: ModelCamera) -> Camera:
     """The pinhole whose view lies inside the distorted photo (no black borders).
@@ -251,12 +236,12 @@ def undistorted_camera(camera: ModelCamera) -> Camera:
         SceneError: the camera has no such pinhole.
     """
     try:
-        pinhole = _pycolmap().undistort_camera(_options(), _colmap_camera(camera))
+        colmap = _pycolmap()
+        options = colmap.UndistortCameraOptions(blank_pixels=0.0)
+        pinhole = colmap.undistort_camera(options, _colmap_camera(camera))
     except (ValueError, RuntimeError) as error:
-        raise SceneError(
-            f"A {camera.model} camera cannot be undistorted ({error}).",
-            HINT_RESAMPLE,
-        ) from error
+        text = f"A {camera.model} camera cannot be undistorted ({error})."
+        raise SceneError(text, HINT_RESAMPLE) from error
     fx, fy, cx, cy = (float(value) for value in pinhole.params)
     if pinhole.width < 1 or pinhole.height < 1 or not np.isfinite([fx, fy, cx, cy]).all():
         text = f"A {camera.model} camera with {camera.params} leaves no image area."
@@ -301,10 +286,6 @@ def _colmap_camera(camera: ModelCamera) -> Any:
     return colmap.Camera(
         model=camera.model, width=camera.width, height=camera.height, params=list(camera.params)
     )
-
-
-def _options() -> Any:
-    return _pycolmap().UndistortCameraOptions(blank_pixels=0.0)
 
 
 def _pycolmap() -> Any:

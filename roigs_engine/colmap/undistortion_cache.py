@@ -29,7 +29,6 @@ def undistort_all(
     Args:
         plans: of the photos; equal ones are undistorted once.
         cache: their folder `undistorted` keeps the photos; None: a temporary folder.
-        context: gets the progress.
 
     Raises:
         SceneError: the machine has too little memory for one of them.
@@ -52,8 +51,8 @@ def undistort_all(
     if space.level == "warning":
         context.emit(space)
 
-    def make(plan: UndistortionPlan) -> Path:
-        return undistort(plan, folder)
+    def make(plan: UndistortionPlan) -> None:
+        undistort(plan, paths[plan.key()])
 
     with in_parallel(make, missing, memory, context, STAGE) as work:
         for plan, job in work:

@@ -50,7 +50,6 @@ def make_masks(
         views: photos that show the box; at least one with strokes or a mask.
         knowledge: what carries masks from photo to photo; nothing is learnt yet.
         centre: (3,) of the box.
-        context: gets the progress; checked for cancellation.
     """
     steps = _Steps(len(views) * (1 + AGREEMENTS), context)
     masks: dict[str, Mask] = {}

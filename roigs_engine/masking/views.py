@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -73,16 +73,9 @@ class Part:
 
     def camera(self, camera: Camera) -> Camera:
         """The photo's camera, for this part alone."""
-        across, down = self.size
-        sx, sy = across / self.width, down / self.height
-        return Camera(
-            width=across,
-            height=down,
-            fx=camera.fx * sx,
-            fy=camera.fy * sy,
-            cx=(camera.cx - self.x) * sx,
-            cy=(camera.cy - self.y) * sy,
-        )
+        cx, cy = camera.cx - self.x, camera.cy - self.y
+        cropped = replace(camera, width=self.width, height=self.height, cx=cx, cy=cy)
+        return cropped.resized(*self.size)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -152,10 +145,8 @@ def part_around(roi: OrientedBox, camera: Camera, world_to_camera: Float64) -> P
         if polygon is None:
             return None
         margin = MARGIN * np.ptp(polygon, axis=0).max() + 2
-        low, high = (
-            np.clip(polygon.min(axis=0) - margin, low, high),
-            np.clip(polygon.max(axis=0) + margin, low, high),
-        )
+        around = polygon.min(axis=0) - margin, polygon.max(axis=0) + margin
+        low, high = np.clip(around, low, high)
     x0, y0 = (math.floor(value) for value in low)
     x1, y1 = (math.ceil(value) for value in high)
     if x1 - x0 < 2 or y1 - y0 < 2:

@@ -174,23 +174,18 @@ class Gaussians:
 
     @classmethod
     def load_framed(cls, path: Path, *, scaled: bool = True) -> tuple[Gaussians, LocalFrame]:
-        """Read a 3DGS PLY into a frame of its own; returns both.
-
-        Args:
-            path: the file.
-            scaled: False: the frame is the world if the file has float32 positions; else it has
-                the world's unit. So all values stay bit for bit.
-
-        Raises:
-            RunFolderError: the file is not one.
-        """
+        """Read a 3DGS PLY with `framed`; RunFolderError if the file is not one."""
         return cls.framed(read_ply(path), scaled=scaled, antialiased=is_antialiased(path))
 
     @classmethod
     def framed(
         cls, arrays: Mapping[str, Floats], *, scaled: bool = True, antialiased: bool = False
     ) -> tuple[Gaussians, LocalFrame]:
-        """Arrays of a PLY in a frame of their own; returns both, as `load_framed`."""
+        """Arrays of a PLY in a frame of their own; returns both.
+
+        Without `scaled`, the frame is the world if the positions are float32; else it has the
+        world's unit. So all values stay bit for bit.
+        """
         if not scaled and arrays["means"].dtype == np.float32:
             return cls.from_arrays(arrays, antialiased=antialiased), LocalFrame.world()
         frame = LocalFrame.of_centres(arrays["means"].astype(np.float64))
@@ -208,11 +203,7 @@ def _to_world(arrays: Mapping[str, Floats], frame: LocalFrame) -> dict[str, Floa
         means = arrays["means"].astype(np.float64) / frame.scale + frame.origin
         stored = means.astype(np.float32) if near else means
     log_scales = arrays["log_scales"] - np.float32(np.log(frame.scale))
-    return {
-        **arrays,
-        "means": stored,
-        "log_scales": log_scales,
-    }
+    return {**arrays, "means": stored, "log_scales": log_scales}
 
 
 def _to_local(arrays: Mapping[str, Floats], frame: LocalFrame) -> dict[str, Floats]:

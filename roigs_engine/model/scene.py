@@ -46,14 +46,8 @@ class Camera:
     def resized(self, width: int, height: int) -> Camera:
         """The same camera for the photo resampled to `width` x `height`."""
         sx, sy = width / self.width, height / self.height
-        return Camera(
-            width=width,
-            height=height,
-            fx=self.fx * sx,
-            fy=self.fy * sy,
-            cx=self.cx * sx,
-            cy=self.cy * sy,
-        )
+        scaled = {"fx": self.fx * sx, "fy": self.fy * sy, "cx": self.cx * sx, "cy": self.cy * sy}
+        return Camera(width=width, height=height, **scaled)
 
     def thumbnail(self, side: int) -> Camera:
         """The same camera with its longer side `side` pixels at most."""

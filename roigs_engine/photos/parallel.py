@@ -50,7 +50,6 @@ def in_parallel(
         work: of one item; called on several threads.
         items: what there is to do.
         memory: most bytes that the work on one item takes.
-        context: may stop the block between items.
         stage: name of the progress that is reported; empty: none is.
     """
     pool = ThreadPoolExecutor(threads_for(memory), thread_name_prefix="photos")

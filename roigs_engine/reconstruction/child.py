@@ -41,7 +41,6 @@ def run_task(
     Raises:
         SceneError: pycolmap failed.
         EngineError: pycolmap is missing or too old, or cannot be started.
-        Stopped: on request.
     """
     with open(log, "ab") as messages:
         child = _started(messages)

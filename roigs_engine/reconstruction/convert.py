@@ -33,7 +33,6 @@ def converted(files: Mapping[str, Path], folder: Folder, context: Context) -> di
     Args:
         files: name -> file.
         folder: of the reconstruction; what an earlier call has converted is used again.
-        context: gets the progress.
 
     Raises:
         EngineError: pillow-heif is not installed, and needed.

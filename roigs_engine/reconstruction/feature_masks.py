@@ -54,7 +54,6 @@ def write_masks(
         source: their folder.
         options: which masks are wanted.
         folder: of the reconstruction.
-        context: gets the messages.
 
     Returns:
         Hash of each mask, by the photo's name; a photo with an opaque alpha channel has none.

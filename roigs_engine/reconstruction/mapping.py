@@ -57,7 +57,6 @@ def map_models(
         folder: with photos and a database.
         total: number of photos.
         settings: `seed` and `threads` of the task.
-        context: gets the progress; checked for cancellation.
 
     Raises:
         SceneError: pycolmap failed.

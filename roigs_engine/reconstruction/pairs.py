@@ -76,7 +76,6 @@ def similarities(
 
     Args:
         photos: (M, 128) descriptors of each.
-        context: gets the progress; checked for cancellation.
         seed: of the words.
     """
     total = len(photos)

@@ -67,7 +67,6 @@ def look_at(files: Mapping[str, Path], remembered: Path, context: Context) -> Fo
     Args:
         files: name -> file.
         remembered: file that keeps what was found, see `photos.contents`.
-        context: gets the progress.
 
     Raises:
         SceneError: fewer than two can be used.

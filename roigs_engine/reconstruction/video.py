@@ -162,7 +162,6 @@ def take_frames(path: Path, folder: Folder, wanted: int, context: Context) -> di
         path: of the video.
         folder: of the reconstruction.
         wanted: about how many frames; 0: as many as the motion asks for.
-        context: gets the progress.
 
     Raises:
         SceneError: the video cannot be read, shows too little, or the folder has another's frames.

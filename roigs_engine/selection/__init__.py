@@ -41,7 +41,6 @@ def select_cameras(
         scene: the model without its test photos (`SfmScene.without`).
         roi: the box.
         config: method and settings.
-        context: receives a warning for each degenerate case; checked for cancellation.
         tests: the model with its test photos only; a warning about few photos counts them.
 
     Raises:

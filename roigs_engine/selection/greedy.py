@@ -34,7 +34,6 @@ def lazy_greedy(
         gain: returns the gain of a view for the current set; must not grow as the set grows.
         add: adds a view to the set.
         count: most views to return; fewer are returned if no remaining view has a gain.
-        context: checked for cancellation.
     """
     heap = [(-gain(view), view, 0) for view in views]
     heapq.heapify(heap)

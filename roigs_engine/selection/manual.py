@@ -58,7 +58,6 @@ def usable_manual(
         scene: the whole scene, test photos included.
         test: the test and validation photos.
         roi: the box's name.
-        context: receives the warnings.
 
     Raises:
         ConfigError: the model does not have a photo, or no photo is left.

@@ -31,7 +31,6 @@ class Request:
         features: of the candidates.
         count: how many to pick, at most all.
         seed: of everything random.
-        context: checked for cancellation.
     """
 
     candidates: Candidates

@@ -30,7 +30,6 @@ def choose_test_views(
         scene: all photos.
         rois: the boxes.
         every: see above.
-        context: checked for cancellation.
 
     Raises:
         ConfigError: `every` is 1 or negative.
