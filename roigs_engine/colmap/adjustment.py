@@ -31,11 +31,10 @@ def adjust(
     points_only: bool = False,
     distortion: bool = True,
 ) -> None:
-    """Find the cameras, poses and points that fit the tracks best.
+    """Find the cameras, poses and points that fit the tracks of `scene` best; changes it.
 
     Args:
-        colmap: the module pycolmap.
-        scene: its reconstruction; changed.
+        scene: pycolmap's reconstruction.
         loss, scale: pycolmap's name of the loss; from how many px on it counts errors less.
         points_only: leave cameras and poses as they are.
         distortion: whether the lenses' distortion may change.
@@ -62,9 +61,7 @@ def adjust(
 def to_leave_out(scene: Any, anchors: Collection[tuple[int, int]] = ()) -> list[Observation]:
     """One observation of every third point with a long track, to judge an adjustment by.
 
-    Args:
-        scene: pycolmap's reconstruction.
-        anchors: ids of photos and keypoints that must stay.
+    `anchors`: ids of photos and keypoints that must stay.
     """
     found = []
     lengths = {key: len(scene.points3D[key].track.elements) for key in scene.point3D_ids()}
@@ -80,7 +77,7 @@ def to_leave_out(scene: Any, anchors: Collection[tuple[int, int]] = ()) -> list[
 
 
 def median_error(scene: Any, observations: Sequence[Observation]) -> float:
-    """Median distance of keypoints from where their points appear, px."""
+    """Median of `errors`."""
     return float(np.median(errors(scene, observations)))
 
 
@@ -199,6 +196,5 @@ def _lines(path: Path) -> list[str]:
 
 
 def _shared(scene: Any) -> list[Any]:
-    """The cameras of enough photos."""
     photos = Counter(image.camera_id for image in scene.images.values())
     return [camera for key, camera in scene.cameras.items() if photos[key] >= FEWEST_PHOTOS]

@@ -104,10 +104,7 @@ def plan_mask(
 ) -> MaskPlan:
     """How to make a mask of a photo at the size of its file; MaskError if `file` cannot be read.
 
-    Args:
-        photo: its file.
-        digest: hash of that file.
-        file, inverted, of_object: see `MaskPlan`.
+    `photo`, `digest`: the photo's file, and its hash; for the others, see `MaskPlan`.
     """
     size = photo_size(photo) or (0, 0)
     if file is not None:
@@ -133,11 +130,6 @@ def find_mask(
     name: str, photo: Path, digest: str, files: MaskFiles, options: MaskOptions
 ) -> MaskPlan | None:
     """How to make the mask of a photo, from a file or its alpha channel; None: it has none.
-
-    Args:
-        name: of the photo.
-        photo, digest: see `plan_mask`.
-        files, options: where masks are, and which are wanted.
 
     Raises:
         MaskError: the mask file cannot be read.
@@ -204,7 +196,7 @@ def make_masks(
 
 
 def _small(mask: Mask) -> NDArray[np.uint8]:
-    """The mask at about the size at which areas are measured (`PhotoMask.small`)."""
+    """The mask at about the size of `PhotoMask.small`."""
     from PIL import Image
 
     scale = min(1.0, AREA_SIDE / max(mask.shape))
@@ -214,12 +206,9 @@ def _small(mask: Mask) -> NDArray[np.uint8]:
 
 
 def mention_masks(used: int, files: MaskFiles, names: list[str], context: Context) -> None:
-    """Say how many photos have a mask, and warn of files that are the mask of no photo.
+    """Say how many masks are used, and warn of files that are the mask of no photo.
 
-    Args:
-        used: number of masks that are used.
-        files: the mask files.
-        names: of all photos of the model.
+    `names`: of all photos of the model.
     """
     if used:
         context.info(f"{counted(used, 'photo')} with a mask: what it ignores is not used.")

@@ -32,8 +32,6 @@ def write_export(
     photo k observes the points observed[starts[k]:starts[k + 1]].
 
     Args:
-        scene: to write.
-        folder: to write to.
         transform: (4, 4) from the COLMAP frame to the world, if the project has one.
         frame: that of the scene, COLMAP or PLACED.
     """

@@ -143,7 +143,6 @@ def _record_count(data: bytes, offset: int, smallest: int) -> tuple[int, int]:
 
 
 def _binary_cameras(data: bytes) -> dict[int, ModelCamera]:
-    """Camera id -> camera, from cameras.bin."""
     number, offset = _record_count(data, 0, 24)
     cameras = {}
     for _ in range(number):
@@ -157,7 +156,6 @@ def _binary_cameras(data: bytes) -> dict[int, ModelCamera]:
 
 
 def _binary_images(data: bytes, context: Context) -> list[ModelImage]:
-    """The photos of images.bin."""
     number, offset = _record_count(data, 0, SMALLEST_IMAGE)
     images = []
     for _ in range(number):
@@ -175,7 +173,6 @@ def _binary_images(data: bytes, context: Context) -> list[ModelImage]:
 
 
 def _binary_points(data: bytes, tracks: bool, context: Context) -> Points:
-    """The points of points3D.bin, with their tracks if `tracks`."""
     number, offset = _record_count(data, 0, POINT_HEAD.itemsize)
     size, length_at = POINT_HEAD.itemsize, POINT_HEAD.itemsize - 8
     starts = np.empty(number, dtype=np.int64)
@@ -235,7 +232,6 @@ def _parsed(line: str, parse: Callable[[list[str]], T], fields: int = -1) -> T:
 
 
 def _text_cameras(data: bytes) -> dict[int, ModelCamera]:
-    """Camera id -> camera, from cameras.txt."""
 
     def parse(words: list[str]) -> tuple[int, ModelCamera]:
         camera_id, model, width, height, *params = words
@@ -246,7 +242,6 @@ def _text_cameras(data: bytes) -> dict[int, ModelCamera]:
 
 
 def _text_images(data: bytes, context: Context) -> list[ModelImage]:
-    """The photos of images.txt."""
     images = []
     for head, tail in _image_lines(data):
         context.check_cancelled()
@@ -263,7 +258,6 @@ def _text_images(data: bytes, context: Context) -> list[ModelImage]:
 
 
 def _text_points(data: bytes, tracks: bool, context: Context) -> Points:
-    """The points of points3D.txt, with their tracks if `tracks`."""
 
     def parse(words: list[str]) -> tuple[int, list[float], list[int]]:
         context.check_cancelled()

@@ -64,7 +64,6 @@ def align(
     """Where a photo shows the references.
 
     Args:
-        photo: the photo.
         places: (N, 2) where to begin, px.
         jacobians: (N, 2, 2) px of the photo per sample of a patch, if shapes are as expected.
         references: (N, P) of `templates`.
@@ -103,7 +102,6 @@ def _sampled(photo: Pyramid, places: Float64, jacobians: Float64) -> tuple[Grey,
 def _aligned(
     photo: Pyramid, places: Float64, jacobians: Float64, references: Grey, reach: Float64
 ) -> tuple[Float64, NDArray[np.bool_], Float64]:
-    """`align` for one batch."""
     count = len(places)
     slopes = _slopes(references)  # (N, P, 6): what moves and shapes change
     weighted = slopes * WEIGHTS[None, :, None]

@@ -142,11 +142,7 @@ class PhotoLoader:
     def load(self, cache: Path | None, context: Context = QUIET) -> None:
         """Look at the photos; with `pixels`, skip damaged ones and undistort distorted ones.
 
-        Args:
-            cache: see `load_colmap`.
-
-        Raises:
-            As `undistort_all` and `make_masks`.
+        `cache`: see `load_colmap`. Raises as `undistort_all` and `make_masks`.
         """
         if self._pixels or cache is not None:
             self._identify(cache, context)
@@ -174,7 +170,7 @@ class PhotoLoader:
             self.posed[key] = replace(image, file_digest=content.digest, digest=digest)
 
     def _mask(self, cache: Path | None, context: Context) -> None:
-        """Give the photos their masks; skip those that are hidden whole. Raises as `make_masks`."""
+        """Give the photos their masks; skip those that are hidden whole."""
         plans = {}
         for key, image in self.posed.items():
             plan = find_mask(
@@ -199,12 +195,11 @@ class PhotoLoader:
         return replace(plan, undistortion=self._plans.get(key), target=target)
 
     def _skip(self, key: int, reason: str) -> None:
-        """Leave out a photo that was posed."""
         self.skipped[reason].append(self.posed.pop(key).name)
         self._plans.pop(key, None)
 
     def _mask_objects(self, cache: Path | None, context: Context) -> None:
-        """Give the photos the masks of the boxes' objects. Raises as `make_masks`."""
+        """Give the photos the masks of the boxes' objects."""
         found = plan_object_masks(self.posed, self._mask_files, self._masks)
         plans = {(key, box): self._for_camera(plan, key) for (key, box), plan in found.items()}
         made = make_masks(plans, cache, context, write=self._pixels)
@@ -213,7 +208,6 @@ class PhotoLoader:
             self.posed[key] = replace(image, objects={**image.objects, box: mask})
 
     def _undistort(self, cache: Path | None, context: Context) -> None:
-        """Undistort distorted photos, or take them from the cache, see `undistort_all`."""
         if not self._plans:
             return
         made = undistort_all(self._plans.values(), cache, context)

@@ -93,9 +93,7 @@ def photo_pixels(
 ) -> dict[str, PhotoPixels]:
     """The pixels of photos by name.
 
-    Args:
-        model: the model's folder (`find_model`).
-        images: photos of a scene that was loaded without pixels.
+    `model`: the model's folder; `images`: of a scene that was loaded without pixels.
     """
     images = list(images)
     lenses: dict[str, ModelCamera] = {}

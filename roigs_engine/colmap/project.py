@@ -97,7 +97,6 @@ def load_colmap(
 def _scene(
     loader: PhotoLoader, observed: dict[int, Int64], points: Float64, colors: NDArray[np.uint8]
 ) -> SfmScene:
-    """The scene of the loader's photos."""
     found = [
         replace(image, point_indices=observed.get(image_id, NO_IDS))
         for image_id, image in loader.posed.items()

@@ -79,14 +79,13 @@ def refine_cameras(
     images: Path | None = None,
     look: bool = True,
 ) -> Refinement:
-    """Refine the model in the folder `model`, and write the result to the folder `out`.
+    """Refine the model in the folder `model`, and write the result to the new folder `out`.
 
     The world stays where it is: a similarity carries the refined points onto the old ones, so boxes
-    keep their place. The photos' names and the tracks do not change.
+    keep their place. The photos' names and the tracks do not change. Nothing is written unless the
+    result is better.
 
     Args:
-        model: a folder with COLMAP's files.
-        out: the new folder; nothing is written unless the result is better.
         images: the photos' folder; None: the project's.
         look: whether to look at the photos, too; without any, only the tracks are used.
 

@@ -313,10 +313,7 @@ class Views:
     def jacobians(self, view: int, points: Float64, axes: Float64) -> Float64:
         """(N, 2, 2): where two short steps from each point lead in the photo, px, as columns.
 
-        Args:
-            view: row of the photo.
-            points: (N, 3).
-            axes: (N, 3, 2) the steps, as columns, world units.
+        `points`: (N, 3); `axes`: (N, 3, 2) the steps, as columns, world units.
         """
         centre = self.project(view, points)
         steps = [self.project(view, points + axes[:, :, k]) - centre for k in range(2)]

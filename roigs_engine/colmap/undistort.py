@@ -179,10 +179,8 @@ def undistorted_pixels(
 ) -> NDArray[np.uint8]:
     """A picture (H, W, 3) of the camera's size as the camera's pinhole sees it.
 
-    Args:
-        pixels, camera: the picture, and the lens it was taken with.
-        sharp: cubic interpolation; otherwise linear, which has no overshoot (for masks). Linear
-            interpolation blurs: half a pixel from a pixel's centre it is the mean of 2 x 2.
+    `sharp`: cubic interpolation; otherwise linear, which has no overshoot (for masks), but blurs:
+    half a pixel from a pixel's centre it is the mean of 2 x 2.
     """
     from PIL import Image
 

@@ -26,9 +26,7 @@ def undistort_all(
 ) -> dict[str, Path]:
     """The undistorted photos by their plans' keys; the damaged ones are left out.
 
-    Args:
-        plans: of the photos; equal ones are undistorted once.
-        cache: their folder `undistorted` keeps the photos; None: a temporary folder.
+    `cache`: its folder `undistorted` keeps them; None: a temporary folder.
 
     Raises:
         SceneError: the machine has too little memory for one of them.

@@ -160,10 +160,7 @@ def masked_photos(
 ) -> list[str]:
     """The photos to make masks for: those selected, some more if these are few, and the scribbled.
 
-    Args:
-        selected: for the box, best first.
-        seeing: all that see the box.
-        scribbled: photos with strokes.
+    `selected`: best first; `seeing`: all that see the box; `scribbled`: photos with strokes.
     """
     names = list(dict.fromkeys([*scribbled, *selected]))
     more = [name for name in seeing if name not in names]
@@ -177,12 +174,10 @@ Strokes = Mapping[str, tuple[Stroke, ...]]
 def basis_digest(
     model: Path | None, scene: SfmScene, roi: OrientedBox, rois: Sequence[OrientedBox]
 ) -> str:
-    """Hash of what carries masks from photo to photo: the model, or the sparse points.
+    """Hash of what carries masks from photo to photo: the model, or else the sparse points.
 
     Args:
         model: the PLY; None: there is none.
-        scene: with the sparse points.
-        roi: the box.
         rois: all boxes, which share the Gaussians.
 
     Raises:
@@ -199,19 +194,11 @@ def basis_digest(
 
 
 def _inputs(views: Iterable[View], strokes: Strokes, basis: str) -> dict[str, str]:
-    """The hash of what decides each photo's mask; a mask with the same hash is kept.
+    """By photo, the hash of what decides its mask; a mask with the same hash is kept.
 
     The inputs are the photo with its camera and strokes, the strokes that the work begins with, the
-    boxes, and the model. Strokes that correct another photo are none of them: masks that a person
-    has looked at stay as they are.
-
-    Args:
-        views: the photos.
-        strokes: on photos, by their names.
-        basis: of `basis_digest`.
-
-    Raises:
-        PhotoError: a photo cannot be read.
+    boxes, and the model (`basis`). Strokes that correct another photo are none of them: masks that
+    a person has looked at stay as they are.
     """
     views = list(views)
     drawn = [view for view in views if view.is_scribbled]

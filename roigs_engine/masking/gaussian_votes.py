@@ -75,7 +75,6 @@ class GaussianVotes:
         return object_rows(self._model, self._sum(None), self._owned)
 
     def _sum(self, without: str | None) -> Votes:
-        """The votes of all photos but one."""
         zero = torch.zeros(len(self._model), device=self._model.means.device)
         yes, no = zero, zero.clone()
         for name, pair in self._votes.items():

@@ -166,10 +166,8 @@ def view_of(
     """A part of a photo, ready to be worked on.
 
     Args:
-        photo: the photo's pixels, and where they are in its file.
-        roi: the box, in the frame of `world_to_camera`.
+        roi: the box, in the frame of `world_to_camera`, (4, 4).
         part: of the photo, of `part_around`.
-        world_to_camera: (4, 4).
         strokes: on the photo, in pixels of its file.
         given: (H, W) the user's mask at the size of the photo's camera.
     """

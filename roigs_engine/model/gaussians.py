@@ -142,20 +142,11 @@ class Gaussians:
         return cls(**tensors, antialiased=antialiased)
 
     def save_ply(self, path: Path, frame: LocalFrame | None = None) -> None:
-        """Write a standard 3DGS PLY, atomically.
-
-        Args:
-            path: the file.
-            frame: of these Gaussians; the file is in the world's. None: they are in the world's.
-        """
+        """Write a standard 3DGS PLY in the world, atomically; `frame`: of these Gaussians."""
         write_ply(path, self.arrays(frame), antialiased=self.antialiased)
 
     def arrays(self, frame: LocalFrame | None = None) -> dict[str, Floats]:
-        """The five arrays by name, as a PLY has them.
-
-        Args:
-            frame: of these Gaussians; the arrays are in the world's. None: they are in the world's.
-        """
+        """The five arrays by name, as a PLY has them, in the world; `frame`: of these Gaussians."""
         arrays: dict[str, Floats] = {
             name: t.detach().cpu().numpy() for name, t in self.tensors().items()
         }
@@ -163,11 +154,7 @@ class Gaussians:
 
     @classmethod
     def load_ply(cls, path: Path, frame: LocalFrame | None = None) -> Gaussians:
-        """Read a 3DGS PLY, into a frame if one is given.
-
-        Raises:
-            RunFolderError: the file is not one.
-        """
+        """Read a 3DGS PLY, into a frame if one is given; RunFolderError if the file is not one."""
         arrays = read_ply(path)
         local = arrays if frame is None else _to_local(arrays, frame)
         return cls.from_arrays(local, antialiased=is_antialiased(path))

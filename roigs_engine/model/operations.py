@@ -17,11 +17,7 @@ from .roi import OrientedBox
 
 
 def crop(gaussians: Gaussians, roi: OrientedBox, rois: Sequence[OrientedBox]) -> Gaussians:
-    """The Gaussians that `roi` owns among all boxes `rois`.
-
-    Raises:
-        RoiError: no box of `rois` has the name of `roi`.
-    """
+    """The Gaussians that `roi` owns among all boxes `rois`; RoiError if none has its name."""
     names = [other.name for other in rois]
     if roi.name not in names:
         raise RoiError(f"Box '{roi.name}' is not among the run's boxes ({', '.join(names)}).")
@@ -40,11 +36,6 @@ def merge(
     The result has the scene's Gaussians that no box owns, in their order, then for each box the
     object model's Gaussians that this box owns. Models with fewer SH bands are padded with zeros.
     The result is on the scene model's device. The inputs do not change.
-
-    Args:
-        scene: the scene model.
-        objects: boxes and their models.
-        owned: which box owns a Gaussian.
     """
     rois = [roi for roi, _ in objects]
     parts = [scene.rows(owned(scene, rois) == -1)]
@@ -62,15 +53,11 @@ changes between the frames of a fly-in were twice as large.
 
 
 def faded(logit_opacities: Tensor, density: float) -> Tensor:
-    """The logits of Gaussians of which only a share is there; 1 keeps every bit.
+    """The logits (N,) of Gaussians of which only a share is there; 1 keeps every bit.
 
     Of a Gaussian that lets t >= LEAST of the light through, t^density comes through: through two
     models of the same thing, with densities that add up to 1, as much light comes as through one.
     The part of t that is below is scaled evenly from 1 to t / LEAST.
-
-    Args:
-        logit_opacities: (N,).
-        density: above 0, at most 1.
     """
     if density == 1:
         return logit_opacities

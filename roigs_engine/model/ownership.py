@@ -120,14 +120,10 @@ class Partition:
 
 
 def joined(models: Iterable[Gaussians], partition: Partition) -> Gaussians:
-    """One model: of each model, the Gaussians whose centre it owns.
+    """One model, on the models' device: of each model, the Gaussians whose centre it owns.
 
-    Args:
-        models: those of the partition, in their order; needed one at a time.
-        partition: computed on the CPU, so that all devices give the same owners.
-
-    Returns:
-        On the models' device.
+    `models` are those of the partition, in its order; they are needed one at a time. Owners are
+    computed on the CPU, so that all devices give the same.
     """
     import torch
 

@@ -135,9 +135,7 @@ def few_photos(roi: str, count: int, *, points: int = 1, tests: int = 0) -> list
 def kind_of_photos(count: int, tests: int) -> tuple[str, str]:
     """What photos of a box are called, and the words about test photos behind its name.
 
-    Args:
-        count: photos that see the box, without test photos.
-        tests: test photos that see it.
+    `count`, `tests`: how many training and test photos see it.
     """
     if not tests:
         return "photo", ""

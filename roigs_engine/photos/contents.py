@@ -65,16 +65,10 @@ class Contents:
     def read(
         self, photos: Mapping[str, Path], context: Context = QUIET, *, check: bool = True
     ) -> dict[str, Content]:
-        """The content of photos, by name; reads the files that are not known.
+        """The content of photos (name -> file), by name; reads the files that are not known.
 
-        Args:
-            photos: name -> file.
-            context: gets the progress, if photos are decoded, and warnings.
-            check: decode the photos too; otherwise `whole` may stay unknown, and nothing is
-                remembered.
-
-        Raises:
-            Stopped: on request; what was found until then is remembered.
+        With `check`, photos are decoded too, and progress is reported; otherwise `whole` may stay
+        unknown, and nothing is remembered. After a stop, what was found until then is remembered.
         """
         found = {name: self._current(name, path, check) for name, path in photos.items()}
         missing = [name for name, content in found.items() if content is None]
@@ -159,7 +153,6 @@ def _warn_of_tones(found: Mapping[str, Content], context: Context) -> None:
 
 
 def _memory(path: Path) -> int:
-    """Most bytes that `_read` takes."""
     try:
         return decoding_bytes(path, photo_size(path) or (0, 0))
     except PhotoError:
@@ -167,7 +160,6 @@ def _memory(path: Path) -> int:
 
 
 def _remembered(path: Path) -> dict[str, Content]:
-    """Name -> content, from the file; nothing if it is missing or damaged."""
     record = read_record(path)
     photos: Any = record.get("photos")
     if record.get("version") != VERSION or record.get(CHECKSUM) != json_digest(photos):

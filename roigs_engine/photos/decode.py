@@ -88,7 +88,6 @@ def averaged(pixels: Pixels, n: int) -> Pixels:
 
 
 def _load(image: PosedImage, size: tuple[int, int]) -> Pixels:
-    """The photo in another size; raises as `load_photo`."""
     if image.remake is None:  # else the engine made the file
         check_unchanged(image.path, image.digest)
     try:
@@ -101,7 +100,7 @@ def _load(image: PosedImage, size: tuple[int, int]) -> Pixels:
 
 
 def _draft_factor(full: tuple[int, int], drafted: tuple[int, int]) -> int:
-    """The factor by which JPEG's draft mode reduced the photo: 1, 2, 4 or 8."""
+    """By which factor JPEG's draft mode reduced the photo: 1, 2, 4 or 8."""
     return next((n for n in (1, 2, 4, 8) if -(-full[0] // n) == drafted[0]), 1)
 
 

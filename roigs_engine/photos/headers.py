@@ -117,7 +117,6 @@ def open_photo(path: Path) -> Image:
 
 
 def _usable(path: Path, size: tuple[int, int] | None) -> tuple[int, int] | None:
-    """The size; PhotoError if it is not a photo's."""
     if size is not None and not 0 < size[0] * size[1] <= MAX_PIXELS:
         raise unreadable(path, ValueError(f"its header says {size[0]} x {size[1]} pixels"))
     return size

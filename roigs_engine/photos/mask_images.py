@@ -36,10 +36,9 @@ class MaskError(SceneError):
 def read_mask(
     path: Path, photo: tuple[int, int], *, inverted: bool = False, hint: str = HINT
 ) -> Mask:
-    """The mask in a file, at the file's own size.
+    """The mask in a file, a PNG of any depth, at the file's own size.
 
     Args:
-        path: a PNG of any depth.
         photo: (width, height) of its photo, whose shape the mask must have.
         inverted: whether black counts and all else is ignored.
         hint: what to do with a file that cannot be read.
@@ -132,7 +131,6 @@ def load_object_mask(image: PosedImage, box: str) -> Mask | None:
 
 
 def _loaded(mask: PhotoMask, image: PosedImage, least: int) -> Mask:
-    """A mask of a posed photo at its camera's size; made again if its file is lost or damaged."""
     size = (image.camera.width, image.camera.height)
     try:
         return resized(stored_mask(mask.path), size, least)
@@ -189,7 +187,6 @@ def _bright(image: Image.Image) -> Mask:
 
 
 def _reason(path: Path, error: Exception) -> str:
-    """Why a mask cannot be read, in words."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     if path.is_file() and not path.stat().st_size:

@@ -48,7 +48,6 @@ def in_parallel(
 
     Args:
         work: of one item; called on several threads.
-        items: what there is to do.
         memory: most bytes that the work on one item takes.
         stage: name of the progress that is reported; empty: none is.
     """

@@ -77,7 +77,6 @@ def _result(
     context: Context,
     poll: Callable[[dict[str, Any]], None],
 ) -> Any:
-    """Read the child's records until it ends."""
     assert child.stdin is not None
     lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(child, lines), daemon=True).start()
@@ -118,7 +117,6 @@ def _ended(status: int, log: Path) -> SceneError:
 
 
 def _record(line: bytes) -> dict[str, Any]:
-    """The record on a line; empty if it is none."""
     with suppress(ValueError):
         record = json.loads(line)
         return record if isinstance(record, dict) else {}

@@ -26,13 +26,10 @@ RECORD = "converted.json"
 
 
 def converted(files: Mapping[str, Path], folder: Folder, context: Context) -> dict[str, Path]:
-    """The photos, those of foreign formats replaced by JPEG files in the folder's images.
+    """The photos (name -> file), foreign ones replaced by JPEG files in the folder's images.
 
-    `a.heic` becomes `a.heic.jpg`. A photo that cannot be read stays as it is.
-
-    Args:
-        files: name -> file.
-        folder: of the reconstruction; what an earlier call has converted is used again.
+    `a.heic` becomes `a.heic.jpg`. A photo that cannot be read stays as it is. What an earlier call
+    has converted is used again.
 
     Raises:
         EngineError: pillow-heif is not installed, and needed.
@@ -67,7 +64,6 @@ def converted(files: Mapping[str, Path], folder: Folder, context: Context) -> di
 
 
 def _register(photos: int) -> None:
-    """Make Pillow read HEIC files."""
     try:
         import pillow_heif
     except ImportError as error:

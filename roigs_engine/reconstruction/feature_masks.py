@@ -47,13 +47,8 @@ def write_masks(
 ) -> dict[str, str]:
     """Write the masks that the folder does not have yet, and say how many there are.
 
-    Masks that are not used any more are removed, unless a person has changed them.
-
-    Args:
-        photos: those to reconstruct.
-        source: their folder.
-        options: which masks are wanted.
-        folder: of the reconstruction.
+    Masks that are not used any more are removed, unless a person has changed them. `source` is the
+    photos' folder.
 
     Returns:
         Hash of each mask, by the photo's name; a photo with an opaque alpha channel has none.
@@ -168,7 +163,6 @@ def _forget(names: Iterable[str], known: Mapping[str, Kept], folder: Folder) -> 
 
 
 def _record(folder: Folder) -> dict[str, Kept]:
-    """What is known of the masks that were written, by the photos' names."""
     found = {}
     for name, entry in read_record(folder.work(RECORD)).items():
         with suppress(TypeError):

@@ -32,9 +32,7 @@ def all_pairs(names: Sequence[str]) -> list[Pair]:
 def in_order(names: Sequence[str], overlap: int = OVERLAP, jumps: int = 0) -> list[Pair]:
     """Photos that follow one another, at most `overlap` apart, or 2, 4, 8, ... (`jumps` of these).
 
-    Args:
-        names: sorted.
-        overlap, jumps: see above.
+    `names` are sorted.
     """
     steps = sorted({*range(1, overlap + 1), *(overlap + 2**power for power in range(1, jumps + 1))})
     return [(names[row], names[row + k]) for k in steps for row in range(len(names) - k)]
@@ -74,9 +72,7 @@ def similarities(
 ) -> NDArray[np.float32]:
     """(N, N) number of matches between the photos' largest features, symmetric, 0 if not compared.
 
-    Args:
-        photos: (M, 128) descriptors of each.
-        seed: of the words.
+    `photos`: (M, 128) descriptors of each; `seed`: of the words.
     """
     total = len(photos)
     found = np.zeros((total, total), dtype=np.float32)

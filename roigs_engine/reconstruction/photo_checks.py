@@ -62,11 +62,7 @@ class Found:
 
 
 def look_at(files: Mapping[str, Path], remembered: Path, context: Context) -> Found:
-    """Look at photos.
-
-    Args:
-        files: name -> file.
-        remembered: file that keeps what was found, see `photos.contents`.
+    """Look at photos, name -> file; `remembered` keeps what was found (`photos.contents`).
 
     Raises:
         SceneError: fewer than two can be used.
@@ -108,7 +104,6 @@ def camera_groups(photos: Sequence[Photo], cameras: str) -> list[list[Photo]]:
 def _look(
     names: Sequence[str], files: Mapping[str, Path], digests: Mapping[str, str], context: Context
 ) -> list[Photo]:
-    """The photos of these names, decoded once, small."""
     sizes = {name: photo_size(files[name]) or (1, 1) for name in names}
     memory = max(decoding_bytes(files[name], sizes[name]) for name in names)
 
@@ -127,7 +122,6 @@ def _look(
 
 
 def _device(path: Path) -> str:
-    """The photo's camera by its EXIF data, see `Photo.device`."""
     with suppress(Exception):  # Pillow's readers raise nearly anything on damaged files
         with open_photo(path) as photo:
             tags = photo.getexif()
@@ -138,7 +132,6 @@ def _device(path: Path) -> str:
 
 
 def _sharpness(path: Path, size: tuple[int, int]) -> float:
-    """See `Photo.sharpness`."""
     factor = min(1.0, LOOK_SIDE / max(size))
     small = max(1, round(size[0] * factor)), max(1, round(size[1] * factor))
     return fine_detail(decode(path, small).mean(axis=2, dtype=np.float32))

@@ -60,10 +60,7 @@ def warnings_of_matches(
 ) -> list[str]:
     """What the matches tell before photos are registered: one sentence each, usually none.
 
-    Args:
-        names: of the photos.
-        matched: `database.matched_pairs`.
-        kinds: `database.pair_kinds`.
+    `matched`, `kinds`: `database.matched_pairs` and `database.pair_kinds`.
     """
     found = []
     groups = [group for group in connected(names, matched) if len(group) >= GROUP]
@@ -191,7 +188,6 @@ def as_markdown(result: Reconstruction) -> str:
 
 
 def _metrics(result: Reconstruction) -> list[str]:
-    """The rows of the result."""
     best = result.models[0]
     observed = list(best.photos.values())
     return [
@@ -204,7 +200,6 @@ def _metrics(result: Reconstruction) -> list[str]:
 
 
 def _rest(result: Reconstruction) -> list[str]:
-    """The table of the photos that were not registered."""
     if not result.missing:
         return []
     head = ["", "## Not registered", "", "| photo | why |", "|---|---|"]
@@ -214,7 +209,6 @@ def _rest(result: Reconstruction) -> list[str]:
 
 
 def _weak(result: Reconstruction) -> list[str]:
-    """The table of the photos whose poses rest on little."""
     few = {name: n for name, n in result.registered.items() if n < FEW_POINTS}
     if not few:
         return []

@@ -120,9 +120,7 @@ def grey(frame: Any, side: int) -> Pixels:
 def picture_of(frame: Any, ratio: float) -> Pixels:
     """(H, W, 3) sRGB of a frame, turned as its metadata say, and its pixels square.
 
-    Args:
-        frame: of `Video.frames`.
-        ratio: width of a pixel by its height.
+    `ratio`: width of a pixel by its height.
     """
     width = max(2, round(frame.width * ratio))
     rgb = frame.reformat(width=width, height=frame.height, format="rgb24").to_ndarray()
@@ -158,10 +156,7 @@ class Seen:
 def take_frames(path: Path, folder: Folder, wanted: int, context: Context) -> dict[str, Path]:
     """Write the frames of a video that become photos; name -> file. What is there is kept.
 
-    Args:
-        path: of the video.
-        folder: of the reconstruction.
-        wanted: about how many frames; 0: as many as the motion asks for.
+    `wanted`: about how many frames; 0: as many as the motion asks for.
 
     Raises:
         SceneError: the video cannot be read, shows too little, or the folder has another's frames.
@@ -261,9 +256,7 @@ def _block_shift(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
 def choose(seen: Sequence[Seen], wanted: int = 0) -> list[Seen]:
     """The frames that become photos: the sharpest of each part of the way, in order.
 
-    Args:
-        seen: all frames.
-        wanted: number of parts; 0: as many as the way is long.
+    `wanted`: number of parts; 0: as many as the way is long.
     """
     way = max((frame.moved for frame in seen), default=0.0)
     parts = wanted or int(np.clip(round(way / STEP), FEWEST, MOST))
@@ -284,7 +277,6 @@ def choose(seen: Sequence[Seen], wanted: int = 0) -> list[Seen]:
 
 
 def _write(video: Video, missing: Mapping[int, Path], context: Context) -> None:
-    """Write these frames; each appears when it is complete."""
     context.emit(StageStarted(stage=WRITE, total=len(missing)))
     began, done, last = time.monotonic(), 0, max(missing)
     for number, frame in video.frames():

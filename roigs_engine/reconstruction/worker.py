@@ -145,7 +145,6 @@ def _written(model: Any, folder: Path) -> dict[str, Any]:
 
 
 def _normalise(model: Any) -> None:
-    """Give the model the frame that `normalisation` says."""
     images = [model.images[key] for key in model.reg_image_ids()]
     points = {key: point.xyz for key, point in model.points3D.items()}
     poses = np.tile(np.eye(4), (len(images), 1, 1))
@@ -191,12 +190,7 @@ def normalisation(poses: Matrix, points: Matrix, distance: float) -> Similarity:
 
 
 def floor(heights: Vector, top: float) -> float:
-    """The height of the floor: the lowest layer with many points, below the highest camera.
-
-    Args:
-        heights: of the points.
-        top: of the highest camera.
-    """
+    """The height of the floor: the lowest layer with many points below the highest camera."""
     low, high = np.quantile(heights, (LOWEST / 2, 1 - LOWEST / 2))
     counts, edges = np.histogram(heights, bins=LAYERS, range=(low, min(high, max(top, low))))
     filled = counts[counts > 0]

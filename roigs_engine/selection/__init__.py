@@ -39,7 +39,6 @@ def select_cameras(
 
     Args:
         scene: the model without its test photos (`SfmScene.without`).
-        roi: the box.
         config: method and settings.
         tests: the model with its test photos only; a warning about few photos counts them.
 
@@ -85,7 +84,6 @@ def _count_flags(
     tests: SfmScene | None,
     context: Context,
 ) -> tuple[str, ...]:
-    """Warnings about too few candidates."""
     if candidates >= FEW and (config.count is None or candidates >= config.count):
         return ()
     testing = 0 if tests is None else len(observations(tests, roi, context))

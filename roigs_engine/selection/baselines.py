@@ -33,12 +33,7 @@ def most_keypoints(candidates: Candidates) -> int:
 def farthest_first(positions: Float64, start: Sequence[int], count: int) -> list[int]:
     """`start` extended to `count` photos; each next one is farthest from all before it.
 
-    The name breaks ties.
-
-    Args:
-        positions: (V, D) one row per candidate.
-        start: at least one candidate, unique.
-        count: number of photos to return, at most V.
+    The name breaks ties. `positions`: (V, D) one row per candidate; `start`: at least one of them.
     """
     order = list(start[:count])
     nearest = np.full(len(positions), np.inf)

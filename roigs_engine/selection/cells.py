@@ -168,11 +168,7 @@ def photos_of_cells(views: Views, owner: Int64, camera: Int64, count: int) -> Bo
     A photo trains the cell that it shows most of, each that it shows `SHOWN` of, and the one that
     its camera stands in if it shows any of it: the air of a cell is in the pictures taken there.
 
-    Args:
-        views: the observations.
-        owner: (P,) the cell of each point.
-        camera: (V,) the cell of each camera.
-        count: number of cells.
+    `owner`: (P,) the cell of each point; `camera`: (V,) that of each camera.
     """
     shares = views.shares(owner, count)
     rows = np.arange(len(shares))
@@ -188,10 +184,7 @@ def visible_owners(views: Views, owner: Int64, photos: Bools) -> Int64:
     A point stays in its cell unless the photos of another one observe it more than `1 / FEWER`
     times as often: then its own cell's training hardly knows it.
 
-    Args:
-        views: the observations.
-        owner: (P,) the cell of each point by its place.
-        photos: (V, count) which photos train which cell.
+    `owner`: (P,) the cell of each point by its place; `photos`: (V, count) of `photos_of_cells`.
     """
     times = np.stack([views.times(column) for column in photos.T], axis=1)
     best = times.argmax(axis=1)
@@ -224,9 +217,7 @@ Groups = tuple[tuple[str, ...], ...]
 def parsed_groups(texts: Sequence[str], boxes: Sequence[str]) -> Groups:
     """The groups that the option names, `vase,tin`, once each; boxes without one are one more.
 
-    Args:
-        texts: values of the option; `all`, unless a box has that name, is all boxes.
-        boxes: names of the boxes.
+    `all`, unless a box has that name, is all boxes.
 
     Raises:
         ConfigError: a box is unknown or is named twice, or `all` is not alone.
@@ -258,8 +249,7 @@ def _names(text: str, boxes: Sequence[str]) -> tuple[str, ...]:
 def groups_by_photos(seen: Mapping[str, Set[str]]) -> Groups:
     """The boxes in groups: two are in one if they share photos, or both do with a third.
 
-    Args:
-        seen: box -> names of the photos that see it.
+    `seen`: box -> names of the photos that see it.
     """
     boxes, group = list(seen), {name: name for name in seen}
     for index, one in enumerate(boxes):

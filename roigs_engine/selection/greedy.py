@@ -29,11 +29,8 @@ def lazy_greedy(
 ) -> list[int]:
     """Up to `count` views, each with the largest gain given those before it; view ids break ties.
 
-    Args:
-        views: the views to choose from.
-        gain: returns the gain of a view for the current set; must not grow as the set grows.
-        add: adds a view to the set.
-        count: most views to return; fewer are returned if no remaining view has a gain.
+    There are fewer if no remaining view has a gain. `gain`, of a view for the current set, must not
+    grow as the set grows; `add` adds a view to the set.
     """
     heap = [(-gain(view), view, 0) for view in views]
     heapq.heapify(heap)

@@ -57,7 +57,6 @@ def usable_manual(
         names: the user's photos.
         scene: the whole scene, test photos included.
         test: the test and validation photos.
-        roi: the box's name.
 
     Raises:
         ConfigError: the model does not have a photo, or no photo is left.
