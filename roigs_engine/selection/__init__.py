@@ -13,9 +13,9 @@ from ..model.scene import SfmScene
 from ..model.scene_checks import FEW, few_photos, kind_of_photos
 from ..model.visibility import find_candidates, observations, visible_images
 from .config import SelectionConfig
-from .methods import METHODS, Request
-from .result import CameraSelection, Picks, format_selection
-from .static import static_features
+from .methods import METHODS
+from .request import Picks, Request, static_features
+from .result import CameraSelection, format_selection
 
 __all__ = [
     "METHODS",

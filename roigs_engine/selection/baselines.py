@@ -1,4 +1,4 @@
-"""`fvs` and `random`: baselines; farthest view sampling also completes saturated selections."""
+"""`static`, `fvs` and `random`: baselines; farthest views also complete saturated selections."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from ..model.scene import Float64
 from ..model.visibility import Candidates
-from .result import Picks
+from .request import Picks, Request
 
 # Weight of log distance against the unit direction: a factor of 2 in distance counts as much as an
 # angle of about 10 degrees.
@@ -49,25 +49,43 @@ def farthest_first(positions: Float64, start: Sequence[int], count: int) -> list
     return order
 
 
-def order_fvs(candidates: Candidates, count: int) -> Picks:
+def order_static(request: Request) -> Picks:
+    """The photos with the best sum of ranks of -distance, area and keypoints (paper, ablation 3).
+
+    Equal values share their mean rank; names break ties (candidates are in name order).
+    """
+    of = request.features
+    ranks = _ranks(of.distance) + _ranks(-of.area) + _ranks(-of.keypoints)
+    return Picks(order=tuple(np.argsort(ranks, kind="stable")[: request.count].tolist()))
+
+
+def _ranks(values: Float64) -> Float64:
+    """(V,) -> (V,) ranks from 1, ascending; equal values share their mean rank."""
+    _, index, counts = np.unique(values, return_inverse=True, return_counts=True)
+    ranks: Float64 = (np.cumsum(counts) - (counts - 1) / 2)[index]
+    return ranks
+
+
+def order_fvs(request: Request) -> Picks:
     """Farthest view sampling, from the photo that sees most points of the box."""
+    candidates = request.candidates
     start = [most_keypoints(candidates)]
-    return Picks(order=tuple(farthest_first(view_positions(candidates), start, count)))
+    positions = view_positions(candidates)
+    return Picks(order=tuple(farthest_first(positions, start, request.count)))
 
 
-def order_random(candidates: Candidates, count: int, seed: int) -> Picks:
+def order_random(request: Request) -> Picks:
     """A seeded random order."""
-    order = np.random.default_rng(seed).permutation(len(candidates))
-    return Picks(order=tuple(order[:count].tolist()))
+    order = np.random.default_rng(request.seed).permutation(len(request.candidates))
+    return Picks(order=tuple(order[: request.count].tolist()))
 
 
-def fill_up(
-    candidates: Candidates, order: Sequence[int], count: int, flags: tuple[str, ...] = ()
-) -> Picks:
-    """The first `count` photos of `order`, extended with farthest views if it is shorter.
+def fill_up(request: Request, order: Sequence[int], flags: tuple[str, ...] = ()) -> Picks:
+    """The first photos of `order`, extended with farthest views if it is too short.
 
     For methods that maximise a score, when no photo improves the score any more.
     """
+    candidates, count = request.candidates, request.count
     if len(order) >= count:
         return Picks(order=tuple(order[:count]), flags=flags)
     start = list(order) or [most_keypoints(candidates)]

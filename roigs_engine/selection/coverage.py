@@ -26,7 +26,7 @@ from ..model.scene import Float64, Int64
 from ..model.visibility import Candidates
 from .baselines import fill_up
 from .greedy import lazy_greedy
-from .result import Picks
+from .request import Picks, Request
 from .score import prefix_values, voxel_indices
 
 RESOLUTION_PERCENTILE = 90.0
@@ -85,11 +85,12 @@ class Coverage:
         np.maximum.at(self._held, self._slot[part], self._worth[part])
 
 
-def order_coverage(candidates: Candidates, count: int, context: Context = QUIET) -> Picks:
+def order_coverage(request: Request) -> Picks:
     """Greedy order: each photo increases F most; then farthest views."""
-    coverage = Coverage(candidates, context)
-    order = lazy_greedy(list(range(len(candidates))), coverage.gain, coverage.add, count, context)
-    return fill_up(candidates, order, count)
+    views, context = list(range(len(request.candidates))), request.context
+    coverage = Coverage(request.candidates, context)
+    order = lazy_greedy(views, coverage.gain, coverage.add, request.count, context)
+    return fill_up(request, order)
 
 
 def prefix_coverage(

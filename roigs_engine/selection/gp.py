@@ -16,13 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from ..context import QUIET, Context
 from ..model.scene import Float64
 from ..model.visibility import Candidates
 from .baselines import farthest_first, fill_up, most_keypoints
-from .result import Picks
+from .request import Picks, Request, StaticFeatures
 from .score import DensityOccupancy
-from .static import StaticFeatures
 
 # Photos picked before the first fit.
 SEEDS = 5
@@ -106,21 +104,14 @@ class Surrogate:
         return np.nan_to_num(mean), np.nan_to_num(deviation)
 
 
-def order_gp(
-    candidates: Candidates,
-    features: StaticFeatures,
-    count: int,
-    *,
-    extended: bool,
-    seed: int = 0,
-    context: Context = QUIET,
-) -> Picks:
+def order_gp(request: Request, *, extended: bool) -> Picks:
     """The photos with the best upper confidence bound, one at a time.
 
     Starts with the photo that sees most points, and those with the most different viewing
     directions. Continues with farthest views once no remaining photo improves the score.
     """
-    inputs, names = gp_inputs(candidates, features, extended)
+    candidates, count = request.candidates, request.count
+    inputs, names = gp_inputs(candidates, request.features, extended)
     possible = FEATURE_NAMES[: 9 if extended else 6]
     dropped = [name for name in possible if name not in names]
     flags: tuple[str, ...] = ()
@@ -135,9 +126,9 @@ def order_gp(
         gains.append(float(score.gains()[view]))
         score.add(view)
     if not names:
-        return fill_up(candidates, seeds, count, flags)
-    order = _loop(Surrogate(inputs, seed), score, seeds, gains, count, context)
-    return fill_up(candidates, order, count, flags)
+        return fill_up(request, seeds, flags)
+    order = _loop(Surrogate(inputs, request.seed), score, seeds, gains, request)
+    return fill_up(request, order, flags)
 
 
 def _loop(
@@ -145,13 +136,12 @@ def _loop(
     score: DensityOccupancy,
     seeds: list[int],
     gains: list[float],
-    count: int,
-    context: Context,
+    request: Request,
 ) -> list[int]:
-    """`seeds` extended to `count` photos, or until all remaining gains are zero."""
+    """`seeds` extended until there are enough photos, or all remaining gains are zero."""
     order = list(seeds)
-    while len(order) < count:
-        context.check_cancelled()
+    while len(order) < request.count:
+        request.context.check_cancelled()
         present = score.gains()
         taken = set(order)
         rest = [view for view in range(len(present)) if view not in taken]

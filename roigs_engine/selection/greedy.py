@@ -13,10 +13,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..context import QUIET, Context
-from ..model.visibility import Candidates
+from ..context import Context
 from .baselines import fill_up
-from .result import Picks
+from .request import Picks, Request
 from .score import DensityOccupancy
 
 
@@ -25,7 +24,7 @@ def lazy_greedy(
     gain: Callable[[int], float],
     add: Callable[[int], None],
     count: int,
-    context: Context = QUIET,
+    context: Context,
 ) -> list[int]:
     """Up to `count` views, each with the largest gain given those before it; view ids break ties.
 
@@ -48,16 +47,17 @@ def lazy_greedy(
     return order
 
 
-def order_greedy(candidates: Candidates, count: int, context: Context = QUIET) -> Picks:
+def order_greedy(request: Request) -> Picks:
     """Greedy order: each photo increases density x occupancy most; then farthest views."""
-    score = DensityOccupancy(candidates)
+    score = DensityOccupancy(request.candidates)
     # log f of the empty set is -Inf: the first photo is picked outside the lazy loop.
     first = int(np.argmax(score.gains()))
     score.add(first)
-    others = [view for view in range(len(candidates)) if view != first]
+    others = [view for view in range(len(request.candidates)) if view != first]
 
     def log_gain(view: int) -> float:
         return math.log(score.product_with(view)) - math.log(score.product)
 
-    order = [first, *lazy_greedy(others, log_gain, score.add, count - 1, context)]
-    return fill_up(candidates, order, count)
+    count, context = request.count - 1, request.context
+    order = [first, *lazy_greedy(others, log_gain, score.add, count, context)]
+    return fill_up(request, order)

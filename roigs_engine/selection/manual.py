@@ -12,9 +12,9 @@ from ..formats.text import counted, first_of
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 from ..model.visibility import find_candidates
+from .request import static_features
 from .result import CameraSelection
 from .score import prefix_scores
-from .static import static_features
 
 METHOD = "manual"
 

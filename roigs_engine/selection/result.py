@@ -1,4 +1,4 @@
-"""Result of a selection method, and of a selection; the latter as text."""
+"""Result of a selection, and its text."""
 
 from __future__ import annotations
 
@@ -6,22 +6,6 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from ..formats.text import counted, printable
-
-
-@dataclass(frozen=True, kw_only=True)
-class Picks:
-    """The result of a method: candidate ids, best first.
-
-    Attributes:
-        order: ids, unique.
-        filled_from: position in `order` from which photos are farthest views, since no photo
-            improved the method's score; None: there are none.
-        flags: warnings about degenerate cases.
-    """
-
-    order: tuple[int, ...]
-    filled_from: int | None = None
-    flags: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,13 @@ from roigs_engine.model.mask_coverage import object_points
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, PhotoMask, PosedImage
 from roigs_engine.model.visibility import Candidates
-from roigs_engine.selection.baselines import farthest_first, order_fvs, order_random, view_positions
+from roigs_engine.selection.baselines import (
+    farthest_first,
+    order_fvs,
+    order_random,
+    order_static,
+    view_positions,
+)
 from roigs_engine.selection.coverage import (
     Coverage,
     fibonacci_directions,
@@ -26,8 +32,8 @@ from roigs_engine.selection.coverage import (
 )
 from roigs_engine.selection.gp import FEATURE_NAMES, gp_inputs, order_gp
 from roigs_engine.selection.greedy import order_greedy
+from roigs_engine.selection.request import Request, StaticFeatures, static_features
 from roigs_engine.selection.score import DensityOccupancy, voxel_indices
-from roigs_engine.selection.static import StaticFeatures, order_static, static_features
 from tests.poses import look_at
 
 CAMERA = Camera(width=160, height=120, fx=150.0, fy=150.0, cx=80.0, cy=60.0)
@@ -67,6 +73,11 @@ def instance(
         obs_view=obs_view,
         obs_point=obs_point,
     )
+
+
+def wanted(candidates: Candidates, count: int, seed: int = 0) -> Request:
+    features = static_features(candidates)
+    return Request(candidates=candidates, features=features, count=count, seed=seed)
 
 
 def points_and_voxels(candidates: Candidates, chosen) -> tuple[int, int]:
@@ -124,7 +135,7 @@ def test_voxels_are_cubes_and_both_ends_belong_to_the_box():
 @given(seeds)
 def test_lazy_greedy_takes_the_exact_argmax_at_every_step(seed):
     candidates = instance(seed, share=0.15)
-    picks = order_greedy(candidates, 12)
+    picks = order_greedy(wanted(candidates, 12))
     naive = naive_greedy(
         12, 12, lambda chosen: math.prod(points_and_voxels(candidates, set(chosen)))
     )
@@ -162,15 +173,15 @@ def test_lazy_coverage_equals_naive_greedy(seed):
             break
         naive.append(int(np.argmax(gains)))
         state.add(naive[-1])
-    picks = order_coverage(candidates, 12)
+    picks = order_coverage(wanted(candidates, 12))
     assert list(picks.order[: len(naive)]) == naive
     assert prefix_coverage(candidates, picks.order)[-1] == pytest.approx(1)
 
 
 def test_every_prefix_of_coverage_is_the_answer_for_fewer_photos():
     candidates = instance(4, views=20)
-    full = order_coverage(candidates, 20).order
-    assert all(order_coverage(candidates, k).order == full[:k] for k in (1, 5, 13))
+    full = order_coverage(wanted(candidates, 20)).order
+    assert all(order_coverage(wanted(candidates, k)).order == full[:k] for k in (1, 5, 13))
 
 
 def test_coverage_is_the_written_sum():
@@ -217,7 +228,7 @@ def test_coverage_prefers_the_sharper_of_two_photos_in_one_direction():
         obs_view=np.repeat([0, 1], 3),
         obs_point=np.tile(np.arange(3), 2),
     )
-    assert order_coverage(candidates, 2).order[0] == 1
+    assert order_coverage(wanted(candidates, 2)).order[0] == 1
 
 
 def test_a_grazing_photo_counts_less_on_a_surface():
@@ -266,8 +277,9 @@ def test_static_sums_ranks_and_ties_go_by_name():
         keypoints=np.array([5.0, 50.0, 20.0, 20.0]),
         inside=np.zeros(4, bool),
     )
-    assert order_static(features, 4).order == (1, 2, 3, 0)
-    assert order_static(features, 2).order == (1, 2)
+    request = replace(wanted(instance(0, views=4), 4), features=features)
+    assert order_static(request).order == (1, 2, 3, 0)
+    assert order_static(replace(request, count=2)).order == (1, 2)
 
 
 def test_farthest_first_takes_the_farthest_from_all_taken():
@@ -285,19 +297,20 @@ def test_fvs_spreads_more_than_random():
         distance = np.linalg.norm(chosen[:, None] - chosen[None], axis=2)
         return float(distance[np.triu_indices(len(chosen), 1)].min())
 
-    spread = closest_pair(order_fvs(candidates, 12).order)
-    assert all(spread > closest_pair(order_random(candidates, 12, s).order) for s in range(20))
+    spread = closest_pair(order_fvs(wanted(candidates, 12)).order)
+    assert all(
+        spread > closest_pair(order_random(wanted(candidates, 12, s)).order) for s in range(20)
+    )
 
 
 def test_random_follows_its_seed():
     candidates = instance(0, views=30)
-    orders = [order_random(candidates, 10, seed).order for seed in (1, 1, 2)]
+    orders = [order_random(wanted(candidates, 10, seed)).order for seed in (1, 1, 2)]
     assert orders[0] == orders[1] != orders[2]
 
 
 def gp_order(candidates: Candidates, extended: bool = True, count: int = 15, **options):
-    features = static_features(candidates)
-    return order_gp(candidates, features, count, extended=extended, **options)
+    return order_gp(wanted(candidates, count, **options), extended=extended)
 
 
 @pytest.mark.parametrize(("extended", "options"), [(False, {}), (True, {"seed": 7})])

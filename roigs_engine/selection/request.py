@@ -1,7 +1,4 @@
-"""`static`: the static features of photos, and their ranking by these (the paper's sec. III-A).
-
-The features are distance, projected area and keypoints; the ranking is the paper's ablation 3.
-"""
+"""Input and output of selection methods, and the static features of photos (paper, sec. III-A)."""
 
 from __future__ import annotations
 
@@ -14,7 +11,6 @@ from ..context import QUIET, Context
 from ..formats.text import counted, named
 from ..model.scene import Float64
 from ..model.visibility import Candidates
-from .result import Picks
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,17 +64,35 @@ def static_features(candidates: Candidates, context: Context = QUIET) -> StaticF
     )
 
 
-def order_static(features: StaticFeatures, count: int) -> Picks:
-    """The `count` photos with the best sum of ranks of -distance, area and keypoints.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Request:
+    """What a method gets.
 
-    Equal values share their mean rank; names break ties (candidates are in name order).
+    Attributes:
+        candidates: the photos that see the box.
+        features: of the candidates.
+        count: how many to pick, at most all.
+        seed: of everything random.
     """
-    ranks = _ranks(features.distance) + _ranks(-features.area) + _ranks(-features.keypoints)
-    return Picks(order=tuple(np.argsort(ranks, kind="stable")[:count].tolist()))
+
+    candidates: Candidates
+    features: StaticFeatures
+    count: int
+    seed: int = 0
+    context: Context = QUIET
 
 
-def _ranks(values: Float64) -> Float64:
-    """(V,) -> (V,) ranks from 1, ascending; equal values share their mean rank."""
-    _, index, counts = np.unique(values, return_inverse=True, return_counts=True)
-    ranks: Float64 = (np.cumsum(counts) - (counts - 1) / 2)[index]
-    return ranks
+@dataclass(frozen=True, kw_only=True)
+class Picks:
+    """The result of a method: candidate ids, best first.
+
+    Attributes:
+        order: ids, unique.
+        filled_from: position in `order` from which photos are farthest views, since no photo
+            improved the method's score; None: there are none.
+        flags: warnings about degenerate cases.
+    """
+
+    order: tuple[int, ...]
+    filled_from: int | None = None
+    flags: tuple[str, ...] = ()
