@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..model.scene import Float64
+from .records import PARAMETER_COUNT
 
 Observation = tuple[int, int, int]
 """Ids of the photo, of its keypoint, and of the point."""
@@ -93,44 +94,35 @@ def errors(scene: Any, observations: Sequence[Observation]) -> Float64:
 
 
 FULLER, FULLEST = "OPENCV", "FULL_OPENCV"
-# Models that OPENCV includes -> the places of fx, fy, cx, cy, k1, k2 among their parameters.
-INCLUDED: dict[str, tuple[int | None, ...]] = {
-    "SIMPLE_PINHOLE": (0, 0, 1, 2, None, None),
-    "PINHOLE": (0, 1, 2, 3, None, None),
-    "SIMPLE_RADIAL": (0, 0, 1, 2, 3, None),
-    "RADIAL": (0, 0, 1, 2, 3, 4),
+# Lens model -> models that it includes -> where these have its first parameters; it has zeros else.
+INCLUDED = {
+    FULLER: {
+        "SIMPLE_PINHOLE": (0, 0, 1, 2),
+        "PINHOLE": (0, 1, 2, 3),
+        "SIMPLE_RADIAL": (0, 0, 1, 2, 3),
+        "RADIAL": (0, 0, 1, 2, 3, 4),
+    },
+    FULLEST: {FULLER: tuple(range(8))},
 }
 FEWEST_PHOTOS = 5  # of a camera that gets more parameters
 REACH, SAMPLES = 2.0, 2000  # how far beyond the corners a lens is looked at, and how closely
 
 
-def with_fuller_cameras(colmap: Any, scene: Any) -> int:
-    """Give the cameras that OPENCV includes its parameters, and return their number.
+def with_fuller_cameras(colmap: Any, scene: Any, model: str = FULLER) -> int:
+    """Give the cameras that a lens model includes its parameters, and return their number.
 
     A camera of few photos keeps its own: more could fit anything.
     """
     changed = 0
-    for camera in _shared(scene):
-        places = INCLUDED.get(camera.model.name)
-        if places is None:
+    photos = Counter(image.camera_id for image in scene.images.values())
+    for key, camera in scene.cameras.items():
+        places = INCLUDED[model].get(camera.model.name)
+        if places is None or photos[key] < FEWEST_PHOTOS:
             continue
-        old = camera.params
-        values = [0.0 if place is None else float(old[place]) for place in places]
-        camera.model = getattr(colmap.CameraModelId, FULLER)
-        camera.params = [*values, 0.0, 0.0]
+        values = [float(camera.params[place]) for place in places]
+        camera.model = getattr(colmap.CameraModelId, model)
+        camera.params = values + [0.0] * (PARAMETER_COUNT[model] - len(values))
         changed += 1
-    return changed
-
-
-def with_fullest_cameras(colmap: Any, scene: Any) -> int:
-    """Give OPENCV's cameras four more parameters of distortion; the number of cameras."""
-    changed = 0
-    for camera in _shared(scene):
-        if camera.model.name == FULLER:
-            values = list(camera.params)
-            camera.model = getattr(colmap.CameraModelId, FULLEST)
-            camera.params = [*values, 0.0, 0.0, 0.0, 0.0]
-            changed += 1
     return changed
 
 
@@ -193,8 +185,3 @@ def _lines(path: Path) -> list[str]:
     """The lines of a text file that are no comments; empty ones count (a photo without points)."""
     lines = path.read_text(encoding="utf-8").split("\n")[:-1]
     return [line for line in lines if not line.startswith("#")]
-
-
-def _shared(scene: Any) -> list[Any]:
-    photos = Counter(image.camera_id for image in scene.images.values())
-    return [camera for key, camera in scene.cameras.items() if photos[key] >= FEWEST_PHOTOS]

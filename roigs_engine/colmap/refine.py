@@ -101,7 +101,10 @@ def refine_cameras(
     names = {image.image_id: image.name for image in read_model(model, context).images}
     folder = find_photos(model, images, list(names.values())) if look else None
     with _explained(model):
-        scene = _read(colmap, model)
+        scene = colmap.Reconstruction(str(model))
+        for key in scene.point3D_ids():
+            if not np.isfinite(scene.points3D[key].xyz).all():
+                scene.delete_point3D(key)
         positions = {key: np.array(point.xyz) for key, point in scene.points3D.items()}
         scene, done = _by_tracks(colmap, scene, model, context)
         if folder is not None:
@@ -157,15 +160,6 @@ def _explained(model: Path) -> Iterator[None]:
     except (ValueError, RuntimeError, IndexError, KeyError) as error:
         last = (str(error).strip().splitlines() or ["no reason given"])[-1]
         raise SceneError(f"pycolmap cannot use {model} ({last}).", HINT_DAMAGED) from error
-
-
-def _read(colmap: Any, model: Path) -> Any:
-    """The model without points that have no position."""
-    scene = colmap.Reconstruction(str(model))
-    for key in scene.point3D_ids():
-        if not np.isfinite(scene.points3D[key].xyz).all():
-            scene.delete_point3D(key)
-    return scene
 
 
 def _write(scene: Any, out: Path) -> None:

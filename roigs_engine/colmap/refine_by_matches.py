@@ -16,13 +16,14 @@ from ..photos.files import PhotoFolder
 from ..photos.headers import PhotoError, photo_size
 from .adjustment import (
     FEWEST_LEFT_OUT,
+    FULLEST,
     Observation,
     adjust,
     has_rigs,
     is_sound,
     median_error,
     to_leave_out,
-    with_fullest_cameras,
+    with_fuller_cameras,
     with_own_cameras,
 )
 from .records import same_shape
@@ -131,10 +132,12 @@ def fit_to_matches(
         if change == FOCAL_LENGTHS and has_rigs(scene):
             continue
         trial = colmap.Reconstruction(found)
-        if change == DISTORTION and not with_fullest_cameras(colmap, trial):
+        if change == DISTORTION and not with_fuller_cameras(colmap, trial, FULLEST):
             continue
         if change == FOCAL_LENGTHS:
-            trial = with_own_cameras(colmap, trial, _often_matched(scene, matches))
+            ids, counts = Views(scene).ids, np.bincount(matches.view)
+            often = {ids[view] for view in np.flatnonzero(counts >= MANY)}
+            trial = with_own_cameras(colmap, trial, often)
         adjust(colmap, trial, "CAUCHY", LOSS_SCALE, distortion=change != FOCAL_LENGTHS)
         error = median_error(trial, left_out)
         if not all(map(is_sound, trial.cameras.values())):
@@ -144,13 +147,6 @@ def fit_to_matches(
             taken.append(change)
     fit = replace(fit, before=before, after=best, changed=tuple(taken))
     return (_moved(colmap, scene, found) if taken else scene), fit
-
-
-def _often_matched(scene: Any, matches: Matches) -> set[int]:
-    """Ids of the photos that may have a focal length of their own."""
-    ids = Views(scene).ids
-    counts = np.bincount(matches.view, minlength=len(ids))
-    return {key for key, count in zip(ids, counts, strict=True) if count >= MANY}
 
 
 def _moved(colmap: Any, scene: Any, fitted: Any) -> Any:

@@ -51,8 +51,16 @@ def make_masks(
         knowledge: what carries masks from photo to photo; nothing is learnt yet.
         centre: (3,) of the box.
     """
-    steps = _Steps(len(views) * (1 + AGREEMENTS), context)
     masks: dict[str, Mask] = {}
+    step, total, started = 0, len(views) * (1 + AGREEMENTS), time.monotonic()
+    context.emit(StageStarted(stage=STAGE, total=total))
+
+    def done() -> None:
+        nonlocal step
+        context.check_cancelled()
+        step += 1
+        context.progress(STAGE, step, total, started)
+
     begun = _begun(views)
     for view in views:
         if view.given is None and view.is_scribbled:
@@ -62,23 +70,23 @@ def make_masks(
         if mask is None:
             mask = cut(view, knowledge.prior(view, without=False), FIRST_BAND)
         masks[view.name] = mask
-        steps.done()
+        done()
     for view in begun:
         knowledge.learn(view, masks[view.name], PERSON)
     for view in views:
         if view.kept is not None and view not in begun:
             masks[view.name] = view.kept
             knowledge.learn(view, view.kept)
-            steps.done()
+            done()
     for view in _nearest_first(views, [view for view in views if view.name in masks], centre):
         masks[view.name] = cut(view, knowledge.prior(view), WIDE_BAND)
         knowledge.learn(view, masks[view.name])
-        steps.done()
+        done()
     for _ in range(AGREEMENTS):
         for view in views:
             if view.known is None:
                 masks[view.name] = cut(view, knowledge.prior(view), BAND)
-            steps.done()
+            done()
         for view in views:
             knowledge.learn(view, masks[view.name], PERSON if view in begun else 1.0)
     return masks
@@ -91,21 +99,6 @@ def _begun(views: Sequence[View]) -> list[View]:
     """
     whole = [view for view in views if view.given is not None or fenced(view).any()]
     return whole or [view for view in views if view.is_scribbled]
-
-
-class _Steps:
-    """Progress of the work, in photos."""
-
-    def __init__(self, total: int, context: Context) -> None:
-        self._context, self._total, self._step = context, total, 0
-        self._started = time.monotonic()
-        context.emit(StageStarted(stage=STAGE, total=total))
-
-    def done(self) -> None:
-        """One more photo; raises Stopped on request."""
-        self._context.check_cancelled()
-        self._step += 1
-        self._context.progress(STAGE, self._step, self._total, self._started)
 
 
 def _nearest_first(views: Sequence[View], begun: Sequence[View], centre: Float64) -> list[View]:

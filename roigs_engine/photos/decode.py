@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..model.scene import PosedImage
-from .headers import PhotoError, check_unchanged, jpeg_segments, open_photo, unreadable
+from .headers import PhotoError, check_unchanged, jpeg_segments, open_photo
 
 Pixels = NDArray[np.uint8]
 
@@ -43,17 +43,13 @@ def decode(path: Path, size: tuple[int, int] | None = None) -> Pixels:
     Raises:
         PhotoError: the file is missing or cannot be decoded; names it.
     """
-    try:
-        with open_photo(path) as photo:
-            full = photo.size
-            if size is not None:
-                photo.draft("RGB", (round(size[0] * GAP), round(size[1] * GAP)))
-            shrink = _draft_factor(full, photo.size)
-            rgb = to_rgb(photo)
-    except MemoryError:
-        raise
-    except Exception as error:  # Pillow's readers raise nearly anything on damaged files
-        raise unreadable(path, error) from error
+    with open_photo(path) as photo:
+        full = photo.size
+        if size is not None:
+            photo.draft("RGB", (round(size[0] * GAP), round(size[1] * GAP)))
+        # Draft mode reduces a JPEG by 1, 2, 4 or 8.
+        shrink = next((n for n in (1, 2, 4, 8) if -(-full[0] // n) == photo.width), 1)
+        rgb = to_rgb(photo)
     if size is not None and rgb.size != size:
         # The last column and row of a draft may extend past the photo: exclude that part.
         box = (0.0, 0.0, full[0] / shrink, full[1] / shrink)
@@ -97,11 +93,6 @@ def _load(image: PosedImage, size: tuple[int, int]) -> Pixels:
             raise
     image.remake()
     return decode(image.path, size)
-
-
-def _draft_factor(full: tuple[int, int], drafted: tuple[int, int]) -> int:
-    """By which factor JPEG's draft mode reduced the photo: 1, 2, 4 or 8."""
-    return next((n for n in (1, 2, 4, 8) if -(-full[0] // n) == drafted[0]), 1)
 
 
 def to_rgb(photo: Image.Image) -> Image.Image:
@@ -161,22 +152,18 @@ def check_whole(path: Path) -> str:
     Raises:
         PhotoError: the file is missing, damaged or incomplete; names it.
     """
-    try:
-        with open_photo(path) as photo:
-            kind = photo.format
-            if kind == "PNG":
-                photo.verify()  # the checksums of all its parts; decoding checks those of pixels
+    with open_photo(path) as photo:
+        kind = photo.format
+        if kind == "PNG":
+            photo.verify()  # the checksums of all its parts; decoding checks those of pixels
+    with open_photo(path) as photo:
         if kind not in ("JPEG", "MPO"):
-            with open_photo(path) as photo:
-                return tone_if_deep(photo)
+            return tone_if_deep(photo)
         with open(path, "rb") as file:
-            whole = not _flat_corner(_eighth(file)) or not _ends_early(file)
-    except (MemoryError, PhotoError):
-        raise
-    except Exception as error:  # Pillow's readers raise nearly anything on damaged files
-        raise unreadable(path, error) from error
-    if not whole:
-        raise unreadable(path, ValueError("its data end before the photo does"))
+            last = _eighth(file)[-1:, -2:]
+            # Where libjpeg has filled in, the last pixels have one colour.
+            if (last == last[:, -1:]).all() and _ends_early(file):
+                raise ValueError("its data end before the photo does")
     return ""  # a JPEG has 8 bits a channel
 
 
@@ -187,11 +174,6 @@ def _eighth(file: BinaryIO) -> Pixels:
     with Image.open(file, formats=("JPEG",)) as photo:
         photo.draft("RGB", (max(1, photo.width // 8), max(1, photo.height // 8)))
         return np.asarray(photo.convert("RGB"))
-
-
-def _flat_corner(pixels: Pixels) -> bool:
-    """Whether the last pixels have one colour, as where libjpeg has filled in."""
-    return bool((pixels[-1:, -2:] == pixels[-1, -1]).all())
 
 
 def _ends_early(file: BinaryIO) -> bool:

@@ -12,6 +12,7 @@ import os
 import struct
 import warnings
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -73,10 +74,15 @@ def photo_size(path: Path) -> tuple[int, int] | None:
             elif start.startswith(b"\xff\xd8"):
                 width, height = _jpeg_size(file)
             else:
-                return _usable(path, _size_by_pillow(path))
+                with open_photo(path) as photo:
+                    width, height = photo.size
+    except ImportError:
+        return None
     except (OSError, ValueError, struct.error) as error:
         raise unreadable(path, error) from error
-    return _usable(path, (width, height))
+    if not 0 < width * height <= MAX_PIXELS:
+        raise unreadable(path, ValueError(f"its header says {width} x {height} pixels"))
+    return width, height
 
 
 def check_complete(path: Path) -> None:
@@ -105,21 +111,20 @@ def check_complete(path: Path) -> None:
             photo.load()
     except (ImportError, MemoryError):
         return  # cannot be checked
-    except Exception as error:  # Pillow's readers raise nearly anything on damaged files
-        raise unreadable(path, error) from error
 
 
-def open_photo(path: Path) -> Image:
-    """The photo, opened by Pillow; on damaged files Pillow raises many kinds of errors."""
+@contextmanager
+def open_photo(path: Path) -> Iterator[Image]:
+    """The photo, opened by Pillow, whose errors in the block become a PhotoError."""
     from PIL import Image
 
-    return Image.open(path, formats=FORMATS)
-
-
-def _usable(path: Path, size: tuple[int, int] | None) -> tuple[int, int] | None:
-    if size is not None and not 0 < size[0] * size[1] <= MAX_PIXELS:
-        raise unreadable(path, ValueError(f"its header says {size[0]} x {size[1]} pixels"))
-    return size
+    try:
+        with Image.open(path, formats=FORMATS) as photo:
+            yield photo
+    except (MemoryError, PhotoError):
+        raise
+    except Exception as error:  # Pillow's readers raise nearly anything on damaged files
+        raise unreadable(path, error) from error
 
 
 def unreadable(path: Path, error: Exception) -> PhotoError:
@@ -166,13 +171,3 @@ def jpeg_segments(file: BinaryIO) -> Iterator[int]:
         if length < 2:
             raise ValueError("a damaged JPEG header")
         file.seek(length - 2, 1)
-
-
-def _size_by_pillow(path: Path) -> tuple[int, int] | None:
-    try:
-        with open_photo(path) as photo:
-            return photo.size
-    except ImportError:
-        return None
-    except Exception as error:  # Pillow's readers raise nearly anything on damaged files
-        raise unreadable(path, error) from error

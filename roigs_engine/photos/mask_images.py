@@ -19,7 +19,7 @@ from ..errors import SceneError
 from ..formats.files import atomic_write
 from ..model.scene import PhotoMask, PosedImage
 from .decode import Pixels, load_photo
-from .headers import MAX_PIXELS, open_photo, unreadable
+from .headers import MAX_PIXELS, open_photo
 
 Mask = NDArray[np.bool_]
 
@@ -72,13 +72,8 @@ def alpha_mask(path: Path) -> Mask:
     Raises:
         PhotoError: the photo cannot be decoded.
     """
-    try:
-        with open_photo(path) as photo:
-            alpha = np.asarray(photo.convert("RGBA").getchannel("A"))
-    except MemoryError:
-        raise
-    except Exception as error:
-        raise unreadable(path, error) from error
+    with open_photo(path) as photo:
+        alpha = np.asarray(photo.convert("RGBA").getchannel("A"))
     opaque: Mask = alpha >= OPAQUE
     return opaque
 

@@ -90,6 +90,8 @@ def _convert(source: Path, target: Path, known: str) -> str:
         return digest
     try:
         data = _as_jpeg(source)
+    except PhotoError:
+        raise
     except Exception as error:  # Pillow's readers raise nearly anything on damaged files
         raise PhotoError(f"Cannot read photo {source} ({error}).") from error
     if not target.exists():
