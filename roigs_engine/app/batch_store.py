@@ -14,6 +14,7 @@ from ..batch.staged import Staging, local_options, stored_run
 from ..context import Context
 from ..errors import ConfigError, EngineError, RunFolderError
 from ..formats.run_files import BATCH, CACHE, CROPS, MANIFEST, REPORT_DATA, REPORT_PAGE
+from ..formats.text import first_line
 from ..photos.contents import FILE as CONTENTS
 from ..requests.values import is_url
 from ..storage.lease import Lease, LeaseTakenError
@@ -156,5 +157,5 @@ def staging(row: Row, folder: Path, part: str) -> Staging | None:
 
 
 def _unusable(url: str, error: OSError) -> RunFolderError:
-    reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+    reason = first_line(error)
     return RunFolderError(f"Cannot use {url} ({reason:.100}).", "Is the store there, with space?")

@@ -21,7 +21,7 @@ from ..formats.text import decode_text, json_digest
 from ..requests.declare import Option, Request, options_of, plain
 from ..requests.models import Convert
 from ..requests.runs import Train, TrainAndEvaluate
-from ..requests.values import AUTO, PATH, is_url, shown
+from ..requests.values import AUTO, PATH, PLACE, is_url, shown
 from .inputs import is_photos
 
 DEFAULTS, SCENES = "defaults", "scenes"
@@ -188,11 +188,10 @@ class Table:
                 self._say(where, f"'{key:.60}' is no key of a scene. The keys are: {known}.")
             else:
                 option = self._options.get(name) or self._of_outputs[name]
-                if is_url(value) and option.kind is PATH:
-                    found[name] = value
-                    continue
+                address = is_url(value) and option.kind is PATH
+                checked = replace(option, kind=PLACE) if address else option
                 try:
-                    found[name] = self._absolute(option.checked(value, f"'{key}'"))
+                    found[name] = self._absolute(checked.checked(value, f"'{key}'"))
                 except EngineError as error:
                     self._say(where, str(error))
         if found.get("masks") and found.get("no_masks"):

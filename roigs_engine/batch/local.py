@@ -7,6 +7,7 @@ import threading
 
 from ..context import Context
 from ..formats.events import Record
+from ..formats.text import first_line
 from ..machine import machine_memory, usable_cores
 from .engine_process import LOST, Outcome
 from .parts import Part
@@ -94,8 +95,9 @@ class LocalExecutor:
                 lambda event: self._reports.put((part, event)),
                 self._context.should_stop,
             )
-        except OSError as error:
-            outcome = Outcome(state=LOST, reason=f"The engine cannot be started ({error}).")
+        except Exception as error:  # without an outcome, the batch would wait for ever
+            reason = f"The engine cannot be started ({first_line(error):.200})."
+            outcome = Outcome(state=LOST, reason=reason)
         self._reports.put((part, outcome))
 
 

@@ -15,6 +15,7 @@ from contextlib import suppress
 from typing import Any, TypeVar
 
 from ..errors import ConfigError, EngineError
+from ..formats.text import first_line
 
 T = TypeVar("T")
 
@@ -155,7 +156,7 @@ def _connected(address: str) -> Any:
 
 
 def _nothing_there(address: str, error: Exception) -> ConfigError:
-    reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+    reason = first_line(error)
     if address == "auto" and NO_RAY in reason:
         return ConfigError(
             "--cluster auto found no Ray cluster that this machine is part of.",

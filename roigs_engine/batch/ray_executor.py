@@ -10,7 +10,7 @@ from typing import Any
 from .. import __version__
 from ..context import Context
 from ..errors import ConfigError
-from ..formats.text import counted
+from ..formats.text import counted, first_line
 from . import ray_tasks
 from .engine_process import LOST, Outcome
 from .local import Report, with_threads
@@ -150,8 +150,7 @@ class RayExecutor:
         try:
             found = self._ray.get(reference)
         except self._ray.exceptions.RayError as error:
-            lines = str(error).strip().splitlines() or [type(error).__name__]
-            reason = f"Its machine or process was lost ({lines[0]:.100})."
+            reason = f"Its machine or process was lost ({first_line(error):.100})."
             return Outcome(state=LOST, reason=reason)
         assert isinstance(found, Outcome)
         return found

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,9 @@ from ..errors import EngineError, Stopped
 from ..formats.events import Record
 from ..formats.files import write_json
 from ..formats.run_files import BATCH_OUTPUTS, BATCH_ROWS, CHECKPOINT
+from ..formats.text import first_line
 from ..requests.values import is_url
-from ..storage.commits import StoredRun
+from ..storage.commits import StoredRun, published_files
 from ..storage.lease import Lease, LeaseTakenError
 from ..storage.mirror import SCENES, mirror
 from ..storage.quota import claim, enforce_quota, keep, limit
@@ -104,6 +105,8 @@ def run_part(
         return Outcome(state=FAILED, reason=str(error))
     except OSError as error:
         return Outcome(state=FAILED, reason=f"{error.strerror or error}.")
+    except Exception as error:  # of a store's package: another machine, or another time, may do
+        return Outcome(state=LOST, reason=f"{first_line(error):.200}")
 
 
 def _leased(
@@ -143,24 +146,20 @@ def _at_work(run: StoredRun, folder: Path, staging: Staging, lease: Lease) -> It
     The copies that the engine uses are kept.
     """
     ended = threading.Event()
-    known: dict[str, int] = {}
 
     def work() -> None:
+        known: dict[Path, int] = {}
         while not ended.wait(PUBLISH_SECONDS):
             keep(folder)
             for url in filter(is_url, (str(staging.options.get(key)) for key in INPUTS)):
                 keep(folder_of(_folder_and_file(url)[0], SCENES))
-            now = {
-                p.relative_to(folder).as_posix(): p.stat().st_mtime_ns
-                for p in folder.rglob(CHECKPOINT)
-            }
-            fresh = [name for name, time in now.items() if known.get(name) != time]
-            if fresh and lease.is_held():
-                try:
-                    run.publish(folder, f"{staging.part} checkpoint", last=False, names=fresh)
-                    known.update(now)
-                except (EngineError, OSError):
-                    continue  # the end of the part tries again, and says it
+            # Beside a checkpoint, what it needs: without its manifest, no run resumes.
+            with suppress(Exception):  # the end of the part tries again, and says it
+                now = {path: path.stat().st_mtime_ns for path in folder.rglob(CHECKPOINT)}
+                if now != known and now and lease.is_held():
+                    names = published_files(folder)
+                    run.publish(folder, f"{staging.part} checkpoint", last=False, names=names)
+                    known = now
 
     thread = threading.Thread(target=work, daemon=True)
     thread.start()

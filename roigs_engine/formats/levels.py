@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ..errors import RunFolderError
 from . import run_files
 from .files import read_json, write_json
+from .names import inner_path
 
 Float64 = NDArray[np.float64]
 
@@ -129,7 +130,7 @@ def _ladder(record: Any) -> Ladder:
 
 def _level(record: Any) -> Level:
     ply = str(record["ply"])
-    if Path(ply).is_absolute() or ".." in Path(ply).parts or not _is_ply(ply):
+    if inner_path(ply) is None or not _is_ply(ply):
         raise ValueError(f"{ply} is no PLY in the run folder")
     measured = {str(name): float(value) for name, value in record["measured"].items()}
     return Level(

@@ -21,6 +21,7 @@ from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
 from .files import cannot_write, own_folder, read_record, sha256, write_json
+from .names import inner_path
 
 MADE = "made.json"
 KEY, WRITING, INPUTS = "masks", "writing", "inputs"
@@ -66,7 +67,7 @@ def _recorded(folder: Path) -> dict[str, list[object]]:
     found: dict[str, list[object]] = {}
     for key in (KEY, WRITING):
         for name, digest in _part(record, key).items():
-            if not PurePosixPath(name).is_absolute() and ".." not in PurePosixPath(name).parts:
+            if inner_path(name):
                 found.setdefault(name, []).append(digest)
     return found
 

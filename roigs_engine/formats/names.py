@@ -6,6 +6,7 @@ import hashlib
 import re
 import unicodedata
 from collections.abc import Iterable
+from pathlib import PurePosixPath, PureWindowsPath
 
 MAX_NAME = 100  # characters; endings are added to it
 LONGEST, MAX_BYTES = 87, 167  # characters and bytes of a `safe_name`; file systems allow 255 bytes
@@ -35,6 +36,18 @@ def safe_name(name: str) -> str:
     clean = clean.rstrip(" .") or "unnamed"
     clean = f"_{clean}" if _is_device(clean) else clean
     return f"{clean}-{hashlib.sha1(name.encode('utf-8', 'backslashreplace')).hexdigest()[:6]}"
+
+
+def inner_path(name: object) -> PurePosixPath | None:
+    """A name that a file says, as a path inside a folder; None if it is none, or leads out of it.
+
+    By the rules of POSIX and of Windows at once, whose paths may begin with a drive.
+    """
+    if not isinstance(name, str) or "\0" in name:
+        return None
+    path, windows = PurePosixPath(name), PureWindowsPath(name)
+    leads_out = path.is_absolute() or windows.drive or windows.root or ".." in windows.parts
+    return None if leads_out or not path.parts else path
 
 
 def is_file_name(name: str) -> bool:

@@ -90,6 +90,11 @@ def printable(text: str) -> str:
     return CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
 
 
+def first_line(error: Exception) -> str:
+    """What an error of a library says, on one line; its type's name if it says nothing."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+
+
 def first_of(names: Sequence[str]) -> str:
     """'a, b, c, d' of four names; 'a, b, c, …' of more."""
     shown = names if len(names) <= NAMED else names[: NAMED - 1]

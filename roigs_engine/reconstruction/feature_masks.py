@@ -11,11 +11,12 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from ..colmap.camera_masks import HIDDEN, MaskPlan, find_mask
 from ..context import Context
 from ..formats.files import cannot_write, own_folder, read_record, sha256, write_json
+from ..formats.names import inner_path
 from ..formats.text import counted, json_digest, named
 from ..photos.headers import PhotoError, photo_size
 from ..photos.mask_images import write_mask
@@ -150,8 +151,7 @@ def _fits(mask: Path, photo: Photo) -> bool:
 def _forget(names: Iterable[str], known: Mapping[str, Kept], folder: Folder) -> None:
     """Remove masks from the folder that nobody has changed; RunFolderError if that fails."""
     for name in names:
-        inside = PurePosixPath(name)
-        if inside.is_absolute() or ".." in inside.parts:
+        if inner_path(name) is None:
             continue
         path = _place(folder, name)
         path = own_folder(folder.masks, *path.relative_to(folder.masks).parts[:-1]) / path.name

@@ -14,6 +14,8 @@ from typing import Any
 
 MOST = (1 << 31) - 1  # of counts: a larger one is a typing error
 AUTO = "auto"
+SECRET = re.compile(r"//[^/@\s]*:[^/@\s]*@")
+"""User and password in an address."""
 SCHEME = re.compile(r"([a-z][a-z0-9+.-]+)://", re.IGNORECASE)
 
 
@@ -113,6 +115,7 @@ class PathName(Name):
         """The path of JSON, TOML or Python."""
         text = super().of_json(str(value) if isinstance(value, Path) else value)
         if is_url(text):
+            refuse_secret(text)
             raise ArgumentTypeError(f"{shown(text)} is an address; only `batch` takes one")
         return Path(text)
 
@@ -122,7 +125,10 @@ class PlaceName(PathName):
 
     def of_json(self, value: Any) -> Any:
         """The path or address of JSON, TOML or Python."""
-        return value if is_url(value) else super().of_json(value)
+        if not is_url(value):
+            return super().of_json(value)
+        refuse_secret(value)
+        return value
 
 
 @dataclass(frozen=True)
@@ -162,6 +168,15 @@ NAME, PATH, PLACE, FLAG, EITHER = Name(), PathName(), PlaceName(), Flag(), Flag(
 def is_url(text: object) -> bool:
     """Whether a path is an address of a store, `s3://bucket/scans`, and no folder."""
     return isinstance(text, str) and SCHEME.match(text) is not None
+
+
+def refuse_secret(url: str) -> None:
+    """Raise ArgumentTypeError if an address has a password, which would be written and shown."""
+    if SECRET.search(url):
+        raise ArgumentTypeError(
+            "it has a password, which logs would show; use fsspec's configuration instead"
+            " (docs/many.md, Storage)"
+        )
 
 
 def shown(value: object) -> str:

@@ -3,27 +3,33 @@
 Files go to `objects`, named by their hashes; a small record of names and hashes, a commit, is
 written last. Readers know only what commits name, and check every hash, so half of an upload is
 never seen, on any file system. The commit of the last part has all files under their own names.
+Whoever may write to the store can write commits, too, unless they are signed with a key.
 """
 
 from __future__ import annotations
 
 import hashlib
+import hmac
 import json
 import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from ..errors import RunFolderError
+from ..formats.files import LEFTOVER, own_folder
+from ..formats.names import inner_path
 from ..formats.run_files import CACHE, PREVIEW, UNDISTORTED
-from ..formats.text import json_digest
+from ..formats.text import first_line, json_digest
 
 COMMITS, OBJECTS, LEASES = ".commits", ".objects", ".leases"
-VERSION = 1
+VERSION = 2
+KEY = "ROIGS_STORE_KEY"
+"""Environment variable: a secret of all machines, with which commits are signed."""
 Entry = dict[str, Any]
 
 
@@ -45,12 +51,7 @@ class StoredRun:
 
     def entries(self) -> dict[str, Entry]:
         """File -> `sha`, `size` and `at`, by all commits."""
-        files: dict[str, Entry] = {}
-        for commit in self._commits():
-            for name in commit["gone"]:
-                files.pop(name, None)
-            files |= commit["files"]
-        return files
+        return _entries(self._commits())
 
     def fetch(self, folder: Path, wanted: Callable[[str], bool] = lambda name: True) -> None:
         """Make a folder here what the commits say; files that fit stay as they are.
@@ -58,20 +59,24 @@ class StoredRun:
         A file that is damaged on the store counts as missing: what it belongs to is done again.
 
         Raises:
-            RunFolderError: the store cannot be read.
+            RunFolderError: the store cannot be read, a commit is none of ours, or a folder is a
+                link.
         """
         self._had = {}
         for name, entry in self.entries().items():
-            if wanted(name) and ".." not in PurePosixPath(name).parts:
-                target = folder / name
+            if wanted(name):
+                target = own_folder(folder, *Path(name).parts[:-1]) / Path(name).name
                 if _fits(target, entry) or self._get(name, entry, target):
                     self._had[name] = entry
-        for name in _files(folder):
+        for name in published_files(folder):
             if name not in self._had and wanted(name):
                 (folder / name).unlink(missing_ok=True)
+        for path in sorted(folder.rglob("*/"), reverse=True):  # those above come later
+            with suppress(OSError):  # not empty
+                path.rmdir()
 
     def publish(self, folder: Path, part: str, *, last: bool, names: Iterable[str] = ()) -> None:
-        """Publish what has changed since `fetch`.
+        """Publish what no other commit has; replaces what the part has published before.
 
         Args:
             folder: of the run, here.
@@ -83,19 +88,20 @@ class StoredRun:
             RunFolderError: something cannot be written or read.
         """
         only = set(names)
-        now = sorted(only or _files(folder))
+        now = sorted(only or published_files(folder))
         files: dict[str, Entry] = {}
         try:
+            before = self._commits()
+            others = _entries(commit for commit in before if commit["part"] != part)
             for name in now:
                 entry = self._put(folder / name, name if last else "")
-                if last or entry["sha"] != self._had.get(name, {}).get("sha"):
+                if last or entry["sha"] != others.get(name, {}).get("sha"):
                     files[name] = entry
             gone = [] if only else sorted(self._had.keys() - set(now))
-            before = self._commits()
             serial = max((commit["serial"] for commit in before), default=0) + 1
             body = {"version": VERSION, "serial": serial, "part": part, "files": files}
             body["gone"] = gone
-            text = json.dumps(body | {"digest": json_digest(body)})
+            text = json.dumps(body | {"digest": self._digest(body)})
             self._found.makedirs(f"{self._place}/{COMMITS}", exist_ok=True)
             self._found.pipe_file(self._commit(part), text.encode())
         except OSError as error:
@@ -123,10 +129,17 @@ class StoredRun:
             for path in self._found.find(f"{self._place}/{COMMITS}"):
                 with suppress(OSError, ValueError, TypeError, AttributeError, KeyError):
                     body = json.loads(self._found.cat_file(path))
-                    digest = body.pop("digest")
-                    if digest == json_digest(body) and body["version"] == VERSION:
-                        found.append(body)
+                    digest = str(body.pop("digest"))
+                    whole = hmac.compare_digest(digest, self._digest(body))
+                    if whole and body["version"] == VERSION:
+                        found.append(_checked(body, str(path)))
         return sorted(found, key=lambda body: (body["serial"], body["part"]))
+
+    def _digest(self, body: dict[str, Any]) -> str:
+        """Of a commit of this run; with a key, only those who have it can make one."""
+        text = json_digest(body | {"run": self._place.rpartition("/")[2]})
+        key = os.environ.get(KEY, "")
+        return hmac.digest(key.encode(), text.encode(), "sha256").hex() if key else text
 
     def _put(self, path: Path, name: str) -> Entry:
         """Store a file that may be replaced here meanwhile, by its hash or under its own name."""
@@ -181,13 +194,47 @@ class StoredRun:
         return []
 
 
-def _files(folder: Path) -> list[str]:
-    """The files of a run folder that are published."""
+def _checked(body: dict[str, Any], path: str) -> dict[str, Any]:
+    """A commit as `publish` writes it; RunFolderError if it is not, or names what is elsewhere."""
+    files, gone = body.get("files"), body.get("gone")
+    if (
+        not (isinstance(files, dict) and isinstance(gone, list))
+        or not (type(body.get("serial")) is int and isinstance(body.get("part"), str))
+        or not all(map(inner_path, [*files, *gone]))
+        or not all(map(_is_entry, files.values()))
+    ):
+        raise RunFolderError(
+            f"{path:.200} is not a commit that the engine has written.",
+            "Find out who writes to this store, then delete the file.",
+        )
+    return body
+
+
+def _entries(commits: Iterable[dict[str, Any]]) -> dict[str, Entry]:
+    files: dict[str, Entry] = {}
+    for commit in commits:
+        for name in commit["gone"]:
+            files.pop(name, None)
+        files |= commit["files"]
+    return files
+
+
+def _is_entry(entry: Any) -> bool:
+    return (
+        isinstance(entry, dict)
+        and isinstance(entry.get("sha"), str)
+        and type(entry.get("size")) is int
+        and inner_path(entry.get("at")) is not None
+    )
+
+
+def published_files(folder: Path) -> list[str]:
+    """The files of a run folder that are published, by their names in it."""
     skip = f"{CACHE}/{UNDISTORTED}/"
-    found = (p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
+    found = (p for p in folder.rglob("*") if p.is_file() and not LEFTOVER.fullmatch(p.name))
     return [
         name
-        for name in found
+        for name in (path.relative_to(folder).as_posix() for path in found)
         if not name.endswith(".lock") and not name.startswith(skip) and name != PREVIEW
     ]
 
@@ -204,5 +251,5 @@ def _fits(path: Path, entry: Entry) -> bool:
 
 
 def _lost(place: str, error: OSError) -> RunFolderError:
-    reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+    reason = first_line(error)
     return RunFolderError(f"Cannot use {place} ({reason:.100}).", "Is the store there, with space?")

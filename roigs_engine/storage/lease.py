@@ -51,8 +51,12 @@ class Lease:
         self._seen: dict[str, tuple[bytes, float, int]] = {}  # content, since when, changes
 
     def is_held(self) -> bool:
-        """Whether nobody has taken it over, as after a pause of this machine."""
-        self._lost = self._lost or self._name not in self._names()
+        """Whether nobody has taken it over, as after a pause of this machine.
+
+        While the store does not answer, it is as it was: `EXPIRY` is long enough for that.
+        """
+        with suppress(Exception):  # each kind of store has errors of its own
+            self._lost = self._lost or self._name not in self._names()
         return not self._lost
 
     def __enter__(self) -> Lease:
@@ -136,7 +140,7 @@ class Lease:
     def _keep(self) -> None:
         """Show that this one is alive, while it is."""
         while not self._ended.wait(self._beat):
-            with suppress(OSError):  # a store that is away for a while
+            with suppress(Exception):  # a store that is away for a while
                 if self._name not in self._names():
                     self._lost = True
                     return

@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Mapping
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 from ..context import Context
 from ..errors import ConfigError, EngineError
 from ..formats.files import read_json, write_json
+from ..formats.names import inner_path
+from ..formats.text import first_line
 from .quota import alone, claim, enforce_quota, keep, limit
 from .urls import file_system, folder_of
 
@@ -60,9 +62,8 @@ def _listed(found: Any, place: str, url: str) -> dict[str, list[Any]]:
     files = {}
     for path, facts in listed.items():
         name = str(path)[len(place) :].lstrip("/")
-        if not name or ".." in PurePosixPath(name).parts:
-            continue
-        files[name] = sign(facts)
+        if inner_path(name):
+            files[name] = sign(facts)
     return files
 
 
@@ -97,5 +98,5 @@ def _index(folder: Path) -> dict[str, Any]:
 
 
 def _unreadable(url: str, error: Exception) -> ConfigError:
-    reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+    reason = first_line(error)
     return ConfigError(f"Cannot read {url} ({reason:.100}).", "Is the address right, and allowed?")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ConfigError
+from ..formats.text import first_line
 from ..requests.values import SCHEME
 
 LOST = ("memory",)
@@ -59,7 +60,7 @@ def file_system(url: str) -> tuple[Any, str]:
             f"Install it ({sys.executable} -m pip install {wanted}), or use a folder.",
         ) from error
     except Exception as error:  # whatever the file system raises for what it cannot use
-        reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+        reason = first_line(error)
         raise ConfigError(
             f"{url:.200} cannot be used ({reason:.100}).", "Use an address that fsspec knows."
         ) from error

@@ -141,6 +141,45 @@ def test_a_part_makes_room_of_what_was_used_long_ago(
     assert (runs / "hall").is_dir() and (runs / "attic").is_dir()
 
 
+def test_a_checkpoint_is_published_with_what_it_needs(
+    memory_store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else, after this engine is lost, no other one can resume: no manifest, no run folder."""
+    folder = staged.batch_folder(RUNS) / "hall"
+    names = {"manifest.json", "selection/vase.json", "stages/scene-1/checkpoint.bin"}
+    monkeypatch.setattr(staged, "PUBLISH_SECONDS", 0.01)
+
+    def engine(*_: Any) -> Outcome:
+        for name in names:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(b"1")
+        (folder / ".result.ply.1-00000000.part").write_bytes(b"half")
+        until = time.monotonic() + 20
+        while stored_run(RUNS, "hall").entries().keys() != names and time.monotonic() < until:
+            (folder / "stages" / "scene-1" / "checkpoint.bin").write_bytes(b"2")
+            time.sleep(0.01)
+        return Outcome(state=LOST)
+
+    monkeypatch.setattr(staged, "run_engine", engine)
+    staging = staged.Staging(url=RUNS, base="x", run="hall", part="scene", last=False, options={})
+    assert staged.run_part(["run"], staging, lambda event: None, lambda: False).state == LOST
+    assert stored_run(RUNS, "hall").entries().keys() == names
+
+
+def test_any_error_of_a_part_is_an_outcome(
+    memory_store: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without one, the batch would wait for the part for ever."""
+
+    def broken(*_: Any) -> None:
+        raise RuntimeError("An error occurred (AccessDenied)\nmore")
+
+    staging = staged.Staging(url=RUNS, base="x", run="hall", part="scene", last=False, options={})
+    monkeypatch.setattr(staged, "stored_run", broken)
+    ended = staged.run_part(["run"], staging, lambda event: None, lambda: False)
+    assert (ended.state, ended.reason) == (LOST, "An error occurred (AccessDenied)")
+
+
 def test_half_a_commit_is_none(memory_store: Any, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     (folder / "scene").mkdir(parents=True)
@@ -177,6 +216,13 @@ def test_addresses_that_cannot_be_used_are_one_line(
     assert main(["batch", str(table), "--run-dir", str(tmp_path / "run")]) == 2
     said = capsys.readouterr().err
     assert "Scene 'hall': There is nothing at memory://museum/scans/nothing." in said
+    secret = "ftp://me:hidden@host/runs"
+    line = refused(capsys, "batch", table, "--run-dir", secret)
+    assert "it has a password" in line and "hidden" not in line
+    table.write_text(f"[scenes.hall]\nscene = '{secret}'\nroi = ['auto']\n", encoding="utf-8")
+    assert main(["batch", str(table), "--run-dir", str(tmp_path / "run")]) == 2
+    said = capsys.readouterr().err
+    assert "it has a password" in said and "hidden" not in said
     monkeypatch.setitem(__import__("sys").modules, "fsspec", None)
     line = refused(capsys, "batch", table, "--run-dir", "s3://bucket/runs")
     assert "s3://bucket/runs needs s3fs, which is not installed" in line

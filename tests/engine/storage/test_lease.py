@@ -49,6 +49,24 @@ def test_one_that_is_dead_is_taken_over_and_knows_it(store: Any) -> None:
         assert lease.is_held()
 
 
+def test_a_store_that_does_not_answer_takes_no_lease_away(
+    store: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever its package raises: who asks is a thread that also passes on stops."""
+
+    def away(*_: Any, **__: Any) -> None:
+        raise RuntimeError("EndpointConnectionError")
+
+    with Lease(store, PLACE, **PATIENT) as lease:
+        with monkeypatch.context() as broken:
+            broken.setattr(type(store), "find", away)
+            assert lease.is_held()
+            time.sleep(0.2)  # some heartbeats
+        assert lease.is_held()
+        store.rm(PLACE, recursive=True)
+        assert not lease.is_held()
+
+
 def test_a_wait_can_be_stopped(store: Any) -> None:
     dead = Lease(store, PLACE, expiry=60, beat=0.1)
     dead.__enter__()

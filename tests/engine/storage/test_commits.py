@@ -1,0 +1,124 @@
+"""Commits on a store that somebody else can write to: what they name stays in the run folder."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from roigs_engine.batch.staged import stored_run
+from roigs_engine.errors import RunFolderError
+from roigs_engine.formats.names import inner_path
+from roigs_engine.formats.text import json_digest
+from roigs_engine.storage.commits import KEY, VERSION
+
+RUNS = "memory://museum/runs"
+COMMIT = "/museum/runs/hall/.commits/scene.json"
+OUTSIDE = [
+    "../x",
+    "/tmp/x",
+    "a/../../x",
+    "C:/x",
+    "C:x",
+    "..\\x",
+    "\\\\host\\x",
+    "\\x",
+    "",
+    ".",
+    "a\0b",
+    5,
+]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "run" / "selection").mkdir(parents=True)
+    (tmp_path / "run" / "selection" / "vase.json").write_bytes(b"picks")
+    return tmp_path / "run"
+
+
+def forge(store: Any, **changes: Any) -> None:
+    """Change the commit as somebody who knows the format can."""
+    body = json.loads(store.cat(COMMIT)) | changes
+    body = {key: value for key, value in body.items() if value is not ...}
+    del body["digest"]
+    digest = json_digest(body | {"run": "hall"})
+    store.pipe(COMMIT, json.dumps(body | {"digest": digest}).encode())
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_names_that_lead_out(name: Any) -> None:
+    assert inner_path(name) is None
+
+
+@pytest.mark.parametrize("name", ["a", "rois/vase.ply", "12:30.jpg", "a..b/c", "ä é/漢.png"])
+def test_names_that_stay_inside(name: str) -> None:
+    assert str(inner_path(name)) == name
+
+
+@pytest.mark.parametrize("name", [name for name in OUTSIDE if isinstance(name, str)])
+def test_a_commit_writes_nothing_outside(
+    name: str, folder: Path, memory_store: Any, tmp_path: Path
+) -> None:
+    stored_run(RUNS, "hall").publish(folder, "scene", last=False)
+    entry = json.loads(memory_store.cat(COMMIT))["files"]["selection/vase.json"]
+    absolute = str(tmp_path / "stolen") if name.startswith("/") else name
+    for changes in ({"files": {absolute: entry}}, {"gone": [absolute]}):
+        forge(memory_store, **changes)
+        with pytest.raises(RunFolderError, match="not a commit that the engine has written"):
+            stored_run(RUNS, "hall").fetch(tmp_path / "got")
+    forge(memory_store, files={"a": entry | {"at": absolute}}, gone=[])
+    with pytest.raises(RunFolderError, match="not a commit that the engine has written"):
+        stored_run(RUNS, "hall").fetch(tmp_path / "got")
+    assert not (tmp_path / "stolen").exists() and not (tmp_path / "x").exists()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        *({"gone": ...}, {"files": None}, {"files": {"a": None}}, {"serial": "1"}, {"part": None}),
+        *({"files": {"a": {"sha": 1, "size": 1, "at": "a"}}}, {"gone": {"a": 1}}, {"serial": ...}),
+    ],
+    ids=str,
+)
+def test_a_commit_of_another_form_is_one_line(
+    changes: dict[str, Any], folder: Path, memory_store: Any
+) -> None:
+    stored_run(RUNS, "hall").publish(folder, "scene", last=False)
+    forge(memory_store, **changes)
+    with pytest.raises(RunFolderError, match="not a commit that the engine has written"):
+        stored_run(RUNS, "hall").entries()
+
+
+def test_a_link_in_the_copy_is_not_followed(
+    folder: Path, memory_store: Any, tmp_path: Path
+) -> None:
+    stored_run(RUNS, "hall").publish(folder, "scene", last=False)
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "got").mkdir()
+    (tmp_path / "got" / "selection").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(RunFolderError):
+        stored_run(RUNS, "hall").fetch(tmp_path / "got")
+    assert not list((tmp_path / "elsewhere").iterdir())
+
+
+def test_commits_are_of_their_run_and_signed(
+    folder: Path, memory_store: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stored_run(RUNS, "hall").publish(folder, "scene", last=False)
+    memory_store.pipe(COMMIT.replace("hall", "attic"), memory_store.cat(COMMIT))
+    assert stored_run(RUNS, "hall").entries() and not stored_run(RUNS, "attic").entries()
+    monkeypatch.setenv(KEY, "secret")
+    assert not stored_run(RUNS, "hall").entries()  # it is not signed
+    stored_run(RUNS, "hall").publish(folder, "scene", last=False)
+    assert stored_run(RUNS, "hall").entries()
+    forge(memory_store, version=VERSION)
+    assert not stored_run(RUNS, "hall").entries()
+
+
+def test_what_a_lost_engine_left_is_gone(folder: Path, memory_store: Any, tmp_path: Path) -> None:
+    """An empty folder is refused as somebody else's by the next run."""
+    stored_run(RUNS, "hall").fetch(folder)
+    assert not list(folder.iterdir())
