@@ -104,7 +104,7 @@ def measured(case: Case, source: StudyScene, options: argparse.Namespace, contex
     every = config.test_every if case.kind == "arc" else 0
     config = replace(config, test_every=every, seed=case.seed)
     run = define_run(folder, few, rois, config, context=context)
-    models = [m.evaluated() for m in train_run(run, ("full-scene-tuned",), context)]
+    models = train_run(run, ("full-scene-tuned",), context)
     whole = run.frame.scene(scene)
     kept = {image.name for image in few.images}
     photos = run.test or tuple(image.name for image in whole.images if image.name not in kept)

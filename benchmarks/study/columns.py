@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from benchmarks.study import rows
 from benchmarks.study.rows import INDEPENDENT, JOINT
-from roigs_engine.run.strategies import BASELINE, TUNED
+from roigs_engine.evaluation.scores import FULL_SCENE as BASELINE
+from roigs_engine.evaluation.scores import FULL_SCENE_TUNED as TUNED
 
 # A line of a table: what it is called, the row it comes from, the model of that row.
 Line = tuple[str, str, str]

@@ -18,8 +18,8 @@ from benchmarks.study.results import Results, Stat
 from benchmarks.study.rows import BEYOND, Row
 from benchmarks.study.tables import kind_of
 from roigs_engine.context import Emit
+from roigs_engine.evaluation.scores import FULL_SCENE as BASELINE
 from roigs_engine.formats.events import Message
-from roigs_engine.run.strategies import BASELINE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,29 +13,30 @@ import numpy as np
 import torch
 
 from benchmarks.study import rows
+from benchmarks.study.baselines import matched, one_stage, one_stage_config
 from benchmarks.study.rows import BASELINES, EQUAL_TIME, FULL_SCENE, TUNED_BASELINES, VARIANT, Row
 from benchmarks.study.scenes import StudyScene
 from roigs_engine.context import QUIET, Context
 from roigs_engine.evaluation.crops import choose_views, write_crops
 from roigs_engine.evaluation.evaluate import Evaluation, evaluate
+from roigs_engine.evaluation.scores import FULL_SCENE as BASELINE
 from roigs_engine.evaluation.views import EvaluatedModel
 from roigs_engine.formats import run_files
 from roigs_engine.formats.names import safe_name
 from roigs_engine.kernels import library
 from roigs_engine.machine import processor_name, usable_cores
+from roigs_engine.model.ownership import count_owned
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.requests.choices import MAX_FACTOR, TEST
 from roigs_engine.run import stage_configs, strategies
 from roigs_engine.run.config import RunConfig
 from roigs_engine.run.definition import Run, define_run, inputs_record
-from roigs_engine.run.executor import Executor, TrainedModel
+from roigs_engine.run.executor import Executor
 from roigs_engine.run.folder import open_folder
 from roigs_engine.run.manifest import from_json
 from roigs_engine.run.photo_sets import PhotoSets
 from roigs_engine.run.plan import Plan
-from roigs_engine.run.stage_folder import StageResult
 from roigs_engine.run.stages import scene_stage
-from roigs_engine.run.strategies import BASELINE
 from roigs_engine.training.config import with_steps
 from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
 from roigs_engine.training.mechanisms.density_control import DensityControl
@@ -74,8 +75,9 @@ class Bench:
         config = self._config(row).to_dict()
         manifest = {"kind": row.kind, "baseline": baseline, "config": config, **inputs}
         if row.kind in (*TUNED_BASELINES, EQUAL_TIME):
-            two = stage_configs.COARSE_TO_FINE and row.kind != rows.ONE_STAGE
-            manifest["tuned"] = asdict(stage_configs.tuned_baseline(self._own_config(), two))
+            own = self._own_config()
+            tuned = one_stage_config if row.kind == rows.ONE_STAGE else stage_configs.tuned_baseline
+            manifest["tuned"] = asdict(tuned(own))
         return cast(dict[str, Any], from_json(manifest))
 
     def measure(self, row: Row, *, keep_models: bool = True) -> dict[str, Any]:
@@ -88,8 +90,7 @@ class Bench:
         run, plan = self._planned(row)
         open_folder(run, self.context, update=True)
         executor = Executor(run, self.context)
-        made = executor.execute(plan)
-        models = [model.evaluated() for model in made]
+        models = executor.execute(plan)
         evaluation = evaluate(
             models,
             self.sfm,
@@ -101,14 +102,17 @@ class Bench:
             photos=self.evaluate_on,
         )
         record = {
-            **self._facts(row, run, plan, made),
+            **self._facts(row, run, plan, executor),
             "pictures": self._write_pictures(row, models, evaluation),
             "evaluation": evaluation.to_dict(),
         }
         if not keep_models and (row.is_ablation or row.kind == VARIANT):
-            own = _stages(made[1:])
-            for name in own.keys() - {*_stages(made[:1]), "scene"}:
-                rmtree(own[name].model_path.parent, ignore_errors=True)
+            own, full_scene = (
+                {stage.name: stage for model in part for stage in model.all_stages}
+                for part in (plan.models[1:], plan.models[:1])
+            )
+            for name in own.keys() - {*full_scene, "scene"}:
+                rmtree(executor.result(own[name]).model_path.parent, ignore_errors=True)
         return record
 
     def _planned(self, row: Row) -> tuple[Run, Plan]:
@@ -122,7 +126,7 @@ class Bench:
         photos = PhotoSets(own, self.context)
         plan = strategies.full_scene(photos)
         if row.kind in BASELINES:
-            return own, plan + _baseline(row.kind, photos)
+            return own, plan + self._baseline(row.kind, photos)
         run, coarse = replace(own, config=self._config(row)), None
         if row.kind == EQUAL_TIME:
             longer = replace(run, config=longer_box_stage(run.config, self._time_factor(own, run)))
@@ -147,8 +151,12 @@ class Bench:
         ours = strategies.strategy(PhotoSets(joint, self.context))
         open_folder(joint, self.context, update=True)
         executor = Executor(joint, self.context)
-        made = executor.execute(tuned + replace(ours, outputs=()))
-        theirs, boxes = (_seconds(made[row]) for row in (0, -1))
+        plan = tuned + replace(ours, outputs=())
+        executor.execute(plan)
+        theirs, boxes = (
+            {s.name: executor.result(s).cpu_seconds for s in plan.models[row].all_stages}
+            for row in (0, -1)
+        )
         scene = boxes.pop(run_files.SCENE_STAGE)
         return equal_time_factor(sum(theirs.values()) - scene, sum(boxes.values()))
 
@@ -160,9 +168,26 @@ class Bench:
         """The preset's."""
         return self._config(Row(name="", kind=FULL_SCENE, tables=(), rank=0))
 
-    def _facts(
-        self, row: Row, run: Run, plan: Plan, made: Sequence[TrainedModel]
-    ) -> dict[str, Any]:
+    def _baseline(self, kind: str, photos: PhotoSets) -> Plan:
+        """The baseline of that kind, which stands beside Full Scene."""
+        match kind:
+            case rows.FULL_OBJECT:
+                return strategies.full_objects(photos)
+            case rows.TUNED:
+                return strategies.full_scene_tuned(photos)
+            case rows.OBJECT_TUNED:
+                return strategies.full_objects_tuned(photos)
+            case rows.ONE_STAGE:
+                return one_stage(photos)
+            case rows.MATCHED | rows.MATCHED_TUNED:
+                ours = strategies.strategy(photos).models[-1]
+                open_folder(photos.run, self.context, update=True)
+                model = Executor(photos.run, self.context).model(ours).gaussians
+                budgets = tuple(count_owned(model, photos.run.rois))
+                return matched(photos, budgets, tuned=kind == rows.MATCHED_TUNED)
+        return Plan()
+
+    def _facts(self, row: Row, run: Run, plan: Plan, executor: Executor) -> dict[str, Any]:
         """Everything of the record but the evaluation."""
         rois = self.scene.rois
         return {
@@ -175,13 +200,15 @@ class Bench:
             "steps": run.config.total_steps,
             "steps_factor": run.config.total_steps / self._own_config().total_steps,
             "stages": {
-                name: {"seconds": s.seconds, "cpu_seconds": s.cpu_seconds}
-                for name, s in _stages(made).items()
+                stage.name: {"seconds": result.seconds, "cpu_seconds": result.cpu_seconds}
+                for model in plan.models
+                for stage in model.all_stages
+                if (result := executor.result(stage))
             },
             "models": {
                 roi.name: {
-                    m.name: [stage.name for stage in m.stages_for(roi.name)]
-                    for m in made
+                    m.name: [stage.name for stage in (*m.stages, *m.by_roi.get(roi.name, ()))]
+                    for m in plan.models
                     if m.rois is None or roi.name in m.rois
                 }
                 for roi in rois
@@ -249,40 +276,6 @@ def longer_box_stage(config: RunConfig, factor: float) -> RunConfig:
     if (small := roi.get(CoarseToFine)) and (first := config.roi.get(CoarseToFine)):
         roi = roi.using(replace(small, until=min(small.until, first.until)))
     return replace(config, roi=roi)
-
-
-def _seconds(model: TrainedModel) -> dict[str, float]:
-    """CPU seconds of every stage behind a model."""
-    return {stage.name: stage.cpu_seconds for stage in model.all_stages}
-
-
-def _baseline(kind: str, photos: PhotoSets) -> Plan:
-    """The baseline of that kind, which stands beside Full Scene."""
-    match kind:
-        case rows.FULL_OBJECT:
-            return strategies.full_objects(photos)
-        case rows.TUNED:
-            return strategies.full_scene_tuned(photos)
-        case rows.OBJECT_TUNED:
-            return strategies.full_objects_tuned(photos)
-        case rows.ONE_STAGE:
-            return one_stage(photos)
-        case rows.MATCHED | rows.MATCHED_TUNED:
-            ours = strategies.strategy(photos).models[-1]
-            tuned = kind == rows.MATCHED_TUNED
-            return (strategies.matched_tuned if tuned else strategies.matched)(photos, ours)
-    return Plan()
-
-
-def one_stage(photos: PhotoSets) -> Plan:
-    """The tuned Full Scene in one stage on photos of full size, with a name of its own."""
-    plan = strategies.full_scene_tuned(photos, coarse_to_fine=False)
-    return replace(plan, models=(replace(plan.models[0], name=f"{strategies.TUNED}, one stage"),))
-
-
-def _stages(models: Sequence[TrainedModel]) -> dict[str, StageResult]:
-    """Every stage behind the models, by name."""
-    return {stage.name: stage for model in models for stage in model.all_stages}
 
 
 def machine() -> dict[str, Any]:

@@ -10,10 +10,11 @@ from typing import Any
 
 from benchmarks.markdown import NONE
 from benchmarks.study.rows import TUNED as TUNED_ROW
+from roigs_engine.evaluation.scores import FULL_SCENE as BASELINE
+from roigs_engine.evaluation.scores import FULL_SCENE_TUNED as TUNED
 from roigs_engine.evaluation.scores import Evaluation, Gains, ModelScore, mean, near_and_far
 from roigs_engine.formats.files import read_json
 from roigs_engine.requests.choices import TEST
-from roigs_engine.run.strategies import BASELINE, TUNED
 
 ONE_SEED = " †"
 

@@ -24,7 +24,7 @@ from benchmarks.study.columns import (
 )
 from benchmarks.study.results import METRICS, Results, Stat, mean_of
 from benchmarks.study.rows import BEYOND, EQUAL_TIME, MATCHED, MATCHED_TUNED, PERCENTS, Row
-from roigs_engine.run.strategies import TUNED
+from roigs_engine.evaluation.scores import FULL_SCENE_TUNED as TUNED
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,9 +22,9 @@ from .inputs import count_photos, mask_options
 from .outputs import Planned, Trained, result_in
 
 if TYPE_CHECKING:
+    from ..evaluation.views import EvaluatedModel
     from ..model.scene import SfmScene
     from ..run.definition import Run
-    from ..run.executor import TrainedModel
 
 PREPARE = "prepare"
 """The part of a run that opens the folder and looks at the photos."""
@@ -195,7 +195,7 @@ def _reconstruct(photos: Path, request: Train, context: Context) -> None:
     reconstruct(photos, request.scene, Settings(), request.threads, context, masks=masks)
 
 
-def _evaluate(run: Run, trained: Sequence[TrainedModel], context: Context) -> str:
+def _evaluate(run: Run, trained: Sequence[EvaluatedModel], context: Context) -> str:
     """Compare the models on the held-out photos, and write the report; returns the table."""
     import torch
 
@@ -203,7 +203,7 @@ def _evaluate(run: Run, trained: Sequence[TrainedModel], context: Context) -> st
     from .evaluate import write_evaluation
 
     device = torch.device(context.device)
-    models = [model.evaluated().to(device) for model in trained]
+    models = [model.to(device) for model in trained]
     photos = run.config.evaluate_on
     evaluation = evaluate(models, run.scene, run.measured, run.rois, context=context, photos=photos)
     check_held(run.folder)

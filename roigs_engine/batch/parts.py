@@ -105,11 +105,11 @@ def chains(plan: Plan) -> list[tuple[Stage, ...]]:
     """
     users: dict[str, list[str]] = {}
     for stage in plan.stages:
-        for needed in stage.inputs:
+        for needed in stage.start.stages:
             users.setdefault(needed.name, []).append(stage.name)
     found: dict[str, list[Stage]] = {}  # by the last stage
     for stage in plan.stages:
-        names = {needed.name for needed in stage.inputs}
+        names = {needed.name for needed in stage.start.stages}
         only = next(iter(names)) if len(names) == 1 else ""
         before = found.pop(only) if only in found and set(users[only]) == {stage.name} else []
         found[stage.name] = [*before, stage]
@@ -135,7 +135,7 @@ def cuts(plan: Plan) -> list[Cut]:
     parts = [
         Cut(
             name=chain[-1].name,
-            needs=tuple(dict.fromkeys(last[needed.name] for needed in chain[0].inputs)),
+            needs=tuple(dict.fromkeys(last[needed.name] for needed in chain[0].start.stages)),
             stages=works(chain),
         )
         for chain in found

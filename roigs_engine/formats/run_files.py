@@ -44,10 +44,10 @@ SCENE_STAGE, JOINT_STAGE, REFINE_STAGE, OBJECT_STAGE = "scene", "joint", "refine
 """Names of stages; the last is followed by the box's."""
 CUTOUT_STAGE = "cutout"
 """Name of the stage that makes objects with masks look right alone."""
-FULL_SCENE_STAGE, MATCHED_STAGE, FULL_OBJECT_STAGE = "full-scene", "matched-scene", "full-object-"
+FULL_SCENE_STAGE, FULL_OBJECT_STAGE = "full-scene", "full-object-"
 """Names of the baselines' stages; the last is followed by the box's."""
 TUNED_STAGE, TUNED_COARSE_STAGE = "tuned-", "tuned-coarse-"
-"""Followed by `scene`, `matched` (the first only), or `object-` and the box's name."""
+"""Followed by `scene`, or `object-` and the box's name."""
 COMPARED = "compare-"
 """Followed by the name of another strategy: the folder of its result, and of its stages' names."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,59 +16,16 @@ from ..formats.lock import check_held
 from ..formats.stage_list import write_stage_list
 from ..model.gaussians import Gaussians
 from ..model.operations import crop, merge
-from ..model.ownership import count_owned, joined, owners
+from ..model.ownership import joined, owners
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from ..photos.cache import PhotoCache
-from ..training.config import TrainConfig
 from ..training.floaters import shown_by
 from ..training.labels import object_owners
-from ..training.mechanisms.box_density_control import BoxDensityControl
 from ..training.stage_data import SmallPhotos, StageData
 from .definition import Run
 from .plan import CELLS, CROP, MERGE, POINTS, Output, Plan, PlannedModel, Source, Stage
 from .stage_folder import StageFolder, StageResult, StageStatus, folder_of
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrainedModel:
-    """A trained model, one row of the tables, and the stages behind it.
-
-    Attributes:
-        name: of its row, unique among the rows of a box.
-        gaussians: the model.
-        stages: stages shared by all boxes.
-        by_roi: box -> its own stages.
-    """
-
-    name: str
-    gaussians: Gaussians
-    stages: Sequence[StageResult] = ()
-    by_roi: dict[str, tuple[StageResult, ...]] = field(default_factory=dict)
-
-    @property
-    def rois(self) -> tuple[str, ...] | None:
-        """The boxes that get a row for it; None: all boxes (it has shared stages)."""
-        return None if self.stages else tuple(self.by_roi)
-
-    @property
-    def all_stages(self) -> list[StageResult]:
-        """All stages behind it."""
-        return [*self.stages, *(stage for own in self.by_roi.values() for stage in own)]
-
-    def stages_for(self, roi: str) -> list[StageResult]:
-        """The stages that this model would need if `roi` were the only box."""
-        return [*self.stages, *self.by_roi.get(roi, ())]
-
-    def evaluated(self) -> EvaluatedModel:
-        """The model for the evaluation, with the time of all its stages."""
-        return EvaluatedModel(
-            name=self.name,
-            gaussians=self.gaussians,
-            seconds=sum(stage.seconds for stage in self.all_stages),
-            rois=self.rois,
-            stages={stage.name.rpartition("/")[2]: stage.seconds for stage in self.all_stages},
-        )
 
 
 class Executor:
@@ -97,7 +53,7 @@ class Executor:
         self._models: dict[str, Gaussians] = {}
         self._photos: dict[Hashable, PhotoCache] = {}
 
-    def execute(self, plan: Plan) -> list[TrainedModel]:
+    def execute(self, plan: Plan) -> list[EvaluatedModel]:
         """Train the missing stages and write the outputs; returns the models, the result last.
 
         Raises:
@@ -131,19 +87,11 @@ class Executor:
         return self._results[stage.name]
 
     def _train(self, stage: Stage, folder: StageFolder) -> StageResult:
-        for needed in stage.inputs:  # before the stage's own photos take memory
+        for needed in stage.start.stages:  # before the stage's own photos take memory
             self.result(needed)
         data = self._data(stage)
-        config = self._config(stage).measured(data, self.context)
+        config = stage.config.measured(data, self.context)
         return folder.train(lambda: self._start(stage, data), data, config, self.context)
-
-    def _config(self, stage: Stage) -> TrainConfig:
-        """The stage's settings, with the budgets of a model that it matches."""
-        if stage.matched is None:
-            return stage.config
-        budgets = tuple(count_owned(self.gaussians(stage.matched), stage.rois))
-        density = stage.config.of(BoxDensityControl)
-        return stage.config.using(replace(density, budgets=budgets))
 
     def _start(self, stage: Stage, data: StageData) -> Gaussians:
         """The Gaussians that a stage's training starts with."""
@@ -174,17 +122,15 @@ class Executor:
         on_device = model.to(torch.device(self.context.device))
         return model.rows(shown_by(on_device, source.images, self.context).to(model.means.device))
 
-    def model(self, planned: PlannedModel) -> TrainedModel:
-        """The planned model, trained."""
-        stages = [self.result(stage) for stage in planned.stages]
-        by_roi = {
-            roi: tuple(self.result(stage) for stage in own) for roi, own in planned.by_roi.items()
-        }
-        return TrainedModel(
+    def model(self, planned: PlannedModel) -> EvaluatedModel:
+        """The planned model, trained, with the time of all its stages."""
+        results = [self.result(stage) for stage in planned.all_stages]
+        return EvaluatedModel(
             name=planned.name,
             gaussians=self.gaussians(planned.source),
-            stages=stages,
-            by_roi=by_roi,
+            seconds=sum(result.seconds for result in results),
+            rois=planned.rois,
+            stages={result.name.rpartition("/")[2]: result.seconds for result in results},
         )
 
     def status(self, stage: Stage) -> StageStatus:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..context import QUIET, Context
+from ..evaluation.views import EvaluatedModel
 from ..formats.files import write_json
 from ..formats.run_files import SPLIT
 from ..model.scene_checks import scene_warnings
 from .definition import Run
-from .executor import Executor, TrainedModel
+from .executor import Executor
 from .forecast import disk_space, forecast_if_long
 from .manifest import claim
 from .strategies import plan_run
@@ -41,7 +42,7 @@ def train_opened(
     context: Context = QUIET,
     *,
     preview_seconds: float = 0.0,
-) -> list[TrainedModel]:
+) -> list[EvaluatedModel]:
     """Plan and train a run whose folder is open; returns the models, the run's result last.
 
     Args:
@@ -69,7 +70,7 @@ def train_run(
     *,
     update: bool = False,
     preview_seconds: float = 0.0,
-) -> list[TrainedModel]:
+) -> list[EvaluatedModel]:
     """`open_folder`, then `train_opened`."""
     open_folder(run, context, update=update)
     return train_opened(run, compare, context, preview_seconds=preview_seconds)

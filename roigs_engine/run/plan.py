@@ -8,7 +8,6 @@ stage's settings and photos, and the fingerprints of the stages that it starts f
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any
@@ -85,7 +84,6 @@ class Stage:
         start: the Gaussians to start from.
         order: which photo each step uses.
         rois: boxes that limit densification and masks.
-        matched: a model; its numbers of Gaussians in the boxes are the budgets of the boxes.
         extent: of the scene, world units.
         seed: for the positions of split Gaussians.
     """
@@ -98,7 +96,6 @@ class Stage:
     extent: float
     seed: int
     rois: tuple[OrientedBox, ...] = ()
-    matched: Source | None = None
 
     @cached_property
     def small_images(self) -> tuple[PosedImage, ...]:
@@ -116,7 +113,6 @@ class Stage:
             "images": [_image_record(image) for image in self.images],
             "rois": [roi.to_dict() | {"name": ""} for roi in self.rois],
             "objects": self._object_masks(),
-            "matched": self.matched and self.matched.fingerprint,
             "extent": self.extent,
             "seed": self.seed,
             "start": self.start.fingerprint,
@@ -140,11 +136,6 @@ class Stage:
         rows = self.start.rows
         return self.start.share if rows is None else max(len(rows), 1) / max(points, 1)
 
-    @property
-    def inputs(self) -> tuple[Stage, ...]:
-        """The stages that this stage needs the results of."""
-        return (*self.start.stages, *(self.matched.stages if self.matched else ()))
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedModel:
@@ -161,6 +152,16 @@ class PlannedModel:
     source: Source
     stages: tuple[Stage, ...] = ()
     by_roi: dict[str, tuple[Stage, ...]] = field(default_factory=dict)
+
+    @property
+    def rois(self) -> tuple[str, ...] | None:
+        """The boxes that get a row for it; None: all boxes, as it has shared stages."""
+        return None if self.stages else tuple(self.by_roi)
+
+    @property
+    def all_stages(self) -> tuple[Stage, ...]:
+        """All stages that its row counts the time of."""
+        return (*self.stages, *(stage for own in self.by_roi.values() for stage in own))
 
     @classmethod
     def of_stages(cls, name: str, *stages: Stage, roi: str = "") -> PlannedModel:
@@ -219,20 +220,14 @@ class Plan:
         found: dict[str, Stage] = {}
 
         def visit(stage: Stage) -> None:
-            for needed in stage.inputs:
+            for needed in stage.start.stages:
                 visit(needed)
             found.setdefault(stage.name, stage)
 
-        for stage in self._model_stages():
-            visit(stage)
-        return tuple(found.values())
-
-    def _model_stages(self) -> Iterator[Stage]:
         for model in self.in_training_order:
-            yield from model.stages
-            for own in model.by_roi.values():
-                yield from own
-            yield from model.source.stages
+            for stage in (*model.all_stages, *model.source.stages):
+                visit(stage)
+        return tuple(found.values())
 
 
 def result_of(stage: Stage) -> Source:

@@ -96,7 +96,7 @@ def train_stage(run: Run, plan: Plan, name: str, context: Context) -> None:
 def _with_inputs(stage: Stage) -> list[Stage]:
     """The stage and all that it needs, in the order of training, each once."""
     found: dict[str, Stage] = {}
-    for needed in stage.inputs:
+    for needed in stage.start.stages:
         found |= {s.name: s for s in _with_inputs(needed)}
     return [*found.values(), stage]
 

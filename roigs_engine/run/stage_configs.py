@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 
 from ..training.config import TrainConfig, miniature, with_steps
-from ..training.mechanisms.background_points import BackgroundPoints
 from ..training.mechanisms.box_density_control import BoxDensityControl
 from ..training.mechanisms.coarse_to_fine import CoarseToFine
 from ..training.mechanisms.cutout_steps import CutoutSteps
@@ -26,7 +25,6 @@ from .presets import in_strategy, joint_recipe
 # masks of the others show much of what is behind the boxes, which may be in another block.
 WHOLE_SHARE = 0.6
 CUTOUT_SHARE = 0.6  # steps of the stage that cuts objects out, in steps of the box stage
-COARSE_TO_FINE = True  # the tuned baselines: a first stage on small photos; False: one stage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,12 +32,12 @@ class TunedBaseline:
     """Settings of a tuned baseline.
 
     Attributes:
-        coarse: of its first stage; None: it has one stage only.
-        scale: factor on the size of the photos of the first stage.
+        coarse: of its first stage.
+        scale: factor on the size of that stage's photos.
         fine: of its last stage, on photos of full size.
     """
 
-    coarse: TrainConfig | None
+    coarse: TrainConfig
     scale: float
     fine: TrainConfig
 
@@ -66,53 +64,26 @@ def baseline(config: RunConfig) -> TrainConfig:
     )
 
 
-def matched_baseline(config: RunConfig) -> TrainConfig:
-    """The baseline with a quarter of the box stage's gradient threshold in the boxes.
-
-    So only the Gaussian budget limits the number of Gaussians there.
-    """
-    return _matched(baseline(config), config)
-
-
-def _matched(stage: TrainConfig, config: RunConfig) -> TrainConfig:
-    own = stage.of(DensityControl)
-    density = BoxDensityControl(
-        **asdict(own) | {"grad_threshold": config.roi.of(DensityControl).grad_threshold / 4},
-        outside_threshold=own.grad_threshold,
-        box_sizes=False,
-    )
-    return stage.using(density)
-
-
-def tuned_baseline(config: RunConfig, coarse_to_fine: bool = COARSE_TO_FINE) -> TunedBaseline:
+def tuned_baseline(config: RunConfig) -> TunedBaseline:
     """The tuned Full Scene and Full Object: 3DGS with all settings of ours that fit any scene.
 
     These are the joint recipe's, without what boxes bring: masks, weights, budgets, a lower
     threshold; and without small photos in the last stage, by which they lose (notebook/sampling.md,
-    "Small photos first"). With two stages, the steps that densify are as many in sum as in the
-    baseline; the last stage densifies for a third of its steps at the least, like the joint stage.
+    "Small photos first"). The steps that densify are as many in sum as in the baseline; the last
+    stage densifies for a third of its steps at the least, like the joint stage.
     """
     ours = config if config.strategy == "joint" else in_strategy(config, "joint")
     scene, box = ours.scene.of(DensityControl), ours.roi.of(DensityControl)
+    until = max(_densify_steps(config) - scene.until, ours.roi.steps // 3)
     density = DensityControl(
         start=box.start,
+        until=min(until, ours.roi.steps),
         every=box.every,
         grad_threshold=DensityControl.grad_threshold,
         reset_every=box.reset_every,
     )
-    if coarse_to_fine:
-        until = max(_densify_steps(config) - scene.until, ours.roi.steps // 3)
-        density = replace(density, until=min(until, ours.roi.steps))
-        fine = _without_boxes(ours.roi, density)
-        return TunedBaseline(coarse=ours.scene, scale=ours.scene_scale, fine=fine)
-    density = replace(density, start=scene.start, until=_densify_steps(config))
-    fine = replace(
-        _without_boxes(with_steps(ours.roi, config.total_steps), density),
-        sh_start=ours.scene.sh_start,
-    )
-    first = ours.scene.chosen(BackgroundPoints)
-    fine = replace(fine, mechanisms=(*first, *fine.mechanisms))
-    return TunedBaseline(coarse=None, scale=1.0, fine=fine)
+    fine = _without_boxes(ours.roi, density)
+    return TunedBaseline(coarse=ours.scene, scale=ours.scene_scale, fine=fine)
 
 
 def _without_boxes(stage: TrainConfig, density: DensityControl) -> TrainConfig:
@@ -128,12 +99,6 @@ def _without_boxes(stage: TrainConfig, density: DensityControl) -> TrainConfig:
             *stage.chosen(ImportancePruning, FloaterPruning),
         ),
     )
-
-
-def tuned_matched_baseline(config: RunConfig) -> TunedBaseline:
-    """The tuned baseline with the lower threshold of `matched_baseline` in the boxes."""
-    tuned = tuned_baseline(config)
-    return replace(tuned, fine=_matched(tuned.fine, config))
 
 
 def cutout_stage(config: RunConfig) -> TrainConfig:

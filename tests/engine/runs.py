@@ -7,12 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from roigs_engine.context import QUIET, Context
+from roigs_engine.evaluation.views import EvaluatedModel
 from roigs_engine.formats.stage_list import read_stage_list
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.config import RunConfig
 from roigs_engine.run.definition import Run, define_run
-from roigs_engine.run.executor import TrainedModel
 from roigs_engine.run.folder import open_folder, train_run
 from roigs_engine.run.presets import preset
 from roigs_engine.training.config import TrainConfig
@@ -74,7 +74,7 @@ def train(
     update: bool = False,
     preview_seconds: float = 0.0,
     context: Context = QUIET,
-) -> list[TrainedModel]:
+) -> list[EvaluatedModel]:
     """A run from its inputs to its models."""
     run = define_run(folder, scene, rois, config, manual=manual, context=context)
     return train_run(run, compare, context, update=update, preview_seconds=preview_seconds)

@@ -63,7 +63,7 @@ def test_blocks_are_trained_apart_and_joined(
     names = [stage.name for stage in plan.stages]
     assert {"block-1-scene", "block-2-scene"} <= set(names) and "scene" not in names
     models = train_run(run)
-    evaluation = evaluate([m.evaluated() for m in models], run.scene, run.test, run.rois)
+    evaluation = evaluate(models, run.scene, run.test, run.rois)
     assert [table.roi for table in evaluation.rois] == ["east", "west"]
     # Each half of the result is the model of that half's block: nothing is there twice.
     last = "joint" if strategy == "joint" else "scene"

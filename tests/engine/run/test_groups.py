@@ -9,13 +9,13 @@ import pytest
 
 from roigs_engine.batch.parts import cuts
 from roigs_engine.errors import RunFolderError
+from roigs_engine.evaluation.views import EvaluatedModel
 from roigs_engine.formats import run_files
 from roigs_engine.formats.clean_up import removable
 from roigs_engine.formats.splat_ply import read_ply
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.dry_run import describe_plan
-from roigs_engine.run.executor import TrainedModel
 from roigs_engine.run.strategies import plan_run
 from tests.engine.runs import opened, plys, stage_of, tiny, train
 from tests.engine.two_rooms import BOXES, two_rooms
@@ -31,13 +31,13 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
 @pytest.fixture(scope="module")
 def trained(
     scene: SfmScene, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Path, list[TrainedModel]]:
+) -> tuple[Path, list[EvaluatedModel]]:
     folder = tmp_path_factory.mktemp("run")
     return folder, train(folder, scene, BOXES, tiny("joint"))
 
 
 def test_boxes_that_share_no_photo_are_trained_side_by_side(
-    scene: SfmScene, trained: tuple[Path, list[TrainedModel]]
+    scene: SfmScene, trained: tuple[Path, list[EvaluatedModel]]
 ) -> None:
     folder, models = trained
     plan = plan_run(define_run(folder, scene, BOXES, tiny("joint")))

@@ -17,11 +17,9 @@ from roigs_engine.run.config import RunConfig
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.folder import train_run
 from roigs_engine.run.photo_sets import PhotoSets
-from roigs_engine.run.plan import POINTS, Plan, Stage
+from roigs_engine.run.plan import Plan, Stage
 from roigs_engine.run.presets import PRESETS, preset
-from roigs_engine.run.strategies import full_scene_tuned, matched_tuned, plan_run, strategy
-from roigs_engine.training.mechanisms.background_points import BackgroundPoints
-from roigs_engine.training.mechanisms.box_density_control import BoxDensityControl
+from roigs_engine.run.strategies import plan_run
 from roigs_engine.training.mechanisms.density_control import DensityControl
 from roigs_engine.training.mechanisms.floater_pruning import FloaterPruning
 from roigs_engine.training.mechanisms.importance_pruning import ImportancePruning
@@ -60,8 +58,8 @@ def by_name(plan: Plan) -> dict[str, Stage]:
 @pytest.mark.parametrize("name", sorted(PRESETS))
 def test_settings_are_ours_without_the_boxes(name: str) -> None:
     config = preset(name)
-    tuned, plain = stage_configs.tuned_baseline(config, True), stage_configs.baseline(config)
-    assert tuned.coarse is not None and tuned.scale == 0.5
+    tuned, plain = stage_configs.tuned_baseline(config), stage_configs.baseline(config)
+    assert tuned.scale == 0.5
     coarse, fine = tuned.coarse, tuned.fine
     assert coarse.steps + fine.steps == plain.steps == config.total_steps
     assert tuple(type(each) for each in fine.mechanisms) == USED
@@ -84,26 +82,6 @@ def test_settings_are_ours_without_the_boxes(name: str) -> None:
         assert densify == config.total_steps // 2
 
 
-@pytest.mark.parametrize("name", sorted(PRESETS))
-def test_in_one_stage_they_begin_like_3dgs(name: str) -> None:
-    config = preset(name)
-    tuned, plain = stage_configs.tuned_baseline(config, False), stage_configs.baseline(config)
-    assert tuned.coarse is None
-    assert (tuned.fine.steps, tuned.fine.sh_start) == (plain.steps, plain.sh_start)
-    density, usual = (each.of(DensityControl) for each in (tuned.fine, plain))
-    assert density == replace(usual, reset_every=0, every=density.every)
-    two = stage_configs.tuned_baseline(config, True).fine
-    average = tuned.fine.of(ModelAveraging)
-    assert average.steps == config.total_steps // 10
-    first, *others = tuned.fine.mechanisms
-    assert isinstance(first, BackgroundPoints)
-    alike = two.using(density, average)
-    assert tuple(others) == alike.mechanisms
-    assert tuned.fine == replace(
-        two, steps=plain.steps, sh_start=plain.sh_start, mechanisms=tuned.fine.mechanisms
-    )
-
-
 def test_all_photos_whole_shuffled_and_everywhere(scene: SfmScene) -> None:
     config = tiny("joint", scene_scale=0.5)
     run = define_run(Path("nowhere"), scene, [BOX, SECOND], config)
@@ -111,7 +89,6 @@ def test_all_photos_whole_shuffled_and_everywhere(scene: SfmScene) -> None:
     tuned, joint = stages["tuned-scene"], stages["joint"]
     assert tuned.images == joint.images == run.train_scene.images
     assert tuned.order.kind == "shuffled" and tuned.order.count == len(tuned.images)
-    assert tuned.matched is None
     assert (tuned.seed, tuned.extent) == (joint.seed, joint.extent)
     assert [roi.name for roi in tuned.rois] == [roi.name for roi in joint.rois]
     assert tuned.config.lr_shN == joint.config.lr_shN < config.roi.lr_shN  # by view spacing
@@ -144,43 +121,11 @@ def test_full_object_sees_the_photos_of_its_box(scene: SfmScene) -> None:
     assert names[:4] == [*["Full Object"] * 2, *["Full Object, tuned"] * 2]
 
 
-def test_fingerprints_differ_where_settings_do(scene: SfmScene) -> None:
-    def stages() -> list[Stage]:
-        photos = PhotoSets(define_run(Path("nowhere"), scene, [BOX], tiny("joint")))
-        plans = [
-            full_scene_tuned(photos, coarse_to_fine=True),
-            full_scene_tuned(photos, coarse_to_fine=False),
-            matched_tuned(photos, strategy(photos).models[-1]),
-        ]
-        return [plan.stages[-1] for plan in plans]
-
-    first = [stage.fingerprint for stage in stages()]
-    assert len(set(first)) == 3
-    assert [stage.fingerprint for stage in stages()] == first
-    assert stages()[1].start.kind == POINTS
-    assert [stage.name for stage in stages()] == ["tuned-scene", "tuned-scene", "tuned-matched"]
-
-
-@pytest.mark.parametrize("name", ["joint", "independent"])
-def test_the_matched_one_differs_by_its_threshold_in_the_boxes(scene: SfmScene, name: str) -> None:
-    photos = PhotoSets(define_run(Path("nowhere"), scene, [BOX], tiny(name)))
-    plan = matched_tuned(photos, strategy(photos).models[-1])
-    stage, tuned = by_name(plan)["tuned-matched"], full_scene_tuned(photos).stages[-1]
-    threshold = photos.run.config.roi.of(DensityControl).grad_threshold / 4
-    boxes, usual = stage.config.of(BoxDensityControl), tuned.config.of(DensityControl)
-    assert (boxes.grad_threshold, boxes.outside_threshold) == (threshold, usual.grad_threshold)
-    assert not boxes.box_sizes and boxes.budgets is None
-    assert stage.config == tuned.config.using(boxes)
-    assert stage.start.fingerprint == tuned.start.fingerprint
-    assert stage.start.inputs[0].name == tuned.start.inputs[0].name
-    assert stage.matched is not None
-
-
 def test_rows_and_times_of_a_run(scene: SfmScene, tmp_path: Path) -> None:
     """The shared stage is trained once and counts for both."""
     config = tiny("joint", scene_scale=0.5)
     models = train(tmp_path, scene, [BOX], config, BASELINES)
-    seconds = {model.name: model.evaluated().stages for model in models}
+    seconds = {model.name: model.stages for model in models}
     assert list(seconds) == [
         *("Full Scene", "Full Scene, tuned", "Full Object", "Full Object, tuned"),
         *("Scene-GS (joint)", "Joint"),
@@ -192,8 +137,7 @@ def test_rows_and_times_of_a_run(scene: SfmScene, tmp_path: Path) -> None:
     assert [model.rois for model in models if "Object" in model.name] == [("thing",)] * 2
     assert all(is_own(path.name) for path in tmp_path.iterdir())
     run = define_run(tmp_path, scene, [BOX], config)
-    evaluated = [model.evaluated() for model in models]
-    for rows, baseline in ((evaluated, "Full Scene, tuned"), (evaluated[:1], "Full Scene")):
+    for rows, baseline in ((models, "Full Scene, tuned"), (models[:1], "Full Scene")):
         report = evaluate(rows, run.scene, run.measured, run.rois)
         gains = {row.model: row.peak_gain for row in report.roi("thing").rows}
         assert report.baseline == baseline and gains[baseline] is None

@@ -52,7 +52,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
 def trained_psnr(folder: Path, scene: SfmScene, box: OrientedBox, strategy: str) -> float:
     """PSNR in the box's silhouette on the test photos, dB, after a short run."""
     run = define_run(folder, scene, [box], settled(strategy))
-    models = [model.evaluated() for model in train_run(run)]
+    models = train_run(run)
     psnr = evaluate(models, run.scene, run.test, run.rois).rois[0].rows[-1].roi_psnr
     assert psnr is not None
     return psnr
