@@ -24,8 +24,7 @@ from roigs_engine.batch.moves import RUNNING, WAITING, PartState, next_move, sha
 from roigs_engine.batch.parts import Part
 from roigs_engine.batch.times import START
 from roigs_engine.formats.run_files import STAGE, STAGES
-from roigs_engine.run.stage_folder import CHECKPOINT_SECONDS
-from roigs_engine.run.stage_record import read_record
+from roigs_engine.run.stage_folder import CHECKPOINT_SECONDS, read_record
 
 HOUR = 3600.0
 LOOK = 10.0  # seconds between two looks of the scheduler, which looks more often

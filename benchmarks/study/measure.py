@@ -154,7 +154,7 @@ class Bench:
         plan = tuned + replace(ours, outputs=())
         executor.execute(plan)
         theirs, boxes = (
-            {s.name: executor.result(s).cpu_seconds for s in plan.models[row].all_stages}
+            {s.name: executor.result(s).record.cpu_seconds for s in plan.models[row].all_stages}
             for row in (0, -1)
         )
         scene = boxes.pop(run_files.SCENE_STAGE)
@@ -203,7 +203,7 @@ class Bench:
                 stage.name: {"seconds": result.seconds, "cpu_seconds": result.cpu_seconds}
                 for model in plan.models
                 for stage in model.all_stages
-                if (result := executor.result(stage))
+                for result in (executor.result(stage).record,)
             },
             "models": {
                 roi.name: {

@@ -51,7 +51,7 @@ class Times:
         if not kinds.keys() <= {n for n, kind in kinds.items() if kind in self._rates}:
             for expected in forecast(run, plan, context).stages:
                 work = max(stage_work(expected.stage), 1e-9)
-                self._rates[kinds[expected.stage.name]] = expected.whole.seconds / work
+                self._rates[kinds[expected.stage.name]] = expected.seconds / work
                 self.measured += 1
         for chain in chains(plan):
             seconds = sum(self._rates[kinds[s.name]] * stage_work(s) for s in chain)

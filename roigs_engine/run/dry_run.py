@@ -104,7 +104,7 @@ def _held_out(run: Run) -> str:
 def _row(expected: StageForecast) -> tuple[str, ...]:
     stage = expected.stage
     largest = max((i.camera for i in stage.images), key=lambda c: c.width * c.height)
-    end = expected.whole.end
+    end = expected.end
     return (
         stage.name,
         str(len(stage.images)),
@@ -112,7 +112,7 @@ def _row(expected: StageForecast) -> tuple[str, ...]:
         f"{stage.config.steps:,}",
         _starts_from(stage),
         f"{end:,}" if expected.is_done else f"~{round(end, -3):,}",
-        f"{expected.whole.seconds / 60:.1f}",
+        f"{expected.seconds / 60:.1f}",
         _state(expected),
     )
 
@@ -125,7 +125,7 @@ def _starts_from(stage: Stage) -> str:
 
 
 def _state(expected: StageForecast) -> str:
-    step = expected.status.step
+    step = expected.steps_done
     return "done" if expected.is_done else f"{step:,} steps done" if step else ""
 
 

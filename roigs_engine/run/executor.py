@@ -128,9 +128,9 @@ class Executor:
         return EvaluatedModel(
             name=planned.name,
             gaussians=self.gaussians(planned.source),
-            seconds=sum(result.seconds for result in results),
+            seconds=sum(result.record.seconds for result in results),
             rois=planned.rois,
-            stages={result.name.rpartition("/")[2]: result.seconds for result in results},
+            stages={each.name.rpartition("/")[2]: each.record.seconds for each in results},
         )
 
     def status(self, stage: Stage) -> StageStatus:
@@ -152,13 +152,12 @@ class Executor:
         return folder_of(self.run.folder, stage.name, stage.fingerprint)
 
     def _folder(self, stage: Stage) -> StageFolder:
-        preview = self.run.folder / run_files.PREVIEW if self._preview_seconds else None
         return StageFolder(
             name=stage.name,
             folder=self._place(stage),
             fingerprint=stage.fingerprint,
             frame=self.run.frame,
-            preview=preview,
+            preview=self.run.folder / run_files.PREVIEW,
             preview_seconds=self._preview_seconds,
             named=self._named,
         )

@@ -38,7 +38,6 @@ from ..training.trainer import Trainer
 from .definition import Run
 from .executor import Executor
 from .plan import POINTS, Plan, Source, Stage
-from .stage_folder import StageStatus
 
 # One densification adds the share GROWTH to a small model, and less to a larger one: half of it to
 # a model of HALF Gaussians. Seen in two scenes whose growth differs by a factor of 2
@@ -53,34 +52,30 @@ OUTPUTS = 4  # times a model: whole, without boxes, the boxes' Gaussians, a prev
 
 @dataclass(frozen=True, kw_only=True)
 class StageForecast:
-    """What is expected of a stage, or known of a finished one.
+    """What is expected of a whole stage, or known of a finished one.
 
     Attributes:
         stage: the stage.
-        status: how far it is.
-        whole: the whole stage, from its first step.
+        end, most: number of Gaussians at the end, and the largest before.
+        seconds: training time.
+        step_seconds: time of a step at the end.
+        steps_done: steps that are done.
+        is_done: whether it is finished.
     """
 
     stage: Stage
-    status: StageStatus
-    whole: StageEstimate
-
-    @property
-    def is_done(self) -> bool:
-        """Whether it is finished."""
-        return self.status.result is not None
+    end: int
+    most: int
+    seconds: float
+    step_seconds: float
+    steps_done: int = 0
+    is_done: bool = False
 
     @property
     def done(self) -> float:
         """Seconds of training that are done."""
-        steps = self.stage.config.steps
-        share = 1.0 if self.is_done else min(1.0, self.status.step / max(steps, 1))
-        return share * self.whole.seconds
-
-    @property
-    def missing(self) -> float:
-        """Seconds of training that are left."""
-        return self.whole.seconds - self.done
+        share = 1.0 if self.is_done else self.steps_done / max(self.stage.config.steps, 1)
+        return min(1.0, share) * self.seconds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,10 +94,20 @@ class Forecast:
 
     def time_line(self) -> str:
         """One line with the minutes."""
-        seconds = sum(stage.missing for stage in self.stages) + self.evaluation
         saved = sum(stage.done for stage in self.stages)
+        seconds = sum(stage.seconds for stage in self.stages) - saved + self.evaluation
         done = f"; {_minutes(saved)} are already done" if saved else ""
         return f"Time: about {_minutes(seconds)} on this machine ({self.device}){done}."
+
+
+def forecast_if_long(run: Run, plan: Plan, context: Context) -> Forecast | None:
+    """`forecast`; None if little is left to train, or if it fails: it is only a text."""
+    executor = Executor(run, context)
+    found = [(stage, executor.status(stage)) for stage in plan.stages]
+    left = sum(stage.config.steps - status.step for stage, status in found if not status.result)
+    with suppress(EngineError, MemoryError, RuntimeError):
+        return forecast(run, plan, context) if left >= WORTH_SAYING else None
+    return None
 
 
 def forecast(run: Run, plan: Plan, context: Context) -> Forecast:
@@ -112,48 +117,31 @@ def forecast(run: Run, plan: Plan, context: Context) -> Forecast:
         run, plan: the run and its plan.
         context: gives the device; checked for cancellation.
     """
-    return _forecast(run, plan, _statuses(run, plan, context), context)
-
-
-def forecast_if_long(run: Run, plan: Plan, context: Context) -> Forecast | None:
-    """`forecast`; None if little is left to train, or if it fails: it is only a text."""
-    statuses = _statuses(run, plan, context)
-    left = [
-        stage.config.steps - status.step
-        for stage, status in zip(plan.stages, statuses, strict=True)
-        if status.result is None
-    ]
-    if sum(left) < WORTH_SAYING:
-        return None
-    with suppress(EngineError, MemoryError, RuntimeError):
-        return _forecast(run, plan, statuses, context)
-    return None
-
-
-def _statuses(run: Run, plan: Plan, context: Context) -> list[StageStatus]:
-    executor = Executor(run, context)
-    return [executor.status(stage) for stage in plan.stages]
-
-
-def _forecast(run: Run, plan: Plan, statuses: Sequence[StageStatus], context: Context) -> Forecast:
-    estimator = Estimator(run.train_scene, context)
+    executor, estimator = Executor(run, context), Estimator(run.train_scene, context)
     ends: dict[str, int] = {}
     stages = []
-    for stage, status in zip(plan.stages, statuses, strict=True):
+    for stage in plan.stages:
+        status = executor.status(stage)
         if status.result is None:
             start = expected_start(stage.start, ends, run.train_scene)
-            whole = estimator.estimate(stage, start)
+            found = replace(estimator.estimate(stage, start), steps_done=status.step)
         else:
-            result = status.result
-            each = result.seconds / max(stage.config.steps, 1)
-            whole = StageEstimate(
-                end=result.count, most=result.count, seconds=result.seconds, step_seconds=each
+            record = status.result.record
+            found = StageForecast(
+                stage=stage,
+                end=record.gaussians,
+                most=record.gaussians,
+                seconds=record.seconds,
+                step_seconds=record.seconds / max(stage.config.steps, 1),
+                is_done=True,
             )
-        ends[stage.name] = whole.end
-        stages.append(StageForecast(stage=stage, status=status, whole=whole))
+        ends[stage.name] = found.end
+        stages.append(found)
+    # To render the test photos with each stage's model and to compare them.
+    tests = RENDER_SHARE * len(run.measured)
     return Forecast(
         stages=stages,
-        evaluation=evaluation_seconds([stage.whole for stage in stages], len(run.measured)),
+        evaluation=sum(tests * stage.step_seconds for stage in stages),
         device=(
             counted(library.threads(), "thread") if context.device == "cpu" else context.device
         ),
@@ -182,7 +170,7 @@ def expected_start(source: Source, ends: dict[str, int], scene: SfmScene) -> int
 
 def disk_space(run: Run, expected: Forecast) -> Message:
     """What the run will write at most; a warning if less is free."""
-    missing = [stage.whole for stage in expected.stages if not stage.is_done]
+    missing = [stage for stage in expected.stages if not stage.is_done]
     distorted = missing_in(run.folder / CACHE, run.scene.images)
     needed = PER_PIXEL * sum(image.camera.width * image.camera.height for image in distorted)
     if missing:
@@ -206,22 +194,6 @@ MOST_MEASURED = 300_000  # Gaussians; the time of more is extrapolated
 RENDER_SHARE = 0.5  # of a training step's time, to render and compare a test photo
 
 
-@dataclass(frozen=True, kw_only=True)
-class StageEstimate:
-    """The estimate of one stage.
-
-    Attributes:
-        end, most: number of Gaussians at the end, and the largest before.
-        seconds: training time.
-        step_seconds: time of a step at the end.
-    """
-
-    end: int
-    most: int
-    seconds: float
-    step_seconds: float
-
-
 class Estimator:
     """Estimates the stages of one run; measures stages with the same settings once.
 
@@ -234,7 +206,7 @@ class Estimator:
         self._scene, self._context = scene, context
         self._times: dict[tuple[object, ...], tuple[float, float]] = {}
 
-    def estimate(self, stage: Stage, start: int) -> StageEstimate:
+    def estimate(self, stage: Stage, start: int) -> StageForecast:
         """The estimate of a stage that starts with `start` Gaussians."""
         counts = expected_counts(stage, start, self._share_in_boxes(stage))
         end, most = counts[-1], max(counts)
@@ -246,7 +218,9 @@ class Estimator:
             (small if config.is_small(step) else seconds)(count)
             for step, count in enumerate(counts)
         )
-        return StageEstimate(end=end, most=most, seconds=total, step_seconds=seconds(end))
+        return StageForecast(
+            stage=stage, end=end, most=most, seconds=total, step_seconds=seconds(end)
+        )
 
     def _line(
         self, stage: Stage, images: Sequence[PosedImage], start: int, most: int
@@ -348,11 +322,6 @@ def _growing(density: DensityControl | None, start: int, share_in_boxes: float) 
     outside, rest = density.outside_threshold, 1 - share
     speed = TRAINED * usual / outside if outside else 0.0
     return [inside, _Growing(start * rest, max(1.0, HALF * rest), math.inf, speed)]
-
-
-def evaluation_seconds(ends: Sequence[StageEstimate], tests: int) -> float:
-    """Seconds to render the test photos with each stage's model and to compare them."""
-    return sum(RENDER_SHARE * stage.step_seconds * tests for stage in ends)
 
 
 def model_of_size(scene: SfmScene, count: int) -> Gaussians:

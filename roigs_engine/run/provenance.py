@@ -23,7 +23,7 @@ from ..formats.run_files import PROVENANCE, STAGE
 from ..formats.stage_list import read_stage_list
 from ..kernels import library
 from ..machine import machine_memory, processor_name, usable_cores
-from .stage_record import DamagedError, read_record
+from .stage_folder import DamagedError, read_record
 
 PACKAGES = ("torch", "numpy", "scipy", "scikit-learn", "pillow", "pycolmap")
 

@@ -7,9 +7,10 @@ finished stage is verified by its checksums when its result is taken.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 
@@ -18,9 +19,17 @@ from ..cuda.device import CPU
 from ..errors import GpuMemoryError, RunFolderError, Stopped, TrainingError
 from ..formats import run_files
 from ..formats.events import Preview, StageStarted
-from ..formats.files import is_link, matching, own_folder, sha256
+from ..formats.files import (
+    UNREADABLE,
+    is_link,
+    matching,
+    own_folder,
+    read_bytes,
+    sha256,
+    write_json,
+)
 from ..formats.lock import check_held
-from ..formats.text import counted
+from ..formats.text import counted, json_digest
 from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
 from ..training.checkpoint import (
@@ -36,9 +45,74 @@ from ..training.loop import PeriodicCallback
 from ..training.stage_data import StageData
 from ..training.trainer import Trainer
 from .earlier import move_damaged
-from .stage_record import DamagedError, StageRecord, check_model, read_record, write_record
 
 CHECKPOINT_SECONDS = 60.0
+CHECKSUM = "checksum"
+
+
+class DamagedError(Exception):
+    """A finished stage cannot be used; the text says why."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageRecord:
+    """`stage.json` without its checksum.
+
+    Attributes:
+        fingerprint: of the stage.
+        seconds: of training, without checkpoints and evaluation.
+        cpu_seconds: the same as CPU time of all threads of the process. Compare this one on a
+            machine that is busy with other programs.
+        steps: of training.
+        gaussians: their number.
+        device: the type of device that it was trained on: `cpu`, `cuda`.
+        model_sha256: of the file with the model, in hexadecimal digits.
+    """
+
+    fingerprint: str
+    seconds: float
+    cpu_seconds: float
+    steps: int
+    gaussians: int
+    device: str
+    model_sha256: str
+
+
+def read_record(path: Path) -> StageRecord | None:
+    """The record; None if there is none.
+
+    Raises:
+        DamagedError: it is not as it was written.
+        RunFolderError: it cannot be read.
+    """
+    try:
+        value = json.loads(read_bytes(path))
+        if value.pop(CHECKSUM) != json_digest(value):
+            raise DamagedError(f"{path} is damaged (wrong checksum)")
+        return StageRecord(**value)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise RunFolderError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
+    except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
+        raise DamagedError(f"{path} is damaged (no record of a stage)") from error
+
+
+def check_model(path: Path, record: StageRecord) -> None:
+    """Make sure that the model is the one of the record.
+
+    Raises:
+        DamagedError: it is not, or is missing.
+        RunFolderError: it cannot be read.
+    """
+    try:
+        found = sha256(path)
+    except FileNotFoundError as error:
+        raise DamagedError(f"{path} is missing") from error
+    except OSError as error:
+        raise RunFolderError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
+    if found != record.model_sha256:
+        raise DamagedError(f"{path} is damaged (wrong checksum)")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,20 +121,15 @@ class StageResult:
 
     Attributes:
         name: the stage's name.
-        model_path: the trained model's PLY.
-        count: number of its Gaussians.
-        seconds: training time without checkpoints and evaluation.
-        cpu_seconds: the same as CPU time of all threads of this process. Compare this one on a
-            machine that is busy with other programs.
-        frame: of the model; the file is in the world's.
+        record: of it.
+        model_path: the trained model's PLY, in the world's frame.
+        frame: of the model.
         trained: the model, if this process trained it.
     """
 
     name: str
+    record: StageRecord
     model_path: Path
-    count: int
-    seconds: float
-    cpu_seconds: float
     frame: LocalFrame
     trained: Gaussians | None = field(default=None, repr=False)
 
@@ -117,8 +186,8 @@ class StageFolder:
         folder: the stage's folder (`folder_of`).
         fingerprint: of the stage.
         frame: that the stage is trained in; its PLYs are in the world's.
-        preview: file for the preview of the current Gaussians; None: no preview.
-        preview_seconds: seconds of training between two previews.
+        preview: file for the preview of the current Gaussians.
+        preview_seconds: seconds of training between two previews; 0: none.
         named: photos that no warning names any more, as one has; gets those of this stage.
     """
 
@@ -126,7 +195,7 @@ class StageFolder:
     folder: Path
     fingerprint: str
     frame: LocalFrame = field(default_factory=LocalFrame.world)
-    preview: Path | None = None
+    preview: Path = Path(run_files.PREVIEW)
     preview_seconds: float = 0.0
     named: set[str] = field(default_factory=set)
 
@@ -134,16 +203,11 @@ class StageFolder:
     def _checkpoint(self) -> Path:
         return self.folder / run_files.CHECKPOINT
 
-    @property
-    def _record(self) -> Path:
-        return self.folder / run_files.STAGE
-
     def peek(self) -> StageStatus:
         """How far the stage is; changes nothing."""
         with suppress(RunFolderError, DamagedError):
-            record = read_record(self._record)
-            if record is not None:
-                return StageStatus(result=self._verified(record))
+            if result := self._verified():
+                return StageStatus(result=result)
         return StageStatus(step=checkpoint_step(self._checkpoint, self.fingerprint))
 
     def finished(self, context: Context = QUIET) -> StageResult | None:
@@ -155,44 +219,38 @@ class StageFolder:
             RunFolderError: the folder cannot be read.
         """
         try:
-            record = read_record(self._record)
-            if record is None:
-                return None
-            result = self._verified(record)
+            result = self._verified()
         except DamagedError as error:
-            self._move_damaged(error, context)
+            place = move_damaged(self.folder, (run_files.STAGE, run_files.MODEL))
+            resumes = checkpoint_exists(self._checkpoint)
+            again = "resumed from its checkpoint" if resumes else "repeated"
+            context.warn(
+                f"{self.name}: {error}. The stage is {again}; its damaged files are in {place}."
+            )
+            return None
+        if result is None:
             return None
         remove_checkpoint(self._checkpoint)  # left if the engine was killed at the very end
-        gaussians = counted(result.count, "Gaussian")
+        gaussians = counted(result.record.gaussians, "Gaussian")
         context.info(f"{self.name}: finished in an earlier training; its {gaussians} are used.")
         return result
 
-    def _move_damaged(self, error: DamagedError, context: Context) -> None:
-        place = move_damaged(self.folder, (run_files.STAGE, run_files.MODEL))
-        again = "resumed from its checkpoint" if checkpoint_exists(self._checkpoint) else "repeated"
-        context.warn(
-            f"{self.name}: {error}. The stage is {again}; its damaged files are in {place}."
-        )
-
-    def _verified(self, record: StageRecord) -> StageResult:
-        """The result of a finished stage, whose model is as it was trained.
+    def _verified(self) -> StageResult | None:
+        """The result, with a model as it was trained; None if the stage is not finished.
 
         Raises:
-            RunFolderError: the model cannot be read.
-            DamagedError: the model is damaged or missing, or the record is of another stage.
+            RunFolderError: the record or the model cannot be read.
+            DamagedError: one is damaged, the model is missing, or the record is another stage's.
         """
+        path = self.folder / run_files.STAGE
+        record = read_record(path)
+        if record is None:
+            return None
         if record.fingerprint != self.fingerprint:
-            raise DamagedError(f"{self._record} is of another stage")
-        path = self.folder / run_files.MODEL
-        check_model(path, record)
-        return StageResult(
-            name=self.name,
-            model_path=path,
-            count=record.gaussians,
-            seconds=record.seconds,
-            cpu_seconds=record.cpu_seconds,
-            frame=self.frame,
-        )
+            raise DamagedError(f"{path} is of another stage")
+        model_path = self.folder / run_files.MODEL
+        check_model(model_path, record)
+        return StageResult(name=self.name, record=record, model_path=model_path, frame=self.frame)
 
     def train(
         self,
@@ -233,14 +291,26 @@ class StageFolder:
         context: Context,
     ) -> Trainer:
         """A trainer at its last step; `_save` never writes a checkpoint with NaN or Inf."""
-        trainer = self._resumed(start, data, config, context)
-        callbacks = [PeriodicCallback(CHECKPOINT_SECONDS, lambda: self._save(trainer))]
-        if self.preview is not None:
-            callbacks.append(
-                PeriodicCallback(
-                    self.preview_seconds, lambda: self._write_preview(trainer, context)
-                )
-            )
+        if checkpoint_exists(self._checkpoint):
+            check = partial(check_state, config=config)
+            state = load_checkpoint(self._checkpoint, self.fingerprint, context, check)
+            trainer = Trainer(Gaussians(**state["parameters"]), data, config, context)
+            trainer.load_state_dict(state)
+            how = f"resumes at step {trainer.step}" if trainer.step else "starts at step 0"
+            context.info(f"{self.name}: {how}.")
+        else:
+            trainer = Trainer(start(), data, config, context)
+
+        def write_preview() -> None:
+            with suppress(RunFolderError):  # on Windows, while the file is read
+                check_held(self.folder)
+                trainer.gaussians.save_ply(self.preview, self.frame)
+                context.emit(Preview(path=str(self.preview)))
+
+        callbacks = [
+            PeriodicCallback(CHECKPOINT_SECONDS, lambda: self._save(trainer)),
+            PeriodicCallback(self.preview_seconds, write_preview),
+        ]
         try:
             is_done = trainer.run(context, stage=self.name, callbacks=callbacks)
         except GpuMemoryError:
@@ -254,36 +324,10 @@ class StageFolder:
         trainer.check()
         return trainer
 
-    def _resumed(
-        self,
-        start: Callable[[], Gaussians],
-        data: StageData,
-        config: TrainConfig,
-        context: Context,
-    ) -> Trainer:
-        """A trainer at step 0, or at the step of the checkpoint."""
-        if not checkpoint_exists(self._checkpoint):
-            return Trainer(start(), data, config, context)
-        check = partial(check_state, config=config)
-        state = load_checkpoint(self._checkpoint, self.fingerprint, context, check)
-        trainer = Trainer(Gaussians(**state["parameters"]), data, config, context)
-        trainer.load_state_dict(state)
-        how = f"resumes at step {trainer.step}" if trainer.step else "starts at step 0"
-        context.info(f"{self.name}: {how}.")
-        return trainer
-
     def _save(self, trainer: Trainer) -> None:
         trainer.check()
         check_held(self.folder)
         save_checkpoint(self._checkpoint, trainer.state_dict(), self.fingerprint)
-
-    def _write_preview(self, trainer: Trainer, context: Context) -> None:
-        """Write the preview; skip it if the file is in use (on Windows, while it is read)."""
-        assert self.preview is not None
-        with suppress(RunFolderError):
-            check_held(self.folder)
-            trainer.gaussians.save_ply(self.preview, self.frame)
-            context.emit(Preview(path=str(self.preview)))
 
     def _finish(self, trainer: Trainer) -> StageResult:
         model = trainer.gaussians.detached().to(CPU)
@@ -299,15 +343,11 @@ class StageFolder:
             device=trainer.data.device.type,
             model_sha256=sha256(path),
         )
-        write_record(self._record, record)
+        values = asdict(record)
+        write_json(self.folder / run_files.STAGE, values | {CHECKSUM: json_digest(values)})
         remove_checkpoint(self._checkpoint)
+        # The file rounds in another frame; a resumed run, which reads it, must go on the same.
+        trained = model if self.frame.is_world else None
         return StageResult(
-            name=self.name,
-            model_path=path,
-            count=len(model),
-            seconds=trainer.seconds,
-            cpu_seconds=trainer.cpu_seconds,
-            frame=self.frame,
-            # The file rounds in another frame; a resumed run, which reads it, must go on the same.
-            trained=model if self.frame.is_world else None,
+            name=self.name, record=record, model_path=path, frame=self.frame, trained=trained
         )

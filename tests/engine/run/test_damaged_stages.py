@@ -17,7 +17,7 @@ from roigs_engine.run.definition import define_run
 from roigs_engine.run.dry_run import describe_plan
 from roigs_engine.run.executor import Executor
 from roigs_engine.run.manifest import claim
-from roigs_engine.run.stage_record import DamagedError, read_record
+from roigs_engine.run.stage_folder import DamagedError, read_record
 from roigs_engine.run.strategies import plan_run
 from tests.engine.killing import Request, contents, engine
 from tests.engine.runs import plys, stage_of, tiny, train
