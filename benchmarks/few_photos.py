@@ -38,7 +38,7 @@ from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.requests.choices import DEVICES
 from roigs_engine.run.definition import define_run
-from roigs_engine.run.folder import train_run
+from roigs_engine.run.folder import open_folder, train_opened
 from roigs_engine.run.presets import preset
 from roigs_engine.training.loop import one_torch_thread
 
@@ -104,7 +104,8 @@ def measured(case: Case, source: StudyScene, options: argparse.Namespace, contex
     every = config.test_every if case.kind == "arc" else 0
     config = replace(config, test_every=every, seed=case.seed)
     run = define_run(folder, few, rois, config, context=context)
-    models = train_run(run, ("full-scene-tuned",), context)
+    open_folder(run, context)
+    models = train_opened(run, ("full-scene-tuned",), context)
     whole = run.frame.scene(scene)
     kept = {image.name for image in few.images}
     photos = run.test or tuple(image.name for image in whole.images if image.name not in kept)

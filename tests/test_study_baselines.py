@@ -10,9 +10,9 @@ import pytest
 from benchmarks.study.baselines import matched, one_stage, one_stage_config
 from roigs_engine.run import stage_configs
 from roigs_engine.run.definition import define_run
-from roigs_engine.run.photo_sets import PhotoSets
 from roigs_engine.run.plan import POINTS
 from roigs_engine.run.presets import PRESETS, preset
+from roigs_engine.run.stages import PhotoSets
 from roigs_engine.run.strategies import full_scene_tuned
 from roigs_engine.training.mechanisms.background_points import BackgroundPoints
 from roigs_engine.training.mechanisms.box_density_control import BoxDensityControl

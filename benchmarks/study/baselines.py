@@ -6,9 +6,8 @@ from dataclasses import asdict, replace
 
 from roigs_engine.run import stage_configs, strategies
 from roigs_engine.run.config import RunConfig
-from roigs_engine.run.photo_sets import PhotoSets
 from roigs_engine.run.plan import Plan, PlannedModel
-from roigs_engine.run.stages import make_stage
+from roigs_engine.run.stages import PhotoSets, make_stage
 from roigs_engine.training.config import TrainConfig, with_steps
 from roigs_engine.training.mechanisms.background_points import BackgroundPoints
 from roigs_engine.training.mechanisms.box_density_control import BoxDensityControl

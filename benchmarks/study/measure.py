@@ -34,9 +34,8 @@ from roigs_engine.run.definition import Run, define_run, inputs_record
 from roigs_engine.run.executor import Executor
 from roigs_engine.run.folder import open_folder
 from roigs_engine.run.manifest import from_json
-from roigs_engine.run.photo_sets import PhotoSets
 from roigs_engine.run.plan import Plan
-from roigs_engine.run.stages import scene_stage
+from roigs_engine.run.stages import PhotoSets, scene_stage
 from roigs_engine.training.config import with_steps
 from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
 from roigs_engine.training.mechanisms.density_control import DensityControl

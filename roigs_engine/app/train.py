@@ -73,7 +73,7 @@ def train_parts(request: TrainAndEvaluate, context: Context = QUIET) -> Trained:
 
     The part `prepare` opens the folder and looks at the photos; the others are stages.
     """
-    from ..run.side_by_side import train_stage
+    from ..run.folder import train_stage
     from ..run.strategies import plan_run
 
     asked = Asked.of(request)
@@ -140,10 +140,9 @@ def opened(asked: Asked, context: Context, log: EventLog) -> Iterator[tuple[Run,
     """
     from ..colmap.undistortion_cache import remove_unused
     from ..run.definition import define_run
-    from ..run.folder import open_folder
+    from ..run.folder import PATIENCE, held, open_folder
     from ..run.manifest import check_version, refuse_other_run
     from ..run.provenance import recorded
-    from ..run.side_by_side import PATIENCE, held
 
     request, folder = asked.request, asked.request.run_dir
     inputs = {} if asked.boxes.given is None else asked.inputs(asked.boxes.given)

@@ -18,9 +18,8 @@ from ..model.visibility import check_has_points
 from ..requests.choices import TEST, VALIDATION
 from ..selection.manual import usable_manual
 from ..selection.split import choose_test_views
-from .blocks import number_of_blocks
 from .config import RunConfig
-from .layout import Layout, given_groups, lay_out
+from .layout import Layout, given_groups, lay_out, number_of_blocks
 
 if TYPE_CHECKING:
     from .memory import MemoryPlan

@@ -1,19 +1,66 @@
-"""Opens a run folder and trains the run in it."""
+"""A run folder at work: held by one engine, or by one for each stage; opened, then trained in.
+
+A run holds `run.lock`; an engine that trains one stage holds `STAGE.lock` beside it. Each takes its
+own lock first, then looks at the other's, so one of two always sees the other.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 
 from ..context import QUIET, Context
+from ..errors import RunFolderError
 from ..evaluation.views import EvaluatedModel
-from ..formats.files import write_json
-from ..formats.run_files import SPLIT
+from ..formats.files import matching, write_json
+from ..formats.lock import holder, locked
+from ..formats.run_files import LOCK, MANIFEST, SPLIT
 from ..model.scene_checks import scene_warnings
 from .definition import Run
 from .executor import Executor
 from .forecast import disk_space, forecast_if_long
-from .manifest import claim
+from .manifest import claim, from_json, manifest_difference, read_manifest
+from .plan import Plan, Stage
 from .strategies import plan_run
+
+PATIENCE = 60.0  # seconds; an engine whose program was killed needs some to write a checkpoint
+POLL = 0.5
+STAGE_LOCKS = "*.lock"
+
+
+@contextmanager
+def held(folder: Path, context: Context, patience: float = 0.0) -> Iterator[None]:
+    """Hold a run folder, once no engine trains one of its stages.
+
+    Args:
+        folder: of the run.
+        context: gets warnings; checked for cancellation.
+        patience: seconds to wait for another engine to end.
+
+    Raises:
+        RunFolderError: another engine is at work there.
+    """
+    with ExitStack() as stack:
+        _patiently(lambda: stack.enter_context(locked(folder, context.warn)), context, patience)
+        _patiently(lambda: _refuse_stages_at_work(folder), context, patience)
+        yield
+
+
+@contextmanager
+def stage_held(folder: Path, stages: tuple[Stage, ...], context: Context) -> Iterator[None]:
+    """Hold the locks of some stages, once no engine holds the run folder; raises as `held`."""
+    with ExitStack() as stack:
+        for stage in stages:
+            name = f"{stage.name.replace('/', '-')}.lock"
+
+            def hold(name: str = name) -> None:
+                stack.enter_context(locked(folder, context.warn, name=name))
+
+            _patiently(hold, context, PATIENCE)
+        _patiently(lambda: _refuse_holder(folder / LOCK), context, PATIENCE)
+        yield
 
 
 def open_folder(run: Run, context: Context = QUIET, *, update: bool = False) -> None:
@@ -63,14 +110,74 @@ def train_opened(
     return Executor(run, context, preview_seconds=preview_seconds).execute(plan)
 
 
-def train_run(
-    run: Run,
-    compare: Sequence[str] = (),
-    context: Context = QUIET,
-    *,
-    update: bool = False,
-    preview_seconds: float = 0.0,
-) -> list[EvaluatedModel]:
-    """`open_folder`, then `train_opened`."""
-    open_folder(run, context, update=update)
-    return train_opened(run, compare, context, preview_seconds=preview_seconds)
+def train_stage(run: Run, plan: Plan, name: str, context: Context) -> None:
+    """Train one stage of a run folder that is prepared; what it starts from is trained if missing.
+
+    Args:
+        run, plan: of the folder.
+        name: of the stage.
+        context: of the run.
+
+    Raises:
+        RunFolderError: the plan has no such stage, the folder is not prepared for this run, or
+            another engine is at work there.
+        Stopped: on request; a checkpoint was written.
+    """
+    by_name = {stage.name: stage for stage in plan.stages}
+    if name not in by_name:
+        raise RunFolderError(
+            f"The plan of {run.folder} has no stage '{name}'.",
+            f"Its stages are: {', '.join(by_name)}.",
+        )
+    before = read_manifest(run.folder / MANIFEST)
+    difference = manifest_difference(before, from_json(run.manifest()))
+    if difference:
+        raise RunFolderError(
+            f"{run.folder} is prepared for another run ({difference}).",
+            "Start again: `batch` prepares it anew, and keeps what still fits.",
+        )
+    executor = Executor(run, context)
+    executor.list_stages(plan)
+    missing = tuple(s for s in _with_inputs(by_name[name]) if executor.status(s).result is None)
+    with stage_held(run.folder, missing or (by_name[name],), context):
+        executor.result(by_name[name])
+    executor.close()
+
+
+def _with_inputs(stage: Stage) -> list[Stage]:
+    """The stage and all that it needs, in the order of training, each once."""
+    found: dict[str, Stage] = {}
+    for needed in stage.start.stages:
+        found |= {s.name: s for s in _with_inputs(needed)}
+    return [*found.values(), stage]
+
+
+def _patiently(take: Callable[[], None], context: Context, patience: float) -> None:
+    """Call `take` until it raises no RunFolderError of another engine at work, or time is up."""
+    until = time.monotonic() + patience
+    while True:
+        try:
+            take()
+            return
+        except RunFolderError as error:
+            if not isinstance(error.__cause__, BlockingIOError) or time.monotonic() >= until:
+                raise
+        context.check_cancelled()
+        time.sleep(POLL)
+
+
+def _refuse_stages_at_work(folder: Path) -> None:
+    """Remove locks of stages that killed engines have left; refuse those in use."""
+    for path in matching(folder, STAGE_LOCKS):
+        if path.name != LOCK:
+            _refuse_holder(path)
+            path.unlink(missing_ok=True)
+
+
+def _refuse_holder(path: Path) -> None:
+    process = holder(path)
+    if process:
+        raise RunFolderError(
+            f"Another engine is at work in {path.parent}, process {process}.",
+            "Wait for it, or stop it.",
+        ) from BlockingIOError()

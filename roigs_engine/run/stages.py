@@ -1,15 +1,21 @@
-"""Stages from a run's photos, boxes and settings: of the whole scene, or one for each cell."""
+"""A run's photos, and stages on them: of the whole scene, or one for each cell."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
+from copy import copy
 
+from ..context import QUIET, Context
 from ..errors import SceneError
 from ..formats import run_files
 from ..model.ownership import Partition
 from ..model.roi import OrientedBox
 from ..model.scene import Int64, PosedImage
+from ..model.visibility import visible_images
+from ..selection import CameraSelection, select_cameras
+from ..selection.manual import manual_selection
+from ..selection.split import interleaved, reserved
 from ..training.config import PlannedViews, TrainConfig
 from ..training.mechanisms.cutout_steps import CutoutSteps
 from ..training.mechanisms.masked_steps import MaskedSteps
@@ -17,8 +23,67 @@ from ..training.photo_order import PhotoOrder
 from . import stage_configs
 from .definition import Run
 from .layout import Cell
-from .photo_sets import PhotoSets
 from .plan import CELLS, POINTS, SEEN, PlannedModel, Source, Stage
+
+
+class PhotoSets:
+    """The training photos of a run and their subsets, in the scene's order.
+
+    Attributes:
+        images: all training photos, or those of a cell.
+        rois: all boxes, or those of a cell.
+    """
+
+    def __init__(self, run: Run, context: Context = QUIET) -> None:
+        self.run = run
+        self.images = run.train_scene.images
+        self.rois = run.rois
+        self.context = context
+        self._selections: dict[str, CameraSelection] = {}
+        self._seen: dict[str, Set[str]] = {}
+
+    def of(self, cell: Cell) -> PhotoSets:
+        """The photos and boxes of a cell."""
+        part, names = copy(self), set(cell.photos)
+        part.images = tuple(image for image in self.images if image.name in names)
+        part.rois = cell.rois
+        return part
+
+    def selection(self, roi: OrientedBox) -> CameraSelection:
+        """The box's photos, best first: the manual selection, or the method's."""
+        if roi.name not in self._selections:
+            run, context = self.run, self.context
+            self._selections[roi.name] = (
+                manual_selection(run.train_scene, roi, run.manual[roi.name], context)
+                if roi.name in run.manual
+                else select_cameras(
+                    run.train_scene, roi, run.config.selection, context, tests=run.test_scene
+                )
+            )
+        return self._selections[roi.name]
+
+    def selections(self) -> tuple[CameraSelection, ...]:
+        """The selections of the boxes, in their order."""
+        return tuple(self.selection(roi) for roi in self.rois)
+
+    def selected(self) -> set[str]:
+        """Names of the photos selected for any of the boxes."""
+        return set(interleaved([chosen.names for chosen in self.selections()]))
+
+    def reserved(self) -> set[str]:
+        """Names of the selected photos that the Scene-GS must not use (paper, sec. II-B)."""
+        orders = [chosen.names for chosen in self.selections()]
+        return reserved(orders, self.run.config.kept_share)
+
+    def seen(self, roi: OrientedBox) -> tuple[PosedImage, ...]:
+        """The training photos that see the box."""
+        if roi.name not in self._seen:
+            known = self.run.layout.seen.get(roi.name)
+            scene = self.run.train_scene
+            self._seen[roi.name] = known or set(visible_images(scene, roi, self.context))
+        names = self._seen[roi.name]
+        return tuple(image for image in self.images if image.name in names)
+
 
 Order = Callable[[PhotoSets, Sequence[PosedImage], TrainConfig], PhotoOrder]
 

@@ -14,10 +14,10 @@ from ..model.scene import PosedImage
 from ..requests.choices import STRATEGIES
 from . import stage_configs
 from .definition import Run
-from .photo_sets import PhotoSets
 from .plan import CROP, MERGE, Output, Plan, PlannedModel, Source, Stage, result_of
 from .presets import in_strategy
 from .stages import (
+    PhotoSets,
     in_order,
     make_stage,
     path_of,

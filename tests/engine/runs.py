@@ -13,7 +13,7 @@ from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.config import RunConfig
 from roigs_engine.run.definition import Run, define_run
-from roigs_engine.run.folder import open_folder, train_run
+from roigs_engine.run.folder import open_folder, train_opened
 from roigs_engine.run.presets import preset
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.mechanisms.density_control import DensityControl
@@ -61,6 +61,19 @@ def opened(
     run = define_run(folder, scene, rois, config, manual=manual, context=context)
     open_folder(run, context, update=update)
     return run
+
+
+def train_run(
+    run: Run,
+    compare: Sequence[str] = (),
+    context: Context = QUIET,
+    *,
+    update: bool = False,
+    preview_seconds: float = 0.0,
+) -> list[EvaluatedModel]:
+    """A run's models, trained in its folder."""
+    open_folder(run, context, update=update)
+    return train_opened(run, compare, context, preview_seconds=preview_seconds)
 
 
 def train(

@@ -63,7 +63,7 @@ def claim(request: Any, context: Any) -> Result:
     from roigs_engine.app.asked import Asked
     from roigs_engine.app.event_log import logged
     from roigs_engine.app.train import opened
-    from roigs_engine.run.photo_sets import PhotoSets
+    from roigs_engine.run.stages import PhotoSets
 
     asked = Asked.of(request)
     with logged(context) as (context, log), opened(asked, context, log) as (run, context):

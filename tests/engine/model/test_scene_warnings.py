@@ -14,7 +14,7 @@ from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.model.scene_checks import FEW, few_photos, scene_warnings
 from roigs_engine.run.config import RunConfig
-from roigs_engine.run.photo_sets import PhotoSets
+from roigs_engine.run.stages import PhotoSets
 from tests.engine.runs import opened, tiny
 from tests.engine.synthetic_scene import BOX, make_scene
 

@@ -16,16 +16,15 @@ from roigs_engine.formats import run_files
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.formats.splat_ply import read_ply
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.run import blocks as blocks_module
+from roigs_engine.run import layout as blocks_module
 from roigs_engine.run.config import AUTO_BLOCKS, RunConfig
 from roigs_engine.run.definition import Run, define_run
 from roigs_engine.run.dry_run import describe_plan
-from roigs_engine.run.folder import train_run
+from roigs_engine.run.folder import train_stage
 from roigs_engine.run.memory import cell_memory, stage_memory
-from roigs_engine.run.side_by_side import train_stage
 from roigs_engine.run.strategies import plan_run
 from tests.engine.run.masked import masked
-from tests.engine.runs import opened, plys, stage_of, tiny, train
+from tests.engine.runs import opened, plys, stage_of, tiny, train, train_run
 from tests.engine.two_rooms import APART, BOXES, two_rooms
 
 

@@ -20,7 +20,6 @@ from roigs_engine.model.scene import PosedImage, SfmScene
 from roigs_engine.run import forecast
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.dry_run import describe_plan
-from roigs_engine.run.folder import train_run
 from roigs_engine.run.forecast import MOST_MEASURED, Estimator, expected_counts, model_of_size
 from roigs_engine.run.plan import Stage
 from roigs_engine.run.presets import preset
@@ -29,7 +28,7 @@ from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
 from roigs_engine.training.mechanisms.density_control import DensityControl
 from roigs_engine.training.mechanisms.importance_pruning import ImportancePruning
 from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
-from tests.engine.runs import stage_of, tiny
+from tests.engine.runs import stage_of, tiny, train_run
 from tests.engine.synthetic_scene import BOX, make_scene
 
 ALL = ("full-scene", "full-object", "independent")

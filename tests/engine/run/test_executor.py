@@ -22,15 +22,13 @@ from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.definition import Run, define_run
 from roigs_engine.run.executor import Executor
-from roigs_engine.run.folder import train_run
-from roigs_engine.run.photo_sets import PhotoSets
 from roigs_engine.run.stage_folder import StageFolder, StageResult
-from roigs_engine.run.stages import scene_stage
+from roigs_engine.run.stages import PhotoSets, scene_stage
 from roigs_engine.run.strategies import plan_run
 from roigs_engine.training import metrics
 from roigs_engine.training.mechanisms.background_points import BackgroundPoints
 from roigs_engine.training.stage_data import StageData
-from tests.engine.runs import finished, opened, plys, stage_of, tiny, train
+from tests.engine.runs import finished, opened, plys, stage_of, tiny, train, train_run
 from tests.engine.synthetic_scene import BOX, make_scene
 
 

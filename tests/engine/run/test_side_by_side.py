@@ -10,8 +10,8 @@ from roigs_engine.context import QUIET
 from roigs_engine.errors import RunFolderError
 from roigs_engine.formats.lock import locked
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.run import side_by_side
-from roigs_engine.run.side_by_side import held, stage_held, train_stage
+from roigs_engine.run import folder
+from roigs_engine.run.folder import held, stage_held, train_stage
 from roigs_engine.run.strategies import plan_run
 from tests.engine.other_process import in_the_middle
 from tests.engine.runs import opened, plys, tiny, train
@@ -60,7 +60,7 @@ def test_an_engine_at_work_is_seen_from_both_sides(
     scene: SfmScene,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(side_by_side, "PATIENCE", 0.0)
+    monkeypatch.setattr(folder, "PATIENCE", 0.0)
     run = opened(tmp_path, scene, [BOX], tiny("joint"))
     stage = plan_run(run).stages[0]
     with in_the_middle(HOLDING, tmp_path / "scene.lock", "holding"):

@@ -15,10 +15,9 @@ from roigs_engine.requests.choices import BASELINES
 from roigs_engine.run import stage_configs
 from roigs_engine.run.config import RunConfig
 from roigs_engine.run.definition import define_run
-from roigs_engine.run.folder import train_run
-from roigs_engine.run.photo_sets import PhotoSets
 from roigs_engine.run.plan import Plan, Stage
 from roigs_engine.run.presets import PRESETS, preset
+from roigs_engine.run.stages import PhotoSets
 from roigs_engine.run.strategies import plan_run
 from roigs_engine.training.mechanisms.density_control import DensityControl
 from roigs_engine.training.mechanisms.floater_pruning import FloaterPruning
@@ -28,7 +27,7 @@ from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
 from roigs_engine.training.mechanisms.opacity_decay import OpacityDecay
 from roigs_engine.training.mechanisms.spaced_sh_rate import SpacedShRate
 from roigs_engine.training.mechanisms.warm_restarts import WarmRestarts
-from tests.engine.runs import tiny, train
+from tests.engine.runs import tiny, train, train_run
 from tests.engine.synthetic_scene import BOX, make_scene
 
 TUNED = ("full-scene-tuned", "full-object-tuned")

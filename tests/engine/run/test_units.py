@@ -18,11 +18,10 @@ from roigs_engine.model.scene import SfmScene
 from roigs_engine.rasterize.view import render_view
 from roigs_engine.run.config import RunConfig
 from roigs_engine.run.definition import define_run
-from roigs_engine.run.folder import train_run
 from roigs_engine.training.mechanisms.density_control import DensityControl
 from roigs_engine.training.mechanisms.importance_pruning import ImportancePruning
 from roigs_engine.training.mechanisms.warm_restarts import WarmRestarts
-from tests.engine.runs import tiny
+from tests.engine.runs import tiny, train_run
 from tests.engine.settings import without
 from tests.engine.synthetic_scene import make_scene
 from tests.engine.units import in_units

@@ -15,13 +15,12 @@ from roigs_engine.formats.clean_up import removable
 from roigs_engine.formats.events import Event, Message, Preview, StageStarted
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.run.folder import train_run
 from roigs_engine.run.manifest import manifest_difference
-from roigs_engine.run.photo_sets import PhotoSets
+from roigs_engine.run.stages import PhotoSets
 from roigs_engine.selection import METHODS, SelectionConfig, select_cameras
 from roigs_engine.selection.manual import load_manual
 from roigs_engine.training.checkpoint import checkpoint_fingerprint, load_checkpoint
-from tests.engine.runs import SECOND, opened, plys, production, stage_of, tiny, train
+from tests.engine.runs import SECOND, opened, plys, production, stage_of, tiny, train, train_run
 from tests.engine.synthetic_scene import BOX, make_scene
 
 MOVED = OrientedBox.axis_aligned("thing", [-0.4, -0.6, -0.6], [0.7, 0.6, 0.6])
