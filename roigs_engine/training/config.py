@@ -8,8 +8,9 @@ that it uses, in the order in which they act. notebook/README.md has the measure
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 from ..context import QUIET, Context
@@ -23,19 +24,28 @@ if TYPE_CHECKING:
     from .state_reader import StateReader
 
 SCALES, SHARE, INTERVAL = "scales", "share", "interval"  # keys and values of a field's metadata
-PLANNED = "planned"
+PLANNED, LIMITED = "planned", "limited"
+LIMITS: dict[str, tuple[Callable[[float, float], bool], str]] = {
+    "least": (operator.ge, "{:g} or more"),
+    "above": (operator.gt, "more than {:g}"),
+    "most": (operator.le, "at most {:g}"),
+    "below": (operator.lt, "less than {:g}"),
+}
 
 
-def share_of_steps(default: int) -> int:
-    """A field that is a number of steps and scales with the stage's (`with_steps`)."""
-    made: int = field(default=default, metadata={SCALES: SHARE})
-    return made
+def limited(default: Any, **limits: float) -> Any:
+    """A field whose value has limits: the keys of `LIMITS`. None is within all."""
+    return field(default=default, metadata={LIMITED: limits})
 
 
-def interval(default: int) -> int:
-    """A field that is a number of steps and scales in a `miniature` only; 0: off."""
-    made: int = field(default=default, metadata={SCALES: INTERVAL})
-    return made
+def share_of_steps(default: int, **limits: float) -> Any:
+    """A `limited` number of steps that scales with the stage's (`with_steps`)."""
+    return field(default=default, metadata={SCALES: SHARE, LIMITED: limits})
+
+
+def interval(default: int, **limits: float) -> Any:
+    """A `limited` number of steps that scales in a `miniature` only; 0: off."""
+    return field(default=default, metadata={SCALES: INTERVAL, LIMITED: limits})
 
 
 def planned(default: Any) -> Any:
@@ -45,14 +55,7 @@ def planned(default: Any) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedViews:
-    """The photos and boxes of a planned stage.
-
-    Attributes:
-        images: of the stage.
-        rois: its boxes.
-        seen: the training photos of the run that see a box.
-        context: receives messages; checked for cancellation.
-    """
+    """The photos and boxes of a planned stage; `seen`: all training photos that see a box."""
 
     images: Sequence[PosedImage]
     rois: Sequence[OrientedBox]
@@ -74,21 +77,28 @@ class Mechanism:
 
     Attributes:
         name: stable; in manifests, fingerprints and checkpoints.
+        needs: mechanisms without which it has no use.
         uses_object_masks: whether the masks of the boxes' objects decide its results.
     """
 
     name: ClassVar[str] = ""
+    needs: ClassVar[tuple[type[Mechanism], ...]] = ()
     uses_object_masks: ClassVar[bool] = False
 
     def check(self, config: TrainConfig) -> None:
-        """Raise ConfigError if a setting is out of range, or another mechanism is missing."""
+        """Raise ConfigError if a setting is out of its limits, or another mechanism is missing."""
+        for each in fields(self):
+            value, limits = getattr(self, each.name), each.metadata.get(LIMITED, {})
+            if value is not None and not all(LIMITS[k][0](value, at) for k, at in limits.items()):
+                allowed = ", and ".join(LIMITS[k][1].format(at) for k, at in limits.items())
+                raise ConfigError(f"{self.name}: {each.name} is {value:g}.", f"Use {allowed}.")
+        for kind in self.needs:
+            config.of(kind, self)
 
     def scaled(self, steps: int, before: int, *, intervals: bool) -> Self:
-        """The settings for another number of steps.
+        """The settings for another number of steps of the stage than before.
 
-        Args:
-            steps, before: of the stage, now and before.
-            intervals: scale intervals, too; one that is on keeps at least one step.
+        With `intervals`, these scale, too; one that is on keeps at least one step.
         """
         changes: dict[str, Any] = {}
         for each in fields(self):
@@ -127,20 +137,13 @@ class Mechanism:
     def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
         """What acts while the stage trains; asked if it `acts`.
 
-        Args:
-            config: of the stage.
-            training: with its first model, or that of a checkpoint.
-            context: checked for cancellation.
+        `training` has the stage's first model, or that of a checkpoint.
         """
         raise NotImplementedError
 
     def check_state(self, state: StateReader) -> None:
         """Raise ValueError unless the state of a checkpoint is one that training can write."""
         state.tensors({})
-
-    def record(self) -> dict[str, Any]:
-        """Its settings as plain values."""
-        return asdict(self)
 
 
 Part = TypeVar("Part", bound=Mechanism)
@@ -250,14 +253,11 @@ class TrainConfig:
         return config
 
     def to_dict(self, *, planned: bool = False) -> dict[str, Any]:
-        """Plain values for JSON; mechanisms by name.
-
-        Args: `planned`: with what the plan decides; else only what the user sets.
-        """
+        """Plain values for JSON; mechanisms by name, with `planned` with what the plan decides."""
         record = {each.name: getattr(self, each.name) for each in fields(self)}
         record["mechanisms"] = {
             mechanism.name: {
-                each.name: mechanism.record()[each.name]
+                each.name: getattr(mechanism, each.name)
                 for each in fields(mechanism)
                 if planned or PLANNED not in each.metadata
             }

@@ -20,9 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...context import QUIET, Context
-from ...errors import ConfigError
 from ...model.scene import Float64, PosedImage
-from ..config import Mechanism, TrainConfig
+from ..config import Mechanism, limited
 
 if TYPE_CHECKING:
     from ...cuda.photos import Photos
@@ -47,17 +46,11 @@ class BackgroundPoints(Mechanism):
 
     name: ClassVar[str] = "background_points"
 
-    cells: int = 16
-
-    def check(self, config: TrainConfig) -> None:
-        """Refuse no cells."""
-        if self.cells < 1:
-            raise ConfigError(f"{self.name}: cells is {self.cells}.", "Use 1 or more.")
+    cells: int = limited(16, least=1)
 
     def more_points(
         self, data: StageData, context: Context
     ) -> tuple[Float64, NDArray[np.uint8]] | None:
-        """The points, and their colours."""
         return background_points(data.points, data.images, data.photos, self.cells, context)
 
 
@@ -75,7 +68,6 @@ def background_points(
         images: the training photos.
         photos: their pixels, in the same order; those that need nothing are not decoded.
         cells: along the longer side of a photo.
-        context: checked for cancellation between photos.
     """
     from scipy.spatial import cKDTree
 

@@ -62,7 +62,6 @@ class BoxDensityControl(DensityControl):
     budgets: tuple[int, ...] | None = planned(None)
 
     def planned(self, config: TrainConfig, views: PlannedViews) -> TrainConfig:
-        """With the budgets."""
         if not views.rois or self.budget <= 0:
             return config
         budgets = box_budgets(views.images, views.rois, self.budget, views.context)
@@ -71,15 +70,11 @@ class BoxDensityControl(DensityControl):
     def begin(
         self, config: TrainConfig, training: Training, context: Context
     ) -> RunningBoxDensityControl:
-        """Empty statistics; budgets begin at the number of Gaussians in each box."""
         return RunningBoxDensityControl(self, training)
 
     def check_state(self, state: StateReader) -> None:
-        """As without boxes, with the number of Gaussians at the start."""
-        counts = len(self.budgets or ())
-        state.tensors(
-            {**dict.fromkeys(("gradient", "views"), state.rows), "began": (counts,)}, least=0.0
-        )
+        sums = dict.fromkeys(("gradient", "views"), state.rows)
+        state.tensors({**sums, "began": (len(self.budgets or ()),)}, least=0.0)
 
 
 def box_budgets(
@@ -96,7 +91,6 @@ def box_budgets(
             a mask count with the mean share that the masks leave of the silhouette.
         rois: the boxes.
         factor: on the root.
-        context: checked for cancellation between photos.
     """
     return tuple(int(factor * _pixels(roi, images, context) ** EXPONENT) for roi in rois)
 
@@ -113,8 +107,6 @@ def _pixels(roi: OrientedBox, images: Sequence[PosedImage], context: Context) ->
 
 
 class RunningBoxDensityControl(RunningDensityControl):
-    """See `BoxDensityControl`."""
-
     settings: BoxDensityControl
     kept = ("gradient", "views", "began")
 

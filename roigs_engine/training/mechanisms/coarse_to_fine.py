@@ -34,11 +34,9 @@ class CoarseToFine(Mechanism):
 
     @property
     def has_small(self) -> bool:
-        """Whether some steps are small."""
         return max(self.until, self.whole_until) > 0
 
     def is_small(self, step: int, config: TrainConfig) -> bool:
-        """Whether a step is small."""
         masks = config.get(MaskedSteps)
         whole = masks is None or is_whole(step, masks.full_every)
         return step < (max(self.until, self.whole_until) if whole else self.until)

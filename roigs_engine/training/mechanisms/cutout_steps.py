@@ -52,7 +52,6 @@ class CutoutSteps(Mechanism):
     uses_object_masks: ClassVar[bool] = True
 
     def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
-        """The objects, by the labels of the stage's first model."""
         from ..edits import morton_order
 
         data = training.data
@@ -70,7 +69,6 @@ class _Running(Running):
         self._cutouts, self._config = cutouts, config
 
     def own_step(self, training: Training) -> tuple[int, Tensor] | None:
-        """Draw an object alone, compare, and take an optimizer step with its Gaussians."""
         from ...cuda.device import number, sent
         from ..loss_masks import split_mask
         from ..losses import photo_loss
@@ -142,7 +140,6 @@ class Cutouts:
         owner: (N,) the box whose object each Gaussian is of, -1 for none.
         rois, images: of the stage.
         seed: of the order and the colours.
-        context: checked for cancellation between photos.
     """
 
     def __init__(
@@ -211,6 +208,8 @@ class Cutouts:
         self, model: Gaussians, box: int, roi: OrientedBox, image: PosedImage
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]] | None:
         """The pixels that show a box's object, and those to compare; None: the box is not seen."""
+        from ...rasterize.view import rasterize_view
+
         rows, silhouette = self._rows[box], roi.silhouette(image.camera, image.world_to_camera)
         if not len(rows) or not silhouette.any():
             return None
@@ -220,7 +219,10 @@ class Cutouts:
             shown = _core(share > 1 - BLOCKED)
             used = shown
         else:
-            alone = _alpha(model.rows(rows), image)
+            view = rasterize_view(
+                model.rows(rows), image.camera, image.world_to_camera, sh_degree=0
+            )
+            alone = np.asarray(view.alpha[0].cpu().numpy())
             shown = mask & silhouette
             used = silhouette & (mask | (alone - share < BLOCKED))
         if counted is not None:
@@ -243,14 +245,6 @@ def _share(model: Gaussians, rows: Tensor, image: PosedImage) -> NDArray[np.floa
         labelled, image.camera, image.world_to_camera, sh_degree=0, background=black
     )
     return np.asarray(view.image[0, ..., 0].cpu().numpy())
-
-
-def _alpha(model: Gaussians, image: PosedImage) -> NDArray[np.float32]:
-    """(H, W) how opaque the model is."""
-    from ...rasterize.view import rasterize_view
-
-    view = rasterize_view(model, image.camera, image.world_to_camera, sh_degree=0)
-    return np.asarray(view.alpha[0].cpu().numpy())
 
 
 def _core(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

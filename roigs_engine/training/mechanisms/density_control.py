@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from ...context import Context
-from ...errors import ConfigError
 from ..config import Mechanism, TrainConfig, interval, share_of_steps
 from ..running import Running
 
@@ -41,17 +40,12 @@ class DensityControl(Mechanism):
 
     start: int = interval(500)
     until: int = share_of_steps(15_000)
-    every: int = interval(100)
+    every: int = interval(100, least=1)
     grad_threshold: float = 2e-4
     split_fraction: float = 0.01
     prune_opacity: float = 0.005
     prune_size: float = 0.1
     reset_every: int = interval(3000)
-
-    def check(self, config: TrainConfig) -> None:
-        """Refuse an interval without steps."""
-        if self.every < 1:
-            raise ConfigError(f"{self.name}: every is {self.every}.", "Use 1 or more.")
 
     def grows(self, step: int) -> bool:
         """Whether Gaussians are added after so many steps."""
@@ -59,8 +53,8 @@ class DensityControl(Mechanism):
 
     def resets(self, step: int) -> bool:
         """Whether opacities are reset after so many steps."""
-        is_open = self.start <= step < self.until
-        return is_open and self.reset_every > 0 and step % self.reset_every == 0
+        reset = self.reset_every > 0 and step % self.reset_every == 0
+        return reset and self.start <= step < self.until
 
     def ends_within(self, config: TrainConfig) -> bool:
         """Whether a stage adds Gaussians, and goes on after that."""
@@ -68,17 +62,14 @@ class DensityControl(Mechanism):
         return first < self.until < config.steps
 
     def acts(self, config: TrainConfig) -> bool:
-        """If it has steps."""
         return self.until > self.start
 
     def begin(
         self, config: TrainConfig, training: Training, context: Context
     ) -> RunningDensityControl:
-        """Empty statistics."""
         return RunningDensityControl(self, training)
 
     def check_state(self, state: StateReader) -> None:
-        """Sums are not negative."""
         state.tensors(dict.fromkeys(("gradient", "views"), state.rows), least=0.0)
 
 
@@ -96,16 +87,13 @@ class RunningDensityControl(Running):
         self.views = self.gradient.clone()
 
     def observe(self, visible: Tensor, grad2d: Tensor, max_weight: Tensor | None) -> None:
-        """Add the statistics of one training view; all arguments (N,)."""
         self.gradient += grad2d
         self.views += visible
 
     def is_due(self, step: int) -> bool:
-        """Whether to densify or to reset."""
         return self.settings.grows(step) or self.settings.resets(step)
 
     def after_step(self, training: Training) -> None:
-        """Densify, prune and reset, as far as due."""
         if (edit := self.edit(training.gaussians, training.step)) is not None:
             training.apply(edit)
 
@@ -121,7 +109,6 @@ class RunningDensityControl(Running):
         return None if edit.rows is None and edit.opacity_cap is None else edit
 
     def follow(self, rows: Tensor, gaussians: Gaussians) -> None:
-        """Sums restart at zero."""
         self.gradient, self.views = (self.gradient.new_zeros(len(rows)) for _ in range(2))
 
     def mean_gradient(self) -> Tensor:

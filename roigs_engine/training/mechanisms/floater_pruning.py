@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from ...context import Context
-from ...errors import ConfigError
 from ...requests.choices import MIN_VIEWS
-from ..config import Mechanism, TrainConfig
+from ..config import Mechanism, TrainConfig, limited
 from ..running import Running
 
 if TYPE_CHECKING:
@@ -31,15 +30,9 @@ class FloaterPruning(Mechanism):
 
     name: ClassVar[str] = "floater_pruning"
 
-    min_views: int = MIN_VIEWS
-
-    def check(self, config: TrainConfig) -> None:
-        """Refuse no photos."""
-        if self.min_views < 1:
-            raise ConfigError(f"{self.name}: min_views is {self.min_views}.", "Use 1 or more.")
+    min_views: int = limited(MIN_VIEWS, least=1)
 
     def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
-        """Nothing to remember."""
         return _Running(self.min_views)
 
 
@@ -48,7 +41,6 @@ class _Running(Running):
         self._min_views = min_views
 
     def end(self, training: Training, context: Context) -> bool:
-        """Prune; False if stopped."""
         from ..floaters import floaters
 
         def search() -> Tensor:

@@ -33,12 +33,11 @@ class IdlePruning(Mechanism):
 
     name: ClassVar[str] = "idle_pruning"
 
-    every: int = interval(1000)
+    every: int = interval(1000, least=1)
 
     def check(self, config: TrainConfig) -> None:
         """Refuse steps on masks: what they do not show would go."""
-        if self.every < 1:
-            raise ConfigError(f"{self.name}: every is {self.every}.", "Use 1 or more.")
+        super().check(config)
         if config.get(MaskedSteps) is not None:
             raise ConfigError(
                 f"{self.name} needs steps that use whole photos.",
@@ -46,11 +45,9 @@ class IdlePruning(Mechanism):
             )
 
     def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
-        """A first window."""
         return _Running(self, training)
 
     def check_state(self, state: StateReader) -> None:
-        """The window began before."""
         state.count("window", state.step)
         state.tensors({"weight": state.rows}, besides=("window",), least=0.0)
 
@@ -68,16 +65,13 @@ class _Running(Running):
         self.weight = gaussians.logit_opacities.detach().new_zeros(len(gaussians))
 
     def observe(self, visible: Tensor, grad2d: Tensor, max_weight: Tensor | None) -> None:
-        """Take the largest weights of a step."""
         assert max_weight is not None
         self.weight = self.weight.maximum(max_weight)
 
     def is_due(self, step: int) -> bool:
-        """At the end of a window."""
         return step - self.window >= self._steps
 
     def after_step(self, training: Training) -> None:
-        """Remove what contributed to no pixel, and begin a window."""
         from ..edits import unchanged
 
         keep = self.weight >= VISIBLE_WEIGHT
@@ -87,6 +81,5 @@ class _Running(Running):
         self.window = training.step
 
     def follow(self, rows: Tensor, gaussians: Gaussians) -> None:
-        """Weights stay with their rows."""
         old = self.weight[rows.clamp(min=0)]
         self.weight = old.masked_fill(rows < 0, float("inf"))

@@ -17,10 +17,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from ...context import QUIET, Context
-from ...errors import ConfigError
 from ...model.roi import OrientedBox
 from ...model.scene import PosedImage
-from ..config import Mechanism, TrainConfig
+from ..config import Mechanism, TrainConfig, limited
 from ..photo_order import evenly_spaced
 from ..running import Running
 from .density_control import DensityControl
@@ -55,26 +54,18 @@ class ImportancePruning(Mechanism):
     """
 
     name: ClassVar[str] = "importance_pruning"
+    needs = (DensityControl,)  # other stages have no more than they need
 
-    growth: float = 0.05
-
-    def check(self, config: TrainConfig) -> None:
-        """Refuse stages that do not densify: they have no more than they need."""
-        if not self.growth > 0:
-            raise ConfigError(f"{self.name}: growth is {self.growth:g}.", "Use more than 0.")
-        config.of(DensityControl, self)
+    growth: float = limited(0.05, above=0)
 
     def acts(self, config: TrainConfig) -> bool:
-        """If Gaussians were added, and steps follow."""
         return config.of(DensityControl).ends_within(config)
 
     def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
-        """Nothing is pruned yet."""
         by_box = config.get(MaskedSteps) is not None
         return _Running(self.growth, config.of(DensityControl).until, by_box=by_box)
 
     def check_state(self, state: StateReader) -> None:
-        """Whether it is done."""
         state.flag("done")
         state.tensors({}, besides=("done",))
 
@@ -87,16 +78,14 @@ class _Running(Running):
         self.done = False
 
     def between_steps(self, training: Training, context: Context) -> bool:
-        """Prune once, when densification has ended; False if stopped."""
         if self.done or training.step < self._due or not training.settled():
             return True
 
         def search() -> Tensor:
-            data, photos = training.data, training.photos
+            data = training.data
             rois = data.rois if self._by_box else ()
-            return unimportant_gaussians(
-                training.gaussians, data, photos, self._growth, rois, context
-            )
+            views, model = training.photos, training.gaussians
+            return unimportant_gaussians(model, data, views, self._growth, rois, context)
 
         self.done = training.prune(context, "Gaussians that the photos hardly show", search)
         return self.done
@@ -118,10 +107,6 @@ def unimportant_gaussians(
         views: its photos, in the size to judge by.
         growth: largest mean growth of the photos' errors, as a share of them.
         rois: boxes that are judged apart.
-        context: checked for cancellation between photos.
-
-    Raises:
-        Stopped: the user stopped.
     """
     errors = PhotoErrors(views, rois, data.backgrounds, context)
     worth = visible_worth(gaussians, data.images, context)
@@ -135,23 +120,16 @@ def visible_worth(
 
     The sum over photos of its largest blending weight times the sum of its weights, which is an
     upper bound of the sum of its squared weights; photos in half their size.
-
-    Args:
-        gaussians: the model, N rows.
-        images: the training photos; their pixels are not used.
-        context: checked for cancellation between photos.
     """
     import torch
 
     from ...rasterize.view import blending_weights
 
     worth = torch.zeros(len(gaussians), dtype=torch.float64, device=gaussians.means.device)
+    cameras = [(i.camera, max(i.camera.width, i.camera.height) // 2) for i in images]
     half = [
-        (
-            image.camera.thumbnail(max(image.camera.width, image.camera.height) // 2),
-            image.world_to_camera,
-        )
-        for image in images
+        (camera.thumbnail(side), image.world_to_camera)
+        for image, (camera, side) in zip(images, cameras, strict=True)
     ]
     for weights in blending_weights(gaussians, half, context):
         worth += weights.total * weights.largest
@@ -166,7 +144,6 @@ class PhotoErrors:
         rois: each box is judged apart, on photos that see it: a small one that few photos show
             would not be missed in the whole.
         backgrounds: (photos, 3) colours behind everything; None: black.
-        context: checked for cancellation between photos.
     """
 
     def __init__(
@@ -180,7 +157,14 @@ class PhotoErrors:
         self._backgrounds, self._context = backgrounds, context
         self._whole = frozenset(evenly_spaced(range(len(views.images)), WHOLE))
         self._seeing = [
-            evenly_spaced([k for k, image in enumerate(views.images) if _sees(image, roi)], EACH)
+            evenly_spaced(
+                [
+                    k
+                    for k, image in enumerate(views.images)
+                    if roi.projected_area(image.camera, image.world_to_camera) > 0
+                ],
+                EACH,
+            )
             for roi in rois
         ]
 
@@ -234,10 +218,6 @@ class PhotoErrors:
         )
         squares = (output.image[0] - photo / 255.0).square().mean(dim=-1)
         return squares, torch.ones_like(squares, dtype=torch.bool) if counted is None else counted
-
-
-def _sees(image: PosedImage, roi: OrientedBox) -> bool:
-    return roi.projected_area(image.camera, image.world_to_camera) > 0
 
 
 def least_important(worth: Tensor, errors: Callable[[Tensor], Errors], growth: float) -> Tensor:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from ...context import Context
 from ...errors import ConfigError
-from ..config import Mechanism, PlannedViews, TrainConfig, planned
+from ..config import Mechanism, PlannedViews, TrainConfig, limited, planned
 from ..photo_order import is_whole
 from ..running import Running
 
@@ -39,48 +39,31 @@ class MaskedSteps(Mechanism):
     uses_object_masks: ClassVar[bool] = True
 
     full_every: int = 3
-    view_weighting: float = 0.0
+    view_weighting: float = limited(0.0, least=0, most=2)
     seeing: tuple[int, ...] = planned(())
 
     def check(self, config: TrainConfig) -> None:
-        """Refuse numbers out of range."""
+        """As usual; the hint says how to have whole photos alone."""
         if self.full_every < 2:
             raise ConfigError(
                 f"{self.name}: full_every is {self.full_every}.",
                 f"Use 2 or more, or leave out {self.name}: then all steps use whole photos.",
             )
-        if not 0 <= self.view_weighting <= 2:
-            raise ConfigError(
-                f"{self.name}: view_weighting is {self.view_weighting:g}.",
-                "Use a number from 0 to 2.",
-            )
+        super().check(config)
 
     def planned(self, config: TrainConfig, views: PlannedViews) -> TrainConfig:
-        """With the photos that see a box."""
         return config.using(replace(self, seeing=views.rows_seeing))
 
     def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
-        """The masks of the photos, in each of their sizes."""
         from ..loss_masks import LossMasks
 
         data = training.data
-        sizes = {False: data.images}
+        options: dict[str, Any] = {"view_weighting": self.view_weighting, "context": context}
+        masks = {False: LossMasks(data.images, data.rois, self.seeing, data.device, **options)}
         if config.has_small and data.small is not None:
-            sizes[True] = data.small.images
-        return _Running(
-            self.full_every,
-            {
-                small: LossMasks(
-                    images,
-                    data.rois,
-                    self.seeing,
-                    data.device,
-                    view_weighting=self.view_weighting,
-                    context=context,
-                )
-                for small, images in sizes.items()
-            },
-        )
+            small = data.small.images
+            masks[True] = LossMasks(small, data.rois, self.seeing, data.device, **options)
+        return _Running(self.full_every, masks)
 
 
 class _Running(Running):

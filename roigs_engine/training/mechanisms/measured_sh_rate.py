@@ -83,7 +83,6 @@ def predicted_share(
         images, photos: the photos and their pixels, in the same order.
         points: (P, 3) that `images` observe, world units.
         rois: the boxes: their points are compared, or all if these are too few.
-        context: checked for cancellation between photos.
 
     Returns:
         The share; None: too few points are observed by enough photos.

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from ...context import Context
-from ...errors import ConfigError
 from ..config import Mechanism, TrainConfig, share_of_steps
 from ..running import Running
 
@@ -37,19 +36,12 @@ class ModelAveraging(Mechanism):
 
     name: ClassVar[str] = "model_averaging"
 
-    steps: int = share_of_steps(0)
-
-    def check(self, config: TrainConfig) -> None:
-        """Refuse a negative number."""
-        if self.steps < 0:
-            raise ConfigError(f"{self.name}: steps is {self.steps}.", "Use 0 or more.")
+    steps: int = share_of_steps(0, least=0)
 
     def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
-        """No model yet."""
         return _Running(self.steps, config.steps)
 
     def check_state(self, state: StateReader) -> None:
-        """Sums of the models so far."""
         count = state.count("count", state.steps)
         sums = {f"sum_{name}": shape for name, shape in state.shapes.items()}
         state.tensors(sums if count else {}, besides=("count",), finite=True)
@@ -62,7 +54,6 @@ class _Running(Running):
         self._sums: dict[str, Tensor] = {}
 
     def is_due(self, step: int) -> bool:
-        """When a model counts, and at the end."""
         return step == self._steps or self._counts(step)
 
     def _counts(self, step: int) -> bool:
@@ -88,12 +79,10 @@ class _Running(Running):
         self._count, self._sums = 0, {}
 
     def state_dict(self) -> dict[str, Any]:
-        """The sums."""
         sums = {f"sum_{name}": tensor for name, tensor in self._sums.items()}
         return {"count": self._count, **sums}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from a `state_dict`."""
         self._count = int(state["count"])
         self._sums = {
             name.removeprefix("sum_"): tensor for name, tensor in state.items() if name != "count"

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from ...context import Context
-from ...errors import ConfigError
 from ...model.roi import OrientedBox
 from ...model.scene import PosedImage
-from ..config import Mechanism, PlannedViews, TrainConfig
+from ..config import Mechanism, PlannedViews, TrainConfig, limited
 from ..running import Running
 from .masked_steps import MaskedSteps
 from .spaced_sh_rate import view_directions
@@ -56,26 +55,17 @@ class OpacityDecay(Mechanism):
 
     name: ClassVar[str] = "opacity_decay"
 
-    share: float = 0.025
-    outside_share: float | None = None
-    one_sided: float = 0.0
+    share: float = limited(0.025, least=0, below=1)
+    outside_share: float | None = limited(None, least=0, below=1)
+    one_sided: float = limited(0.0, least=0, most=90)
 
     def check(self, config: TrainConfig) -> None:
-        """Refuse numbers out of range; the rule for what is outside needs masks."""
-        for text, share in (("share", self.share), ("outside_share", self.outside_share or 0.0)):
-            if not 0 <= share < 1:
-                raise ConfigError(
-                    f"{self.name}: {text} is {share:g}.", "Use 0 or more, and less than 1."
-                )
-        if not 0 <= self.one_sided <= 90:
-            raise ConfigError(
-                f"{self.name}: one_sided is {self.one_sided:g}.", "Use 0 to 90 degrees."
-            )
+        """As usual; the rule for what is outside needs masks."""
+        super().check(config)
         if self.one_sided or self.outside_share is not None:
             config.of(MaskedSteps, self)
 
     def planned(self, config: TrainConfig, views: PlannedViews) -> TrainConfig:
-        """With the share that the photos' directions allow outside the boxes."""
         if not self.one_sided:
             return config
         spread = max(view_spread(views.seen(roi), roi) for roi in views.rois)
@@ -87,11 +77,9 @@ class OpacityDecay(Mechanism):
         return config.using(decided)
 
     def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
-        """Which Gaussians are outside, if they decay in another way."""
         return _Running(self, config.steps, training)
 
     def check_state(self, state: StateReader) -> None:
-        """It knows who is outside, if it must."""
         rows = {} if self.outside_share is None else {"outside": state.rows}
         state.tensors(rows, flags=True)
 
@@ -109,7 +97,6 @@ class _Running(Running):
         return step < self._steps and step % self._every == 0
 
     def after_step(self, training: Training) -> None:
-        """Lower the opacities."""
         share, outside_share = self._settings.share, self._settings.outside_share
         shares: float | Tensor = share
         if outside_share is not None:
@@ -117,7 +104,6 @@ class _Running(Running):
         decay_opacities(training.gaussians.logit_opacities, shares)
 
     def follow(self, rows: Tensor, gaussians: Gaussians) -> None:
-        """Find who is outside anew."""
         if self._settings.outside_share is not None:
             self.outside = outside_boxes(gaussians, self._rois)
 

@@ -8,10 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...errors import ConfigError
 from ...model.roi import OrientedBox
 from ...model.scene import Float64, PosedImage
-from ..config import Mechanism, PlannedViews, TrainConfig
+from ..config import Mechanism, PlannedViews, TrainConfig, limited
 
 NEIGHBOUR = 3  # the third one: two photos side by side do not cover the directions around them
 EXPONENT = 3.0
@@ -36,15 +35,9 @@ class SpacedShRate(Mechanism):
 
     name: ClassVar[str] = "spaced_sh_rate"
 
-    limit: float = 25.0
-
-    def check(self, config: TrainConfig) -> None:
-        """Refuse a limit of nothing."""
-        if not self.limit > 0:
-            raise ConfigError(f"{self.name}: limit is {self.limit:g}.", "Use more than 0 degrees.")
+    limit: float = limited(25.0, above=0)
 
     def planned(self, config: TrainConfig, views: PlannedViews) -> TrainConfig:
-        """With the rate that the largest spacing around the boxes allows."""
         return self.at(config, max(view_spacing(views.seen(roi), roi) for roi in views.rois))
 
     def at(self, config: TrainConfig, spacing: float) -> TrainConfig:

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from ...context import Context
-from ...errors import ConfigError
 from ...model.roi import OrientedBox
-from ..config import Mechanism, TrainConfig
+from ..config import Mechanism, TrainConfig, limited
 from ..running import Running
 from .masked_steps import MaskedSteps
 
@@ -34,21 +33,14 @@ class SurroundingsRate(Mechanism):
     """
 
     name: ClassVar[str] = "surroundings_rate"
+    needs = (MaskedSteps,)  # without masks, no step has other rates
 
-    factor: float = 2.0
-
-    def check(self, config: TrainConfig) -> None:
-        """Refuse stages without masks: there, no step has other rates."""
-        if not 0 < self.factor < math.inf:
-            raise ConfigError(f"{self.name}: factor is {self.factor:g}.", "Use more than 0.")
-        config.of(MaskedSteps, self)
+    factor: float = limited(2.0, above=0, below=math.inf)
 
     def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
-        """Which Gaussians are outside."""
         return _Running(self.factor, training)
 
     def check_state(self, state: StateReader) -> None:
-        """It knows who is outside."""
         state.tensors({"outside": state.rows}, flags=True)
 
 
@@ -67,7 +59,6 @@ class _Running(Running):
         self.outside = outside_boxes(training.gaussians, self._rois)
 
     def row_rates(self, *, whole: bool) -> Tensor | None:
-        """(N,) the factors in a step on a whole photo."""
         if not whole:
             return None
         import torch
@@ -75,5 +66,4 @@ class _Running(Running):
         return torch.where(self.outside, self._factor, 1.0).to(torch.float32)
 
     def follow(self, rows: Tensor, gaussians: Gaussians) -> None:
-        """Find them anew."""
         self.outside = outside_boxes(gaussians, self._rois)

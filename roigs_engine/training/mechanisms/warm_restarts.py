@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from ...context import Context
-from ...errors import ConfigError
-from ..config import Mechanism, TrainConfig
+from ..config import Mechanism, TrainConfig, limited
 from ..running import Running
 from .density_control import DensityControl
 
@@ -30,14 +29,9 @@ class WarmRestarts(Mechanism):
     """
 
     name: ClassVar[str] = "warm_restarts"
+    needs = (DensityControl,)
 
-    count: int = 3
-
-    def check(self, config: TrainConfig) -> None:
-        """Refuse stages that do not densify."""
-        if self.count < 1:
-            raise ConfigError(f"{self.name}: count is {self.count}.", "Use 1 or more.")
-        config.of(DensityControl, self)
+    count: int = limited(3, least=1)
 
     def steps(self, config: TrainConfig) -> set[int]:
         """After how many steps it restarts; none if the stage ends with its densification."""
@@ -48,7 +42,6 @@ class WarmRestarts(Mechanism):
         return {first + k * rest // (self.count + 1) for k in range(self.count)}
 
     def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
-        """Nothing to remember."""
         return _Running(self.steps(config))
 
 
@@ -57,10 +50,8 @@ class _Running(Running):
         self._steps = steps
 
     def is_due(self, step: int) -> bool:
-        """At a restart."""
         return step in self._steps
 
     def after_step(self, training: Training) -> None:
-        """Forget the moments of all but colours."""
         adam = training.optimizer
         adam.zero_moments(*(name for name in adam.parameters if name != "sh"))
