@@ -8,13 +8,13 @@ import pytest
 
 from benchmarks.blocks import Finished, rows
 from roigs_engine.cli import main
-from roigs_engine.run import layout
+from roigs_engine.run import definition
 from tests.engine.commands.command_line import BOX
 from tests.engine.synthetic_colmap import write_project
 
 
 def test_the_table_of_a_run_in_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(layout, "FEWEST", 2)
+    monkeypatch.setattr(definition, "FEWEST", 2)
     names = [f"{k}.png" for k in range(12)]
     project = write_project(tmp_path / "scene", names=names, dots=True)
     for run, number in (("whole", "1"), ("cut", "2")):

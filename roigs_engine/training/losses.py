@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
@@ -51,7 +52,7 @@ def photo_loss(
     counted: Tensor | None = None,  # (H, W) bool
     backend: str = "auto",
 ) -> LossOutput:
-    """The training loss of a render against its photo; differentiable in `image`.
+    """The training loss; differentiable in `image`.
 
     Args:
         image: values in [0, 1]. A permuted view of planar (3, H, W) memory is the fastest form:
@@ -74,20 +75,17 @@ def photo_loss(
     _check(planes, target, weights, counted)
     if counted is not None:
         planes, target, weights = _without_ignored(planes, target, weights, counted)
-    native = planes.dtype == torch.float32 and planes.device.type == "cpu"
+    kind = planes.device.type if planes.dtype == torch.float32 else ""
     if backend == "auto":
-        kind = planes.device.type if planes.dtype == torch.float32 else ""
         backend = kind if kind in ("cpu", "cuda") else "reference"
     if backend == "reference":
         return _reference(planes, target, ssim_weight, weights)
-    if backend == "cuda":
-        return LossOutput(*_CudaLoss.apply(planes, target, ssim_weight, weights))  # type: ignore[no-untyped-call]
-    if backend != "cpu":
+    if backend not in BACKENDS:
         raise EngineError(f"photo_loss: unknown backend {backend!r}.", f"Use one of {BACKENDS}.")
-    if not native:
+    if backend == "cpu" and kind != "cpu":
         raise EngineError("photo_loss: the cpu backend takes float32 tensors on the CPU only.")
-    terms = _KernelLoss.apply(planes, target, ssim_weight, weights)  # type: ignore[no-untyped-call]
-    return LossOutput(*terms)
+    terms = _terms_on_cpu if backend == "cpu" else _terms_on_gpu
+    return LossOutput(*_KernelLoss.apply(planes, target, ssim_weight, weights, terms))  # type: ignore[no-untyped-call]
 
 
 def _without_ignored(
@@ -131,30 +129,22 @@ def _reference(
 
 
 class _KernelLoss(torch.autograd.Function):
-    """`roigs_photo_loss` of kernels/loss.cpp: value and gradient come from one pass."""
+    """Value and gradient from one kernel, on the CPU or a GPU; nothing waits for the GPU."""
 
     @staticmethod
     def forward(
-        ctx: Any, image: Tensor, target: Tensor, ssim_weight: float, weights: Tensor | None
+        ctx: Any,
+        image: Tensor,
+        target: Tensor,
+        ssim_weight: float,
+        weights: Tensor | None,
+        terms: Callable[..., Tensor],
     ) -> tuple[Tensor, Tensor, Tensor]:
-        height, width, _ = image.shape
         planar = image.permute(2, 0, 1).contiguous()  # no copy when it is planar already
-        photo = target.contiguous()
         mask = None if weights is None else weights.to(torch.float32).contiguous()
         gradient = torch.empty_like(planar) if ctx.needs_input_grad[0] else None
-        result = (ctypes.c_double * 3)()
-        bindings.kernels().roigs_photo_loss(
-            width,
-            height,
-            bindings.pointer(planar),
-            bindings.pointer(photo),
-            bindings.pointer(mask),
-            ssim_weight,
-            bindings.pointer(gradient),
-            result,
-        )
+        loss, l1, ssim = terms(planar, target.contiguous(), ssim_weight, mask, gradient).unbind()
         ctx.save_for_backward(gradient)
-        loss, l1, ssim = torch.tensor(list(result), dtype=torch.float32).unbind()
         ctx.mark_non_differentiable(l1, ssim)
         ctx.set_materialize_grads(False)
         return loss, l1, ssim
@@ -163,48 +153,52 @@ class _KernelLoss(torch.autograd.Function):
     def backward(ctx: Any, *upstream: Tensor | None) -> tuple[Tensor | None, ...]:
         scale, (gradient,) = upstream[0], ctx.saved_tensors
         if scale is None or gradient is None:
-            return None, None, None, None
-        if scale != 1:  # the usual case needs no pass over the image
+            return (None,) * 5
+        # The usual factor of 1 needs no pass over the image; but to read it would wait for a GPU.
+        if gradient.is_cuda or scale != 1:
             gradient.mul_(scale)  # in place: fresh memory costs more. torch refuses a second time
-        return gradient.permute(1, 2, 0), None, None, None
+        return gradient.permute(1, 2, 0), *(None,) * 4
 
 
-class _CudaLoss(torch.autograd.Function):
-    """cuda/kernels/loss.cu; nothing waits for the device."""
+def _terms_on_cpu(
+    image: Tensor,
+    photo: Tensor,
+    ssim_weight: float,
+    mask: Tensor | None,
+    gradient: Tensor | None,
+) -> Tensor:
+    """(3,) loss, L1 and SSIM by `roigs_photo_loss` of kernels/loss.cpp; fills the gradient."""
+    _, height, width = image.shape
+    tensors = (bindings.pointer(tensor) for tensor in (image, photo, mask))
+    result = (ctypes.c_double * 3)()
+    bindings.kernels().roigs_photo_loss(
+        width, height, *tensors, ssim_weight, bindings.pointer(gradient), result
+    )
+    return torch.tensor(list(result), dtype=torch.float32)
 
-    @staticmethod
-    def forward(
-        ctx: Any, image: Tensor, target: Tensor, ssim_weight: float, weights: Tensor | None
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        height, width, _ = image.shape
-        planar = image.permute(2, 0, 1).contiguous()  # no copy when it is planar already
-        photo = target.contiguous()
-        mask = None if weights is None else weights.to(torch.float32).contiguous()
-        blocks = 3 * -(-height // TILE) * -(-width // TILE)
-        total = None if mask is None else mask.sum(dtype=torch.float64)
-        sums, terms = planar.new_empty(blocks, 2), planar.new_empty(3)
-        gradient = torch.empty_like(planar) if ctx.needs_input_grad[0] else None
-        derivatives = None if gradient is None else planar.new_empty(3, *planar.shape)
-        pointers = (address(t) for t in (planar, photo, mask, total))
-        results = (address(t) for t in (derivatives, sums, gradient, terms))
-        loss = Loss(width, height, *pointers, ssim_weight, *results, blocks)
-        program = card.program(image.device)
-        program.launch("loss", blocks, PIXELS, loss)
-        if gradient is not None:
-            program.launch("loss_gradient", blocks, PIXELS, loss)
-        program.launch("loss_terms", 1, PIXELS, loss)
-        ctx.gradient = gradient
-        value, l1, ssim = terms.unbind()
-        ctx.mark_non_differentiable(l1, ssim)
-        ctx.set_materialize_grads(False)
-        return value, l1, ssim
 
-    @staticmethod
-    def backward(ctx: Any, *upstream: Tensor | None) -> tuple[Tensor | None, ...]:
-        scale, gradient = upstream[0], ctx.gradient
-        if scale is None or gradient is None:
-            return None, None, None, None
-        return (gradient * scale).permute(1, 2, 0), None, None, None
+def _terms_on_gpu(
+    image: Tensor,
+    photo: Tensor,
+    ssim_weight: float,
+    mask: Tensor | None,
+    gradient: Tensor | None,
+) -> Tensor:
+    """As `_terms_on_cpu`, by cuda/kernels/loss.cu."""
+    _, height, width = image.shape
+    blocks = 3 * -(-height // TILE) * -(-width // TILE)
+    total = None if mask is None else mask.sum(dtype=torch.float64)
+    sums, terms = image.new_empty(blocks, 2), image.new_empty(3)
+    derivatives = None if gradient is None else image.new_empty(3, *image.shape)
+    pointers = (address(t) for t in (image, photo, mask, total))
+    results = (address(t) for t in (derivatives, sums, gradient, terms))
+    loss = Loss(width, height, *pointers, ssim_weight, *results, blocks)
+    program = card.program(image.device)
+    program.launch("loss", blocks, PIXELS, loss)
+    if gradient is not None:
+        program.launch("loss_gradient", blocks, PIXELS, loss)
+    program.launch("loss_terms", 1, PIXELS, loss)
+    return terms
 
 
 def _check(image: Tensor, target: Tensor, weights: Tensor | None, counted: Tensor | None) -> None:

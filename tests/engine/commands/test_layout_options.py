@@ -13,7 +13,7 @@ from roigs_engine.batch.record import BatchRecord
 from roigs_engine.cli import main
 from roigs_engine.context import QUIET
 from roigs_engine.formats import run_files
-from roigs_engine.run import layout
+from roigs_engine.run import definition
 from tests.engine.commands.command_line import BOX, refused
 from tests.engine.runs import finished
 from tests.engine.synthetic_colmap import Project, write_project
@@ -29,7 +29,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Project:
 
 @pytest.fixture(autouse=True)
 def few_photos_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(layout, "FEWEST", 2)
+    monkeypatch.setattr(definition, "FEWEST", 2)
 
 
 def arguments(project: Project, run: Path, *more: object) -> list[str]:
@@ -55,10 +55,10 @@ def test_what_auto_has_chosen_stays(
     project: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     auto = arguments(project, tmp_path, "--blocks", "auto")
-    monkeypatch.setattr(layout, "USELESS", 1.0)
+    monkeypatch.setattr(definition, "USELESS", 1.0)
     with monkeypatch.context() as small:
-        small.setattr(layout, "_needed", lambda scene, layout, *_: 2 - bool(layout.blocks))
-        small.setattr(layout, "machine_memory", lambda: 1)
+        small.setattr(definition, "_needed", lambda scene, layout, *_: 2 - bool(layout.blocks))
+        small.setattr(definition, "machine_memory", lambda: 1)
         assert main(["train", *auto]) == 0
     assert {"block-1-scene", "block-2-scene"} <= finished(tmp_path)
     assert main(["train", *auto]) == 0  # with enough memory, too

@@ -16,7 +16,7 @@ from roigs_engine.formats import run_files
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.formats.splat_ply import read_ply
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.run import layout as blocks_module
+from roigs_engine.run import definition as blocks_module
 from roigs_engine.run.config import AUTO_BLOCKS, RunConfig
 from roigs_engine.run.definition import Run, define_run
 from roigs_engine.run.dry_run import describe_plan

@@ -17,7 +17,7 @@ from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.definition import define_run
 from roigs_engine.training import mechanisms
 from roigs_engine.training.checkpoint import check_state, load_checkpoint, save_checkpoint
-from roigs_engine.training.config import Mechanism, TrainConfig, share_of_steps, with_steps
+from roigs_engine.training.config import Mechanism, TrainConfig, limited, share_of_steps, with_steps
 from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
 from roigs_engine.training.running import Running
 from roigs_engine.training.trainer import Trainer
@@ -36,12 +36,8 @@ class Drift(Mechanism):
 
     name: ClassVar[str] = "drift"
 
-    by: float = 0.01
+    by: float = limited(0.01, above=0)
     until: int = share_of_steps(40)
-
-    def check(self, config: TrainConfig) -> None:
-        if self.by <= 0:
-            raise ConfigError(f"drift: by is {self.by:g}.", "Use more than 0.")
 
     def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
         return Drifting(self)
