@@ -115,28 +115,14 @@ def load_checkpoint(
                 raise RunFolderError(f"The checkpoint {file} has other settings.", HINT)
             if check is not None:
                 check(state)
-        except ValueError as error:
-            problems.append(f"The checkpoint {file} is damaged ({error}).")
-            continue
-        except _DamagedError as error:
-            problems.append(f"The checkpoint {file} {error}.")
+        except (ValueError, _DamagedError) as error:
+            why = error if isinstance(error, _DamagedError) else f"is damaged ({error})"
+            problems.append(f"The checkpoint {file} {why}.")
             continue
         for problem in problems:
             context.warn(f"{problem} Training resumes from the previous checkpoint.")
         return state
-    raise _unusable(path, problems)
-
-
-def checkpoint_fingerprint(path: Path) -> str:
-    """The fingerprint of a checkpoint; does not load tensors. Raises as `load_checkpoint`."""
-    problems = []
-    for name in _present(path):
-        try:
-            with open(name, "rb", opener=regular) as file:
-                return str(_header(file)["fingerprint"])
-        except (OSError, _DamagedError) as error:
-            problems.append(f"The checkpoint {name} {_because(error)}.")
-    raise _unusable(path, problems)
+    raise RunFolderError(problems[0] if problems else f"There is no checkpoint {path}.", HINT)
 
 
 def checkpoint_step(path: Path, fingerprint: str) -> int:
@@ -153,7 +139,7 @@ def checkpoint_step(path: Path, fingerprint: str) -> int:
 
 
 def checkpoint_exists(path: Path) -> bool:
-    """Whether there is a checkpoint, or the previous one."""
+    """Whether there is one, or the previous one."""
     return bool(_present(path))
 
 
@@ -172,16 +158,7 @@ def _present(path: Path) -> list[Path]:
     return [name for name in (path, _before(path)) if name.exists()]
 
 
-def _unusable(path: Path, problems: list[str]) -> RunFolderError:
-    return RunFolderError(problems[0] if problems else f"There is no checkpoint {path}.", HINT)
-
-
-def _because(error: Exception) -> str:
-    return f"cannot be read ({error.strerror})" if isinstance(error, OSError) else str(error)
-
-
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Header and state of a file."""
     try:
         with open(path, "rb", opener=regular) as file:
             header = _header(file)
@@ -197,7 +174,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
             if SUM.unpack(file.read(SUM.size)) != (checksum,):
                 raise _DamagedError("is damaged (wrong checksum)")
     except OSError as error:
-        raise _DamagedError(_because(error)) from error
+        raise _DamagedError(f"cannot be read ({error.strerror})") from error
     except HEADER_ERRORS as error:
         raise _DamagedError("is damaged (malformed header)") from error
     return header, state
@@ -281,7 +258,13 @@ def check_state(state: Mapping[str, Any], config: TrainConfig) -> None:
     shapes = _shapes(state.get("parameters"))
     whole = StateReader(state, config.steps, step, shapes)
     whole.part("parameters").tensors(shapes, finite=True)
-    _check_optimizer(whole.part("optimizer"))
+    optimizer = whole.part("optimizer")
+    optimizer.count("step_count", config.steps)
+    optimizer.count("skipped_rows", 1 << 62)
+    optimizer.part("exp_avg").tensors(shapes)
+    optimizer.part("exp_avg_sq").tensors(shapes, least=0.0)
+    widths = {name: (math.prod(shape[1:]),) for name, shape in shapes.items()}
+    optimizer.part("rates").tensors(widths, least=0.0, finite=True)
     acting = [each for each in config.mechanisms if each.acts(config)]
     mechanisms = whole.part("mechanisms")
     mechanisms.exactly(each.name for each in acting)
@@ -299,12 +282,3 @@ def _shapes(parameters: Any) -> dict[str, Shape]:
         raise ValueError("'sh' has a wrong shape")
     columns = {**COLUMNS, "sh": tuple(sh.shape[1:])}
     return {name: (len(means), *columns[name]) for name in NAMES}
-
-
-def _check_optimizer(optimizer: StateReader) -> None:
-    optimizer.count("step_count", optimizer.steps)
-    optimizer.count("skipped_rows", 1 << 62)
-    optimizer.part("exp_avg").tensors(optimizer.shapes)
-    optimizer.part("exp_avg_sq").tensors(optimizer.shapes, least=0.0)
-    widths = {name: (math.prod(shape[1:]),) for name, shape in optimizer.shapes.items()}
-    optimizer.part("rates").tensors(widths, least=0.0, finite=True)

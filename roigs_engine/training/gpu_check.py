@@ -23,7 +23,7 @@ from ..formats.files import read_json, write_json
 from ..kernels.library import user_cache
 from ..rasterize import RenderOutput, rasterize
 from .losses import photo_loss
-from .optimizer import VisibleAdam
+from .optimizer import EPS, VisibleAdam
 
 LIMIT = 2e-3
 """The largest relative error (Euclidean norm) of any result. Rounding alone gives about 1e-4: it
@@ -121,7 +121,10 @@ def check(device: torch.device) -> dict[str, float]:
 def compare(device: torch.device) -> dict[str, float]:
     """The relative error of each result on the GPU, without a limit."""
     ours, truth = results(device, "cuda"), results(torch.device("cpu"), "cpu")
-    return {name: _relative_error(ours[name], truth[name]) for name in truth}
+    return {
+        name: float((ours[name] - each).norm()) / max(float(each.norm()), 1e-30)
+        for name, each in truth.items()
+    }
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -174,7 +177,7 @@ def _misstep(optimizer: VisibleAdam, name: str, before: Tensor) -> Tensor:
     The steps themselves cannot be compared: where a gradient is about 0, its sign decides.
     """
     mean, square = optimizer.exp_avg[name] / 0.1, optimizer.exp_avg_sq[name] / 0.001
-    step = 1e-3 * mean / (square.sqrt() + optimizer.eps)
+    step = 1e-3 * mean / (square.sqrt() + EPS)
     now = optimizer.parameters[name].detach()
     return 1 + ((now - (before - step)).abs() / 1e-3).clamp(min=1e-3)
 
@@ -211,10 +214,6 @@ def scene(device: torch.device, count: int, size: tuple[int, int]) -> Scene:
         view=(torch.eye(4)[None].to(device), intrinsics[None].to(device)),
         photo=photo.to(device),
     )
-
-
-def _relative_error(value: Tensor, truth: Tensor) -> float:
-    return float((value - truth).norm()) / max(float(truth.norm()), 1e-30)
 
 
 def step_milliseconds(device: torch.device, backend: str, *, steps: int) -> float:

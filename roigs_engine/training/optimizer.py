@@ -28,6 +28,8 @@ from ..kernels import bindings
 from ..model.gaussians import Gaussians
 from .edits import chosen_rows
 
+BETAS, EPS = (0.9, 0.999), 1e-15  # decay of the two moments; added to the second one's root
+
 
 class VisibleAdam:
     """Adam on named parameters (N, ...) that all have one row per Gaussian.
@@ -50,29 +52,22 @@ class VisibleAdam:
         self,
         parameters: Mapping[str, tuple[Tensor, float | Tensor]],
         *,
-        betas: tuple[float, float] = (0.9, 0.999),
-        eps: float = 1e-15,
-        backend: str = "auto",
         fused: bool = False,
+        reference: bool = False,
     ) -> None:
         """Start with zero moments; allocate `.grad` of every parameter, unless fused.
 
         Args:
             parameters: name -> (contiguous leaf tensor, learning rate). The learning rate is one
                 number, or a tensor with one number per element of a row: (48,) for sh (N, 16, 3).
-            betas: decay of the two moments.
-            eps: added to the root of the second moment.
-            backend: "cpu" (compiled kernel: float32 on the CPU), "reference" (plain torch), or
-                "auto": the first one that can be used.
             fused: the rasterizer's backward pass takes the steps (see the module); ignored where
-                it has no kernels, and with the backend "reference".
+                it has no kernels.
+            reference: plain torch takes the steps, as it does where there are no kernels.
 
         Raises:
             EngineError: wrong numbers of rows or learning rates, or wrong strides.
         """
-        if backend not in ("auto", "cpu", "reference"):
-            raise EngineError(f"VisibleAdam: unknown backend {backend!r}.")
-        self.betas, self.eps, self.backend, self._may_fuse = betas, eps, backend, fused
+        self._may_fuse, self.reference = fused, reference
         self.parameters: dict[str, Tensor] = {}
         self.exp_avg: dict[str, Tensor] = {}
         self.exp_avg_sq: dict[str, Tensor] = {}
@@ -88,17 +83,13 @@ class VisibleAdam:
 
     def set_lr(self, name: str, lr: float | Tensor) -> None:
         """Set a parameter's learning rate: one number, or one per element of a row."""
-        if (
-            isinstance(lr, float) and name in self._learning_rates
-        ):  # called every step: no new tensor
-            self._learning_rates[name].fill_(lr)
-            return
         parameter = self.parameters[name]
         width = parameter.shape[1:].numel()
-        if isinstance(lr, float):  # filled on the device: no copy to wait for
-            self._learning_rates[name] = torch.full(
-                (width,), lr, dtype=torch.float32, device=parameter.device
-            )
+        if isinstance(lr, float):  # every step: filled on the device, no copy to wait for
+            if name not in self._learning_rates:
+                empty = torch.empty(width, dtype=torch.float32, device=parameter.device)
+                self._learning_rates[name] = empty
+            self._learning_rates[name].fill_(lr)
             return
         values = torch.as_tensor(lr, dtype=torch.float32).flatten()
         if values.numel() not in (1, width):
@@ -115,9 +106,6 @@ class VisibleAdam:
 
         Returns:
             The number of rows that were skipped (and their gradient zeroed) for NaN or Inf.
-
-        Raises:
-            EngineError: `visible` does not fit the parameters.
         """
         for name, parameter in self.parameters.items():
             if visible.shape != parameter.shape[:1] or visible.dtype != torch.bool:
@@ -125,9 +113,13 @@ class VisibleAdam:
                     f"visible is {tuple(visible.shape)} {visible.dtype}; "
                     f"{name} has {len(parameter)} rows."
                 )
-        backend = self._backend()
-        on = visible & self._with_gradient(visible)
-        if backend == "cpu":
+        on = torch.zeros_like(visible)  # where a gradient is not zero; NaN is not
+        for parameter in self.parameters.values():
+            if parameter.grad is not None:
+                rows = parameter.grad.reshape(len(on), parameter.shape[1:].numel())
+                on |= rows.ne(0).any(dim=1)
+        on &= visible
+        if self._on_kernels and on.device.type == "cpu":
             kernels = bindings.kernels()
             return self.step_by(
                 lambda adam: kernels.roigs_adam(len(on), adam, bindings.pointer(on))
@@ -137,15 +129,6 @@ class VisibleAdam:
         skipped: int | Tensor = sum(self._reference_step(name, on) for name in self.parameters)
         self.skipped_rows += skipped
         return skipped
-
-    def _with_gradient(self, rows: Tensor) -> Tensor:
-        """As `rows`, (N,) bool: where a parameter has a gradient that is not zero; NaN is not."""
-        found = torch.zeros_like(rows)
-        for parameter in self.parameters.values():
-            if parameter.grad is not None:
-                width = parameter.shape[1:].numel()
-                found |= parameter.grad.reshape(len(rows), width).ne(0).any(dim=1)
-        return found
 
     def step_by(self, kernel: Callable[[Any], int | Tensor]) -> int | Tensor:
         """Take a step with a kernel; returns the number of skipped rows, as `step`.
@@ -164,7 +147,7 @@ class VisibleAdam:
             entry.gradient = address(parameter.grad)
             entry.rates, entry.width = learning_rates.data_ptr(), learning_rates.numel()
         rates, count = address(self.row_rates), len(parameters)
-        adam = bindings.Adam(parameters, count, self.betas, self.eps, self.step_count, rates)
+        adam = bindings.Adam(parameters, count, BETAS, EPS, self.step_count, rates)
         skipped = kernel(ctypes.byref(adam))
         self.skipped_rows += skipped
         return skipped
@@ -184,29 +167,26 @@ class VisibleAdam:
     @property
     def fused(self) -> bool:
         """Whether the backward pass takes the steps; then parameters have no `.grad`."""
-        if not self._may_fuse or self.backend != "auto":
-            return self._may_fuse and self.backend == "cpu"
+        return self._may_fuse and self._on_kernels
+
+    @property
+    def _on_kernels(self) -> bool:
+        """Whether a kernel takes the steps; all parameters have one dtype and device."""
         first = next(iter(self.parameters.values()))
-        return first.device.type in ("cpu", "cuda") and first.dtype == torch.float32
+        usable = first.device.type in ("cpu", "cuda") and first.dtype == torch.float32
+        return usable and not self.reference
 
     @property
     def backward_step(self) -> FusedStep | None:
         """The argument of `rasterize(..., backward_step=...)`; None: call `step` instead."""
         return FusedStep(self) if self.fused else None
 
-    def _backend(self) -> str:
-        """The backend in use; all parameters have one dtype and device."""
-        first = next(iter(self.parameters.values()))
-        if self.backend != "auto" or first.dtype != torch.float32:
-            return "reference" if self.backend == "auto" else self.backend
-        return "cpu" if first.device.type == "cpu" else "reference"
-
     def _reference_step(self, name: str, visible: Tensor) -> Tensor:
         """The step in plain torch, on all rows with a mask; the tests compare backends with it."""
         parameter, gradient = self.parameters[name], self.parameters[name].grad
         mean, square = self.exp_avg[name], self.exp_avg_sq[name]
         assert gradient is not None, "the buffer is allocated here"
-        beta1, beta2 = self.betas
+        beta1, beta2 = BETAS
         learning_rates = self._learning_rates[name]
         finite = gradient.isfinite().reshape(len(gradient), learning_rates.numel()).all(dim=1)
         row = (-1,) + (1,) * (gradient.dim() - 1)
@@ -216,7 +196,7 @@ class VisibleAdam:
         usable = torch.where(on, gradient, 0)
         mean.copy_(torch.where(on, beta1 * mean + (1 - beta1) * usable, mean))
         square.copy_(torch.where(on, beta2 * square + (1 - beta2) * usable**2, square))
-        denominator = (square / (1 - beta2**self.step_count)).sqrt() + self.eps
+        denominator = (square / (1 - beta2**self.step_count)).sqrt() + EPS
         if self.row_rates is not None:
             lr = lr * self.row_rates.to(lr.dtype).view(row)
         change = lr * mean / (1 - beta1**self.step_count) / denominator
@@ -250,9 +230,8 @@ class VisibleAdam:
     def part(self, rows: Tensor) -> VisibleAdam:
         """An optimizer of copies of these rows, with their moments; `put` takes them back."""
         copies = {name: p.detach()[rows].contiguous() for name, p in self.parameters.items()}
-        options: dict[str, Any] = {"betas": self.betas, "eps": self.eps, "backend": self.backend}
         rates = {name: (copy, self._learning_rates[name]) for name, copy in copies.items()}
-        part = VisibleAdam(rates, fused=self._may_fuse, **options)
+        part = VisibleAdam(rates, fused=self._may_fuse, reference=self.reference)
         part.step_count = self.step_count
         for name in copies:
             part.exp_avg[name] = self.exp_avg[name][rows].contiguous()
@@ -282,7 +261,7 @@ class VisibleAdam:
             self.exp_avg_sq[name].zero_()
 
     def state_dict(self) -> dict[str, Any]:
-        """Step count, moments and learning rates; tensors are shared, not copied."""
+        """Tensors are shared, not copied."""
         return {
             "step_count": self.step_count,
             "skipped_rows": int(self.skipped_rows),
@@ -298,11 +277,11 @@ class VisibleAdam:
                 saved = state[key].get(name)
                 if saved is None or saved.shape != parameter.shape:
                     raise EngineError(f"The optimizer state has no {key} that fits {name}.")
-        self.step_count = int(state["step_count"])
-        self.skipped_rows = int(state["skipped_rows"])
+        self.step_count, self.skipped_rows = int(state["step_count"]), int(state["skipped_rows"])
         for name, parameter in self.parameters.items():
-            self.exp_avg[name] = _copy_like(state["exp_avg"][name], parameter)
-            self.exp_avg_sq[name] = _copy_like(state["exp_avg_sq"][name], parameter)
+            for key, moments in (("exp_avg", self.exp_avg), ("exp_avg_sq", self.exp_avg_sq)):
+                saved = state[key][name].detach().to(parameter, copy=True)
+                moments[name] = saved.contiguous()
             self.set_lr(name, state["rates"][name])
 
     def _adopt(self, parameters: Mapping[str, Tensor]) -> None:
@@ -314,13 +293,8 @@ class VisibleAdam:
                 raise EngineError(f"{name} is not a contiguous leaf tensor.")
             tensor.requires_grad_()
             self.parameters[name] = tensor
-        without = self.fused
         for tensor in parameters.values():
-            tensor.grad = None if without else torch.zeros_like(tensor)
-
-
-def _copy_like(saved: Tensor, parameter: Tensor) -> Tensor:
-    return saved.detach().to(parameter, copy=True, memory_format=torch.contiguous_format)
+            tensor.grad = None if self.fused else torch.zeros_like(tensor)
 
 
 @dataclass(frozen=True)

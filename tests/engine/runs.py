@@ -15,6 +15,7 @@ from roigs_engine.run.config import RunConfig
 from roigs_engine.run.definition import Run, define_run
 from roigs_engine.run.folder import open_folder, train_opened
 from roigs_engine.run.presets import preset
+from roigs_engine.training import checkpoint
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.mechanisms.density_control import DensityControl
 from tests.engine.settings import adjusted
@@ -98,6 +99,12 @@ SECOND = OrientedBox.axis_aligned("second", [-0.2, -0.2, -0.2], [0.5, 0.5, 0.5])
 
 def production(strategy: str = "joint", **changes: object) -> RunConfig:
     return tiny(strategy, test_every=0, kept_share=1.0, **changes)
+
+
+def checkpoint_step(path: Path) -> int:
+    """The step of a checkpoint, whatever it is of."""
+    with path.open("rb") as file:
+        return int(checkpoint._header(file)["state"]["step"])
 
 
 def stage_of(run: Path, name: str) -> Path:

@@ -11,9 +11,8 @@ from typing import Any
 import pytest
 
 from roigs_engine.formats.events import Message, Progress, to_json
-from roigs_engine.training.checkpoint import checkpoint_fingerprint, load_checkpoint
 from tests.engine.commands.command_line import BOX, EMPTY, python, refused, start
-from tests.engine.runs import stage_of
+from tests.engine.runs import checkpoint_step, stage_of
 from tests.engine.synthetic_colmap import Project
 
 
@@ -64,9 +63,8 @@ def train(project: Project, folder: Path, *options: object) -> subprocess.Popen[
     raise AssertionError(process.communicate()[1])
 
 
-def checkpoint_step(folder: Path) -> int:
-    path = stage_of(folder, "scene") / "checkpoint.bin"
-    return int(load_checkpoint(path, checkpoint_fingerprint(path))["step"])
+def scene_step(folder: Path) -> int:
+    return checkpoint_step(stage_of(folder, "scene") / "checkpoint.bin")
 
 
 @pytest.mark.parametrize("text", ["stop\n", ""])
@@ -80,7 +78,7 @@ def test_a_stop_or_the_end_of_input_stops_training(
     lines = [json.loads(line) for line in out.splitlines()]
     assert lines[-1] == {"event": "done", "outputs": {}, "stopped": True}
     assert (folder / "preview.ply").stat().st_size > 0
-    assert checkpoint_step(folder) > 0
+    assert scene_step(folder) > 0
     log = (folder / "events.jsonl").read_text(encoding="utf-8").splitlines()
     assert json.loads(log[-1])["event"] == "done"
     assert not (folder / "run.lock").exists()
@@ -113,7 +111,7 @@ def test_a_run_outlives_nobody_and_leaves_a_checkpoint(project: Project, tmp_pat
         assert pipe is not None
         pipe.close()
     assert process.wait(60) == 3
-    assert checkpoint_step(folder) > 0
+    assert scene_step(folder) > 0
 
 
 def test_a_second_engine_is_refused(

@@ -55,7 +55,7 @@ def without_kernels(patch: pytest.MonkeyPatch) -> None:
     """A training step in plain torch."""
     for name, function in (("rasterize", rasterize), ("photo_loss", photo_loss)):
         patch.setattr(trainer, name, partial(function, backend="reference"))
-    plain = lambda parameters, **_: VisibleAdam(parameters, backend="reference")  # noqa: E731
+    plain = lambda parameters, **_: VisibleAdam(parameters, reference=True)  # noqa: E731
     patch.setattr(trainer, "VisibleAdam", plain)
 
 

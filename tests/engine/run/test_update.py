@@ -19,8 +19,17 @@ from roigs_engine.run.manifest import manifest_difference
 from roigs_engine.run.stages import PhotoSets
 from roigs_engine.selection import METHODS, SelectionConfig, select_cameras
 from roigs_engine.selection.manual import load_manual
-from roigs_engine.training.checkpoint import checkpoint_fingerprint, load_checkpoint
-from tests.engine.runs import SECOND, opened, plys, production, stage_of, tiny, train, train_run
+from tests.engine.runs import (
+    SECOND,
+    checkpoint_step,
+    opened,
+    plys,
+    production,
+    stage_of,
+    tiny,
+    train,
+    train_run,
+)
 from tests.engine.synthetic_scene import BOX, make_scene
 
 MOVED = OrientedBox.axis_aligned("thing", [-0.4, -0.6, -0.6], [0.7, 0.6, 0.6])
@@ -178,7 +187,7 @@ def test_an_unfinished_stage_is_kept_and_gone_on_with(scene: SfmScene, tmp_path:
     kept = stage_of(tmp_path, "joint") / "checkpoint.bin"
     assert kept.exists()
     train(tmp_path, scene, [MOVED], production(), update=True)
-    step = load_checkpoint(kept, checkpoint_fingerprint(kept))["step"]
+    step = checkpoint_step(kept)
     events: list[Event] = []
     train(tmp_path, scene, [BOX], production(), update=True, context=Context(emit=events.append))
     texts = messages(events)

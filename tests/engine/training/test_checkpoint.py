@@ -17,7 +17,6 @@ from roigs_engine.formats.events import Event, Message
 from roigs_engine.training import checkpoint
 from roigs_engine.training.checkpoint import (
     checkpoint_exists,
-    checkpoint_fingerprint,
     load_checkpoint,
     remove_checkpoint,
     save_checkpoint,
@@ -63,7 +62,6 @@ def test_what_goes_in_comes_out(tmp_path: Path) -> None:
     for name, tensor in STATE["nested"].items():
         assert back["nested"][name].dtype == tensor.dtype
         assert torch.equal(back["nested"][name], tensor)
-    assert checkpoint_fingerprint(path) == "one"
 
 
 def test_the_one_before_is_kept_and_both_go(path: Path) -> None:
@@ -108,8 +106,6 @@ def test_one_of_an_earlier_version_is_refused_and_not_run(tmp_path: Path) -> Non
     torch.save({"step": 1}, path)
     with pytest.raises(RunFolderError, match="another version"):
         load_checkpoint(path, "one")
-    with pytest.raises(RunFolderError, match="another version"):
-        checkpoint_fingerprint(path)
 
 
 def test_lengths_are_checked_before_memory_is_asked_for(path: Path) -> None:

@@ -95,7 +95,7 @@ def test_without_an_object_all_steps_are_ordinary(scene: SfmScene) -> None:
 def test_a_part_of_an_optimizer_takes_the_same_step() -> None:
     def optimizer() -> VisibleAdam:
         tensors = {n: t.clone() for n, t in truth().tensors().items()}
-        return VisibleAdam({n: (t, 0.01) for n, t in tensors.items()}, backend="reference")
+        return VisibleAdam({n: (t, 0.01) for n, t in tensors.items()}, reference=True)
 
     whole, parted = optimizer(), optimizer()
     rows = torch.arange(0, 300, 7)

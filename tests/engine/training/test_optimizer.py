@@ -40,7 +40,7 @@ def make(count: int, *, backend: str = "cpu", dtype: torch.dtype = torch.float32
     rates = torch.full((16, 3), 1e-4)
     rates[0] = 2e-3
     parameters["sh"] = (parameters["sh"][0], rates.flatten())
-    return VisibleAdam(parameters, backend=backend)
+    return VisibleAdam(parameters, reference=backend == "reference")
 
 
 def gradients(count: int, seed: int) -> dict[str, Tensor]:
