@@ -129,10 +129,9 @@ def plan_mask(
 def find_mask(
     name: str, photo: Path, digest: str, files: MaskFiles, options: MaskOptions
 ) -> MaskPlan | None:
-    """How to make the mask of a photo, from a file or its alpha channel; None: it has none.
+    """How to make a photo's mask, from a file or its alpha channel; None: it has none.
 
-    Raises:
-        MaskError: the mask file cannot be read.
+    Raises as `plan_mask`.
     """
     from ..photos.mask_images import has_alpha
 
@@ -148,8 +147,7 @@ def plan_object_masks(
 ) -> dict[tuple[int, str], MaskPlan]:
     """How to make the masks of the boxes' objects, by the photos' keys and the boxes' names.
 
-    A file that is also the mask of a photo, in a folder of that name, is none. Arguments and errors
-    are those of `find_mask`.
+    A file that is also a photo's mask, in a folder of that name, is none. Raises as `plan_mask`.
     """
     taken = {files.find(image.name) for image in images.values()} if options.used else set()
     inverted, plans = options.objects_inverted, {}
@@ -206,10 +204,7 @@ def _small(mask: Mask) -> NDArray[np.uint8]:
 
 
 def mention_masks(used: int, files: MaskFiles, names: list[str], context: Context) -> None:
-    """Say how many masks are used, and warn of files that are the mask of no photo.
-
-    `names`: of all photos of the model.
-    """
+    """Say how many masks are used, and warn of files that are the mask of none of these photos."""
     if used:
         context.info(f"{counted(used, 'photo')} with a mask: what it ignores is not used.")
     unknown = files.unknown(names)

@@ -66,12 +66,9 @@ def _image_record(image: PosedImage) -> dict[str, object]:
 
 
 def stored_transform(folder: Path, scene: SfmScene) -> Float64:
-    """(4, 4) similarity from the COLMAP frame to the world, of the file beside the model.
+    """(4, 4) similarity from the COLMAP frame to the world, of the file beside project or model.
 
-    `folder` is that of the project or of the model.
-
-    Raises:
-        ConfigError: there is none of this model, or the file is damaged.
+    ConfigError: there is none of this model, or the file is damaged.
     """
     path = transform_file(folder)
     stored = read_transforms(path)

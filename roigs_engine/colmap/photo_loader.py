@@ -222,11 +222,7 @@ class PhotoLoader:
 
 
 def without_damaged(scene: SfmScene, context: Context = QUIET) -> SfmScene:
-    """A scene that was loaded without pixels, without its damaged photos; decodes all photos.
-
-    Raises:
-        SceneError: all photos are damaged.
-    """
+    """A scene that was loaded without pixels, without its damaged photos; SceneError: all are."""
     found = Contents().read({image.name: image.path for image in scene.images}, context)
     damaged = tuple(name for name, content in found.items() if not content.whole)
     if len(damaged) == len(scene.images):

@@ -141,10 +141,7 @@ def find_model(path: Path, context: Context = QUIET) -> Path:
     """The model folder of a project: `path`, `path/sparse` or one of their numbered subfolders.
 
     A project's folder of photos stands for the project. If there are several models, the one with
-    the most photos is used, with a warning.
-
-    Raises:
-        SceneError: there is none.
+    the most photos is used, with a warning. SceneError: there is none.
     """
     if model_suffix(path):
         return path
@@ -168,11 +165,7 @@ def find_model(path: Path, context: Context = QUIET) -> Path:
 
 
 def load_poses(path: Path) -> Float64:
-    """(N, 4, 4) world_to_camera of all photos of a project's model; reads nothing else of it.
-
-    Raises:
-        SceneError: no model, or its file of photos is damaged.
-    """
+    """(N, 4, 4) world_to_camera of all photos of a project's model; raises as `read_images`."""
     poses = [pose_of(image) for image in read_images(find_model(path))]
     return np.array([pose for pose in poses if pose is not None]).reshape(-1, 4, 4)
 
@@ -234,16 +227,10 @@ def _observations(model: Model, ids: Int64, context: Context) -> dict[int, Int64
     observed = {}
     for image_id, values in seen.items():
         context.check_cancelled()
-        observed[image_id] = _rows(values, ids)
+        unique = np.unique(values)
+        rows = np.minimum(np.searchsorted(ids, unique), len(ids) - 1)
+        observed[image_id] = rows[ids[rows] == unique].astype(np.int64)
     return observed
-
-
-def _rows(values: Int64, ids: Int64) -> Int64:
-    """Rows of `ids` (ascending) that `values` name, unique and ascending."""
-    unique = np.unique(values)
-    at = np.minimum(np.searchsorted(ids, unique), len(ids) - 1)
-    rows: Int64 = at[ids[at] == unique].astype(np.int64)
-    return rows
 
 
 def _no_photos(model: Model, photos: PhotoFolder, skipped: dict[str, list[str]]) -> SceneError:

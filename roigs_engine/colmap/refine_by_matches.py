@@ -172,10 +172,9 @@ def _moved(colmap: Any, scene: Any, fitted: Any) -> Any:
 
 
 def _track(colmap: Any, target: Any, scene: Any, matches: Matches) -> set[tuple[int, int]]:
-    """Give a reconstruction the matches in place of the scene's keypoints and tracks.
+    """Replace a reconstruction's keypoints and tracks by the matches.
 
-    Returns:
-        Ids of the photos and keypoints of the references.
+    Returns the ids of the photos and keypoints of the references.
     """
     views = Views(scene)
     target.delete_all_points2D_and_points3D()

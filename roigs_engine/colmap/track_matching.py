@@ -12,7 +12,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,37 +51,22 @@ class Matches:
     reference: NDArray[np.bool_]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Wanted:
-    """M places to match.
+class _Wanted(NamedTuple):
+    """M places to match."""
 
-    Attributes:
-        view, point: see `Matches`.
-        start: (M, 2) where to begin, px.
-        new: (M,) whether no keypoint is known there.
-    """
-
-    view: Int64
+    view: Int64  # see `Matches`
     point: Int64
-    start: Float64
-    new: NDArray[np.bool_]
+    start: Float64  # (M, 2) where to begin, px
+    new: NDArray[np.bool_]  # (M,) whether no keypoint is known there
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _References:
-    """The reference of each point, a row of observations; -1: it has none.
+class _References(NamedTuple):
+    """The reference of each point, an observation; -1: it has none."""
 
-    Attributes:
-        row: (P,) of the observations.
-        view: (P,) its photo.
-        place: (P, 2) its keypoint, px.
-        normal: (P, 3) unit vectors towards the photos.
-    """
-
-    row: Int64
-    view: Int64
-    place: Float64
-    normal: Float64
+    row: Int64  # (P,) of the observations
+    view: Int64  # (P,) its photo
+    place: Float64  # (P, 2) its keypoint, px
+    normal: Float64  # (P, 3) unit vectors towards the photos
 
 
 def match_tracks(

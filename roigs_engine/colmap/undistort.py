@@ -99,8 +99,7 @@ def as_pinhole(camera: ModelCamera) -> Camera | None:
 def without_distortion(camera: ModelCamera) -> Camera:
     """The pinhole with the camera's focal lengths and principal point; ignores distortion.
 
-    Raises:
-        SceneError: the model has no focal length (an equirectangular panorama).
+    SceneError: the model has no focal length (an equirectangular panorama).
     """
     if camera.model == "EQUIRECTANGULAR":
         raise SceneError("An EQUIRECTANGULAR camera cannot be undistorted.", HINT_RESAMPLE)
@@ -153,12 +152,7 @@ def undistort_again(plan: UndistortionPlan, path: Path) -> None:
 
 
 def undistort(plan: UndistortionPlan, path: Path) -> None:
-    """Undistort the photo to a PNG.
-
-    Raises:
-        PhotoError: the photo cannot be decoded.
-        RunFolderError: the file cannot be written.
-    """
+    """Undistort the photo to a PNG; PhotoError if it cannot be decoded."""
     from PIL import Image  # only for pixels: cameras do not need it
 
     from ..photos.decode import decode
@@ -229,9 +223,7 @@ def undistorted_camera(camera: ModelCamera) -> Camera:
 
     Its principal point is whole pixels away from the lens's, so that where there is hardly any
     distortion, pixels stay what they are. Up to half a pixel of its border may lie outside.
-
-    Raises:
-        SceneError: the camera has no such pinhole.
+    SceneError: the camera has no such pinhole.
     """
     try:
         colmap = _pycolmap()

@@ -81,8 +81,7 @@ class Gaussians:
     def concatenate(parts: list[Gaussians]) -> Gaussians:
         """The parts in one model, in their order; zeros stand for SH bands that a part lacks.
 
-        Raises:
-            ConfigError: some are drawn with anti-aliasing, others without.
+        ConfigError: some are drawn with anti-aliasing, others without.
         """
         if len({part.antialiased for part in parts}) > 1:
             raise ConfigError(

@@ -30,9 +30,7 @@ class OrientedBox(RoiRecord):
     def from_record(cls, record: RoiRecord) -> OrientedBox:
         """The box of a file's record."""
         return cls(
-            name=record.name,
-            world_to_box=record.world_to_box,
-            half_extents=record.half_extents,
+            name=record.name, world_to_box=record.world_to_box, half_extents=record.half_extents
         )
 
     @classmethod
@@ -169,17 +167,15 @@ def convex_hull(points: Float64) -> Float64:
     def half(walk: Float64) -> list[Float64]:
         chain: list[Float64] = []
         for point in walk:
-            while len(chain) > 1 and _turn(chain[-2], chain[-1], point) <= slack:
+            while len(chain) > 1:
+                (a, b), (c, d) = chain[-1] - chain[-2], point - chain[-2]
+                if a * d - b * c > slack:  # a turn to the left: twice the triangle's area
+                    break
                 chain.pop()
             chain.append(point)
         return chain[:-1]
 
     return np.array(half(order) + half(order[::-1])).reshape(-1, 2)
-
-
-def _turn(a: Float64, b: Float64, c: Float64) -> float:
-    """Twice the signed area of the triangle a, b, c."""
-    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
 def fill_convex(polygon: Float64, height: int, width: int) -> NDArray[np.bool_]:
@@ -209,8 +205,7 @@ AUTOMATIC_NAME = "object"
 def automatic_box(scene: SfmScene) -> OrientedBox:
     """The box of `--roi auto`: around what most photos show, with its third axis up.
 
-    Raises:
-        RoiError: points or photos are too few to tell.
+    RoiError: points or photos are too few to tell.
     """
     poses = np.array([image.world_to_camera for image in scene.images])
     transform = np.eye(4)

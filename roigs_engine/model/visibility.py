@@ -103,11 +103,7 @@ def observations(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) ->
 
 
 def find_candidates(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> Candidates:
-    """As `observations`, but never empty.
-
-    Raises:
-        RoiError: no point lies in the box, or no photo observes one that does.
-    """
+    """As `observations`; RoiError if no point lies in the box, or no photo observes one."""
     check_has_points(scene, roi)
     found = observations(scene, roi, context)
     if not found.images:
@@ -126,11 +122,7 @@ def check_has_points(scene: SfmScene, roi: OrientedBox) -> None:
 
 
 def visible_images(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> tuple[str, ...]:
-    """Names of the photos that see the box, in name order.
-
-    Raises:
-        RoiError: as `find_candidates`.
-    """
+    """Names of the photos that see the box, in name order; raises as `find_candidates`."""
     return find_candidates(scene, roi, context).names
 
 
@@ -151,11 +143,7 @@ def _from_tracks(images: list[PosedImage], rows: Int64, total: int) -> list[Int6
 
 
 def _by_depth(
-    images: Sequence[PosedImage],
-    targets: Float64,
-    points: Float64,
-    slack: float,
-    context: Context,
+    images: Sequence[PosedImage], targets: Float64, points: Float64, slack: float, context: Context
 ) -> list[Int64]:
     """For each photo, the rows of the `targets` that it sees, ascending; without tracks.
 

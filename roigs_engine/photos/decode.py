@@ -147,11 +147,7 @@ RESTART_INTERVAL, RESTARTS = 0xDD, range(0xD0, 0xD8)  # markers: of the headers,
 
 
 def check_whole(path: Path) -> str:
-    """Decode the photo, and check that all of it is in the file; returns its `tone_if_deep`.
-
-    Raises:
-        PhotoError: the file is missing, damaged or incomplete; names it.
-    """
+    """Decode the photo; PhotoError unless all of it is in the file. Returns its `tone_if_deep`."""
     with open_photo(path) as photo:
         kind = photo.format
         if kind == "PNG":

@@ -59,12 +59,9 @@ def check_unchanged(path: Path, digest: str) -> None:
 
 
 def photo_size(path: Path) -> tuple[int, int] | None:
-    """(width, height) from the file's header; ignores the orientation tag.
+    """(width, height) from the file's header, without the orientation tag; PhotoError: damaged.
 
     None: the file is neither JPEG nor PNG, and Pillow, which reads other formats, is not installed.
-
-    Raises:
-        PhotoError: not a readable image file.
     """
     try:
         with open(path, "rb") as file:
@@ -86,13 +83,10 @@ def photo_size(path: Path) -> tuple[int, int] | None:
 
 
 def check_complete(path: Path) -> None:
-    """Check quickly that the file is complete, by its JPEG or PNG end marker.
+    """Check quickly that the file is complete, by its JPEG or PNG end marker; else PhotoError.
 
     If the marker is not near the end of the file, Pillow decides, if it is installed: a phone may
-    have appended a film. Other formats are not checked. `damage.check_whole` decodes the photo.
-
-    Raises:
-        PhotoError: the file is incomplete.
+    have appended a film. Other formats are not checked. `decode.check_whole` decodes the photo.
     """
     try:
         with open(path, "rb") as file:

@@ -67,11 +67,7 @@ def has_alpha(path: Path) -> bool:
 
 
 def alpha_mask(path: Path) -> Mask:
-    """The mask in a photo's alpha channel, at the photo's own size.
-
-    Raises:
-        PhotoError: the photo cannot be decoded.
-    """
+    """The mask in a photo's alpha channel, at its own size; PhotoError if it cannot be decoded."""
     with open_photo(path) as photo:
         alpha = np.asarray(photo.convert("RGBA").getchannel("A"))
     opaque: Mask = alpha >= OPAQUE

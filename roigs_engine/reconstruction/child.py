@@ -93,7 +93,9 @@ def _result(
             continue
         if line is None:
             raise _ended(child.wait(), log)
-        record = _record(line)
+        record: dict[str, Any] = {}
+        with suppress(ValueError, TypeError):  # a line that is no record
+            record = dict(json.loads(line))
         if "error" in record:
             raise (EngineError if record.get("hint") else SceneError)(
                 record["error"], record.get("hint", f"Log: {log}")
@@ -114,13 +116,6 @@ def _ended(status: int, log: Path) -> SceneError:
         f"pycolmap ended without a result (exit status {status}).",
         f"Check the free memory, then give the command again. Log: {log}",
     )
-
-
-def _record(line: bytes) -> dict[str, Any]:
-    with suppress(ValueError):
-        record = json.loads(line)
-        return record if isinstance(record, dict) else {}
-    return {}
 
 
 def _read(child: subprocess.Popen[bytes], lines: queue.SimpleQueue[bytes | None]) -> None:

@@ -140,11 +140,7 @@ class Folder:
             raise cannot_write(self.model, error) from error
 
     def photos_of(self, source: Path) -> dict[str, Path]:
-        """Name -> file, of the photos below a folder; not those that this folder has of them.
-
-        Raises:
-            SceneError: there is none.
-        """
+        """Name -> file, of the photos below a folder, except this one's own; SceneError: none."""
         if not source.is_dir():
             raise SceneError(f"{source} is not a folder.", "Give the folder of the photos.")
         found = self._files_of(source, EXTENSIONS | HEIC)

@@ -23,10 +23,7 @@ Options = dict[str, dict[str, Any]]
 STRICT: Options = {"": {"min_model_size": FEWEST, "max_num_models": 10}, "mapper": {}}
 LOW_TO_ADD = {"abs_pose_min_num_inliers": 12, "abs_pose_min_inlier_ratio": 0.15}
 LOW_TO_BEGIN = {"init_min_num_inliers": 30, "init_min_tri_angle": 2.0}
-LOW: Options = {
-    "": {"min_num_matches": 10, "multiple_models": False},
-    "mapper": LOW_TO_ADD,
-}
+LOW: Options = {"": {"min_num_matches": 10, "multiple_models": False}, "mapper": LOW_TO_ADD}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -62,10 +62,9 @@ class Found:
 
 
 def look_at(files: Mapping[str, Path], remembered: Path, context: Context) -> Found:
-    """Look at photos, name -> file; `remembered` keeps what was found (`photos.contents`).
+    """Look at photos, name -> file; SceneError if fewer than two can be used.
 
-    Raises:
-        SceneError: fewer than two can be used.
+    `remembered`: file that keeps what was found (`photos.contents`).
     """
     contents = Contents(remembered).read(files, context)
     whole = [name for name in sorted(files) if contents[name].whole]

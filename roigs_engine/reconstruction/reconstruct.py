@@ -58,12 +58,7 @@ REST_PAIRS = 20_000  # most pairs that are tried for photos that were not regist
 def find_features(
     folder: Folder, photos: Sequence[Photo], settings: Settings, threads: int, context: Context
 ) -> None:
-    """Find features of the photos that have none in the database yet.
-
-    Raises:
-        SceneError: pycolmap failed.
-        Stopped: on request; features of photos that are done stay.
-    """
+    """Find features of the photos that have none in the database yet; SceneError if it fails."""
     there = feature_counts(folder.database) if folder.database.exists() else {}
     cameras = camera_ids(folder.database) if folder.database.exists() else {}
     groups = []
@@ -100,11 +95,7 @@ def threads_in_memory(photos: Sequence[Photo], max_side: int, threads: int) -> i
 def match(
     folder: Folder, wanted: Sequence[Pair], settings: Settings, threads: int, context: Context
 ) -> None:
-    """Match the pairs that the database does not have yet.
-
-    Raises:
-        As `find_features`.
-    """
+    """Match the pairs that the database does not have yet; SceneError if it fails."""
     there = matched_pairs(folder.database)
     missing = [pair for pair in wanted if pair not in there]
     if not missing:
@@ -159,11 +150,9 @@ def choose_pairs(
 def solve(
     folder: Folder, found: Found, settings: Settings, threads: int, context: Context
 ) -> Reconstruction:
-    """Features, matches and models of photos that lie in the folder.
+    """Features, matches and models of photos that lie in the folder; SceneError if pycolmap fails.
 
-    Raises:
-        SceneError: pycolmap failed.
-        Stopped: on request; what is done stays, and the next call resumes.
+    After a stop, the next call resumes.
     """
     names = [photo.name for photo in found.photos]
     seconds: dict[str, float] = {}

@@ -62,10 +62,7 @@ class Video:
     def frames(self) -> Iterator[tuple[int, Any]]:
         """The number of each frame, from 0, and the frame; the same in every pass.
 
-        Frames that cannot be decoded are left out.
-
-        Raises:
-            SceneError: the file cannot be read, or is no video.
+        Frames that cannot be decoded are left out. SceneError: the file is no video, or unreadable.
         """
         number = 0
         try:

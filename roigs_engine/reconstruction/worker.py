@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import os
 import threading
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -156,22 +155,12 @@ def _normalise(model: Any) -> None:
             eye = image.projection_center()
             distances.append(float(np.median(np.linalg.norm(np.array(seen) - eye, axis=1))))
     if distances:
-        found = normalisation(poses, np.array(list(points.values())), float(np.median(distances)))
-        matrix = np.column_stack([found.scale * found.rotation, found.translation])
+        matrix = normalisation(poses, np.array(list(points.values())), float(np.median(distances)))
         model.transform(colmap_module().Sim3d(matrix))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Similarity:
-    """scale * rotation @ x + translation, with a (3, 3) rotation and a (3,) translation."""
-
-    scale: float
-    rotation: Matrix
-    translation: Vector
-
-
-def normalisation(poses: Matrix, points: Matrix, distance: float) -> Similarity:
-    """The similarity to a usual frame: z up, the floor at 0, the foreground at the origin, metres.
+def normalisation(poses: Matrix, points: Matrix, distance: float) -> Matrix:
+    """The similarity (3, 4) to a usual frame: z up, floor at 0, foreground at the origin, metres.
 
     Photos alone tell no direction, position or scale; the scale is a guess.
 
@@ -186,7 +175,7 @@ def normalisation(poses: Matrix, points: Matrix, distance: float) -> Similarity:
     eyes = np.array([-pose[:3, :3].T @ pose[:3, 3] for pose in poses])
     heights = scale * eyes @ rotation[2]
     centre = np.append(np.median(aligned[:, :2], axis=0), floor(aligned[:, 2], float(max(heights))))
-    return Similarity(scale=scale, rotation=rotation, translation=-centre)
+    return np.column_stack([scale * rotation, -centre])
 
 
 def floor(heights: Vector, top: float) -> float:

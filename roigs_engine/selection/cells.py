@@ -217,10 +217,8 @@ Groups = tuple[tuple[str, ...], ...]
 def parsed_groups(texts: Sequence[str], boxes: Sequence[str]) -> Groups:
     """The groups that the option names, `vase,tin`, once each; boxes without one are one more.
 
-    `all`, unless a box has that name, is all boxes.
-
-    Raises:
-        ConfigError: a box is unknown or is named twice, or `all` is not alone.
+    `all`, unless a box has that name, is all boxes. ConfigError: a box is unknown or is named
+    twice, or `all` is not alone.
     """
     if ALL in texts and ALL not in boxes and len(texts) > 1:
         raise ConfigError(f"--group {ALL} is all boxes.", "Give it alone.")

@@ -31,8 +31,8 @@ def test_a_turned_and_shrunken_model_is_put_upright() -> None:
     turned = poses.copy()
     turned[:, :3, :3] = poses[:, :3, :3] @ turn.T
     turned[:, :3, 3] *= 0.1
-    placed = normalisation(turned, 0.1 * points @ turn.T, 0.1 * distance)
-    found = placed.scale * (0.1 * points @ turn.T) @ placed.rotation.T + placed.translation
+    matrix = normalisation(turned, 0.1 * points @ turn.T, 0.1 * distance)
+    found = 0.1 * points @ turn.T @ matrix[:, :3].T + matrix[:, 3]
     assert np.median(found[:3000, 2]) == pytest.approx(0, abs=0.01)
     height = np.median(found[3000:6000, 2])
     assert height == pytest.approx(0.75 * DISTANCE / distance, rel=0.1)
