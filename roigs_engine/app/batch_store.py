@@ -19,6 +19,7 @@ from ..photos.contents import FILE as CONTENTS
 from ..requests.values import is_url
 from ..storage.lease import Lease, LeaseTakenError
 from ..storage.mirror import sign
+from ..storage.quota import make_copy
 from ..storage.urls import file_system, folder_of, refuse_lost
 from .batch_table import Row, Wrong
 
@@ -60,7 +61,7 @@ class Store:
         here = self.folder / BATCH
         here.unlink(missing_ok=True)
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
+            make_copy(self.folder)
             if self._found.exists(f"{self._place}/{BATCH}"):
                 self._found.get_file(f"{self._place}/{BATCH}", str(here))
         except OSError as error:

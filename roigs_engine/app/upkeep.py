@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,7 +64,7 @@ def make_levels(request: Levels, context: Context = QUIET) -> Levelled:
 
 @dataclass(frozen=True, kw_only=True)
 class Cleaned(Result):
-    """What could be removed, by its place in the run folder, with bytes, and what was freed."""
+    """What could be removed, by file or folder of the run, with bytes, and what was freed."""
 
     removable: tuple[tuple[str, int], ...]
     freed: int = 0
@@ -73,10 +74,11 @@ def clean(request: Clean, context: Context = QUIET) -> Cleaned:
     """Remove from a run folder what can be made again; RunFolderError if it is none."""
     _check_run(request.run)
     with locked(request.run, context.warn, option=None):
-        found = tuple(
-            (str(path.relative_to(request.run)), clean_up.disk_size([path]))
-            for path in clean_up.removable(request.run)
-        )
+        sizes: Counter[str] = Counter()
+        for path in clean_up.removable(request.run):
+            place = path if path.parent == request.run else path.parent
+            sizes[str(place.relative_to(request.run))] += clean_up.disk_size([path])
+        found = tuple(sizes.items())
         if request.dry_run:
             return Cleaned(removable=found)
         freed = clean_up.remove(request.run)

@@ -3,24 +3,34 @@
 from __future__ import annotations
 
 import os
-import shutil
+import re
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
-from ..errors import RunFolderError
+from ..errors import EngineError, RunFolderError
 from . import run_files
-from .files import is_link, matching
+from .files import is_link, matching, read_json
 from .stage_list import read_stage_list
+
+# Files count as the engine's if they are called as it calls them, in a folder of a run.
+_PICTURE = re.compile(r"[0-9a-f]{32}\.png")
+_STAGE = re.compile(r".+-[0-9a-f]{8}(-damaged(-\d+)?)?")
+_OF_A_STAGE = re.compile(r"stage\.json|model\.ply|checkpoint(\.before)?\.bin")
 
 
 def is_run_folder(folder: Path) -> bool:
-    """Whether an engine has worked in the folder."""
-    return any(os.path.isfile(folder / name) for name in (run_files.MANIFEST, run_files.PROVENANCE))
+    """Whether an engine has worked in the folder: by what its manifest or provenance says."""
+    for name, key in ((run_files.MANIFEST, "config"), (run_files.PROVENANCE, "entries")):
+        with suppress(EngineError):
+            record = read_json(folder / name)
+            if isinstance(record, dict) and key in record:
+                return True
+    return False
 
 
 def removable(run: Path) -> list[Path]:
-    """What can be removed: undistorted photos and masks, stages of earlier settings, old previews.
+    """Files that can go: undistorted photos and masks, stages of earlier settings, old previews.
 
     Results of earlier settings stay, and so does the preview of a training that was stopped: it is
     all there is to look at.
@@ -28,37 +38,42 @@ def removable(run: Path) -> list[Path]:
     if not is_run_folder(run):
         return []
     cache = run / run_files.CACHE
-    found = [cache / run_files.UNDISTORTED, cache / run_files.MASKS]
+    found = _own(cache / run_files.UNDISTORTED, _PICTURE) + _own(cache / run_files.MASKS, _PICTURE)
     if os.path.isfile(run / run_files.RESULT):
-        found.append(run / run_files.PREVIEW)
+        found += _own(run, re.compile(re.escape(run_files.PREVIEW)))
     if present := {folder.name for folder in read_stage_list(run).values()}:
-        stages = matching(run / run_files.STAGES, "*")
-        found += [folder for folder in stages if folder.name not in present]
-    return [path for path in found if os.path.exists(path) and not _is_linked(path, run)]
+        for folder in matching(run / run_files.STAGES, "*"):
+            if folder.name not in present and _STAGE.fullmatch(folder.name):
+                found += _own(folder, _OF_A_STAGE)
+    return [path for path in found if not _is_linked(path, run)]
+
+
+def _own(folder: Path, names: re.Pattern[str]) -> list[Path]:
+    files = matching(folder, "*")
+    return [path for path in files if names.fullmatch(path.name) and os.path.isfile(path)]
 
 
 def remove(run: Path) -> int:
-    """Remove it; returns the bytes that were freed.
+    """Remove it, and the folders that are empty then; returns the bytes that were freed.
 
     Raises:
         RunFolderError: something cannot be removed.
     """
-    freed = 0
-    for path in removable(run):
+    freed, found = 0, removable(run)
+    for path in found:
         size = disk_size([path])
         try:
-            if os.path.isdir(path):
-                shutil.rmtree(path)
-            else:
-                path.unlink()
+            path.unlink()
         except OSError as error:
             raise RunFolderError(
                 f"Cannot remove {path} ({error.strerror or error}).",
                 "Close the programs that have it open.",
             ) from error
         freed += size
+    above = {folder for path in found for folder in path.parents if folder.is_relative_to(run)}
+    for folder in sorted(above - {run}, reverse=True):  # those within come first
         with suppress(OSError):  # not empty
-            path.parent.rmdir()
+            folder.rmdir()
     return freed
 
 

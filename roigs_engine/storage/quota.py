@@ -1,8 +1,13 @@
-"""Disk quota for copies of a store: those used longest ago go, never one that is in use."""
+"""Disk quota for copies of a store: those used longest ago go, never one that is in use.
+
+Only folders that `claim` made are removed: named by a hash, with a mark inside. The user may have
+named a folder of his own for the copies.
+"""
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import time
 import uuid
@@ -13,13 +18,18 @@ from pathlib import Path
 from ..context import QUIET, Context
 from ..errors import ConfigError, RunFolderError
 from ..formats.clean_up import disk_size
+from ..formats.files import is_link
 from ..formats.lock import holder, locked
 from ..formats.run_files import BATCH_LOCK
 from .urls import home
 
 KINDS = ("scenes/*", "runs/*/*", "batches/*")
 """Where copies are, each a folder: of scenes, of run folders, and of what a batch's page needs."""
-REMOVED, LOCK = "removed", "quota.lock"
+COPY = re.compile(r"[0-9a-f]{20}")
+"""Names of folders that `urls.folder_of` makes."""
+MARK = ".roigs-copy"
+"""A file in each of them."""
+REMOVED, LOCK = ".roigs-removed", "quota.lock"
 LIMIT_VARIABLE = "ROIGS_CACHE_GB"
 LIMIT = 50.0  # GB
 WAIT = 0.5
@@ -41,8 +51,14 @@ def claim(context: Context, *folders: Path) -> None:
     """Make copies' folders, in use from now on; `keep` must follow within `IN_USE` seconds."""
     with alone(home(), LOCK, context):  # not between the look at its time and its removal
         for folder in folders:
-            folder.mkdir(parents=True, exist_ok=True)
+            make_copy(folder)
             os.utime(folder)
+
+
+def make_copy(folder: Path) -> None:
+    """Make a copy's folder, or one in it, with the mark; OSError if that fails."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (_copy_of(folder) / MARK).touch()
 
 
 def keep(folder: Path) -> None:
@@ -60,7 +76,7 @@ def enforce_quota(context: Context = QUIET) -> None:
     removed = home() / REMOVED
     with suppress(OSError, RunFolderError), alone(home(), LOCK, context):
         copies = {path: _last_used(path) for kind in KINDS for path in home().glob(kind)}
-        folders = [path for path in copies if path.is_dir()]
+        folders = [path for path in copies if path.is_dir() and _is_ours(path)]
         for folder in sorted(folders, key=copies.__getitem__, reverse=True):
             left -= disk_size([folder])
             if left < 0 and time.time() - copies[folder] > IN_USE:
@@ -68,6 +84,18 @@ def enforce_quota(context: Context = QUIET) -> None:
                 with suppress(OSError):  # on Windows, a file of it is open
                     folder.rename(removed / uuid.uuid4().hex)
     shutil.rmtree(removed, ignore_errors=True)
+
+
+def _copy_of(folder: Path) -> Path:
+    """The folder with the mark: two below the home of all copies."""
+    return home().joinpath(*folder.relative_to(home()).parts[:2])
+
+
+def _is_ours(folder: Path) -> bool:
+    copy = _copy_of(folder)
+    below = [path for path in (folder, *folder.parents) if path.is_relative_to(home())]
+    linked = any(is_link(path) for path in below if path != home())
+    return bool(COPY.fullmatch(copy.name)) and (copy / MARK).is_file() and not linked
 
 
 def _last_used(folder: Path) -> float:

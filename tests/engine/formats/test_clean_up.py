@@ -13,7 +13,7 @@ from tests.engine.commands.command_line import refused
 from tests.engine.other_process import in_the_middle
 
 GONE = (
-    *("cache/undistorted/1.png", "preview.ply"),
+    *(f"cache/undistorted/{1:032x}.png", f"cache/masks/{2:032x}.png", "preview.ply"),
     *("stages/scene-12345678/model.ply", "stages/joint-12345678/checkpoint.bin"),
     "stages/joint-abcdefab-damaged/stage.json",
 )
@@ -26,6 +26,8 @@ with locked(Path(sys.argv[1])):
     sys.stdin.read()
 """
 KEPT = (
+    *("cache/undistorted/mine.png", "stages/mine/model.ply", "stages/scene-12345678/notes.txt"),
+    *("archive/mine.ply", "stages/notes.txt"),
     *("manifest.json", "result.ply", "rois/a.ply", "coarse/a.ply"),
     *("stages.json", "stages/scene-abcdefab/model.ply"),
     *("cache/photos.json", "earlier/12345678/result.ply", "renders/1.png"),
@@ -44,6 +46,7 @@ def run(tmp_path: Path) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(bytes(1000))
     run = tmp_path / "run"
+    (run / "manifest.json").write_text('{"version": 1, "config": {}}', encoding="utf-8")
     write_stage_list(
         run, {name: run / "stages" / f"{name}-abcdefab" for name in ("scene", "joint")}
     )
@@ -77,6 +80,9 @@ def test_a_preview_without_a_result_stays(run: Path) -> None:
 def test_other_folders_are_left_alone(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    for text in ('{"name": "a web app"}', "{"):
+        (run / "manifest.json").write_text(text, encoding="utf-8")
+        assert "is not a run folder" in refused(capsys, "clean", run)
     (run / "manifest.json").unlink()
     assert "is not a run folder" in refused(capsys, "clean", run)
     assert clean_up.removable(run) == []

@@ -15,7 +15,7 @@ from roigs_engine.formats.lock import locked
 from roigs_engine.formats.run_files import BATCH_LOCK
 from roigs_engine.requests.values import is_url
 from roigs_engine.storage.mirror import mirror
-from roigs_engine.storage.quota import claim, enforce_quota, keep
+from roigs_engine.storage.quota import REMOVED, claim, enforce_quota, keep, make_copy
 
 URL = "memory://museum/scans/{}"
 
@@ -71,10 +71,11 @@ def test_run_folders_are_within_the_same_limit(
     store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     old = time.time() - 7200
-    runs = {name: tmp_path / "home" / "runs" / "1234" / name for name in ("hall", "attic", "new")}
-    batches = {name: tmp_path / "home" / "batches" / name for name in ("over", "at work")}
+    home = tmp_path / "home"
+    runs = {name: home / "runs" / f"{1:020x}" / name for name in ("hall", "attic", "new")}
+    batches = {name: home / "batches" / f"{k:020x}" for k, name in enumerate(("over", "at work"))}
     for folder in (*runs.values(), *batches.values()):
-        folder.mkdir(parents=True)
+        make_copy(folder)
         (folder / "result.ply").write_bytes(bytes(20_000))
         os.utime(folder, (old, old))
     claim(QUIET, runs["new"])
@@ -85,9 +86,9 @@ def test_run_folders_are_within_the_same_limit(
         monkeypatch.setenv("ROIGS_CACHE_GB", "0.00009")  # three of these
         keep(runs["attic"])  # another engine has begun to work there
         enforce_quota()
-        left = {folder.name for folder in (*runs.values(), *batches.values()) if folder.exists()}
+        left = {name for name, folder in (runs | batches).items() if folder.exists()}
     assert left == {"attic", "new", "at work"}
-    assert not (tmp_path / "home" / "removed").exists()
+    assert not (home / REMOVED).exists()
     os.utime(batches["at work"], (old, old))  # it has ended: nothing holds its folder
     enforce_quota()
     assert not batches["at work"].exists() and runs["attic"].exists()
@@ -96,3 +97,25 @@ def test_run_folders_are_within_the_same_limit(
 def test_what_an_address_is() -> None:
     assert is_url("s3://bucket/a") and is_url("memory://a")
     assert not is_url("C:\\scans") and not is_url("/scans//a") and not is_url(Path("s3:/a"))
+
+
+def test_folders_of_the_user_stay_in_whatever_folder_the_copies_are(
+    store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home, mine = tmp_path / "home", tmp_path / "mine"
+    names = ("scenes/vase", "runs/museum/hall", "batches/old", f"scenes/{2:020x}", "removed/x")
+    old = time.time() - 7200
+    for name in names:
+        (home / name).mkdir(parents=True)
+        (home / name / "photo.jpg").write_bytes(bytes(1000))
+        os.utime(home / name, (old, old))
+    (mine / f"{3:020x}").mkdir(parents=True)
+    (mine / f"{3:020x}" / "photo.jpg").write_bytes(bytes(1000))
+    make_copy(mine_linked := home / "runs" / f"{3:020x}" / "run")
+    mine_linked.rmdir()
+    mine_linked.symlink_to(mine / f"{3:020x}")
+    monkeypatch.setenv("ROIGS_CACHE_GB", "0")
+    mirror(URL.format("hall"), QUIET)
+    enforce_quota()
+    assert all((home / name / "photo.jpg").exists() for name in names)
+    assert (mine / f"{3:020x}" / "photo.jpg").exists()
