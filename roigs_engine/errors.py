@@ -9,9 +9,7 @@ shows them in its panel.
 class EngineError(Exception):
     """Base class of all errors caused by the input, the machine or the run folder.
 
-    Args:
-        message: one line: what is wrong, with names and numbers.
-        hint: one line: what to change; may be empty.
+    `message` is one line, what is wrong, with names and numbers; `hint` one line, what to change.
     """
 
     def __init__(self, message: str, hint: str = "") -> None:
@@ -52,10 +50,6 @@ class TrainingError(EngineError):
 
 
 class Stopped(Exception):  # noqa: N818 - a request, not an error
-    """The work was stopped on request; what is done so far is on disk.
+    """The work was stopped on request; what is done so far is on disk."""
 
-    Attributes:
-        resumes: whether the same request continues from there.
-    """
-
-    resumes = False
+    resumes = False  # whether the same request continues from there

@@ -56,8 +56,7 @@ def _own(folder: Path, names: re.Pattern[str]) -> list[Path]:
 def remove(run: Path) -> int:
     """Remove it, and the folders that are empty then; returns the bytes that were freed.
 
-    Raises:
-        RunFolderError: something cannot be removed.
+    RunFolderError: something cannot be removed.
     """
     freed, found = 0, removable(run)
     for path in found:

@@ -25,11 +25,7 @@ def drawable(arrays: Mapping[str, Floats]) -> NDArray[np.bool_]:
     Two kinds of Inf can be drawn, as programs write them for exact values: a logarithm of -Inf is
     the size 0 of a flat Gaussian, and a logit of +-Inf is the opacity 1 or 0.
 
-    Args:
-        arrays: in the form of `splat_ply.write_ply`.
-
-    Returns:
-        (N,) True for those that can be drawn.
+    The arrays are in the form of `splat_ply.write_ply`; the result is (N,).
     """
     good: NDArray[np.bool_] = ~np.isnan(arrays["logit_opacities"])
     for name, most in MOST.items():
@@ -48,21 +44,18 @@ def usable(
 ) -> Mapping[str, Floats]:
     """Without Gaussians that cannot be drawn, and with finite numbers for all others.
 
+    The others keep their order. Sizes are at least e^`FLAT`, and logits of opacities from
+    -`CERTAIN` to `CERTAIN`. No other number changes.
+
     Args:
         arrays: in the form of `splat_ply.write_ply`.
         good: what `drawable` says of them, if the caller knows it.
-
-    Returns:
-        The arrays of those that are `drawable`, in their order. Sizes are at least e^`FLAT`, and
-        logits of opacities from -`CERTAIN` to `CERTAIN`. No other number changes.
     """
     good = drawable(arrays) if good is None else good
-    found = arrays if good.all() else {name: values[good] for name, values in arrays.items()}
-    sizes: Floats = found["log_scales"]
-    if (sizes < FLAT).any():
-        found = {**found, "log_scales": np.maximum(sizes, np.float32(FLAT))}
-    opacity: Floats = found["logit_opacities"]
-    if (np.abs(opacity) > CERTAIN).any():
-        clipped: Floats = np.clip(opacity, -CERTAIN, CERTAIN).astype(np.float32)
-        found = {**found, "logit_opacities": clipped}
+    found = dict(arrays) if good.all() else {name: each[good] for name, each in arrays.items()}
+    if (found["log_scales"] < FLAT).any():
+        found["log_scales"] = np.maximum(found["log_scales"], np.float32(FLAT))
+    if (np.abs(found["logit_opacities"]) > CERTAIN).any():
+        clipped = np.clip(found["logit_opacities"], -CERTAIN, CERTAIN)
+        found["logit_opacities"] = clipped.astype(np.float32)
     return found

@@ -49,17 +49,11 @@ class Message:
 
 @dataclass(frozen=True, kw_only=True)
 class Device:
-    """Which device draws and trains, and why; once for each command that does.
+    """Which device draws and trains, and why; once for each command that does."""
 
-    Attributes:
-        kind: "cpu" or "cuda".
-        name: the GPU's; empty for the CPU.
-        reason: "checked", "not checked", "chosen", or why a GPU is not used, without a full stop.
-    """
-
-    kind: str
-    name: str
-    reason: str
+    kind: str  # "cpu" or "cuda"
+    name: str  # the GPU's; empty for the CPU
+    reason: str  # "checked", "not checked", "chosen", or why a GPU is not used, without full stop
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,8 +136,10 @@ def parse_event(line: str) -> Record | None:
     event = {"event": name}
     for key, kind in FIELDS[name].items():
         value = _typed(record.get(key), kind)
+        if isinstance(value, str) and key != "path":  # Blender's properties accept no others
+            value = "".join(c if c.isprintable() else " " for c in value)
         if value is not None:
-            event[key] = value if key == "path" else _printable(value)
+            event[key] = value
     return event
 
 
@@ -155,7 +151,6 @@ def device_in_words(event: Record) -> str:
 
 
 def _typed(value: Any, kind: type) -> Any:
-    """The value if it is of that kind, else None."""
     if kind is dict and isinstance(value, dict):
         return {key: path for key, path in value.items() if isinstance(path, str)}
     if kind in (int, float):
@@ -163,10 +158,3 @@ def _typed(value: Any, kind: type) -> Any:
         # The comparison is exact for integers of any size, and False for NaN.
         return kind(value) if number and abs(value) < MAX_NUMBER else None
     return value if isinstance(value, kind) else None
-
-
-def _printable(value: Any) -> Any:
-    """Text as a single line of printable characters, which is what Blender's properties accept."""
-    if not isinstance(value, str):
-        return value
-    return "".join(c if c.isprintable() else " " for c in value)

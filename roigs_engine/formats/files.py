@@ -48,9 +48,6 @@ def matching(folder: Path, pattern: str) -> list[Path]:
         return []
 
 
-# --- links ---
-
-
 def is_link(path: Path) -> bool:
     """Whether a name is a link, or a junction of Windows; False if it does not exist."""
     try:
@@ -81,7 +78,6 @@ def own_folder(root: Path, *names: str) -> Path:
 
 
 def _refuse_no_folder(folder: Path) -> None:
-    """Raise RunFolderError if something else has the folder's name."""
     if os.path.exists(folder) and not os.path.isdir(folder):
         raise cannot_write(folder, OSError(errno.ENOTDIR, "Not a folder"))
 
@@ -109,9 +105,6 @@ def cannot_write(path: Path, error: OSError) -> RunFolderError:
     return RunFolderError(f"Cannot write {path} ({error.strerror or error}).", hint)
 
 
-# --- opening ---
-
-
 def regular(path: str, flags: int) -> int:
     """The `opener` of everything that is read: OSError for a pipe, a device or a socket.
 
@@ -121,10 +114,9 @@ def regular(path: str, flags: int) -> int:
     kind = os.fstat(descriptor).st_mode
     if not stat.S_ISREG(kind):
         os.close(descriptor)
-        is_folder = stat.S_ISDIR(kind)
-        raise OSError(
-            *((errno.EISDIR, "Is a directory") if is_folder else (errno.EINVAL, "Not a file")), path
-        )
+        if stat.S_ISDIR(kind):
+            raise IsADirectoryError(errno.EISDIR, "Is a directory", path)
+        raise OSError(errno.EINVAL, "Not a file", path)
     return descriptor
 
 
@@ -151,10 +143,7 @@ def open_log(path: Path) -> TextIO:
     """Open a file to append lines of UTF-8; completes a half line that a killed process has left.
 
     A link in its place is replaced by an empty file, and one of several names of a file (a hard
-    link) by a copy.
-
-    Raises:
-        OSError: it cannot be written, or is not a regular file.
+    link) by a copy. OSError: it cannot be written, or is not a regular file.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     if is_link(path):
@@ -171,9 +160,6 @@ def open_log(path: Path) -> TextIO:
     return open(path, "a", encoding="utf-8", opener=unlinked)
 
 
-# --- writing ---
-
-
 @contextmanager
 def atomic_write(
     path: Path, *, durable: bool = True, before: Path | None = None
@@ -183,7 +169,7 @@ def atomic_write(
     What stood under `path` before is untouched until then, and stays when the block fails.
 
     Args:
-        path: where the whole file shall be.
+        path: of the file.
         durable: wait until the disk has it; otherwise a power cut some seconds later may damage it.
         before: what stood under `path` is kept under this name, and is durable by then.
 
@@ -195,7 +181,10 @@ def atomic_write(
     temporary, owner = path, None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _refuse_special(path)
+        with suppress(FileNotFoundError):
+            kind = os.lstat(path).st_mode
+            if not (stat.S_ISREG(kind) or stat.S_ISLNK(kind) or stat.S_ISDIR(kind)):
+                raise OSError(errno.EINVAL, "Not a file", path)
         temporary, file, owner = new_temporary(path)
         with file:
             yield file
@@ -215,14 +204,6 @@ def atomic_write(
                 temporary.unlink()
         if owner is not None:
             os.close(owner)
-
-
-def _refuse_special(path: Path) -> None:
-    """Raise OSError for a pipe, a device or a socket: a file would take its place."""
-    with suppress(FileNotFoundError):
-        kind = os.lstat(path).st_mode
-        if not (stat.S_ISREG(kind) or stat.S_ISLNK(kind) or stat.S_ISDIR(kind)):
-            raise OSError(errno.EINVAL, "Not a file", path)
 
 
 def new_temporary(path: Path) -> tuple[Path, BinaryIO, int | None]:
@@ -252,22 +233,25 @@ def remove_leftovers(folder: Path) -> None:
     """Delete the temporary files that killed processes have left; those in use stay."""
     for parent, _, names in os.walk(folder):
         for name in names:
-            if LEFTOVER.fullmatch(name):
-                with suppress(OSError):
-                    _remove_abandoned(Path(parent, name))
+            _remove_leftover(Path(parent, name))
 
 
 def remove_leftovers_of(path: Path) -> None:
     """Delete the temporary files that killed processes have left when they wrote this file."""
     with suppress(OSError):
         for name in os.listdir(path.parent):
-            if name.startswith(f".{path.name}.") and LEFTOVER.fullmatch(name):
-                with suppress(OSError):
-                    _remove_abandoned(path.with_name(name))
+            if name.startswith(f".{path.name}."):
+                _remove_leftover(path.with_name(name))
+
+
+def _remove_leftover(path: Path) -> None:
+    """Delete a temporary file unless its owner lives, who holds its lock."""
+    if LEFTOVER.fullmatch(path.name):
+        with suppress(OSError):
+            _remove_abandoned(path)
 
 
 def _remove_abandoned(path: Path) -> None:
-    """Delete a temporary file unless its owner lives, who holds its lock."""
     if sys.platform == "win32" or is_link(path):
         path.unlink()  # on Windows this fails while it is open
         return
@@ -303,14 +287,8 @@ def read_record(path: Path) -> dict[str, Any]:
 def read_json(path: Path, kind: type[EngineError] = RunFolderError, hint: str = DAMAGED) -> Any:
     """The JSON value in `path`: UTF-8, with or without a byte order mark.
 
-    Args:
-        path: the file.
-        kind: the error to raise.
-        hint: what to do about a file that is not JSON.
-
-    Raises:
-        EngineError: of that `kind`: the file is missing, unreadable or not JSON, or an object in
-            it has a key twice.
+    An error of `kind` says that the file is missing, unreadable or not JSON, with this `hint`, or
+    that an object in it has a key twice.
     """
     try:
         return parse_json(read_bytes(path))

@@ -132,9 +132,6 @@ def _quantiles(points: Vectors, weights: Vectors, shares: list[float]) -> Vector
     return np.array(found).T
 
 
-# --- support plane ---
-
-
 def above_support_plane(
     points: Vectors, weights: Vectors, away: Vectors, reach: float
 ) -> tuple[Mask, float] | None:

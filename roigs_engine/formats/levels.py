@@ -21,6 +21,7 @@ from ..errors import RunFolderError
 from . import run_files
 from .files import read_json, write_json
 from .names import inner_path
+from .transforms import numbers
 
 Float64 = NDArray[np.float64]
 
@@ -35,45 +36,26 @@ HINT = "Make it again with `levels`."
 
 @dataclass(frozen=True, kw_only=True)
 class Level:
-    """One file of a ladder.
+    """One file of a ladder."""
 
-    Attributes:
-        ply: relative to the run folder.
-        gaussians: their number.
-        farther: how many times coarser than the photos a view must be; 0 for the first level.
-        measured: what was measured of it, for people: name -> number.
-    """
-
-    ply: str
-    gaussians: int
-    farther: float
-    measured: dict[str, float]
+    ply: str  # relative to the run folder
+    gaussians: int  # their number
+    farther: float  # how many times coarser than the photos a view must be; 0: the first level
+    measured: dict[str, float]  # for people: name -> number
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ladder:
-    """The levels of a part, the whole one first.
+    """The levels of a part, the whole one first."""
 
-    Attributes:
-        box: name of the box; empty: the surroundings.
-        rate: how finely the photos show it, pixels per unit of the COLMAP frame.
-        probes: (P, 3) points in the COLMAP frame that stand for the part.
-        levels: `farther` grows, each at least `FADE` times the one before.
-    """
-
-    box: str
-    rate: float
-    probes: Float64
-    levels: tuple[Level, ...]
+    box: str  # its name; empty: the surroundings
+    rate: float  # how finely the photos show it, pixels per unit of the COLMAP frame
+    probes: Float64  # (P, 3) points in the COLMAP frame that stand for the part
+    levels: tuple[Level, ...]  # `farther` grows, each at least `FADE` times the one before
 
 
-def write_ladders(folder: Path, ladders: list[Ladder], record: dict[str, Any]) -> None:
-    """Write `levels.json` into a run folder.
-
-    Args:
-        folder, ladders: where, and what.
-        record: what else it shall hold.
-    """
+def write_ladders(folder: Path, ladders: list[Ladder]) -> None:
+    """Write `levels.json` into a run folder."""
     parts = [
         {
             "box": ladder.box,
@@ -83,14 +65,13 @@ def write_ladders(folder: Path, ladders: list[Ladder], record: dict[str, Any]) -
         }
         for ladder in ladders
     ]
-    write_json(folder / run_files.LEVELS_FILE, {"version": VERSION, "parts": parts, **record})
+    write_json(folder / run_files.LEVELS_FILE, {"version": VERSION, "parts": parts})
 
 
 def read_ladders(folder: Path) -> dict[str, Ladder]:
     """Box -> its ladder, of a run folder; the surroundings are the box "".
 
-    Raises:
-        RunFolderError: there is no `levels.json`, or it is damaged or of another version.
+    RunFolderError: there is no `levels.json`, or it is damaged or of another version.
     """
     path = folder / run_files.LEVELS_FILE
     record = read_json(path, hint=HINT)
@@ -98,27 +79,19 @@ def read_ladders(folder: Path) -> dict[str, Ladder]:
         if record["version"] != VERSION:
             raise RunFolderError(f"{path} is of another version of the engine.", HINT)
         ladders = [_ladder(part) for part in record["parts"]]
-        _check_parts(ladders)
+        boxes = {ladder.box: ladder for ladder in ladders}
+        if not boxes or len(boxes) < len(ladders):
+            raise ValueError("it has no part, or one twice")
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise RunFolderError(f"{path} is malformed ({error}).", HINT) from error
-    return {ladder.box: ladder for ladder in ladders}
-
-
-def _check_parts(ladders: list[Ladder]) -> None:
-    """Raise ValueError if there is no part, or one is there twice."""
-    boxes = [ladder.box for ladder in ladders]
-    if not boxes or len(set(boxes)) < len(boxes):
-        raise ValueError("it has no part, or one twice")
+    return boxes
 
 
 def _ladder(record: Any) -> Ladder:
-    """A part of the file; KeyError, TypeError, ValueError: it is malformed."""
-    probes = np.array(record["probes"], dtype=np.float64)
+    probes = numbers(record["probes"], (None, 3), "probes", MOST)
     rate, levels = float(record["rate"]), tuple(_level(level) for level in record["levels"])
-    if probes.ndim != 2 or probes.shape[1] != 3 or not (np.abs(probes) < MOST).all():
-        raise ValueError("probes must be points")
-    if not len(probes) or not isinstance(record["box"], str):
-        raise ValueError("a part needs probes and the name of its box")
+    if not isinstance(record["box"], str):
+        raise ValueError("a part needs the name of its box")
     if not (1 / MOST < rate < MOST) or not levels or levels[0].farther != 0:
         raise ValueError("rate must be positive, and the first level whole")
     steps = [level.farther for level in levels[1:]]
@@ -130,20 +103,14 @@ def _ladder(record: Any) -> Ladder:
 
 def _level(record: Any) -> Level:
     ply = str(record["ply"])
-    if inner_path(ply) is None or not _is_ply(ply):
+    if inner_path(ply) is None or not ply.encode().endswith(b".ply"):  # ValueError: it is no text
         raise ValueError(f"{ply} is no PLY in the run folder")
-    measured = {str(name): float(value) for name, value in record["measured"].items()}
     return Level(
         ply=ply,
         gaussians=int(record["gaussians"]),
         farther=float(record["farther"]),
-        measured=measured,
+        measured={str(name): float(value) for name, value in record["measured"].items()},
     )
-
-
-def _is_ply(name: str) -> bool:
-    """Whether a file can have this name, and may hold Gaussians; ValueError: it is no text."""
-    return name.encode().endswith(b".ply") and "\0" not in name
 
 
 def rate_in_view(probes: Float64, to_clip: Float64, pixels: float) -> float:
@@ -166,10 +133,8 @@ def rate_in_view(probes: Float64, to_clip: Float64, pixels: float) -> float:
 def shown_levels(ladder: Ladder, rate: float, quality: float = 1.0) -> list[tuple[Level, float]]:
     """The levels to draw, and how much of each (`operations.faded`): one level, or two in a fade.
 
-    Args:
-        ladder: of the part.
-        rate: of `rate_in_view`.
-        quality: how many times finer a level is to be than the rule asks for.
+    `rate` is that of `rate_in_view`; with `quality`, a level is so many times finer than the rule
+    asks for.
     """
     coarser = math.inf if rate <= 0 else ladder.rate / (rate * max(quality, 1e-6))
     index = max(k for k, level in enumerate(ladder.levels) if level.farther <= coarser)

@@ -33,14 +33,10 @@ _held: dict[Path, BinaryIO] = {}
 """Lock files that this process holds."""
 
 
-def _say_nothing(text: str) -> None:
-    """Drop the warning."""
-
-
 @contextmanager
 def locked(
     folder: Path,
-    warn: Callable[[str], None] = _say_nothing,
+    warn: Callable[[str], object] = lambda text: None,
     option: str | None = "--run-dir",
     name: str = LOCK,
 ) -> Iterator[None]:
@@ -76,12 +72,7 @@ def locked(
 
 
 def check_held(path: Path) -> None:
-    """Make sure that a lock of this process above `path` is still its own, if it has one.
-
-    Raises:
-        RunFolderError: somebody deleted or replaced the lock file, so another engine may be at
-            work in the folder.
-    """
+    """Raise RunFolderError if somebody deleted or replaced a lock of this process above `path`."""
     place = Path(os.path.abspath(path))
     for lock, file in _held.items():
         if place.is_relative_to(lock.parent) and not _is_at(lock, file):
@@ -99,13 +90,13 @@ def holder(path: Path) -> int:
             try:
                 taken = os_lock.is_taken(file)
             except os_lock.NoLocksError:
-                taken = may_live(read_record(path))
-            return pid_of(read_record(path)) if taken else 0
+                taken = _may_live(_read_record(path))
+            return _pid_of(_read_record(path)) if taken else 0
     except OSError:
         return 0
 
 
-def _hold(path: Path, warn: Callable[[str], None]) -> BinaryIO:
+def _hold(path: Path, warn: Callable[[str], object]) -> BinaryIO:
     """The file, locked and with its record; BlockingIOError if another process has it."""
     while True:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -116,7 +107,7 @@ def _hold(path: Path, warn: Callable[[str], None]) -> BinaryIO:
                 f"The file system of {path.parent} has no locks. Make sure that only one computer"
                 " uses this folder at a time."
             )
-            return hold_by_name(path, _record_of_now(path) | identity())
+            return _hold_by_name(path, _record_of_now(path) | identity())
         file = open(path, "a+b", opener=unlinked)  # noqa: SIM115 - open while the lock is held
         try:
             if not os_lock.take(file):
@@ -124,7 +115,7 @@ def _hold(path: Path, warn: Callable[[str], None]) -> BinaryIO:
             names = os.fstat(file.fileno()).st_nlink
             # The last holder may have removed the file between the lines above.
             if _is_at(path, file) and names <= 1:  # some file systems count none
-                write_record(file, _record_of_now(path))
+                _write_record(file, _record_of_now(path))
                 return file
             if names > 1 and _is_at(path, file):  # a hard link: what it names is not ours to write
                 _release(path, file)
@@ -163,7 +154,6 @@ def _is_at(path: Path, file: BinaryIO) -> bool:
 
 
 def _record_of_now(path: Path) -> dict[str, Any]:
-    """What the file says of this"""
     log = path.with_name(EVENTS)
     return {
         "pid": os.getpid(),
@@ -173,9 +163,8 @@ def _record_of_now(path: Path) -> dict[str, Any]:
 
 
 def _in_use(path: Path, error: BlockingIOError, option: str | None) -> RunFolderError:
-    """The error for a folder that another process uses."""
-    record = read_record(path)
-    pid, host = pid_of(record), host_of(record)
+    record = _read_record(path)
+    pid, host = _pid_of(record), _host_of(record)
     who = f", process {pid}" if pid else ""
     where = f" on {host}" if host else ""
     other = f", stop it, or choose another folder ({option})" if option else ", or stop it"
@@ -192,15 +181,14 @@ class MayLiveError(BlockingIOError):
     """The process of a lock file may still run; only a person can tell."""
 
 
-def write_record(file: BinaryIO, record: dict[str, Any]) -> None:
-    """Make the record the content of an open file."""
+def _write_record(file: BinaryIO, record: dict[str, Any]) -> None:
     file.truncate(0)
     file.seek(0)
     file.write(json.dumps(record).encode() + b"\n")
     file.flush()
 
 
-def read_record(path: Path) -> dict[str, Any]:
+def _read_record(path: Path) -> dict[str, Any]:
     """What a lock file says; empty if it is missing or damaged."""
     try:
         return _parsed(read_bytes(path))
@@ -208,16 +196,11 @@ def read_record(path: Path) -> dict[str, Any]:
         return {}
 
 
-def hold_by_name(path: Path, record: dict[str, Any]) -> BinaryIO:
-    """The lock file, created by this process with its record.
+def _hold_by_name(path: Path, record: dict[str, Any]) -> BinaryIO:
+    """The lock file, created by this process or taken over from one that has ended.
 
-    Args:
-        path: the lock file; one of a process that has ended is taken over.
-        record: with the `pid` and the `identity` of this process.
-
-    Raises:
-        MayLiveError: the file of another process is there, which may still run.
-        OSError: it cannot be written.
+    Its record has the `pid` and the `identity` of this process. MayLiveError: it is another
+    process's, which may still run. OSError: it cannot be written.
     """
     while True:
         try:
@@ -226,7 +209,7 @@ def hold_by_name(path: Path, record: dict[str, Any]) -> BinaryIO:
             with suppress(FileExistsError):
                 return _created(path, record)
             continue
-        if may_live(_parsed(found)):
+        if _may_live(_parsed(found)):
             raise MayLiveError
         file = _taken_over(path, found, record)
         if file is not None:
@@ -237,7 +220,7 @@ def _created(path: Path, record: dict[str, Any]) -> BinaryIO:
     """The new file, open; FileExistsError if another process was faster."""
     temporary, file, _ = new_temporary(path)
     try:
-        write_record(file, record)
+        _write_record(file, record)
         os.link(temporary, path)
         return file
     except OSError as error:
@@ -249,7 +232,7 @@ def _created(path: Path, record: dict[str, Any]) -> BinaryIO:
         with suppress(OSError):
             temporary.unlink()
     file = open(path, "xb")  # noqa: SIM115 - open while the lock is held
-    write_record(file, record)
+    _write_record(file, record)
     return file
 
 
@@ -260,12 +243,12 @@ def _taken_over(path: Path, found: bytes, record: dict[str, Any]) -> BinaryIO | 
     does so in one step, so that at no moment there is no file, which others would create.
     """
     claim = path.with_name(f".{path.name}.{hashlib.sha256(found).hexdigest()[:16]}")
-    right = hold_by_name(claim, record)
+    right = _hold_by_name(claim, record)
     try:
         if not _has_content(path, found):
             return None
         temporary, file, _ = new_temporary(path)
-        write_record(file, record)
+        _write_record(file, record)
         os.replace(temporary, path)
         return file
     finally:
@@ -296,10 +279,10 @@ def identity() -> dict[str, str]:
     return {"host": platform.node(), "start": _start(os.getpid())}
 
 
-def may_live(record: dict[str, Any]) -> bool:
+def _may_live(record: dict[str, Any]) -> bool:
     """Whether the process of a record may still run; False only if it is known to have ended."""
-    pid = pid_of(record)
-    if not pid or host_of(record) != platform.node():
+    pid = _pid_of(record)
+    if not pid or _host_of(record) != platform.node():
         return True
     if sys.platform == "win32":  # a signal would end it there
         return True
@@ -312,13 +295,13 @@ def may_live(record: dict[str, Any]) -> bool:
     return record.get("start") == _start(pid)
 
 
-def pid_of(record: dict[str, Any]) -> int:
+def _pid_of(record: dict[str, Any]) -> int:
     """The process that a record names; 0 if it names none."""
     pid = record.get("pid")
     return pid if type(pid) is int and 0 < pid < 1 << 31 else 0
 
 
-def host_of(record: dict[str, Any]) -> str:
+def _host_of(record: dict[str, Any]) -> str:
     """The computer that a record names, printable; empty if it names none."""
     host = record.get("host")
     return "".join(c for c in host if c.isprintable())[:100] if isinstance(host, str) else ""

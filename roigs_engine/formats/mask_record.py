@@ -15,10 +15,9 @@ Masks that cannot be written beside the photos are in the run folder (`run_files
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from .files import cannot_write, own_folder, read_record, sha256, write_json
 from .names import inner_path
@@ -108,23 +107,16 @@ def record_masks(
 def remove_masks(folder: Path) -> int:
     """Remove the masks that were made, and their record; returns how many. A person's stay.
 
-    Raises:
-        RunFolderError: one cannot be removed, or a folder is a link.
+    RunFolderError: one cannot be removed, or a folder is a link.
     """
     made = generated_masks(folder)
-    for name in made:
-        file = own_folder(folder, *PurePosixPath(name).parts[:-1]) / PurePosixPath(name).name
-        _remove(file)
-    if os.path.lexists(folder / MADE):
-        _remove(folder / MADE)
+    files = [own_folder(folder, *Path(name).parts[:-1]) / Path(name).name for name in made]
+    for file in (*files, folder / MADE):
+        try:
+            file.unlink(missing_ok=True)
+        except OSError as error:
+            raise cannot_write(file, error) from error
     for parent in sorted({(folder / name).parent for name in made} | {folder}, reverse=True):
         with suppress(OSError):  # not empty
             parent.rmdir()
     return len(made)
-
-
-def _remove(file: Path) -> None:
-    try:
-        file.unlink()
-    except OSError as error:
-        raise cannot_write(file, error) from error

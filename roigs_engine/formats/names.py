@@ -13,12 +13,7 @@ LONGEST, MAX_BYTES = 87, 167  # characters and bytes of a `safe_name`; file syst
 ADDED = 8  # of these, `_` and the checksum with its `-`
 # These names open devices on Windows, with any extension.
 DEVICES = {
-    "con",
-    "prn",
-    "aux",
-    "nul",
-    "conin$",
-    "conout$",
+    *("con", "prn", "aux", "nul", "conin$", "conout$"),
     *(f"{port}{digit}" for port in ("com", "lpt") for digit in "0123456789¹²³"),
 }
 

@@ -98,17 +98,12 @@ def _newest(models: Iterable[Path]) -> float:
 
 
 def weakly_observed(points: Mapping[str, int]) -> list[str]:
-    """The photos with fewer points, the fewest first.
-
-    Args:
-        points: photo -> how many it observes.
-    """
-    found = [name for name, count in points.items() if count < FEWEST_OBSERVED]
-    return sorted(found, key=lambda name: (points[name], name))
+    """The photos that observe too few of their points (photo -> count), the fewest first."""
+    found = sorted((count, name) for name, count in points.items() if count < FEWEST_OBSERVED)
+    return [name for _, name in found]
 
 
 def is_video(path: Path) -> bool:
-    """Whether the path names a video, by its ending."""
     return path.suffix.lower() in VIDEOS and not path.is_dir()
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..errors import RoiError
 from .files import read_json
 from .names import MAX_NAME, first_taken, is_file_name
-from .transforms import is_mirrored, rigid_flaw
+from .transforms import is_mirrored, numbers, rigid_flaw
 
 Float64 = NDArray[np.float64]
 NAME_HINT = (
@@ -32,20 +32,14 @@ FAR = 1e15  # world units; larger coordinates come from damaged files and overfl
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoiRecord:
-    """One box of the file.
+    """One box of the file."""
 
-    Attributes:
-        name: unique within a file; files are called by it.
-        world_to_box: (4, 4) rigid transform from the COLMAP frame; the box's centre maps to 0.
-        half_extents: (3,) half side lengths, world units.
-    """
-
-    name: str
-    world_to_box: Float64
-    half_extents: Float64
+    name: str  # unique within a file; files are called by it
+    world_to_box: Float64  # (4, 4) rigid transform from the COLMAP frame; the centre maps to 0
+    half_extents: Float64  # (3,) half side lengths, world units
 
     def __post_init__(self) -> None:
-        check_box(self.name, self.world_to_box, self.half_extents)
+        _check_box(self.name, self.world_to_box, self.half_extents)
 
     @classmethod
     def between(cls, name: str, low: Any, high: Any) -> RoiRecord:
@@ -72,10 +66,10 @@ def check_roi_name(name: str) -> str:
     return name
 
 
-def check_box(name: str, world_to_box: Float64, half_extents: Float64) -> None:
+def _check_box(name: str, world_to_box: Float64, half_extents: Float64) -> None:
     """Raise RoiError where the numbers are not a box's."""
-    numbers = np.concatenate([world_to_box.ravel(), half_extents])
-    if not (np.abs(numbers) < FAR).all():  # catches NaN too
+    values = np.concatenate([world_to_box.ravel(), half_extents])
+    if not (np.abs(values) < FAR).all():  # catches NaN too
         raise RoiError(
             f"Box '{name}' has a number that is NaN, Inf or too large.",
             f"Use numbers below {FAR:g}, in the frame of the COLMAP model.",
@@ -94,21 +88,11 @@ def check_box(name: str, world_to_box: Float64, half_extents: Float64) -> None:
         )
 
 
-def _numbers(value: Any, shape: tuple[int, ...]) -> Float64:
-    """The JSON value as numbers; ValueError or TypeError if it is not of that shape."""
-    array = np.array(value, dtype=object).reshape(shape)
-    if any(isinstance(number, bool) for number in array.flat):
-        raise TypeError("true and false are no numbers")
-    return array.astype(float)
-
-
 def roi_record(record: Any) -> RoiRecord:
     """A box from `{"name", "min", "max"}` or `{"name", "world_to_box", "half_extents"}`.
 
     A mirrored `world_to_box` is the same volume as with its first axis reversed, and becomes that.
-
-    Raises:
-        RoiError: a key is missing, a value has the wrong shape, or the matrix is not rigid.
+    RoiError: a key is missing, a value has the wrong shape, or the matrix is not rigid.
     """
     if not isinstance(record, dict) or not isinstance(record.get("name"), str):
         raise RoiError("A box must be an object with a 'name' and 'min'/'max' corners.", FORM_HINT)
@@ -117,14 +101,14 @@ def roi_record(record: Any) -> RoiRecord:
         raise RoiError(f"Box '{name}' has both 'min' and 'world_to_box'.", FORM_HINT)
     try:
         if "min" in record:
-            low, high = (_numbers(record[key], (3,)) for key in ("min", "max"))
+            low, high = (numbers(record[key], (3,), key) for key in ("min", "max"))
             return RoiRecord.between(name, low, high)
-        transform = _numbers(record["world_to_box"], (4, 4))
-        half_extents = _numbers(record["half_extents"], (3,))
+        transform = numbers(record["world_to_box"], (4, 4), "world_to_box")
+        half_extents = numbers(record["half_extents"], (3,), "half_extents")
     except KeyError as error:
         raise RoiError(f"Box '{name}' has no {error}.", FORM_HINT) from error
-    except (ValueError, TypeError, OverflowError) as error:
-        raise RoiError(f"Box '{name}' has corners or sides of a wrong shape.", FORM_HINT) from error
+    except (ValueError, OverflowError) as error:
+        raise RoiError(f"Box '{name}': {error}.", FORM_HINT) from error
     with np.errstate(all="ignore"):  # a matrix of huge numbers is refused as it is
         if is_mirrored(transform):
             transform[0] *= -1
@@ -134,8 +118,7 @@ def roi_record(record: Any) -> RoiRecord:
 def read_rois(path: Path) -> list[RoiRecord]:
     """All boxes of a `rois.json`: `{"rois": [...]}` or a bare list.
 
-    Raises:
-        RoiError: the file is unreadable, holds no box, or two boxes share a name.
+    RoiError: the file is unreadable, holds no box, or two boxes share a name.
     """
     document = read_json(path, RoiError, FILE_HINT)
     records = document.get("rois") if isinstance(document, dict) else document

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from ..errors import ConfigError
 from .files import read_json
 from .projects import top_folder
-from .transforms import similarity_flaw
+from .transforms import numbers, similarity_flaw
 
 Float64 = NDArray[np.float64]
 
@@ -38,15 +38,10 @@ HINT = "Delete it, or place the scene in Blender again."
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SceneTransform:
-    """A model's pose and scale in the world.
+    """A model's pose and scale in the world."""
 
-    Attributes:
-        matrix: (4, 4) similarity from the COLMAP frame to the world in metres.
-        cameras: photo -> (3,) centre in the COLMAP frame; at least one.
-    """
-
-    matrix: Float64
-    cameras: dict[str, Float64]
+    matrix: Float64  # (4, 4) similarity from the COLMAP frame to the world in metres
+    cameras: dict[str, Float64]  # photo -> (3,) centre in the COLMAP frame; at least one
 
     def is_of(self, cameras: Mapping[str, Float64]) -> bool:
         """Whether it is the transform of the model with these cameras, photo -> (3,) centre."""
@@ -73,8 +68,7 @@ def some_cameras(cameras: Mapping[str, Float64]) -> dict[str, Float64]:
 def read_transforms(path: Path) -> list[SceneTransform]:
     """The transforms of a file, the newest first; none if there is no file.
 
-    Raises:
-        ConfigError: it cannot be read, or is malformed.
+    ConfigError: it cannot be read, or is malformed.
     """
     if not os.path.lexists(path):
         return []
@@ -109,23 +103,12 @@ def document(transform: SceneTransform, others: list[SceneTransform]) -> str:
 
 
 def _transform(record: Any) -> SceneTransform:
-    """A transform of a file; ValueError or another error of wrong values if it is none."""
-    matrix = _numbers(record["matrix"], (4, 4), "matrix")
+    matrix = numbers(record["matrix"], (4, 4), "matrix", FAR)
     flaw = similarity_flaw(matrix)
     if flaw:
         raise ValueError(f"matrix is no rotation, scale and translation: {flaw}")
     centres = record["cameras"].items()
-    cameras = {str(name): _numbers(centre, (3,), "a camera") for name, centre in centres}
+    cameras = {str(name): numbers(centre, (3,), "a camera", FAR) for name, centre in centres}
     if not cameras:
         raise ValueError("it has no cameras")
     return SceneTransform(matrix=matrix, cameras=cameras)
-
-
-def _numbers(value: Any, shape: tuple[int, ...], name: str) -> Float64:
-    array = np.array(value, dtype=object)
-    if array.shape != shape or not all(type(number) in (int, float) for number in array.flat):
-        raise ValueError(f"{name} must be {' x '.join(map(str, shape))} numbers")
-    numbers: Float64 = array.astype(float)
-    if not (np.abs(numbers) < FAR).all():  # catches NaN too
-        raise ValueError(f"{name} has a number that is NaN, Inf or too large")
-    return numbers

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..errors import ConfigError
 from .files import read_json
+from .transforms import numbers
 
 OBJECT, BACKGROUND = "object", "background"
 """Kinds of strokes."""
@@ -30,32 +31,20 @@ HINT = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stroke:
-    """One line on a photo.
+    """One line on a photo, in pixels of the photo's file."""
 
-    Attributes:
-        kind: `OBJECT` or `BACKGROUND`.
-        width: of the line, pixels of the photo's file.
-        points: (N, 2) x and y in these pixels, from the photo's upper left corner; N >= 1.
-    """
-
-    kind: str
+    kind: str  # `OBJECT` or `BACKGROUND`
     width: float
-    points: NDArray[np.float64]
+    points: NDArray[np.float64]  # (N, 2) x and y from the photo's upper left corner; N >= 1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scribble:
-    """The strokes for one box on one photo, oldest first: where they cross, the later one counts.
-
-    Attributes:
-        box: the box's name.
-        photo: the photo's name in the model.
-        strokes: at least one.
-    """
+    """The strokes for one box on one photo, oldest first: where they cross, the later counts."""
 
     box: str
-    photo: str
-    strokes: tuple[Stroke, ...]
+    photo: str  # its name in the model
+    strokes: tuple[Stroke, ...]  # at least one
 
 
 def read_scribbles(path: Path) -> list[Scribble]:
@@ -93,35 +82,23 @@ def scribbles_document(scribbles: Sequence[Scribble]) -> str:
 
 
 def _scribble(record: Any) -> Scribble:
-    """A scribble of the file; KeyError, TypeError or ValueError if it is none."""
     if not isinstance(record, dict):
         raise TypeError("a scribble is an object")
     strokes = record["strokes"]
+    if not isinstance(record["box"], str) or not isinstance(record["photo"], str):
+        raise TypeError("names are texts")
     if not isinstance(strokes, list) or not strokes:
         raise ValueError("a scribble needs a list of strokes")
-    return Scribble(
-        box=_text(record["box"]),
-        photo=_text(record["photo"]),
-        strokes=tuple(_stroke(stroke) for stroke in strokes),
-    )
+    return Scribble(box=record["box"], photo=record["photo"], strokes=tuple(map(_stroke, strokes)))
 
 
 def _stroke(record: Any) -> Stroke:
-    """A stroke of the file; raises as `_scribble`."""
     if not isinstance(record, dict):
         raise TypeError("a stroke is an object")
     if record["kind"] not in (OBJECT, BACKGROUND):
         raise ValueError(f"the kind of a stroke is '{OBJECT}' or '{BACKGROUND}'")
-    width = float(record["width"])
-    points = np.array(record["points"], dtype=float)
-    if points.ndim != 2 or points.shape[1] != 2 or not len(points):
-        raise ValueError("the points of a stroke are [x, y] each")
-    if not (np.abs(points) < MOST).all() or not 0 < width < MOST:  # catches NaN too
-        raise ValueError("a stroke has a number that is no place in a photo")
+    width = float(numbers(record["width"], (), "width", MOST))
+    if width <= 0:
+        raise ValueError("the width of a stroke is more than 0")
+    points = numbers(record["points"], (None, 2), "points", MOST)
     return Stroke(kind=record["kind"], width=width, points=points)
-
-
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise TypeError("names are texts")
-    return value

@@ -110,8 +110,7 @@ def read_ply(path: str | Path) -> dict[str, Floats]:
 def is_antialiased(path: str | Path) -> bool:
     """Whether a PLY, compressed or not, says that its Gaussians are drawn with anti-aliasing.
 
-    Raises:
-        RunFolderError: the file cannot be read.
+    RunFolderError: it cannot be read.
     """
     try:
         with open(path, "rb", opener=regular) as file:
@@ -166,7 +165,10 @@ def _read_header(file: BinaryIO, path: str | Path) -> tuple[int, np.dtype[np.voi
                 if (element == "vertex") == (count >= 0):
                     raise RunFolderError(f"{path}: one vertex element must come first.", HINT)
                 if element == "vertex":
-                    count = _count(path, number)
+                    if not re.fullmatch("[0-9]{1,18}", number):
+                        text = f"{path}: '{number:.20}' is not a number of vertices."
+                        raise RunFolderError(text, HINT)
+                    count = int(number)
             case ["property", *words] if element == "vertex":
                 if len(words) != 2 or words[0] not in SCALARS or words[1] in fields:
                     raise RunFolderError(f"{path}: cannot read '{line.strip():.60}'.", HINT)
@@ -180,15 +182,7 @@ def _read_header(file: BinaryIO, path: str | Path) -> tuple[int, np.dtype[np.voi
     return count, np.dtype(list(fields.items()))
 
 
-def _count(path: str | Path, word: str) -> int:
-    """The number of rows that a header announces."""
-    if not re.fullmatch("[0-9]{1,18}", word):
-        raise RunFolderError(f"{path}: '{word:.20}' is not a number of vertices.", HINT)
-    return int(word)
-
-
 def _decode(table: NDArray[np.void], path: str | Path) -> dict[str, Floats]:
-    """The columns as arrays."""
     names = table.dtype.names or ()
     rest = sum(name.startswith("f_rest_") for name in names)
     if rest not in REST_SIZES:

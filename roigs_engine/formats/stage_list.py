@@ -17,10 +17,8 @@ FOLDER = re.compile(r"[^/\\:\x00-\x1f\ud800-\udfff]+-[0-9a-f]{8}")
 def write_stage_list(run: Path, stages: Mapping[str, Path]) -> None:
     """Add stages to the list: their names, and their folders in `run`/stages.
 
-    Stages that only another command needs (baselines) stay in it.
-
-    Raises:
-        RunFolderError: the file cannot be written.
+    Stages that only another command needs (baselines) stay in it. RunFolderError: the file cannot
+    be written.
     """
     known = read_stage_list(run)
     now = {**known, **stages}

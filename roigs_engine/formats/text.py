@@ -31,29 +31,18 @@ def decode_text(data: bytes, *, replace: bool = False) -> str:
     Raises:
         ValueError: the text has another encoding; the message says which, if that is known.
     """
-    encoding = _wide_encoding(data)
-    if encoding:
-        raise ValueError(f"it is {encoding} text; save it as UTF-8")
+    head = data[:4]
+    if head == bytes(4):
+        raise ValueError("it begins with zero bytes, so it is damaged or no text")
+    # Without a mark, each ASCII character brings one zero byte in UTF-16, and three in UTF-32.
+    if head.startswith(UTF32_MARKS) or head.count(0) == 3:
+        raise ValueError("it is UTF-32 text; save it as UTF-8")
+    if head.startswith(UTF16_MARKS) or 0 in head[:2]:
+        raise ValueError("it is UTF-16 text; save it as UTF-8")
     try:
         return data.decode("utf-8-sig", errors="replace" if replace else "strict")
     except UnicodeDecodeError as error:
         raise ValueError("it is not UTF-8 text; save it as UTF-8") from error
-
-
-def _wide_encoding(data: bytes) -> str:
-    """The encoding of text that is not made of single bytes; empty for any other data.
-
-    Without a mark, each ASCII character brings one zero byte in UTF-16, and three in UTF-32.
-
-    Raises:
-        ValueError: it is no text.
-    """
-    head = data[:4]
-    if head == bytes(4):
-        raise ValueError("it begins with zero bytes, so it is damaged or no text")
-    if head.startswith(UTF32_MARKS) or head.count(0) == 3:
-        return "UTF-32"
-    return "UTF-16" if head.startswith(UTF16_MARKS) or 0 in head[:2] else ""
 
 
 def parse_json(data: bytes) -> Any:
@@ -77,7 +66,6 @@ def parse_json(data: bytes) -> Any:
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """The object of these keys and values; RepeatedKeyError if a key is there twice."""
     found = dict(pairs)
     if len(found) < len(pairs):
         twice, _ = Counter(key for key, _ in pairs).most_common(1)[0]

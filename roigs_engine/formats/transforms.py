@@ -1,6 +1,9 @@
-"""Checks of 4 x 4 transforms: rigid ones of boxes and cameras, similarities of scenes."""
+"""Checks of numbers in files: their form, rigid transforms of boxes and cameras, similarities."""
 
 from __future__ import annotations
+
+import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,17 +13,33 @@ UNEVEN = "it scales or shears"
 TOLERANCE = 1e-4  # of the products of axes: matrices written with five digits pass
 
 
+def numbers(
+    value: Any, shape: tuple[int | None, ...], name: str, most: float = math.inf
+) -> NDArray[np.float64]:
+    """A JSON value of this shape, None being any length but 0, and of numbers below `most`.
+
+    Raises:
+        ValueError: it is none; the message begins with its `name`.
+        OverflowError: an integer is too large.
+    """
+    array = np.array(value, dtype=object)
+    sizes = zip(array.shape, shape, strict=False)
+    fits = array.ndim == len(shape) and all(n == wanted if wanted else n for n, wanted in sizes)
+    if not fits or not all(type(number) in (int, float) for number in array.flat):
+        raise ValueError(f"{name} must be {' x '.join(str(n or 'N') for n in shape)} numbers")
+    found = array.astype(np.float64)
+    if not (np.abs(found) < most).all():  # catches NaN too
+        raise ValueError(f"{name} has a number that is NaN, Inf or too large")
+    return found
+
+
 def is_mirrored(matrix: NDArray[np.float64]) -> bool:
     """Whether a (4, 4) matrix of axes at right angles also mirrors space."""
     return float(np.linalg.det(matrix[:3, :3])) < 0
 
 
 def rigid_flaw(matrix: NDArray[np.float64]) -> str:
-    """What keeps a (4, 4) matrix of finite numbers from being a rotation and a translation.
-
-    Returns:
-        The end of a sentence about the matrix; empty: it is one.
-    """
+    """What keeps a (4, 4) matrix from being a rotation and a translation; may be empty."""
     if not np.allclose(matrix[3], (0, 0, 0, 1), rtol=0, atol=1e-6):
         row = ", ".join(f"{number:g}" for number in matrix[3])
         return f"its last row is {row}, not 0, 0, 0, 1 (is it transposed?)"
@@ -33,11 +52,7 @@ def rigid_flaw(matrix: NDArray[np.float64]) -> str:
 
 
 def similarity_flaw(matrix: NDArray[np.float64]) -> str:
-    """What keeps a (4, 4) matrix of finite numbers from being a rotation, one scale, a translation.
-
-    Returns:
-        The end of a sentence about the matrix; empty: it is one.
-    """
+    """What keeps a (4, 4) matrix from being a similarity; may be empty."""
     scale = scale_of(matrix)
     if not SCALES[0] <= scale <= SCALES[1]:
         return f"its scale is {scale:g}"

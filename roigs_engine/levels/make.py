@@ -116,7 +116,7 @@ def make_levels(
     maker = _Maker(folder, frame, training_views(images), steps, context)
     ladders = [maker.ladder(part, levels) for part in parts]
     check_held(folder)
-    write_ladders(folder, ladders, {})
+    write_ladders(folder, ladders)
     return ladders
 
 

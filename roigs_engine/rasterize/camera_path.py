@@ -19,7 +19,7 @@ import numpy as np
 from ..errors import ConfigError
 from ..formats.files import read_json
 from ..formats.names import first_taken, safe_name
-from ..formats.transforms import rigid_flaw
+from ..formats.transforms import numbers, rigid_flaw
 from ..model.scene import Camera, Float64
 
 CameraPath = Sequence[tuple[str, Camera, Float64]]
@@ -67,9 +67,7 @@ def camera_from_record(record: Any) -> tuple[str, Camera, Float64]:
     fx, fy, cx, cy = (float(record[key]) for key in ("fx", "fy", "cx", "cy"))
     if not (np.isfinite([fx, fy, cx, cy]).all() and fx > 0 and fy > 0):
         raise ValueError("fx and fy must be positive, cx and cy finite")
-    pose = np.array(record["world_to_camera"], dtype=float)
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        raise ValueError("world_to_camera must be 4 x 4 finite numbers")
+    pose = numbers(record["world_to_camera"], (4, 4), "world_to_camera")
     flaw = rigid_flaw(pose)
     if flaw:
         raise ValueError(f"world_to_camera must be a rotation and a translation, but {flaw}")

@@ -47,7 +47,7 @@ def make_levels(
         chosen = arrays["means"][:50].astype(float) if probes is None else probes
         box = Path(part).stem if "/" in part else ""
         ladders.append(Ladder(box=box, rate=rate, probes=chosen, levels=tuple(levels)))
-    write_ladders(folder, ladders, {})
+    write_ladders(folder, ladders)
     return ladders
 
 

@@ -45,7 +45,7 @@ def run_files() -> dict[str, bytes]:
             ]
             ladders.append(Ladder(box=box, rate=20.0, probes=places[:4], levels=tuple(levels)))
         Gaussians.concatenate(parts).save_ply(folder / "result.ply")
-        write_ladders(folder, ladders, {})
+        write_ladders(folder, ladders)
         made = {f"levels/1/{ply}": "0" * 64 for ply in ("background.ply", "rois/thing.ply")}
         write(folder / "levels/made.json", json.dumps(made))
         record = {"version": 3, "sizes": ["48x36"], "photos": inputs.PHOTOS}

@@ -80,7 +80,7 @@ def test_a_run_is_converted_with_its_levels(
     assert "has no levels of detail" in refused(capsys, *line)
     names = ("background.ply", 0.0), ("levels/1/b.ply", 2.0)
     levels = tuple(Level(ply=p, gaussians=1, farther=f, measured={}) for p, f in names)
-    write_ladders(run, [Ladder(box="", rate=1.0, probes=np.zeros((1, 3)), levels=levels)], {})
+    write_ladders(run, [Ladder(box="", rate=1.0, probes=np.zeros((1, 3)), levels=levels)])
     assert "Leave out the boxes" in refused(capsys, *line, "--roi", "a=0,0,0,1,1,1")
     assert main([*line, "--sh-degree", "0"]) == 0
     assert json.loads(out.read_text())["counts"] == [500, 200]

@@ -30,7 +30,7 @@ def ladder(*farther: float, box: str = "vase") -> Ladder:
 
 def test_it_reads_what_it_wrote(tmp_path: Path) -> None:
     written = [ladder(1.5, 3.0), ladder(box="")]
-    write_ladders(tmp_path, written, {"made": "now"})
+    write_ladders(tmp_path, written)
     found = read_ladders(tmp_path)
     assert list(found) == ["vase", ""]
     assert found["vase"].levels == written[0].levels
@@ -62,7 +62,7 @@ def test_it_reads_what_it_wrote(tmp_path: Path) -> None:
     ],
 )
 def test_damage_is_one_line(tmp_path: Path, damage: str) -> None:
-    write_ladders(tmp_path, [ladder(1.5), ladder(box="other")], {})
+    write_ladders(tmp_path, [ladder(1.5), ladder(box="other")])
     path = tmp_path / "levels.json"
     name = damage.split(":")[0]
     lines = path.read_text().splitlines()
@@ -79,7 +79,7 @@ def test_damage_is_one_line(tmp_path: Path, damage: str) -> None:
 
 
 def test_levels_that_begin_too_near_each_other_are_refused(tmp_path: Path) -> None:
-    write_ladders(tmp_path, [ladder(2.0, 2.1)], {})
+    write_ladders(tmp_path, [ladder(2.0, 2.1)])
     with pytest.raises(RunFolderError, match="farther must grow"):
         read_ladders(tmp_path)
 
@@ -88,10 +88,10 @@ def test_levels_that_begin_too_near_each_other_are_refused(tmp_path: Path) -> No
 def test_a_list_without_parts_or_with_places_that_are_none_is_refused(
     tmp_path: Path, probe: float
 ) -> None:
-    write_ladders(tmp_path, [], {})
+    write_ladders(tmp_path, [])
     with pytest.raises(RunFolderError, match="no part"):
         read_ladders(tmp_path)
-    write_ladders(tmp_path, [replace(ladder(), probes=np.full((1, 3), probe))], {})
+    write_ladders(tmp_path, [replace(ladder(), probes=np.full((1, 3), probe))])
     with pytest.raises(RunFolderError, match="probes"):
         read_ladders(tmp_path)
 

@@ -95,7 +95,7 @@ def test_names_that_share_a_file() -> None:
     [
         ({"name": "a", "min": [0, 0, 0], "max": [1, 1, 0]}, "is empty: its sides are 1 x 1 x 0"),
         ({"name": "a", "min": [0, 0, 0], "max": [1, 1, float("nan")]}, "NaN, Inf or too large"),
-        ({"name": "a", "min": [0, 0], "max": [1, 1, 1]}, "wrong shape"),
+        ({"name": "a", "min": [0, 0], "max": [1, 1, 1]}, "must be 3 numbers"),
         ({"name": "a", "world_to_box": np.diag([2.0, 1, 1, 1]).tolist(), "half_extents": [1, 1, 1]},
          "not a rotation and a translation"),
         ({"min": [0, 0, 0]}, "must be an object"),
@@ -122,5 +122,5 @@ def test_files_without_boxes(text: str, tmp_path: Path) -> None:
 
 
 def test_true_is_no_number() -> None:
-    with pytest.raises(RoiError, match="wrong shape"):
+    with pytest.raises(RoiError, match="must be 3 numbers"):
         roi_record({"name": "a", "min": [True, 0, 0], "max": [2, 2, 2]})
