@@ -22,12 +22,8 @@ MAX_HEADER = 1 << 16
 
 
 def write(path: Path, arrays: Arrays, *, antialiased: bool = False) -> int:
-    """Write Gaussians; returns how many. The header says whether they are `antialiased`.
-
-    Raises:
-        EngineError: gsply is missing, or the file cannot be written.
-    """
-    gsply: Any = package("gsply", "gsply", TITLE)
+    """See `FileFormat`. The header says whether the Gaussians are `antialiased`."""
+    gsply: Any = package("gsply", TITLE)
     sh = arrays["sh"].astype(np.float32)
     data: bytes = gsply.compress_to_bytes(
         arrays["means"].astype(np.float32),
@@ -45,14 +41,8 @@ def write(path: Path, arrays: Arrays, *, antialiased: bool = False) -> int:
 
 
 def read(path: Path) -> Arrays:
-    """Read Gaussians.
-
-    Raises:
-        RunFolderError: the file is damaged.
-        EngineError: gsply is missing.
-        OSError: it cannot be read.
-    """
-    gsply: Any = package("gsply", "gsply", TITLE)
+    """See `FileFormat`."""
+    gsply: Any = package("gsply", TITLE)
     _check(path)
     with reading(path, TITLE):
         return arrays_of(gsply.plyread(path))

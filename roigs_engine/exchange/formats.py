@@ -29,24 +29,20 @@ COMPRESSED, HEADER = ".compressed.ply", 1024
 class FileFormat:
     """A format.
 
-    Attributes:
-        title: what people call it.
-        suffix: of a file's name.
-        up: the axis that points up, as most of its readers have it.
-        module: of this package, with `read` and `write`; empty: the plain PLY.
-        reads: whether it can be read; every one can be written.
-        checks: whether its `write` takes `check`, as it takes long.
-        keeps_antialiased: whether a file says if its Gaussians are drawn with anti-aliasing. Such
-            a format's module has `is_antialiased` if it reads, and its `write` takes `antialiased`.
+    Its module has `write(path, arrays)`, which returns how many Gaussians it has written, and
+    `read(path)`. Both raise ConfigError where the format cannot hold the model, EngineError if a
+    package is missing, RunFolderError if the file is damaged or cannot be written, and OSError if
+    it cannot be read. A module that `keeps_antialiased` has `is_antialiased` if it reads, and its
+    `write` takes `antialiased`.
     """
 
-    title: str
-    suffix: str
-    up: str
-    module: str = ""
-    reads: bool = True
-    checks: bool = False
-    keeps_antialiased: bool = True
+    title: str  # what people call it
+    suffix: str  # of a file's name
+    up: str  # the axis that points up, as most of its readers have it
+    module: str = ""  # of this package; empty: the plain PLY
+    reads: bool = True  # every one can be written
+    checks: bool = False  # whether its `write` takes `check`, as it takes long
+    keeps_antialiased: bool = True  # whether a file says if its Gaussians are drawn with it
 
 
 FORMATS = (
@@ -64,11 +60,7 @@ FORMATS = (
 
 
 def format_of(path: Path) -> FileFormat:
-    """The format that a file's name says.
-
-    Raises:
-        ConfigError: it says none that is known.
-    """
+    """The format that a file's name says; ConfigError if it says none that is known."""
     name = path.name.lower()
     found = next((form for form in FORMATS if name.endswith(form.suffix)), None)
     if found is None:
@@ -88,16 +80,11 @@ def write(
     """Write Gaussians in the format that the name says, whole or not at all; returns how many.
 
     Args:
-        path: of the file.
-        arrays: the model.
+        path, arrays: of the file, and the model.
         check: called between the parts of long work; what it raises ends it without a file.
         antialiased: whether the Gaussians are drawn with anti-aliasing; not written if the format
             has no place for it.
         more: what the module's `write` takes besides these; nothing for a plain PLY.
-
-    Raises:
-        ConfigError: the format is unknown, or cannot hold this model.
-        EngineError: a package is missing, or the file cannot be written.
     """
     form = format_of(path)
     remove_leftovers_of(path)
@@ -128,13 +115,7 @@ def storable(arrays: Arrays, title: str) -> Arrays:
 
 
 def read(path: Path) -> Arrays:
-    """Read Gaussians in the format that the name says.
-
-    Raises:
-        ConfigError: the format is unknown, or is only written.
-        RunFolderError: the file is missing or damaged.
-        EngineError: a package is missing.
-    """
+    """Read Gaussians in the format that the name says; ConfigError if it is only written."""
     form = _readable(path)
     if not form.module and _is_compressed(path):  # whatever its name says
         form = format_of(Path(COMPRESSED))
@@ -152,12 +133,7 @@ def read(path: Path) -> Arrays:
 
 
 def is_antialiased(path: Path) -> bool:
-    """Whether a file says that its Gaussians are drawn with anti-aliasing, as they were trained.
-
-    Raises:
-        ConfigError: the format is unknown, or is only written.
-        RunFolderError: the file is missing, or damaged where it says so.
-    """
+    """Whether a file says that its Gaussians are drawn with anti-aliasing, as they were trained."""
     form = _readable(path)
     if not form.keeps_antialiased:
         return False
@@ -171,9 +147,7 @@ def is_antialiased(path: Path) -> bool:
 def are_antialiased(paths: Iterable[Path]) -> bool:
     """Whether files that become one are drawn with anti-aliasing; False for none.
 
-    Raises:
-        ConfigError: some are, others are not. No file can say that.
-        RunFolderError: as `is_antialiased`.
+    ConfigError: some are, others are not. No file can say that.
     """
     first = {is_antialiased(path): path for path in reversed(list(paths))}
     if len(first) > 1:

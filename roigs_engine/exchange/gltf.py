@@ -5,6 +5,7 @@ A viewer without the extension shows points in the colours of `COLOR_0`.
 
 from __future__ import annotations
 
+import json
 import struct
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,9 @@ from .transform import moved
 
 TITLE = "glTF"
 NAME = "KHR_gaussian_splatting"
+SH_NAMES = [
+    f"{NAME}:SH_DEGREE_{degree}_COEF_{k}" for degree in range(4) for k in range(2 * degree + 1)
+]
 MEANING = {
     "kernel": "ellipse",
     "colorSpace": "srgb_rec709_display",
@@ -36,34 +40,24 @@ MOST_JSON = 16 << 20  # bytes
 
 
 def write(path: Path, arrays: Arrays) -> int:
-    """Write Gaussians; returns how many.
-
-    Raises:
-        EngineError: pygltflib is missing, or the file cannot be written.
-    """
-    gltf: Any = package("pygltflib", "pygltflib", TITLE)
+    """See `FileFormat`."""
+    gltf: Any = package("pygltflib", TITLE)
     made = gltf.GLTF2(asset=gltf.Asset(generator="ROI-GS"), extensionsUsed=[NAME], scene=0)
     blob = bytearray()
     attributes = gltf.Attributes()
     for name, values in _columns(arrays).items():
-        width = 1 if values.ndim == 1 else values.shape[1]
-        kind = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[width]
         accessor = gltf.Accessor(
             bufferView=len(made.bufferViews),
             componentType=BYTE if values.dtype == np.uint8 else FLOAT,
             normalized=values.dtype == np.uint8,
             count=len(values),
-            type=kind,
+            type={1: "SCALAR", 3: "VEC3", 4: "VEC4"}[values.size // len(values)],
         )
         if name == "POSITION":
-            accessor.min, accessor.max = (
-                list(map(float, bound)) for bound in (values.min(axis=0), values.max(axis=0))
-            )
-        made.bufferViews.append(
-            gltf.BufferView(
-                buffer=0, byteOffset=len(blob), byteLength=values.nbytes, target=ARRAY_BUFFER
-            )
-        )
+            accessor.min = values.min(axis=0).tolist()
+            accessor.max = values.max(axis=0).tolist()
+        place = {"buffer": 0, "byteOffset": len(blob), "byteLength": values.nbytes}
+        made.bufferViews.append(gltf.BufferView(**place, target=ARRAY_BUFFER))
         blob += values.tobytes()
         setattr(attributes, name, len(made.accessors))
         made.accessors.append(accessor)
@@ -90,32 +84,17 @@ def _columns(arrays: Arrays) -> dict[str, NDArray[Any]]:
         f"{NAME}:SCALE": np.exp(arrays["log_scales"]).astype(np.float32),
         f"{NAME}:OPACITY": opacities(arrays),
     }
-    for index, (degree, number) in enumerate(_coefficients(sh.shape[1])):
-        columns[_sh_name(degree, number)] = np.ascontiguousarray(sh[:, index])
+    for index, name in enumerate(SH_NAMES[: sh.shape[1]]):
+        columns[name] = np.ascontiguousarray(sh[:, index])
     return columns
 
 
-def _coefficients(count: int) -> list[tuple[int, int]]:
-    """Degree, and number in it, of so many SH coefficients."""
-    degrees = [(degree, k) for degree in range(4) for k in range(2 * degree + 1)]
-    return degrees[:count]
-
-
-def _sh_name(degree: int, number: int) -> str:
-    return f"{NAME}:SH_DEGREE_{degree}_COEF_{number}"
-
-
 def read(path: Path) -> Arrays:
-    """Read the Gaussians of a GLB with one such primitive, where its node has them.
-
-    Raises:
-        RunFolderError: the file is damaged, or has none.
-        OSError: it cannot be read.
-    """
+    """See `FileFormat`: the Gaussians of a GLB with one such primitive, where its node has them."""
     record, blob = _parts(path)
     with reading(path, TITLE):
         found = [
-            (number, primitive["attributes"], _packed_by(primitive["extensions"][NAME]))
+            (number, primitive["attributes"], primitive["extensions"][NAME].get("extensions", {}))
             for number, mesh in enumerate(record.get("meshes", []))
             for primitive in mesh["primitives"]
             if NAME in primitive.get("extensions", {})
@@ -123,30 +102,25 @@ def read(path: Path) -> Arrays:
         if len(found) != 1:
             raise damaged(path, TITLE, f"{len(found)} primitives with {NAME}, not one")
         ((mesh, at, inner),) = found
-        if inner:
-            raise damaged(path, TITLE, f"its Gaussians are packed by {inner[0]}")
+        for name in inner:  # others may be ignored
+            if "compression" in name:
+                raise damaged(path, TITLE, f"its Gaussians are packed by {name}")
 
         def get(name: str) -> NDArray[np.float32]:
             if name not in at:
                 raise ValueError(f"no attribute {name}")
             return _values(record, blob, int(at[name]))
 
-        sh = [_sh_name(degree, number) for degree, number in _coefficients(16)]
-        there = next((k for k, name in enumerate(sh) if name not in at), len(sh))
+        there = next((k for k, name in enumerate(SH_NAMES) if name not in at), len(SH_NAMES))
         bands = max((k for k in (1, 4, 9, 16) if k <= there), default=1)
         arrays = {
             "means": get("POSITION"),
             "quats": np.roll(get(f"{NAME}:ROTATION"), 1, axis=1),
             "log_scales": np.log(np.maximum(get(f"{NAME}:SCALE"), 1e-30)),
             "logit_opacities": logits(get(f"{NAME}:OPACITY").reshape(-1)),
-            "sh": np.stack([get(name) for name in sh[:bands]], axis=1),
+            "sh": np.stack([get(name) for name in SH_NAMES[:bands]], axis=1),
         }
         return moved(arrays, _transform(record, mesh))
-
-
-def _packed_by(extension: dict[str, Any]) -> list[str]:
-    """The names of extensions that pack the Gaussians; others may be ignored."""
-    return [name for name in extension.get("extensions", {}) if "compression" in name]
 
 
 def _transform(record: dict[str, Any], mesh: int) -> Float64:
@@ -182,8 +156,6 @@ def _node_matrix(node: dict[str, Any]) -> Float64:
 
 def _parts(path: Path) -> tuple[dict[str, Any], bytes]:
     """The JSON and the binary part of a GLB."""
-    import json
-
     raw = path.read_bytes()
     with reading(path, TITLE):
         magic, version, _, size, kind = struct.unpack_from("<5I", raw)

@@ -23,17 +23,15 @@ EXTRA = "formats"
 """The extra of pyproject.toml that installs all of them."""
 
 
-def package(module: str, name: str, purpose: str) -> Any:
-    """A module of an optional package.
+def package(module: str, purpose: str, name: str = "") -> Any:
+    """A module of an optional package; EngineError if it is not installed.
 
     Args:
         module: to import.
-        name: of the package, as pip knows it.
         purpose: begins the error's sentence, such as "SPZ".
-
-    Raises:
-        EngineError: it is not installed.
+        name: of the package, as pip knows it; empty: as the module.
     """
+    name = name or module.partition(".")[0]
     try:
         return import_module(module)
     except ImportError as error:
@@ -59,11 +57,9 @@ def damaged(path: Path, title: str, why: object) -> RunFolderError:
 
 @contextmanager
 def reading(path: Path, title: str) -> Iterator[None]:
-    """Wrap a library that reads: whatever it raises says that the file is damaged.
+    """Wrap a library that reads: whatever it raises becomes a RunFolderError: the file is damaged.
 
-    Raises:
-        RunFolderError: it raised anything but an EngineError, an error of the file system or one of
-            memory.
+    An EngineError, an error of the file system or one of memory stays as it is.
     """
     try:
         with np.errstate(all="ignore"):  # what is not finite is left out later
@@ -91,13 +87,9 @@ def refuse_bomb(path: Path, title: str, unpacked: int) -> None:
 
 @contextmanager
 def scratch(title: str) -> Iterator[Path]:
-    """A temporary folder, removed in the end; whatever fails meanwhile could not be written to it.
+    """A temporary folder to write a file of this format in, removed in the end.
 
-    Args:
-        title: of the format, for the error.
-
-    Raises:
-        EngineError: there is no such folder, or the library could not write to it.
+    EngineError: there is no such folder, or the library could not write to it.
     """
     try:
         with tempfile.TemporaryDirectory() as folder:
@@ -105,14 +97,11 @@ def scratch(title: str) -> Iterator[Path]:
     except (OSError, RuntimeError) as error:  # OpenUSD raises the latter
         if is_memory_full(error):
             raise
+        try:
+            place = tempfile.gettempdir()
+        except OSError:
+            place = "which does not exist"
         raise EngineError(
-            f"{title} cannot be written to the folder for temporary files, {_place()}.",
+            f"{title} cannot be written to the folder for temporary files, {place}.",
             "Free some space there, or set TMPDIR to another folder.",
         ) from error
-
-
-def _place() -> str:
-    try:
-        return tempfile.gettempdir()
-    except OSError:
-        return "which does not exist"

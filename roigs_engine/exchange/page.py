@@ -38,39 +38,20 @@ WHOLE = "Whole scene"
 
 @dataclass(frozen=True, kw_only=True)
 class Extras:
-    """What a page shows besides the model.
+    """What a page shows besides the model; places and poses are in the model's frame."""
 
-    Attributes:
-        title: of the page; empty: the file's name.
-        places: name and ball to look at, in the model's frame, for one button each.
-        before: a second model to switch to.
-        before_antialiased: whether that one is drawn with anti-aliasing.
-        poses: (N, 4, 4) world_to_camera of the scene's photos, in the model's frame; places are
-            first seen from where one of them was taken.
-    """
-
-    title: str = ""
-    places: Sequence[tuple[str, Ball]] = ()
-    before: Arrays | None = None
+    title: str = ""  # empty: the file's name
+    places: Sequence[tuple[str, Ball]] = ()  # to look at, one button each
+    before: Arrays | None = None  # a second model to switch to
     before_antialiased: bool = False
     poses: Float64 | None = None
+    """(N, 4, 4) world_to_camera of the photos; places are first seen from where one was taken."""
 
 
 def write(
     path: Path, arrays: Arrays, extras: Extras | None = None, *, antialiased: bool = False
 ) -> int:
-    """Write the page; returns how many Gaussians of `arrays` it has.
-
-    Args:
-        path: of the page.
-        arrays: the model.
-        extras: what the page shows besides it.
-        antialiased: whether the model is drawn with anti-aliasing.
-
-    Raises:
-        ConfigError: SPZ cannot hold a model, or `before` has no Gaussians.
-        EngineError: gsply or the viewer is missing, or the file cannot be written.
-    """
+    """See `FileFormat`. ConfigError: also if `before` has no Gaussians."""
     extras = extras or Extras()
     models = {AFTER: arrays}
     if extras.before is not None:
@@ -85,7 +66,8 @@ def write(
         "licence": _part("LICENSE.txt"),
         "style": _part("page.css"),
         "count": f"{sum(counts.values()):,}",
-        "page": _json(_description(arrays, counts, extras)),
+        # No HTML can end it.
+        "page": json.dumps(_description(arrays, counts, extras)).replace("<", "\\u003c"),
         "models": "\n".join(text for text, _ in embedded.values()),
         "worker": _part("worker.js"),
         "script": "\n".join(_part(name).replace('"use strict";\n', "") for name in SCRIPTS),
@@ -97,7 +79,6 @@ def write(
 
 
 def _description(shown: Arrays, counts: dict[str, int], extras: Extras) -> dict[str, Any]:
-    """What the script of the page needs to know."""
     whole = None if extras.poses is None else photographed(extras.poses)
     whole = whole or overview(shown)
     balls = [whole, *(ball for _, ball in extras.places)]
@@ -123,11 +104,6 @@ def _description(shown: Arrays, counts: dict[str, int], extras: Extras) -> dict[
     }
 
 
-def _json(value: Any) -> str:
-    """JSON that no HTML can end."""
-    return json.dumps(value).replace("<", "\\u003c")
-
-
 def _embedded(name: str, arrays: Arrays, antialiased: bool) -> tuple[str, int]:
     """A script element with the model, and how many Gaussians it has.
 
@@ -142,11 +118,7 @@ def _embedded(name: str, arrays: Arrays, antialiased: bool) -> tuple[str, int]:
 
 
 def _part(name: str) -> str:
-    """A file of the page.
-
-    Raises:
-        EngineError: it is missing.
-    """
+    """A file of the page; EngineError if it is missing."""
     try:
         return (PARTS / name).read_text(encoding="utf-8")
     except OSError as error:

@@ -38,8 +38,7 @@ def overview(arrays: Arrays) -> Ball:
 def photographed(poses: Float64) -> Ball | None:
     """A ball that a picture from the photos' usual distance shows; None if they share no middle.
 
-    Args:
-        poses: (N, 4, 4) world_to_camera, OpenCV axes.
+    `poses` are (N, 4, 4) world_to_camera, OpenCV axes.
     """
     eyes, forwards = _eyes(poses), poses[:, 2, :3]
     across = np.eye(3) - forwards[:, :, None] * forwards[:, None, :]
@@ -59,12 +58,7 @@ def _eyes(poses: Float64) -> Float64:
 
 
 def photo_directions(poses: Float64, ball: Ball) -> Float64:
-    """(K, 3) directions from the ball to the photos that look at it, evenly chosen of many.
-
-    Args:
-        poses: (N, 4, 4) world_to_camera of photos, OpenCV axes, in the model's frame.
-        ball: what they look at.
-    """
+    """(K, 3) directions from the ball to the photos that look at it, evenly chosen of many."""
     away = _eyes(poses) - ball.centre
     lengths = np.linalg.norm(away, axis=1)
     away /= np.maximum(lengths, 1e-30)[:, None]

@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
+from sklearn.cluster import KMeans
 
 from ..errors import ConfigError
 from ..formats.files import atomic_write
@@ -45,11 +47,7 @@ Bytes = NDArray[np.uint8]
 
 
 def write(path: Path, arrays: Arrays, *, antialiased: bool = False, check: Check = nothing) -> int:
-    """Write Gaussians; returns how many. `check` is called between the parts.
-
-    Raises:
-        As `files_of`; EngineError also if the file cannot be written.
-    """
+    """See `FileFormat`; `check` is called between the parts."""
     files = files_of(arrays, check, antialiased=antialiased)
     with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as packed:
         for name, data in files.items():
@@ -62,14 +60,7 @@ def files_of(
 ) -> dict[str, bytes]:
     """Name -> content of the files of a SOG, `meta.json` first; near Gaussians are together.
 
-    Args:
-        arrays: the model.
-        check: called between the parts of the work.
-        antialiased: whether the Gaussians are drawn with anti-aliasing.
-
-    Raises:
-        ConfigError: the model is too small, or too far from the origin, for its positions.
-        EngineError: Pillow or scikit-learn is missing.
+    ConfigError: the model is too small, or too far from the origin, for its positions.
     """
     _refuse_coarse(arrays["means"].astype(np.float64))
     arrays = in_morton_order(arrays)
@@ -192,10 +183,7 @@ def _codebook(values: Float64, weights: Float64) -> Float64:
 def _palette(sh: Float32, weights: Float32, check: Check) -> tuple[Bytes, Bytes, list[float], int]:
     """Labels (N, 3), the picture of the palette, its codebook, and how many sets it has.
 
-    Args:
-        sh: (N, K, 3) above degree 0.
-        weights: (N,) how much of a Gaussian is seen.
-        check: called between the groups of sets.
+    `sh` (N, K, 3) is that above degree 0; `weights` (N,) say how much of a Gaussian is seen.
     """
     rows = sh.reshape(len(sh), -1)
     labels, centres = _clusters(rows, weights, check)
@@ -243,9 +231,8 @@ def _deviation(rows: Float32, weights: Float32) -> float:
 
 
 def _means(rows: Float32, weights: Float32, sets: int) -> Any:
-    cluster: Any = package("sklearn.cluster", "scikit-learn", TITLE)
     start = np.random.default_rng(0).permutation(len(rows))[:sets]
-    model = cluster.KMeans(len(start), init=rows[start], n_init=1, max_iter=ROUNDS)
+    model = KMeans(len(start), init=rows[start], n_init=1, max_iter=ROUNDS)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # fewer different rows than sets
         return model.fit(rows, sample_weight=weights)
@@ -259,41 +246,28 @@ def _square(values: Bytes, side: int) -> Bytes:
 
 
 def _webp(picture: Bytes) -> bytes:
-    images: Any = package("PIL.Image", "Pillow", TITLE)
     out = io.BytesIO()
-    images.fromarray(picture).save(out, "WEBP", lossless=True, exact=True, quality=100, method=4)
+    Image.fromarray(picture).save(out, "WEBP", lossless=True, exact=True, quality=100, method=4)
     return out.getvalue()
 
 
 def read(path: Path) -> Arrays:
-    """Read Gaussians.
-
-    Raises:
-        RunFolderError: the file is damaged.
-        EngineError: gsply or imagecodecs is missing.
-        OSError: it cannot be read.
-    """
-    gsply: Any = package("gsply", "gsply", TITLE)
-    package("imagecodecs", "imagecodecs", TITLE)
+    """See `FileFormat`."""
+    gsply: Any = package("gsply", TITLE)
+    package("imagecodecs", TITLE)  # gsply needs it
     _check(path)
     with reading(path, TITLE):
         return arrays_of(gsply.sogread(path))
 
 
 def is_antialiased(path: Path) -> bool:
-    """Whether a file says that its Gaussians are drawn with anti-aliasing.
-
-    Raises:
-        RunFolderError: the file is damaged.
-        OSError: it cannot be read.
-    """
+    """Whether a file says that its Gaussians are drawn with anti-aliasing."""
     with reading(path, TITLE), zipfile.ZipFile(path) as packed, packed.open(META) as file:
         return bool(json.loads(file.read(MOST_META)).get("model") == ANTIALIASED)
 
 
 def _check(path: Path) -> None:
     """Compare what `meta.json` promises with the pictures: gsply trusts it."""
-    images: Any = package("PIL.Image", "Pillow", TITLE)
     with reading(path, TITLE), zipfile.ZipFile(path) as packed:
         sizes = {entry.filename: entry.file_size for entry in packed.infolist()}
         if len(sizes) < len(packed.infolist()) or sizes.get(META, 0) > MOST_META:
@@ -309,18 +283,18 @@ def _check(path: Path) -> None:
             names.append(meta["shN"]["files"][1])
         refuse_bomb(path, TITLE, 4 * count * len(names))
         for name in names:
-            if not count <= _pixels(images, packed, name) <= 4 * count + (1 << 16):
+            if not count <= _pixels(packed, name) <= 4 * count + (1 << 16):
                 raise ValueError(f"{name} does not belong to {count} Gaussians")
         _check_numbers(meta)
-        if "shN" in meta and _pixels(images, packed, meta["shN"]["files"][0]) > MOST_PALETTE:
+        if "shN" in meta and _pixels(packed, meta["shN"]["files"][0]) > MOST_PALETTE:
             raise ValueError("a palette that is too large")
 
 
-def _pixels(images: Any, packed: zipfile.ZipFile, name: str) -> int:
+def _pixels(packed: zipfile.ZipFile, name: str) -> int:
     """How many pixels a picture of the archive has."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # Pillow's, of pictures that are far too large
-        with packed.open(name) as file, images.open(file) as picture:
+        with packed.open(name) as file, Image.open(file) as picture:
             return int(picture.width) * int(picture.height)
 
 

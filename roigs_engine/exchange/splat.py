@@ -20,11 +20,7 @@ LEAST = 1e-30
 
 
 def write(path: Path, arrays: Arrays) -> int:
-    """Write Gaussians; returns how many. The largest and most opaque are first, for streaming.
-
-    Raises:
-        RunFolderError: the file cannot be written.
-    """
+    """See `FileFormat`. The largest and most opaque Gaussians are first, for streaming."""
     rows = np.empty(len(arrays["means"]), ROW)
     alpha = opacities(arrays)
     rows["mean"], rows["scale"] = arrays["means"], np.exp(arrays["log_scales"])
@@ -38,12 +34,7 @@ def write(path: Path, arrays: Arrays) -> int:
 
 
 def read(path: Path) -> Arrays:
-    """Read Gaussians.
-
-    Raises:
-        RunFolderError: its size is not that of whole Gaussians.
-        OSError: the file cannot be read.
-    """
+    """See `FileFormat`."""
     data = path.read_bytes()
     if len(data) % ROW.itemsize:
         raise damaged(path, ".splat", f"{len(data)} bytes are no multiple of {ROW.itemsize}")

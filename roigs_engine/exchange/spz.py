@@ -43,25 +43,11 @@ def write(
     path: Path,
     arrays: Arrays,
     *,
-    version: int = 3,
-    step: float | None = None,
+    step: float | None = None,  # of SH above degree 0; None: the finest that makes a small file
     antialiased: bool = False,
     check: Check = nothing,
 ) -> int:
-    """Write Gaussians; returns how many: those that are far outside are left out.
-
-    Args:
-        path: of the file.
-        arrays: the model.
-        version: 3 or 4.
-        step: of SH above degree 0; None: the finest with which the file is small.
-        antialiased: whether the Gaussians are drawn with anti-aliasing.
-        check: called between the parts of the work.
-
-    Raises:
-        ConfigError: their sizes or positions are beyond what the format has.
-        EngineError: gsply is missing, or the file cannot be written.
-    """
+    """See `FileFormat`. Gaussians that are far outside are left out."""
     arrays = in_morton_order(arrays)
     scales = arrays["log_scales"]
     # Points without any size do not count: they would have none in a model of another scale.
@@ -85,20 +71,19 @@ def write(
     kept = {name: values[inside] for name, values in arrays.items()}
     step = step or _finest(kept, fraction, check)
     check()
-    data = _packed(kept, fraction, step, version=version, antialiased=antialiased)
+    data = _packed(kept, fraction, step, antialiased=antialiased)
     check()
     with atomic_write(path) as file:
         file.write(data)
     return int(inside.sum())
 
 
-def _packed(
-    arrays: Arrays, fraction: int, step: float, *, version: int = 3, antialiased: bool = False
-) -> bytes:
+def _packed(arrays: Arrays, fraction: int, step: float, *, antialiased: bool = False) -> bytes:
     """The file of these Gaussians, with so many bits behind the point and this step of SH."""
-    gsply: Any = package("gsply", "gsply", TITLE)
-    spz: Any = package("gsply.spz", "gsply", TITLE)
-    sh = _rounded(arrays["sh"].astype(np.float32), step)
+    gsply: Any = package("gsply", TITLE)
+    spz: Any = package("gsply.spz", TITLE)
+    sh = arrays["sh"].astype(np.float32)
+    sh[:, 1:] = np.round(sh[:, 1:] / step) * step  # compresses to less
     data = gsply.GSData.from_arrays(
         means=arrays["means"].astype(np.float32),
         scales=arrays["log_scales"].astype(np.float32),
@@ -109,12 +94,11 @@ def _packed(
     )
     with scratch(TITLE) as folder:
         made = folder / "model.spz"
-        spz.write_spz(made, data, version=version, fractional_bits=fraction)
-        raw = made.read_bytes()
-    whole = bytearray(raw if version > 3 else gzip.decompress(raw))
+        spz.write_spz(made, data, version=3, fractional_bits=fraction)
+        whole = bytearray(gzip.decompress(made.read_bytes()))
     whole[FLAGS] |= ANTIALIASED if antialiased else 0  # gsply sets no flags
     # What gsply compresses with is fast, and makes files that are a tenth larger.
-    return bytes(whole) if version > 3 else gzip.compress(whole, 6, mtime=0)
+    return gzip.compress(whole, 6, mtime=0)
 
 
 def _finest(arrays: Arrays, fraction: int, check: Check) -> float:
@@ -140,35 +124,16 @@ def _enough(log_scales: Float32) -> int:
     return int(np.clip(np.ceil(FINER - small), 1, MOST_FRACTION))
 
 
-def _rounded(sh: Float32, step: float) -> Float32:
-    """SH (N, K, 3) in steps, which compress to less."""
-    rounded = sh.copy()
-    rounded[:, 1:] = np.round(sh[:, 1:] / step) * step
-    return rounded
-
-
 def read(path: Path) -> Arrays:
-    """Read Gaussians.
-
-    Raises:
-        RunFolderError: the file is damaged.
-        EngineError: gsply is missing.
-        OSError: it cannot be read.
-    """
-    package("gsply", "gsply", TITLE)
-    spz: Any = package("gsply.spz", "gsply", TITLE)
+    """See `FileFormat`."""
+    spz: Any = package("gsply.spz", TITLE)
     _check(path)
     with reading(path, TITLE):
         return arrays_of(spz.read_spz(path))
 
 
 def is_antialiased(path: Path) -> bool:
-    """Whether a file's header says that its Gaussians are drawn with anti-aliasing.
-
-    Raises:
-        RunFolderError: the file is damaged.
-        OSError: it cannot be read.
-    """
+    """Whether a file's header says that its Gaussians are drawn with anti-aliasing."""
     with open(path, "rb") as file:
         head = file.read(HEAD)
     with reading(path, TITLE):
@@ -198,7 +163,7 @@ def _check(path: Path) -> None:
     if start + sum(sizes[::2]) > len(raw):
         raise damaged(path, TITLE, "it is truncated")
     refuse_bomb(path, TITLE, sum(sizes[1::2]))
-    zstd: Any = package("zstandard", "zstandard", "SPZ of version 4")
+    zstd: Any = package("zstandard", "SPZ of version 4")
     for packed, unpacked in zip(sizes[::2], sizes[1::2], strict=True):
         with reading(path, TITLE):
             # What a stream says of itself is what is allocated for it.

@@ -56,12 +56,7 @@ def write(
     Args:
         path: of the `lod-meta.json` (`NAME`), written last.
         parts: for each part its levels, the whole one first.
-        check: called between the parts of the work.
-        antialiased: whether the Gaussians, of all levels, are drawn with anti-aliasing.
-
-    Raises:
-        ConfigError: the format cannot hold this model.
-        EngineError: a package is missing, or a file cannot be written.
+        check, antialiased: as of `formats.write`, for all levels; it raises the same errors.
     """
     ladders = [[storable(level, TITLE) for level in part] for part in parts]
     names: list[str] = []
@@ -95,17 +90,9 @@ def _write_sog(root: Path, name: str, files: Mapping[str, bytes]) -> str:
 
 
 def _record(counts: list[int], names: list[str], nodes: list[dict[str, Any]]) -> dict[str, Any]:
-    """The content of `lod-meta.json`.
-
-    Args:
-        counts: Gaussians of each level.
-        names: paths of the parts' `meta.json`.
-        nodes: for each part its bounds, and for each level the place in `names`.
-    """
-    low, high = (
-        pick([node["bound"][end] for node in nodes], axis=0).tolist()
-        for pick, end in ((np.min, "min"), (np.max, "max"))
-    )
+    """The content of `lod-meta.json`: `counts` are of the levels, `names` of the parts' files."""
+    low = np.min([node["bound"]["min"] for node in nodes], axis=0).tolist()
+    high = np.max([node["bound"]["max"] for node in nodes], axis=0).tolist()
     return {
         "version": 1,
         "asset": {"generator": sog.GENERATOR},

@@ -20,11 +20,7 @@ from .arrays import Arrays, flaw
 
 
 def merged(models: Sequence[Instance]) -> tuple[Gaussians, LocalFrame]:
-    """One model of all, in the world, and the frame that it is in.
-
-    Args:
-        models: at least one Gaussian in all.
-    """
+    """One model of all (at least one Gaussian), in the world, and the frame that it is in."""
     bands = max(model.gaussians.sh.shape[1] for model in models)
     parts = []
     for model in models:
@@ -51,22 +47,15 @@ def turned_sh(sh: Tensor, linear: Float64) -> Tensor:
     included, the result is exact. A map that stretches or shears bends directions: then the
     coefficients are those that fit best, by least squares over all directions.
 
-    Args:
-        sh: (N, K, 3), K = 1, 4, 9 or 16.
-        linear: (3, 3), invertible.
+    `sh` is (N, K, 3) with K = 1, 4, 9 or 16; `linear` (3, 3) is invertible.
     """
     bands = sh.shape[1]
     after = _sphere(DIRECTIONS)
     before: Float64 = np.linalg.solve(linear, after.T).T.astype(np.float64)
     before /= np.linalg.norm(before, axis=1, keepdims=True)
-    basis, wanted = (_basis(directions)[:, :bands] for directions in (after, before))
+    basis, wanted = (sh_basis(torch.from_numpy(d)).numpy()[:, :bands] for d in (after, before))
     turn = np.linalg.lstsq(basis, wanted, rcond=None)[0].round(PLACES) + 0.0  # no -0
     return torch.einsum("jk,nkc->njc", torch.from_numpy(turn.astype(np.float32)), sh)
-
-
-def _basis(directions: Float64) -> Float64:
-    found: Float64 = sh_basis(torch.from_numpy(directions)).numpy()
-    return found
 
 
 def _sphere(count: int) -> Float64:
@@ -84,8 +73,7 @@ FLATTEST = 1e-9  # least determinant of a matrix, of 1 for the same size in all 
 def moved(arrays: Arrays, matrix: Float64) -> Arrays:
     """Gaussians after a (4, 4) matrix; bit for bit the same if that changes nothing.
 
-    Raises:
-        ValueError: the arrays do not belong together, or the matrix flattens them.
+    ValueError: the arrays do not belong together, or the matrix flattens them.
     """
     if (matrix == np.eye(4)).all():
         return arrays

@@ -21,7 +21,7 @@ KIND = "ParticleField3DGaussianSplat"
 
 def _modules() -> tuple[Any, Any, Any, Any, Any]:
     names = ("Usd", "UsdGeom", "UsdVol", "Vt", "UsdUtils")
-    usd, geom, vol, vt, utils = (package(f"pxr.{name}", "usd-core", TITLE) for name in names)
+    usd, geom, vol, vt, utils = (package(f"pxr.{name}", TITLE, "usd-core") for name in names)
     if not hasattr(vol, KIND):
         raise EngineError(
             f"This version of usd-core has no {KIND}.", "Install usd-core 26.3 or later."
@@ -30,11 +30,7 @@ def _modules() -> tuple[Any, Any, Any, Any, Any]:
 
 
 def write(path: Path, arrays: Arrays) -> int:
-    """Write Gaussians; returns how many. The name's end says whether as text, binary or packed.
-
-    Raises:
-        EngineError: usd-core is missing, or the file cannot be written.
-    """
+    """See `FileFormat`. The name's end says whether as text, binary or packed."""
     usd, geom, vol, vt, utils = _modules()
     packed = path.suffix.lower() == ".usdz"
     with scratch(TITLE) as folder:
@@ -73,13 +69,7 @@ def write(path: Path, arrays: Arrays) -> int:
 
 
 def read(path: Path) -> Arrays:
-    """Read the Gaussians of a stage with one such prim, where the stage has them, y up.
-
-    Raises:
-        RunFolderError: the file is damaged, or has none.
-        EngineError: usd-core is missing.
-        OSError: it cannot be read.
-    """
+    """See `FileFormat`: the Gaussians of a stage with one such prim, where it has them, y up."""
     usd, geom, *_ = _modules()
     with reading(path, TITLE):
         stage = usd.Stage.Open(os.fspath(path), usd.Stage.LoadNone)
@@ -93,13 +83,10 @@ def read(path: Path) -> Arrays:
         means = np.array(get("positions"), np.float32)
         bands = (int(get("radiance:sphericalHarmonicsDegree")) + 1) ** 2
         sh = np.array(get("radiance:sphericalHarmonicsCoefficients"), np.float32)
-        orientations = get("orientations")
-        quats = np.array(
-            [(q.GetReal(), *q.GetImaginary()) for q in orientations], np.float32
-        ).reshape(-1, 4)
+        quats = [(q.GetReal(), *q.GetImaginary()) for q in get("orientations")]
         arrays = {
             "means": means,
-            "quats": quats,
+            "quats": np.array(quats, np.float32).reshape(-1, 4),
             "log_scales": np.log(np.maximum(np.array(get("scales"), np.float32), 1e-30)),
             "logit_opacities": logits(np.array(get("opacities"), np.float32)),
             "sh": sh.reshape(len(means), bands, 3),

@@ -297,7 +297,7 @@ def test_a_missing_package_is_said(
 
     monkeypatch.setattr(libraries, "import_module", missing)
     with pytest.raises(EngineError) as caught:
-        libraries.package("gsply", "gsply", "SPZ")
+        libraries.package("gsply", "SPZ")
     error = caught.value
     event = f"event='failed', message={error.message!r}, hint={error.hint!r}"
     use(monkeypatch, tmp_path, f"say({event}); sys.exit(2)")

@@ -44,14 +44,15 @@ def arrays(bands: int) -> dict[str, np.ndarray]:
 @functools.cache
 def good(suffix: str, bands: int, version: int = 3) -> bytes:
     """A good file."""
-    from roigs_engine.exchange import formats, spz
+    from gsply.spz import read_spz, write_spz
+
+    from roigs_engine.exchange import formats
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, f"a{suffix}")
+        formats.write(path, arrays(bands))
         if version == 4:
-            spz.write(path, arrays(bands), version=4)
-        else:
-            formats.write(path, arrays(bands))
+            write_spz(path, read_spz(path), version=4)
         return path.read_bytes()
 
 
