@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import sys
+
+if not sys.flags.safe_path:
+    # `-m` puts the working folder first, where a file `numpy.py` may lie beside the photos.
+    del sys.path[0]
+
 import os
 import signal
-import sys
 
 from . import TYPE_CHECKING
 
@@ -25,6 +30,7 @@ if __name__ == "__main__":
     if os.name == "posix" and sys.getfilesystemencoding() != "utf-8":
         # Names are UTF-8 everywhere here; this locale could not write them. Begin again in UTF-8.
         os.execv(sys.executable, [sys.executable, "-X", "utf8", *sys.orig_argv[1:]])
+    os.environ["PYTHONSAFEPATH"] = "1"  # for every process that this one starts
     from .commands.process import run_process
 
     run_process(_main)

@@ -51,6 +51,14 @@ def address_space() -> int | None:
     return min((limit for limit in limits if limit != resource.RLIM_INFINITY), default=None)
 
 
+def child_environment() -> dict[str, str]:
+    """Environment of the engine's own processes: nothing is imported from the working folder."""
+    paths = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    own = str(Path(__file__).resolve().parents[1])
+    modules = os.pathsep.join([own, *filter(os.path.isabs, paths)])
+    return os.environ | {"PYTHONPATH": modules, "PYTHONSAFEPATH": "1"}
+
+
 def usable_cores() -> int:
     """Number of cores this process may run on; fewer than the machine's if it is pinned."""
     if hasattr(os, "sched_getaffinity"):  # not on Windows and macOS

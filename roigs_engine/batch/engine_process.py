@@ -10,15 +10,14 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import IO
 
 from ..formats.events import Record, parse_event
+from ..machine import child_environment
 
 DONE, STOPPED, FAILED, LOST = "done", "stopped", "failed", "lost"
 POLL = 0.5
 LAST = 2000  # bytes of standard error that may say why a process ended
-HOME = Path(__file__).resolve().parents[2]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,15 +47,13 @@ def run_engine(
         should_stop: asked twice a second; a stop lets the engine write a checkpoint.
     """
     final: Record = {}
-    paths = [str(HOME), os.environ.get("PYTHONPATH", "")]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
     with tempfile.TemporaryFile() as errors:
         process = subprocess.Popen(
             [sys.executable, "-m", "roigs_engine", *argv, "--events"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=errors,
-            env=environment,
+            env=child_environment(),
         )
         ended = threading.Event()
         threading.Thread(target=_stop, args=(process, should_stop, ended), daemon=True).start()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import queue
 import shutil
 import subprocess
@@ -16,10 +15,10 @@ from typing import Any
 
 from ..context import Context
 from ..errors import EngineError, SceneError
+from ..machine import child_environment
 
 POLL_SECONDS = 0.25
 FULL = 16 << 20  # bytes; SQLite may fail with less
-ROOT = Path(__file__).resolve().parents[2]
 WORKER = f"{__package__}.worker"
 
 
@@ -57,14 +56,13 @@ def run_task(
 
 def _started(messages: Any) -> subprocess.Popen[bytes]:
     """The child; a session of its own, so that Ctrl-C reaches this process alone."""
-    paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     new_group = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
     return subprocess.Popen(
         [sys.executable, "-m", WORKER],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=messages,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
+        env=child_environment(),
         start_new_session=True,
         creationflags=new_group,
     )

@@ -23,7 +23,8 @@ def fake(monkeypatch: pytest.MonkeyPatch, folder: Path, code: str) -> None:
     package.mkdir()
     (package / "__main__.py").write_text(code, encoding="utf-8")
     (package / "__init__.py").touch()
-    monkeypatch.setattr(engine_process, "HOME", folder)
+    environment = engine_process.child_environment() | {"PYTHONPATH": str(folder)}
+    monkeypatch.setattr(engine_process, "child_environment", lambda: environment)
     monkeypatch.chdir(folder)
 
 

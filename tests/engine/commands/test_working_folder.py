@@ -1,0 +1,65 @@
+"""Modules beside the photos are never imported: by the command line, nor by what it starts."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from roigs_engine.batch.engine_process import DONE, run_engine
+from roigs_engine.context import QUIET
+from roigs_engine.errors import EngineError
+from roigs_engine.machine import child_environment
+from roigs_engine.reconstruction.child import run_task
+from tests.engine.synthetic_colmap import write_project
+
+MODULES = ("numpy", "PIL", "torch", "pycolmap", "json", "argparse", "sitecustomize", "roigs_engine")
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture
+def left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The file that modules in the working folder leave when they are imported."""
+    left = tmp_path / "left"
+    for name in MODULES:
+        (tmp_path / "photos").mkdir(exist_ok=True)
+        text = f"open({str(left)!r}, 'a').write({name!r})\n"
+        (tmp_path / "photos" / f"{name}.py").write_text(text)
+    write_project(tmp_path / "scene", names=["1.png", "2.png"])
+    monkeypatch.chdir(tmp_path / "photos")
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    return left
+
+
+def test_the_command_line(left: Path, tmp_path: Path) -> None:
+    # `roigs_engine` itself is where the user's Python finds it: here, it must not be the folder's.
+    (tmp_path / "photos" / "roigs_engine.py").unlink()
+    words = [sys.executable, "-m", "roigs_engine", "inspect", str(tmp_path / "scene")]
+    done = subprocess.run(
+        words, capture_output=True, env=os.environ | {"PYTHONPATH": str(ROOT)}, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert not left.exists()
+
+
+def test_engines_of_a_batch(left: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(["", ".", str(ROOT)]))
+    words = ["inspect", str(tmp_path / "scene")]
+    assert run_engine(words, lambda event: None, lambda: False).state == DONE
+    assert not left.exists()
+
+
+def test_the_child_of_reconstruct(left: Path, tmp_path: Path) -> None:
+    with pytest.raises(EngineError):
+        run_task({"work": "nothing", "database": "x"}, tmp_path / "log", QUIET)
+    assert not left.exists(), (tmp_path / "log").read_text()
+
+
+def test_its_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(["", "modules", str(tmp_path)]))
+    found = child_environment()
+    assert found["PYTHONPATH"].split(os.pathsep) == [str(ROOT), str(tmp_path)]
+    assert found["PYTHONSAFEPATH"] == "1"
