@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
+
+# In a checkout whose folder is named 'tests', that name is the top folder's, to pytest.
+if "tests.tests" in sys.modules:
+    sys.modules["tests"] = sys.modules["tests.tests"]
 
 
 class RootIsNoPackage:
