@@ -15,7 +15,9 @@ from types import ModuleType
 
 import pytest
 
+from roigs_addon.engine.command import Engine
 from roigs_engine.formats.run_files import BACKGROUND
+from tests import warm_engine
 from tests.addon.colmap_project import write_project
 from tests.addon.photo_cases import SIDE
 from tests.addon.scenes import ready
@@ -57,6 +59,15 @@ def addon(blender: ModuleType) -> Iterator[ModuleType]:
     roigs_addon.register()
     yield roigs_addon
     roigs_addon.unregister()
+
+
+@pytest.fixture(autouse=True)
+def warm(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Engine commands start at once, but not those of tests marked `cold`."""
+    with pytest.MonkeyPatch.context() as patch:
+        if request.node.get_closest_marker("cold") is None:
+            patch.setattr(Engine, "command", warm_engine.quick(Engine.command))
+        yield
 
 
 @pytest.fixture

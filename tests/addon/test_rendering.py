@@ -51,6 +51,7 @@ def engines(engine, scene, ply: Path, out: Path) -> np.ndarray:
     return load_png(picture)
 
 
+@pytest.mark.cold
 def test_f12_is_the_engines_picture(blender: ModuleType, run, shot, engine, tmp_path: Path) -> None:
     scene, f12 = shot
     only(scene, "Background")

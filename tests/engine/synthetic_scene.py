@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import io
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -49,25 +51,9 @@ def make_scene(folder: Path, views: int = 12) -> SfmScene:
     points = model.means.numpy().astype(np.float64)
     images = []
     for k in range(views):
-        angle = 2 * np.pi * k / views
-        eye = np.array([np.cos(angle), np.sin(angle), 0.35]) * (1.5 + 0.3 * (k % 3))
-        pose = look_at(eye)
-        output = rasterize(
-            model.means,
-            model.quats,
-            model.log_scales,
-            model.logit_opacities,
-            model.sh,
-            torch.from_numpy(pose).float()[None],
-            torch.from_numpy(CAMERA.matrix()).float()[None],
-            CAMERA.width,
-            CAMERA.height,
-            raw=True,
-            backend="reference",
-        )
-        pixels = (output.image[0].clamp(0, 1) * 255).round().byte().numpy()
+        pose = _pose(k, views)
         path = folder / f"{k:03d}.png"
-        Image.fromarray(pixels).save(path)
+        path.write_bytes(_photo(k, views))
         in_camera = points @ pose[:3, :3].T + pose[:3, 3]
         seen = np.flatnonzero(in_camera[:, 2] > 0.1)
         images.append(
@@ -81,6 +67,34 @@ def make_scene(folder: Path, views: int = 12) -> SfmScene:
         )
     colors = ((model.sh[:, 0].numpy() * SH_C0 + 0.5) * 255).astype(np.uint8)
     return SfmScene(images=tuple(images), points=points, colors=colors)
+
+
+def _pose(k: int, views: int) -> np.ndarray:
+    angle = 2 * np.pi * k / views
+    return look_at(np.array([np.cos(angle), np.sin(angle), 0.35]) * (1.5 + 0.3 * (k % 3)))
+
+
+@functools.cache
+def _photo(k: int, views: int) -> bytes:
+    """A photo's PNG, rendered once in a process: many modules' tests make the scene."""
+    model = truth()
+    output = rasterize(
+        model.means,
+        model.quats,
+        model.log_scales,
+        model.logit_opacities,
+        model.sh,
+        torch.from_numpy(_pose(k, views)).float()[None],
+        torch.from_numpy(CAMERA.matrix()).float()[None],
+        CAMERA.width,
+        CAMERA.height,
+        raw=True,
+        backend="reference",
+    )
+    pixels = (output.image[0].clamp(0, 1) * 255).round().byte().numpy()
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, format="PNG")
+    return file.getvalue()
 
 
 def stage_data(scene: SfmScene, seed: int = 3, **changes: Any) -> StageData:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -29,6 +30,14 @@ Damage = Callable[[Path], None]
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
     return make_scene(tmp_path_factory.mktemp("photos"))
+
+
+@pytest.fixture(scope="module")
+def undamaged(scene: SfmScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run, to copy."""
+    run = tmp_path_factory.mktemp("undamaged")
+    train(run, scene, [BOX], tiny("joint"))
+    return run
 
 
 def flipped(path: Path, at: int = -5) -> None:
@@ -73,37 +82,40 @@ def retrained(folder: Path, scene: SfmScene, *, update: bool = False) -> list[st
     [*((name, False) for name in DAMAGES), ("a bit of the model", True), ("a list", True)],
 )
 def test_a_damaged_stage_is_made_again(
-    scene: SfmScene, tmp_path: Path, damage: str, update: bool
+    scene: SfmScene, undamaged: Path, tmp_path: Path, damage: str, update: bool
 ) -> None:
-    quiet = retrained(tmp_path, scene)
-    whole = plys(tmp_path)
-    joint = stage_of(tmp_path, "joint")
+    run = tmp_path / "run"
+    shutil.copytree(undamaged, run)
+    quiet = retrained(run, scene)
+    joint = stage_of(run, "joint")
     DAMAGES[damage](joint)
-    texts = [text for text in retrained(tmp_path, scene, update=update) if text not in quiet]
+    texts = [text for text in retrained(run, scene, update=update) if text not in quiet]
     assert len(texts) == 1, texts
     assert str(joint) in texts[0] and "repeated" in texts[0]
-    assert plys(tmp_path) == whole
+    assert plys(run) == plys(undamaged)
     assert list(joint.with_name(f"{joint.name}-damaged").iterdir())
-    assert retrained(tmp_path, scene, update=update) == quiet
+    assert retrained(run, scene, update=update) == quiet
 
 
-def test_a_plan_of_damaged_stages_changes_nothing(scene: SfmScene, tmp_path: Path) -> None:
-    train(tmp_path, scene, [BOX], tiny("joint"))
-    run = define_run(tmp_path, scene, [BOX], tiny("joint"))
+def test_a_plan_of_damaged_stages_changes_nothing(
+    scene: SfmScene, undamaged: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(undamaged, tmp_path / "run")
+    run = define_run(tmp_path / "run", scene, [BOX], tiny("joint"))
     assert describe_plan(run).count("  done") == 2
-    flipped(stage_of(tmp_path, "joint") / "model.ply")
+    flipped(stage_of(run.folder, "joint") / "model.ply")
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     assert describe_plan(run).count("  done") == 1
     assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
 
 
 def test_a_stage_is_verified_once(
-    scene: SfmScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scene: SfmScene, undamaged: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    train(tmp_path, scene, [BOX], tiny("joint"))
+    shutil.copytree(undamaged, tmp_path / "run")
     verified: list[Path] = []
     monkeypatch.setattr(stage_folder, "check_model", lambda path, _: verified.append(path))
-    run = define_run(tmp_path, scene, [BOX], tiny("joint"))
+    run = define_run(tmp_path / "run", scene, [BOX], tiny("joint"))
     executor = Executor(run)
     for _ in range(2):
         executor.execute(plan_run(run))
