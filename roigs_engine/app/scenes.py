@@ -49,15 +49,7 @@ def reconstruct(request: Reconstruct, context: Context = QUIET) -> Reconstructed
     from ..reconstruction.settings import Settings
 
     refuse_run_files(request.out)
-    settings = Settings(
-        max_side=request.max_side,
-        features=request.features,
-        pairs=request.pairs,
-        neighbours=request.neighbours,
-        cameras=request.cameras,
-        camera_model=request.camera_model,
-        seed=request.seed,
-    )
+    settings = Settings.of(vars(request))
     masks = mask_options(request)
     masks.check()
     if request.frames and not is_video(request.photos):

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from ..model.roi import OrientedBox
-from ..model.scene import Float64, SfmScene
+from ..model.scene import Float64, SfmScene, project
 from .propagation import Prior, eroded
 from .views import FREE, ON_OBJECT, Mask, View
 
@@ -100,17 +100,9 @@ class PointVotes:
     @staticmethod
     def _places(view: View, points: Float64) -> tuple[NDArray[np.int64], NDArray[np.int64], Mask]:
         """Column and row of each point in a photo, and whether it is in it."""
-        local = points @ view.world_to_camera[:3, :3].T + view.world_to_camera[:3, 3]
-        depth = np.where(local[:, 2] > 0, local[:, 2], 1.0)
-        camera = view.camera
-        x = local[:, 0] / depth * camera.fx + camera.cx
-        y = local[:, 1] / depth * camera.fy + camera.cy
-        inside = (local[:, 2] > 0) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
-        return (
-            np.where(inside, x, 0).astype(np.int64),
-            np.where(inside, y, 0).astype(np.int64),
-            inside,
-        )
+        pixels, _, inside = project(points, view.camera, view.world_to_camera)
+        column, row = np.where(inside[:, None], pixels, 0).astype(np.int64).T
+        return column, row, inside
 
 
 def _by_neighbours(places: Float64, labels: Float64, view: View) -> Numbers:

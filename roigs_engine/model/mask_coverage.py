@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..context import QUIET, Context
 from ..formats.text import counted, first_of
 from .roi import AREA_SIDE, OrientedBox
-from .scene import Camera, Float64, PhotoMask, PosedImage, SfmScene
+from .scene import Camera, Float64, PhotoMask, PosedImage, SfmScene, project
 
 
 def counted_pixels(roi: OrientedBox, image: PosedImage, *, whole: bool = False) -> float:
@@ -101,13 +101,10 @@ def object_points(
         mask = image.objects.get(roi.name)
         if mask is None:
             continue
-        local, camera = image.local(points), image.camera
-        with np.errstate(all="ignore"):
-            x = (local[:, 0] / local[:, 2] * camera.fx + camera.cx) / camera.width
-            y = (local[:, 1] / local[:, 2] * camera.fy + camera.cy) / camera.height
-        seen = np.flatnonzero((local[:, 2] > 0) & (x >= 0) & (x < 1) & (y >= 0) & (y < 1))
+        pixels, _, seen = project(points, image.camera, image.world_to_camera)
+        x, y = (pixels[seen] / (image.camera.width, image.camera.height)).T
         rows, columns = mask.small.shape
-        shown = mask.small[(y[seen] * rows).astype(int), (x[seen] * columns).astype(int)] >= HALF
+        shown = mask.small[(y * rows).astype(int), (x * columns).astype(int)] >= HALF
         votes[seen] += np.where(shown, 1, -1)
     found: NDArray[np.bool_] = votes >= 0
     return found

@@ -220,6 +220,21 @@ class SfmScene:
         return digest.hexdigest()
 
 
+def project(
+    points: Float64, camera: Camera, world_to_camera: Float64
+) -> tuple[Float64, Float64, NDArray[np.bool_]]:
+    """World positions (P, 3) -> pixels (P, 2), depths (P,), and (P,) whether the camera sees them.
+
+    Pixels of positions behind the camera mean nothing.
+    """
+    local = points @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
+    depth = local[:, 2]
+    safe = np.where(depth > 0, depth, 1.0)[:, None]
+    pixels = local[:, :2] / safe * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    within = (pixels >= 0) & (pixels < (camera.width, camera.height))
+    return pixels, depth, (depth > 0) & within.all(axis=1)
+
+
 def reaches(centres: Float64) -> Float64:
     """(V, 3) camera centres -> (V,) distances from their median, in units of most of them.
 

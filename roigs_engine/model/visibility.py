@@ -11,13 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..context import QUIET, Context
 from ..errors import RoiError
 from ..formats.text import counted
 from .roi import OrientedBox
-from .scene import Float64, Int64, PosedImage, SfmScene
+from .scene import Float64, Int64, PosedImage, SfmScene, project
 
 # Points named in the error about an empty box.
 NEAREST_NAMED = 3
@@ -181,18 +180,10 @@ def _visible_by_depth(
 
 def _cells(image: PosedImage, points: Float64) -> tuple[Int64, Float64]:
     """(N, 3) world positions -> (N,) cell of the depth grid, -1 outside the image; (N,) depth."""
-    camera, local = image.camera, image.local(points)
-    depth = local[:, 2]
-    front = depth > 0
-    safe = np.where(front, depth, 1.0)
-    x = local[:, 0] / safe * camera.fx + camera.cx
-    y = local[:, 1] / safe * camera.fy + camera.cy
-    inside: NDArray[np.bool_] = (
-        front & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
-    )
+    camera = image.camera
+    pixels, depth, inside = project(points, camera, image.world_to_camera)
     size = max(camera.width, camera.height) / DEPTH_CELLS
-    column = np.where(inside, x, 0.0) // size
-    row = np.where(inside, y, 0.0) // size
+    column, row = np.where(inside[:, None], pixels, 0.0).T // size
     cell = np.where(inside, row * (DEPTH_CELLS + 1) + column, -1)
     return cell.astype(np.int64), depth
 

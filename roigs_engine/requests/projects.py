@@ -15,7 +15,7 @@ FEW_PHOTOS, MANY, USUAL = 40, 8192, 2048  # photos, and their features; more pho
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Method(Request, heading="method"):
+class ReconstructionMethod(Request, heading="method"):
     """What decides the result of a reconstruction."""
 
     max_side: int = option(
@@ -62,7 +62,7 @@ class _Method(Request, heading="method"):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reconstruct(PhotoMasks, _Method, Threads):
+class Reconstruct(PhotoMasks, ReconstructionMethod, Threads):
     """A COLMAP project from a folder of photos, or a video."""
 
     photos: Path = option(PATH, "folder of the photos, or a video", required=True, flags=())
