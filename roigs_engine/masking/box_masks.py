@@ -22,7 +22,7 @@ from ..photos.headers import content_digest, unreadable
 from ..photos.mask_images import mask_png, read_mask
 from ..photos.mask_paths import MaskFiles
 from .propagation import Knowledge, fenced, make_masks
-from .views import Mask, View, in_photo, part_around, view_of
+from .views import View, in_photo, part_around, view_of
 
 NAMED = 3  # photos that a warning names
 LEAST_PHOTOS = 6  # the scribbled one and five more
@@ -99,7 +99,9 @@ class BoxMasks:
             part = part_around(self.roi, image.camera, image.world_to_camera)
             if part is not None:
                 photo, strokes = self.photos[image.name], self.strokes.get(image.name, ())
-                given = self._given(photo, files, made)
+                file, given = files.find(photo.name, beside=False), None
+                if file is not None and file.relative_to(self.folder).as_posix() not in made:
+                    given = photo.of_file(read_mask(file, photo.size))  # a person's
                 views.append(view_of(photo, self.roi, part, image.world_to_camera, strokes, given))
         if not any(view.is_scribbled or view.given is not None for view in views):
             raise ConfigError(
@@ -126,13 +128,6 @@ class BoxMasks:
                 view = replace(view, kept=view.part.of_mask(mask))
             found.append(view)
         return found
-
-    def _given(self, photo: PhotoPixels, files: MaskFiles, made: Mapping[str, str]) -> Mask | None:
-        """A person's mask of a photo, at its camera's size; None: there is none."""
-        file = files.find(photo.name, beside=False)
-        if file is None or file.relative_to(self.folder).as_posix() in made:
-            return None
-        return photo.of_file(read_mask(file, photo.size))
 
     def _write(self, files: Mapping[str, bytes], inputs: Mapping[str, str]) -> list[str]:
         """Write masks by their names, but not over a person's; returns the names.

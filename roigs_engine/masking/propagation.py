@@ -172,7 +172,11 @@ def cut(view: View, prior: Prior, band: float) -> Mask:
         models = np.zeros((1, 65)), np.zeros((1, 65))
         image = _with_likelihood(view, likely, prior.trust)
         cv2.grabCut(image, trimap, None, *models, ROUNDS, cv2.GC_INIT_WITH_MASK)
-    return _tidy(_is_object(trimap), view)
+    # Small islands and holes go, except where strokes are.
+    mask = _is_object(trimap)
+    area = int(mask.sum())
+    mask = mask & ~_small(mask, ISLAND * area, view.seeds == ON_OBJECT)
+    return mask | _small(~mask, HOLE * area, view.seeds == ON_BACKGROUND)
 
 
 def _likelihood(view: View, prior: Prior) -> Floats:
@@ -244,13 +248,6 @@ def eroded(mask: Mask, reach: float) -> Mask:
 def _is_object(trimap: NDArray[np.uint8]) -> Mask:
     found: Mask = (trimap == SURE_OBJECT) | (trimap == MAYBE_OBJECT)
     return found
-
-
-def _tidy(mask: Mask, view: View) -> Mask:
-    """The mask without small islands and holes, except where strokes are."""
-    area = int(mask.sum())
-    mask = mask & ~_small(mask, ISLAND * area, view.seeds == ON_OBJECT)
-    return mask | _small(~mask, HOLE * area, view.seeds == ON_BACKGROUND)
 
 
 def _small(mask: Mask, area: float, kept: Mask) -> Mask:

@@ -75,17 +75,15 @@ def with_useful_masks(
                 f" {'is' if len(names) == 1 else 'are'} not used:"
                 f" {first_of(names)}. White is the object, black all else."
             )
-    return replace(scene, images=tuple(_with(image, useless) for image in scene.images))
-
-
-def _with(image: PosedImage, useless: dict[str, set[str]]) -> PosedImage:
-    """The photo with the masks of these boxes' objects alone, without the useless ones."""
-    objects = {
-        box: mask
-        for box, mask in image.objects.items()
-        if image.name not in useless.get(box, {image.name})
-    }
-    return image if objects == image.objects else replace(image, objects=objects)
+    images = []
+    for image in scene.images:
+        useful = {
+            box: mask
+            for box, mask in image.objects.items()
+            if image.name not in useless.get(box, {image.name})
+        }
+        images.append(image if useful == image.objects else replace(image, objects=useful))
+    return replace(scene, images=tuple(images))
 
 
 def object_points(

@@ -81,7 +81,10 @@ def observations(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) ->
     images = sorted(scene.images, key=lambda image: image.name)
     flags: tuple[str, ...] = ()
     if scene.has_tracks:
-        seen = _from_tracks(images, rows, len(scene.points))
+        position = np.full(len(scene.points), -1, dtype=np.int64)
+        position[rows] = np.arange(len(rows))
+        found = [position[image.point_indices] for image in images]
+        seen = [np.unique(points[points >= 0]) for points in found]
     else:
         seen = _by_depth(
             images, scene.points[rows], scene.points, DEPTH_SLACK * roi.diagonal, context
@@ -131,14 +134,6 @@ def observed_points(scene: SfmScene, context: Context = QUIET) -> list[Int64]:
         return [np.unique(image.point_indices) for image in scene.images]
     slack = DEPTH_SLACK * scene.extent()
     return _by_depth(scene.images, scene.points, scene.points, slack, context)
-
-
-def _from_tracks(images: list[PosedImage], rows: Int64, total: int) -> list[Int64]:
-    """For each photo, the positions in `rows` (points in the box) that it observes, ascending."""
-    position = np.full(total, -1, dtype=np.int64)
-    position[rows] = np.arange(len(rows))
-    found = [position[image.point_indices] for image in images]
-    return [np.unique(points[points >= 0]) for points in found]
 
 
 def _by_depth(

@@ -32,11 +32,6 @@ def is_mask(name: str) -> bool:
     return name.lower().endswith(MASK_ENDS)
 
 
-def is_photo(name: str) -> bool:
-    """Whether a file among the photos is a photo, and no mask."""
-    return not is_mask(name)
-
-
 class PhotoFolder:
     """The photos below a folder, by their names in a model.
 
@@ -50,7 +45,7 @@ class PhotoFolder:
         self,
         folder: Path,
         extensions: Set[str] = EXTENSIONS,
-        keep: Callable[[str], bool] = is_photo,
+        keep: Callable[[str], bool] = lambda name: not is_mask(name),
     ) -> None:
         self.folder = folder
         self.extensions = extensions

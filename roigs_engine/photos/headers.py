@@ -92,7 +92,10 @@ def check_complete(path: Path) -> None:
         with open(path, "rb") as file:
             start = file.read(len(PNG))
             # The headers of a JPEG may hold a small copy of the photo, with its own end marker.
-            headers = _jpeg_headers(file) if start.startswith(b"\xff\xd8") else 0
+            headers = 0
+            if start.startswith(b"\xff\xd8"):
+                list(jpeg_segments(file))
+                headers = file.tell()
             file.seek(max(headers, file.seek(0, os.SEEK_END) - TAIL))
             tail = file.read()
     except (OSError, ValueError, struct.error) as error:
@@ -136,13 +139,6 @@ def _jpeg_size(file: BinaryIO) -> tuple[int, int]:
             height, width = struct.unpack(">3xHH", file.read(7))
             return width, height
     raise ValueError("a JPEG without a frame header")
-
-
-def _jpeg_headers(file: BinaryIO) -> int:
-    """Where the image data begin, in bytes; ValueError or struct.error if there are none."""
-    for _ in jpeg_segments(file):
-        pass
-    return file.tell()
 
 
 def jpeg_segments(file: BinaryIO) -> Iterator[int]:

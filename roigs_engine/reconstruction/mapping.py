@@ -65,7 +65,10 @@ def map_models(
     snapshots.mkdir(parents=True, exist_ok=True)
     own = {"snapshot_path": str(snapshots), "snapshot_frames_freq": max(20, total // 10)}
     options = STRICT | {"": STRICT[""] | own}
-    found = _map(folder, out / "first", options, settings, total, context, _snapshot(snapshots))
+    # The last but one snapshot is complete in any case.
+    older = sorted(path for path in snapshots.iterdir() if path.is_dir())[-2:-1]
+    start = str(older[0]) if older else ""
+    found = _map(folder, out / "first", options, settings, total, context, start)
     if not found:
         options |= {"mapper": LOW_TO_BEGIN | LOW_TO_ADD}
         found = _map(folder, out / "second", options, settings, total, context)
@@ -139,9 +142,3 @@ def _map(
         **settings,
     }
     return [Mapped(**record) for record in run_task(task, folder.log, context, poll)]
-
-
-def _snapshot(folder: Path) -> str:
-    """The last but one snapshot, which is complete in any case; empty: there is none."""
-    found = sorted(path for path in folder.iterdir() if path.is_dir())
-    return str(found[-2]) if len(found) > 1 else ""

@@ -107,13 +107,16 @@ def _look(
     memory = max(decoding_bytes(files[name], sizes[name]) for name in names)
 
     def look(name: str) -> Photo:
+        path, size = files[name], sizes[name]
+        factor = min(1.0, LOOK_SIDE / max(size))
+        small = max(1, round(size[0] * factor)), max(1, round(size[1] * factor))
         return Photo(
             name=name,
-            path=files[name],
+            path=path,
             digest=digests[name],
-            size=sizes[name],
-            device=_device(files[name]),
-            sharpness=_sharpness(files[name], sizes[name]),
+            size=size,
+            device=_device(path),
+            sharpness=fine_detail(decode(path, small).mean(axis=2, dtype=np.float32)),
         )
 
     with in_parallel(look, names, memory, context, STAGE) as work:
@@ -128,12 +131,6 @@ def _device(path: Path) -> str:
         known = [tags.get(tag) for tag in DEVICE_TAGS] + [lens.get(tag) for tag in LENS_TAGS]
         return "; ".join(str(value).strip("\0 ") for value in known if value is not None)
     return ""
-
-
-def _sharpness(path: Path, size: tuple[int, int]) -> float:
-    factor = min(1.0, LOOK_SIDE / max(size))
-    small = max(1, round(size[0] * factor)), max(1, round(size[1] * factor))
-    return fine_detail(decode(path, small).mean(axis=2, dtype=np.float32))
 
 
 def fine_detail(grey: NDArray[np.float32] | NDArray[np.uint8]) -> float:
@@ -158,14 +155,12 @@ def warnings_of(found: Found) -> list[str]:
         (small(found.photos), f"{{is}} smaller than {SMALL} px and may not be registered"),
         (blurred(found.photos), "{is} less sharp than the others and may not be registered"),
     ]
-    return [
-        *unread_in_words(found.unread),
-        *(
-            f"{counted(len(names), 'photo')} {text.format(**_verb(len(names)))}: {named(names)}."
-            for names, text in checks
-            if names
-        ),
-    ]
+    told = unread_in_words(found.unread)
+    for names, text in checks:
+        if names:
+            what = text.format(**{"is": "is" if len(names) == 1 else "are"})
+            told.append(f"{counted(len(names), 'photo')} {what}: {named(names)}.")
+    return told
 
 
 def unread_in_words(unread: Mapping[str, int]) -> list[str]:
@@ -186,7 +181,3 @@ def blurred(photos: Sequence[Photo]) -> list[str]:
     """Names of the photos with much less detail than is usual among them."""
     usual = float(np.median([photo.sharpness for photo in photos]))
     return [photo.name for photo in photos if photo.sharpness < BLURRED * usual]
-
-
-def _verb(count: int) -> dict[str, str]:
-    return {"is": "is" if count == 1 else "are"}
