@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from ..model.scene import Float64
 from .records import PARAMETER_COUNT
 
 Observation = tuple[int, int, int]
@@ -78,19 +77,14 @@ def to_leave_out(scene: Any, anchors: Collection[tuple[int, int]] = ()) -> list[
 
 
 def median_error(scene: Any, observations: Sequence[Observation]) -> float:
-    """Median of `errors`."""
-    return float(np.median(errors(scene, observations)))
-
-
-def errors(scene: Any, observations: Sequence[Observation]) -> Float64:
-    """(M,) distances of keypoints from where their points appear, px; infinite: nowhere."""
+    """Median distance of keypoints from where their points appear, px; infinite: nowhere."""
     found = np.full(len(observations), np.inf)
     for row, (image, keypoint, point) in enumerate(observations):
         photo = scene.images[image]
         seen = photo.project_point(scene.points3D[point].xyz)
         if seen is not None:
             found[row] = np.linalg.norm(photo.points2D[keypoint].xy - seen)
-    return found
+    return float(np.median(found))
 
 
 FULLER, FULLEST = "OPENCV", "FULL_OPENCV"

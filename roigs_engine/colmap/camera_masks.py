@@ -152,9 +152,9 @@ def plan_object_masks(
     taken = {files.find(image.name) for image in images.values()} if options.used else set()
     inverted, plans = options.objects_inverted, {}
     for box in options.boxes:
-        theirs = files.of_object(box, options.objects)
+        find = files.of_object(box, options.objects)
         for key, image in images.items():
-            file = theirs.find(image.name)
+            file = find(image.name)
             if file is not None and file not in taken:
                 plans[key, box] = plan_mask(
                     image.path, image.file_digest, file, inverted=inverted, of_object=True

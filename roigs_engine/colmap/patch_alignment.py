@@ -7,7 +7,6 @@ inverse compositional: the reference's gradients serve all iterations).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -33,21 +32,14 @@ INDEPENDENT = 20.0  # samples of a patch that count for the standard error: neig
 BATCH = 96  # patches at a time: small enough for the processor's caches
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Template:
-    """N reference patches with zero mean and unit variance.
+def templates(
+    photo: Pyramid, places: Float64, jacobians: Float64
+) -> tuple[Grey, NDArray[np.bool_]]:
+    """The patches of a photo around places (N, 2), px; jacobians (N, 2, 2): px per sample.
 
-    Attributes:
-        values: (N, P).
-        usable: (N,) whether they are whole and have contrast.
+    Returns (N, P) with zero mean and unit variance, and (N,) whether they are whole and have
+    contrast.
     """
-
-    values: Grey
-    usable: NDArray[np.bool_]
-
-
-def templates(photo: Pyramid, places: Float64, jacobians: Float64) -> Template:
-    """The patches of a photo around places (N, 2), px; jacobians (N, 2, 2): px per sample."""
     count = len(places)
     values = np.zeros((count, GRID.shape[1]), dtype=np.float32)
     usable = np.zeros(count, dtype=bool)
@@ -55,7 +47,7 @@ def templates(photo: Pyramid, places: Float64, jacobians: Float64) -> Template:
         sampled, inside = _sampled(photo, places[part], jacobians[part])
         values[part], contrast = normalised(sampled)
         usable[part] = inside & (contrast > LEAST_CONTRAST)
-    return Template(values=values, usable=usable)
+    return values, usable
 
 
 def align(

@@ -69,21 +69,18 @@ class _References(NamedTuple):
     normal: Float64  # (P, 3) unit vectors towards the photos
 
 
-def match_tracks(
-    scene: Any, photos: Sequence[Path | None], context: Context, seed: int = 0
-) -> Matches:
+def match_tracks(scene: Any, photos: Sequence[Path | None], context: Context) -> Matches:
     """Match the tracks of a pycolmap reconstruction.
 
     Args:
         scene: with points, tracks and cameras that are right to a pixel or so.
         photos: the file of each of `Views(scene).ids`; None: missing.
-        seed: for the choice of points.
     """
     views = Views(scene)
     usable = np.array([path is not None for path in photos])
-    seen = _observations(scene, views, usable, np.random.default_rng(seed))
+    seen = _observations(scene, views, usable, np.random.default_rng(0))
     references = _references(views, seen)
-    wanted = _wanted(views, seen, references, usable, np.random.default_rng(seed + 1))
+    wanted = _wanted(views, seen, references, usable, np.random.default_rng(1))
     # The matrices are small: threads would only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
         places, good = _matched(views, photos, seen.points, references, wanted, context)
@@ -232,8 +229,8 @@ def _matched(
             sound = np.isfinite(jacobians).all(axis=(1, 2))
             rows, jacobians = rows[sound], jacobians[sound]
             if turn == 0:
-                template = templates(photo, references.place[wanted.point[rows]], jacobians)
-                patches[rows], usable[rows] = template.values, template.usable
+                places_there = references.place[wanted.point[rows]]
+                patches[rows], usable[rows] = templates(photo, places_there, jacobians)
             else:
                 reach = np.where(wanted.new[rows], NEW_REACH, REACH)
                 found, fits, likeness = align(

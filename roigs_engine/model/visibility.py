@@ -161,15 +161,11 @@ def _visible_by_depth(
     cell, depth = _cells(image, occluders)
     cell, depth = cell[cell >= 0], depth[cell >= 0]
     order = np.lexsort((depth, cell))
-    cell, depth = cell[order], depth[order]
-    nth = np.searchsorted(cell, target_cell) + OCCLUDERS - 1
-    inside = nth < len(cell)
-    at = np.minimum(nth, max(len(cell) - 1, 0))
-    if len(cell):
-        same = inside & (cell[at] == target_cell)
-        hidden = same & (depth[at] < target_depth - slack)
-    else:
-        hidden = np.zeros(len(targets), dtype=bool)
+    # An occluder beyond all others stands for those that a cell does not have.
+    last = np.iinfo(np.int64).max
+    cell, depth = np.append(cell[order], last), np.append(depth[order], np.inf)
+    nth = np.minimum(np.searchsorted(cell, target_cell) + OCCLUDERS - 1, len(cell) - 1)
+    hidden = (cell[nth] == target_cell) & (depth[nth] < target_depth - slack)
     return np.flatnonzero((target_cell >= 0) & ~hidden).astype(np.int64)
 
 

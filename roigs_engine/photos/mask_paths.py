@@ -16,7 +16,7 @@ that could not be written there are in a run folder (`formats.mask_record.used_m
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -81,10 +81,19 @@ class MaskFiles:
         self._made = PhotoFolder(project / RECONSTRUCTION / MASKS)
         self._uses_made = made and folder is None
 
-    def of_object(self, box: str, other: Path | None = None) -> ObjectMaskFiles:
-        """The masks of a box's object; `other`: another folder of masks of objects."""
+    def of_object(self, box: str, other: Path | None) -> Callable[[str], Path | None]:
+        """The function from a photo's name to its mask of a box's object, if it has one.
+
+        `other`: another folder of masks of objects, that of a run.
+        """
+        beside = MaskFiles(self._photos, self.folder / box)
         in_run = None if other is None else MaskFiles(self._photos, other / box)
-        return ObjectMaskFiles(MaskFiles(self._photos, self.folder / box), in_run)
+
+        def find(photo: str) -> Path | None:
+            newer = None if in_run is None else in_run.find(photo, beside=False)
+            return used_mask(beside.find(photo, beside=False), newer, beside.folder)
+
+        return find
 
     def is_made(self, mask: Path) -> bool:
         """Whether `reconstruct` made that mask: in these, black is what is ignored in any case."""
@@ -129,19 +138,6 @@ class MaskFiles:
     @cached_property
     def _beside(self) -> PhotoFolder:
         return PhotoFolder(self._photos, {".png"}, keep=is_mask)
-
-
-class ObjectMaskFiles:
-    """The files of one box's masks of its object, beside the photos and in a run folder."""
-
-    def __init__(self, beside: MaskFiles, in_run: MaskFiles | None = None) -> None:
-        self._beside, self._in_run = beside, in_run
-
-    def find(self, photo: str) -> Path | None:
-        """The mask of a photo; None: it has none."""
-        beside = self._beside.find(photo, beside=False)
-        in_run = None if self._in_run is None else self._in_run.find(photo, beside=False)
-        return used_mask(beside, in_run, self._beside.folder)
 
 
 def mask_names(photo: str) -> tuple[list[str], list[str]]:

@@ -6,6 +6,7 @@ SCENE/reconstruction.md what was found. SCENE/reconstruction is the engine's own
 
 from __future__ import annotations
 
+import filecmp
 import os
 import shutil
 from collections import Counter
@@ -202,9 +203,7 @@ class Folder:
 
 def _same_bytes(one: Path, other: Path) -> bool:
     with suppress(OSError):
-        if os.path.samefile(one, other):
-            return True
-        return one.stat().st_size == other.stat().st_size and one.read_bytes() == other.read_bytes()
+        return os.path.samefile(one, other) or filecmp.cmp(one, other, shallow=False)
     return False
 
 

@@ -202,17 +202,6 @@ def say(record: dict[str, Any]) -> None:
     os.write(REPLIES, json.dumps(record).encode() + b"\n")
 
 
-def _first_line() -> bytes:
-    """The first line of standard input; what follows is left to `_end_with_parent`."""
-    line = b""
-    while not line.endswith(b"\n"):
-        byte = os.read(0, 1)
-        if not byte:
-            break
-        line += byte
-    return line
-
-
 def _end_with_parent() -> None:
     """End this process when its parent is gone, whatever it does."""
     while os.read(0, 4096):
@@ -225,7 +214,8 @@ def main() -> None:
     global REPLIES
     REPLIES = os.dup(1)
     os.dup2(2, 1)  # what pycolmap prints goes to the log
-    task = json.loads(_first_line())
+    with open(0, "rb", buffering=0, closefd=False) as given:
+        task = json.loads(given.readline())  # what follows is left to `_end_with_parent`
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         show_spaces(Path(task["database"]))

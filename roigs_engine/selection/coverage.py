@@ -176,7 +176,8 @@ def nearest_neighbours(points: Float64, count: int, context: Context = QUIET) ->
         context.check_cancelled()
         centre = points[leaf].mean(axis=0)  # scalar products give exact distances near zero
         own = points[leaf] - centre
-        bounds = np.maximum(_kth(_squared(own, own), count), 0.0)
+        farthest = np.partition(_squared(own, own), count - 1, axis=1)[:, count - 1]
+        bounds = np.maximum(farthest, 0.0)
         groups = [np.argsort(bounds)]
         while groups:
             group = groups.pop()
@@ -214,8 +215,3 @@ def _squared(a: Float64, b: Float64) -> Float64:
     """(A, 3), (B, 3) -> (A, B) squared distances."""
     squares: Float64 = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * a @ b.T
     return squares
-
-
-def _kth(distance: Float64, count: int) -> Float64:
-    """(A, B) -> (A,) the count-th smallest of each row."""
-    return np.partition(distance, count - 1, axis=1)[:, count - 1]

@@ -95,16 +95,11 @@ class DensityOccupancy:
 
 
 class Score(Protocol):
-    """The score of a growing set of photos."""
+    """The score of a growing set of photos, 0 to 1."""
 
     @property
-    def value(self) -> float:
-        """Of the set, 0 to 1."""
-        ...
-
-    def add(self, view: int) -> None:
-        """Add a photo to the set."""
-        ...
+    def value(self) -> float: ...
+    def add(self, view: int) -> None: ...
 
 
 def prefix_values(score: Score, order: Sequence[int]) -> tuple[float, ...]:
