@@ -41,8 +41,7 @@ class MaskPlan:
     """How the mask of one photo is made.
 
     Attributes:
-        photo: its file.
-        size: (width, height) of that file.
+        photo, size: its file, and that file's (width, height).
         file: of the mask; None: the photo's alpha channel.
         content: hash of the file that has the mask.
         target: (width, height) of the mask.

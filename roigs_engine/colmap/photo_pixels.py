@@ -30,8 +30,7 @@ class PhotoPixels:
 
     Attributes:
         name: in the model.
-        path: its file.
-        size: (width, height) of the file.
+        path, size: its file, and that file's (width, height).
         camera: the pinhole camera.
         lens: the distorted camera at the file's size; None: the photo has no distortion.
     """

@@ -52,8 +52,7 @@ class UndistortionPlan:
     """How one photo is undistorted: decode to `source`'s size, undistort, resample to `target`.
 
     Attributes:
-        photo: the file.
-        size: its (width, height).
+        photo, size: the file, and its (width, height).
         source, target: the distorted camera, and its pinhole.
         digest: hash of the file; known before the photo is undistorted.
     """

@@ -33,8 +33,7 @@ class BoxMasks:
     """What is asked for.
 
     Attributes:
-        scene: in the frame that is computed in, without pixels.
-        roi: the box, in that frame.
+        scene, roi: in the frame that is computed in; the scene has no pixels.
         photos: the photos by name, those with strokes included.
         strokes: on photos, by their names.
         folder: of the box's masks.

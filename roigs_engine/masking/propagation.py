@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -103,7 +103,14 @@ def _begun(views: Sequence[View]) -> list[View]:
 
 def _nearest_first(views: Sequence[View], begun: Sequence[View], centre: Float64) -> list[View]:
     """The other photos, each the nearest to any before it, seen from the box."""
-    distance = _distances(centre)
+
+    def distance(a: View, b: View) -> float:
+        """How different two photos show the box: an angle, and the ratio of their distances."""
+        x, y = a.centre - centre, b.centre - centre
+        far, near = float(np.linalg.norm(x)) + 1e-12, float(np.linalg.norm(y)) + 1e-12
+        angle = float(np.arccos(np.clip(x @ y / (far * near), -1, 1)))
+        return angle + 0.3 * abs(float(np.log(far / near)))
+
     left = [view for view in views if view not in begun]
     away = {view.name: min(distance(view, one) for one in begun) for view in left}
     order = []
@@ -114,18 +121,6 @@ def _nearest_first(views: Sequence[View], begun: Sequence[View], centre: Float64
         for other in left:
             away[other.name] = min(away[other.name], distance(other, view))
     return order
-
-
-def _distances(centre: Float64) -> Callable[[View, View], float]:
-    """How different two photos show the box: an angle, and the ratio of their distances."""
-
-    def distance(a: View, b: View) -> float:
-        x, y = a.centre - centre, b.centre - centre
-        far, near = float(np.linalg.norm(x)) + 1e-12, float(np.linalg.norm(y)) + 1e-12
-        angle = float(np.arccos(np.clip(x @ y / (far * near), -1, 1)))
-        return angle + 0.3 * abs(float(np.log(far / near)))
-
-    return distance
 
 
 Floats = NDArray[np.float32]

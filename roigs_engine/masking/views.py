@@ -83,11 +83,9 @@ class View:
     """A photo, as far as it shows a box.
 
     Attributes:
-        name: of the photo.
         part: of the photo that is worked on.
         camera: of that part.
         world_to_camera: (4, 4).
-        photo: its pixels.
         near_box: (H, W) pixels in the box's silhouette or just beside it.
         seeds: (H, W) what the strokes say: `FREE`, `ON_OBJECT` or `ON_BACKGROUND`.
         given: (H, W) the mask, if the user has one.

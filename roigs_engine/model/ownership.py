@@ -71,8 +71,7 @@ class Partition:
     Attributes:
         points: (P, 3) sparse points, world units.
         owner: (P,) the model of each, from 0.
-        rois: the boxes.
-        roi_owner: the model of each box.
+        rois, roi_owner: the boxes, and the model of each.
     """
 
     points: Float64

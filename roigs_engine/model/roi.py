@@ -15,8 +15,7 @@ from ..formats.gravity import gravity_alignment
 from ..formats.rois import RoiRecord, read_rois, roi_record
 from .scene import Camera, Float64, SfmScene
 
-# Near plane for clipping a box, in units of the box's diagonal.
-NEAR_SHARE = 1e-3
+NEAR_SHARE = 1e-3  # near plane for clipping a box, in units of the box's diagonal
 # The 12 edges of a box whose corner k has the sign bits of k (x = bit 0, y = bit 1, z = bit 2).
 EDGES = tuple((a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit)
 AREA_SIDE = 256  # longer side of the thumbnail for measuring a silhouette's area, pixels

@@ -18,8 +18,7 @@ from ..formats.text import counted
 from .roi import OrientedBox
 from .scene import Float64, Int64, PosedImage, SfmScene, project
 
-# Points named in the error about an empty box.
-NEAREST_NAMED = 3
+NEAREST_NAMED = 3  # points in the error about an empty box
 OTHER_UNITS = 3.0  # a box this many times as large as all points is in other units
 # The depth test without tracks: cells along the image's longer side; the number of points in front
 # that hide a point (one could be an outlier); how far in front they must be, in diagonals of the
@@ -27,8 +26,7 @@ OTHER_UNITS = 3.0  # a box this many times as large as all points is in other un
 DEPTH_CELLS = 64
 OCCLUDERS = 2
 DEPTH_SLACK = 0.1
-# Limit on the scene points in the depth test.
-MAX_OCCLUDERS = 100_000
+MAX_OCCLUDERS = 100_000  # scene points in the depth test
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

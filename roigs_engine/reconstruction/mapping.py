@@ -31,9 +31,7 @@ class Mapped:
     """A model that was found.
 
     Attributes:
-        folder: its files.
         photos: name -> number of points that the photo observes.
-        points: their number.
         error: mean reprojection error, px.
         track: mean number of photos that observe a point.
     """

@@ -32,8 +32,7 @@ class Photo:
 
     Attributes:
         name: below the folder, with `/`.
-        path: its file.
-        digest: hash of the file's bytes.
+        path, digest: its file, and the hash of its bytes.
         size: width and height, px, as in the file: orientation tags are ignored.
         device: what tells its camera from others: maker, model, focal lengths and lens; "": nothing
             is known.

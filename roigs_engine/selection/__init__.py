@@ -14,7 +14,7 @@ from ..model.scene_checks import FEW, few_photos, kind_of_photos
 from ..model.visibility import find_candidates, observations, visible_images
 from .config import SelectionConfig
 from .methods import METHODS
-from .request import Picks, Request, static_features
+from .request import Request, static_features
 from .result import CameraSelection, format_selection
 
 __all__ = [
@@ -61,7 +61,7 @@ def select_cameras(
         *candidates.flags,
         *features.flags(candidates),
         *_count_flags(roi, config, len(candidates), tests, context),
-        *_picks_flags(picks),
+        *picks.flags,
     )
     for flag in flags:
         context.warn(flag)
@@ -94,15 +94,4 @@ def _count_flags(
     return (
         f"Only {candidates} {kind}s see box '{roi.name}'{others}, fewer than the {config.count}"
         " requested: all are used.",
-    )
-
-
-def _picks_flags(picks: Picks) -> tuple[str, ...]:
-    """The method's own warnings, and one if its score saturated."""
-    if picks.filled_from is None:
-        return picks.flags
-    return (
-        *picks.flags,
-        f"No photo after the first {picks.filled_from} improved the score: the remaining"
-        f" {len(picks.order) - picks.filled_from} are the views farthest from those selected.",
     )

@@ -13,8 +13,7 @@ from .request import Picks, Request
 # Weight of log distance against the unit direction: a factor of 2 in distance counts as much as an
 # angle of about 10 degrees.
 LOG_DISTANCE_WEIGHT = 0.25
-# Lower limit of the distance, in box diagonals.
-MIN_DISTANCE_SHARE = 1e-3
+MIN_DISTANCE_SHARE = 1e-3  # lower limit of the distance, in box diagonals
 
 
 def view_positions(candidates: Candidates) -> Float64:
@@ -90,4 +89,8 @@ def fill_up(request: Request, order: Sequence[int], flags: tuple[str, ...] = ())
         return Picks(order=tuple(order[:count]), flags=flags)
     start = list(order) or [most_keypoints(candidates)]
     full = farthest_first(view_positions(candidates), start, count)
-    return Picks(order=tuple(full), filled_from=len(order), flags=flags)
+    text = (
+        f"No photo after the first {len(order)} improved the score: the remaining"
+        f" {count - len(order)} are the views farthest from those selected."
+    )
+    return Picks(order=tuple(full), filled_from=len(order), flags=(*flags, text))

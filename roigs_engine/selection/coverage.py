@@ -31,8 +31,7 @@ from .score import prefix_values, voxel_indices
 
 RESOLUTION_PERCENTILE = 90.0
 DIRECTIONS = 32  # bins of viewing directions
-# Number of points, the point included, that a normal is fitted to.
-NORMAL_NEIGHBOURS = 16
+NORMAL_NEIGHBOURS = 16  # points, the point included, that a normal is fitted to
 # Neighbours lie on a surface if they deviate across it by less than this share of the smaller
 # deviation along it (standard deviations); points along a line do not.
 FLATNESS = 0.5

@@ -22,12 +22,9 @@ from .baselines import farthest_first, fill_up, most_keypoints
 from .request import Picks, Request, StaticFeatures
 from .score import DensityOccupancy
 
-# Photos picked before the first fit.
-SEEDS = 5
-# Weight of the standard deviation in the upper confidence bound.
-BETA = 2.0
-# Picks between two optimisations of the hyper-parameters.
-REFIT_EVERY = 10
+SEEDS = 5  # photos picked before the first fit
+BETA = 2.0  # weight of the standard deviation in the upper confidence bound
+REFIT_EVERY = 10  # picks between two optimisations of the hyper-parameters
 RESTARTS = 1
 # A feature is constant if its standard deviation is below this share of max(1, its largest value).
 CONSTANT = 1e-9

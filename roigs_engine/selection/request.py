@@ -66,14 +66,7 @@ def static_features(candidates: Candidates, context: Context = QUIET) -> StaticF
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Request:
-    """What a method gets.
-
-    Attributes:
-        candidates: the photos that see the box.
-        features: of the candidates.
-        count: how many to pick, at most all.
-        seed: of everything random.
-    """
+    """What a method gets; `count` is how many of the candidates to pick, at most all."""
 
     candidates: Candidates
     features: StaticFeatures
