@@ -18,8 +18,9 @@ from benchmarks.study.rows import BASELINES, EQUAL_TIME, FULL_SCENE, TUNED_BASEL
 from benchmarks.study.scenes import StudyScene
 from roigs_engine.context import QUIET, Context
 from roigs_engine.evaluation.crops import choose_views, write_crops
-from roigs_engine.evaluation.evaluate import Evaluation, evaluate
+from roigs_engine.evaluation.evaluate import evaluate
 from roigs_engine.evaluation.scores import FULL_SCENE as BASELINE
+from roigs_engine.evaluation.scores import Evaluation
 from roigs_engine.evaluation.views import EvaluatedModel
 from roigs_engine.formats import run_files
 from roigs_engine.formats.names import safe_name

@@ -23,7 +23,7 @@ from .inputs import boxes_of, load_scene, mask_options, on_device
 from .outputs import Result, named_files, refuse_inputs, refuse_run_files
 
 if TYPE_CHECKING:
-    from ..evaluation.evaluate import Evaluation
+    from ..evaluation.scores import Evaluation
     from ..evaluation.views import EvaluatedModel
     from ..model.roi import OrientedBox
 

@@ -37,8 +37,6 @@ from .scores import (
 )
 from .views import BoxPlan, EvaluatedModel, Sample, measure_view, plan_views
 
-__all__ = ["EvaluatedModel", "Evaluation", "evaluate"]
-
 
 def evaluate(
     models: Sequence[EvaluatedModel],
@@ -155,7 +153,7 @@ def _table(
 ) -> RoiScores:
     """One box's table from the samples of all views."""
     names = [model.name for model in plan.models]
-    means = [mean([sample.psnr[k] for sample in samples.values()]) for k in range(len(names))]
+    means = [mean([s.scores[k].roi_psnr for s in samples.values()]) for k in range(len(names))]
     scored = [k for k, value in enumerate(means) if value is not None]
     best = max(scored, key=lambda k: means[k] or 0.0) if scored else None
     if best is not None and plan.mask_from is not None:
@@ -188,19 +186,24 @@ def _row(
 ) -> ModelScore:
     """The row of model `index`; model `best` defines the object's mask, `base` is the baseline."""
     model = plan.models[index]
-    views = [_view(name, sample, index, best) for name, sample in samples.items()]
-    near, far = near_and_far({name: s.distance for name, s in samples.items()})
+    views = [_view(sample, index, best) for sample in samples.values()]
+    thirds = near_and_far({v.view: v.distance for v in views if v.distance is not None})
+    near, far = ([view for view in views if view.view in third] for third in thirds)
     gains = Gains()
     if base is not None and base != index:
-        gains = Gains.of({n: s.psnr[index] - s.psnr[base] for n, s in samples.items()})
+        before = {name: sample.scores[base].roi_psnr for name, sample in samples.items()}
+        gains = Gains.of({view.view: view.roi_psnr - before[view.view] for view in views})
+
+    def average(views: Sequence[ViewScore], key: str) -> float | None:
+        return mean([value for view in views if (value := getattr(view, key)) is not None])
+
     return ModelScore(
+        **vars(gains),
         model=model.name,
-        roi_psnr=mean([view.roi_psnr for view in views]),
-        object_psnr=mean([v.object_psnr for v in views if v.object_psnr is not None]),
-        roi_ssim=mean([view.roi_ssim for view in views]),
+        roi_psnr=average(views, "roi_psnr"),
+        object_psnr=average(views, "object_psnr"),
+        roi_ssim=average(views, "roi_ssim"),
         image_psnr=float(np.mean(list(image_views.values()))),
-        peak_gain=gains.peak,
-        peak_view=gains.peak_view,
         gaussians=len(model.gaussians),
         gaussians_in_box=int(model.gaussians.in_box(plan.roi).sum()),
         seconds=float(model.seconds),
@@ -208,37 +211,19 @@ def _row(
         ply_bytes=ply_bytes(model.gaussians),
         views=tuple(views),
         image_views=image_views,
-        roi_flip=mean([view.roi_flip for view in views if view.roi_flip is not None]),
-        near_psnr=mean([samples[name].psnr[index] for name in near]),
-        far_psnr=mean([samples[name].psnr[index] for name in far]),
-        worst_gain=gains.worst,
-        worst_view=gains.worst_view,
-        won_share=gains.won,
-        mask_psnr=mean([v.mask_psnr for v in views if v.mask_psnr is not None]),
+        roi_flip=average(views, "roi_flip"),
+        mask_psnr=average(views, "mask_psnr"),
+        corrected_psnr=average(views, "corrected_psnr"),
+        near_psnr=average(near, "roi_psnr"),
+        far_psnr=average(far, "roi_psnr"),
+        near_object_psnr=average(near, "object_psnr"),
         antialiased=model.gaussians.antialiased,
-        corrected_psnr=mean([v.corrected_psnr for v in views if v.corrected_psnr is not None]),
-        near_object_psnr=mean(
-            [v.object_psnr for v in views if v.view in near and v.object_psnr is not None]
-        ),
     )
 
 
-def _view(name: str, sample: Sample, index: int, best: int | None) -> ViewScore:
+def _view(sample: Sample, index: int, best: int | None) -> ViewScore:
     """The scores of model `index` on one view; model `best` defines the object's mask."""
-    psnr = None
-    if best is not None and sample.pixels[best] >= MIN_OBJECT:
-        psnr = metrics.psnr_from_mse(sample.object_mse[index][best])
-    return ViewScore(
-        view=name,
-        roi_psnr=sample.psnr[index],
-        roi_ssim=sample.ssim[index],
-        object_psnr=psnr,
-        roi_flip=sample.flip[index],
-        distance=sample.distance,
-        corrected_psnr=sample.corrected[index],
-        mask_psnr=(
-            metrics.psnr_from_mse(sample.mask_mse[index])
-            if sample.mask_pixels >= MIN_OBJECT
-            else None
-        ),
-    )
+    if best is None or sample.pixels[best] < MIN_OBJECT:
+        return sample.scores[index]
+    psnr = metrics.psnr_from_mse(sample.object_mse[index][best])
+    return dataclasses.replace(sample.scores[index], object_psnr=psnr)

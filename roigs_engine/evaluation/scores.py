@@ -41,20 +41,47 @@ class ViewScore:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModelScore:
-    """One row of a table. None: there is no number.
+class Gains:
+    """What a model gains over another one on single photos, in ROI PSNR, dB; None: no photo.
+
+    Attributes:
+        peak_gain, peak_view: the largest gain, and its photo.
+        worst_gain, worst_view: the least gain, and its photo.
+        won_share: share of the photos with a gain above 0.
+    """
+
+    peak_gain: float | None = None
+    peak_view: str | None = None
+    worst_gain: float | None = None
+    worst_view: str | None = None
+    won_share: float | None = None
+
+    @classmethod
+    def of(cls, gains: Mapping[str, float]) -> Gains:
+        """From the gain on each photo. The first of equals is named."""
+        if not gains:
+            return Gains()
+        peak, worst = max(gains, key=lambda k: gains[k]), min(gains, key=lambda k: gains[k])
+        return Gains(
+            peak_gain=gains[peak],
+            peak_view=peak,
+            worst_gain=gains[worst],
+            worst_view=worst,
+            won_share=sum(gain > 0 for gain in gains.values()) / len(gains),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelScore(Gains):
+    """One row of a table, with its gains over the baseline. None: there is no number.
 
     Attributes:
         model: the row's name.
         roi_psnr, object_psnr, roi_ssim, roi_flip: means over the box's views; PSNR in dB.
+        mask_psnr, corrected_psnr: the same, see `ViewScore`.
         near_psnr, far_psnr: means of ROI PSNR over the near and the far third of the views, dB.
         near_object_psnr: mean of object PSNR over the near third, dB.
         image_psnr: mean over all test views, dB.
-        peak_gain, peak_view: largest gain in ROI PSNR over the baseline, dB, and its view.
-        worst_gain, worst_view: the least gain, and its view.
-        won_share: share of the views with a gain above 0.
-        mask_psnr: mean over the views with a mask of the object, dB.
-        corrected_psnr: mean over the box's views, dB.
         gaussians, gaussians_in_box: numbers of Gaussians.
         seconds: training time.
         stages: stage -> its training time, seconds.
@@ -69,8 +96,6 @@ class ModelScore:
     object_psnr: float | None
     roi_ssim: float | None
     image_psnr: float
-    peak_gain: float | None
-    peak_view: str | None
     gaussians: int
     gaussians_in_box: int
     seconds: float
@@ -79,15 +104,12 @@ class ModelScore:
     views: tuple[ViewScore, ...]
     image_views: dict[str, float]
     roi_flip: float | None = None
+    mask_psnr: float | None = None
+    corrected_psnr: float | None = None
     near_psnr: float | None = None
     far_psnr: float | None = None
-    worst_gain: float | None = None
-    worst_view: str | None = None
-    won_share: float | None = None
-    mask_psnr: float | None = None
-    antialiased: bool | None = None
-    corrected_psnr: float | None = None
     near_object_psnr: float | None = None
+    antialiased: bool | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,13 +169,10 @@ class Evaluation:
 
     def roi(self, name: str) -> RoiScores:
         """The table of that box; KeyError if there is none."""
-        for scores in self.rois:
-            if scores.roi == name:
-                return scores
-        raise KeyError(name)
+        return {scores.roi: scores for scores in self.rois}[name]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain lists, dicts, numbers and strings, ready for JSON."""
+        """Ready for JSON."""
         record: dict[str, Any] = _plain(dataclasses.asdict(self))
         if not self.masked:
             del record["masked"]
@@ -202,38 +221,6 @@ def near_and_far(distances: Mapping[str, float]) -> tuple[tuple[str, ...], tuple
     order = sorted(distances, key=lambda name: (distances[name], name))
     third = (len(order) + 1) // 3
     return tuple(order[:third]), tuple(order[-third:])
-
-
-@dataclass(frozen=True, kw_only=True)
-class Gains:
-    """What a model gains over another one on single photos, in ROI PSNR, dB.
-
-    Attributes:
-        peak_view, peak: the photo with the largest gain, and that gain.
-        worst_view, worst: the photo with the least gain, and that gain.
-        won: share of the photos with a gain above 0.
-    """
-
-    peak_view: str | None = None
-    peak: float | None = None
-    worst_view: str | None = None
-    worst: float | None = None
-    won: float | None = None
-
-    @classmethod
-    def of(cls, gains: Mapping[str, float]) -> Gains:
-        """From the gain on each photo; all None without photos. The first of equals is named."""
-        if not gains:
-            return cls()
-        peak = max(gains, key=lambda name: gains[name])
-        worst = min(gains, key=lambda name: gains[name])
-        return cls(
-            peak_view=peak,
-            peak=gains[peak],
-            worst_view=worst,
-            worst=gains[worst],
-            won=sum(gain > 0 for gain in gains.values()) / len(gains),
-        )
 
 
 def mean(values: Sequence[float]) -> float | None:

@@ -22,7 +22,7 @@ from ..photos.decode import load_photo
 from ..photos.mask_images import load_mask, load_object_mask
 from ..rasterize.view import render_view
 from . import metrics
-from .scores import FEW_VIEWS, MIN_SILHOUETTE, MeasuredView
+from .scores import FEW_VIEWS, MIN_OBJECT, MIN_SILHOUETTE, MeasuredView, ViewScore
 
 PIXELS_AT_ONCE = 1 << 18  # pixels whose world positions are in memory at a time
 
@@ -82,25 +82,14 @@ class Sample:
     """One view of one box, for the M models of `BoxPlan.models`.
 
     Attributes:
-        distance: of the camera from the box's centre, in diagonals of the box.
-        psnr, ssim: (M,) inside the silhouette; PSNR in dB.
-        corrected: (M,) the same PSNR after a correction of the colours.
-        flip: (M,) FLIP error inside the silhouette; None: the package is missing.
+        scores: (M,) without those in the object's mask.
         pixels: (M,) size of the object's mask from each model's depth.
         object_mse: (M, M) error of each model (row) in each model's mask (column); NaN if empty.
-        mask_pixels: size of the mask of the box's object that the photo has; 0: it has none.
-        mask_mse: (M,) error in that mask; NaN without one.
     """
 
-    distance: float
-    psnr: list[float]
-    corrected: list[float]
-    ssim: list[float]
-    flip: list[float | None]
+    scores: list[ViewScore]
     pixels: list[int]
     object_mse: list[list[float]]
-    mask_pixels: int
-    mask_mse: list[float]
 
 
 def points_in_box(
@@ -225,11 +214,20 @@ def measure_view(
             picture = torch.where(counted[..., None], picture, target)
         for box in wanted:
             assert view.depth is not None
-            box.errors.append(error[box.mask])
-            box.corrected.append(metrics.corrected_error(picture, target, box.mask))
-            box.ssim.append(metrics.ssim(picture, photo, box.mask, counted))
-            box.flip.append(metrics.flip(picture, target, box.mask))
-            box.objects.append(box.inside(view.depth.to(device)))
+            pixels, camera = box.mask, (image.camera, image.world_to_camera)
+            box.errors.append(error[pixels])
+            box.objects.append(points_in_box(view.depth.to(device), box.plan.roi, *camera, pixels))
+            corrected = metrics.corrected_error(picture, target, pixels)
+            score = ViewScore(
+                view=image.name,
+                roi_psnr=metrics.psnr_from_mse(metrics.mean_in(error[pixels])),
+                roi_ssim=metrics.ssim(picture, photo, pixels, counted),
+                roi_flip=metrics.flip(picture, target, pixels),
+                distance=box.distance,
+                mask_psnr=box.psnr_in(box.shown),
+                corrected_psnr=metrics.psnr_from_mse(corrected),
+            )
+            box.scores.append(score)
     return whole, [boxes[index].sample() if index in boxes else None for index in range(len(plans))]
 
 
@@ -237,42 +235,35 @@ class _Box:
     """What is measured of one box on one photo, model by model.
 
     Attributes:
-        plan, mask: of the box; (H, W) bool, its P `measured_pixels`.
+        plan, distance: of the box; of the camera from its centre, in its diagonals.
+        mask: (H, W) bool, its P `measured_pixels`.
         shown: (P,) bool, those that the photo's mask shows as the object; none without one.
         errors, objects: of each model: (P,) squared errors; (P,) bool, the object's mask.
-        corrected, ssim, flip: of each model; `corrected` is `metrics.corrected_error`.
+        scores: of each model.
     """
 
     def __init__(self, plan: BoxPlan, image: PosedImage, device: torch.device) -> None:
-        self.plan, self.image = plan, image
-        pixels, shown = measured_pixels(plan.roi, image), load_object_mask(image, plan.roi.name)
+        self.plan, roi = plan, plan.roi
+        self.distance = float(np.linalg.norm(image.centre - roi.centre)) / roi.diagonal
+        pixels, shown = measured_pixels(roi, image), load_object_mask(image, roi.name)
         shown = np.zeros_like(pixels) if shown is None else shown
         self.mask = torch.from_numpy(pixels).to(device)
         self.shown = torch.from_numpy(shown[pixels]).to(device)
         self.errors: list[Tensor] = []
         self.objects: list[Tensor] = []
-        self.corrected: list[float] = []
-        self.ssim: list[float] = []
-        self.flip: list[float | None] = []
+        self.scores: list[ViewScore] = []
 
-    def inside(self, depth: Tensor) -> Tensor:
-        """The object's mask (P,) by a model's depth (H, W)."""
-        image = self.image
-        return points_in_box(depth, self.plan.roi, image.camera, image.world_to_camera, self.mask)
+    def psnr_in(self, pixels: Tensor) -> float | None:
+        """PSNR of the last model in a mask (P,); None if it has fewer than `MIN_OBJECT`."""
+        if int(pixels.sum()) < MIN_OBJECT:
+            return None
+        return metrics.psnr_from_mse(metrics.mean_in(self.errors[-1], pixels))
 
     def sample(self) -> Sample:
-        """The numbers of all models."""
-        roi = self.plan.roi
         return Sample(
-            distance=float(np.linalg.norm(self.image.centre - roi.centre)) / roi.diagonal,
-            psnr=[metrics.psnr_from_mse(metrics.mean_in(error)) for error in self.errors],
-            corrected=[metrics.psnr_from_mse(error) for error in self.corrected],
-            ssim=self.ssim,
-            flip=self.flip,
+            scores=self.scores,
             pixels=[int(inside.sum()) for inside in self.objects],
             object_mse=[
                 [metrics.mean_in(error, inside) for inside in self.objects] for error in self.errors
             ],
-            mask_pixels=int(self.shown.sum()),
-            mask_mse=[metrics.mean_in(error, self.shown) for error in self.errors],
         )

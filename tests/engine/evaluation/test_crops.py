@@ -13,8 +13,8 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from roigs_engine.evaluation.crops import STRIP, box_lines, choose_views, crop_window, write_crops
-from roigs_engine.evaluation.evaluate import Evaluation, evaluate
-from roigs_engine.evaluation.scores import ModelScore, ViewScore
+from roigs_engine.evaluation.evaluate import evaluate
+from roigs_engine.evaluation.scores import Evaluation, ModelScore, ViewScore
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, SfmScene
 from roigs_engine.rasterize import rasterize, view

@@ -26,8 +26,12 @@ def test_equal_distances_go_by_name() -> None:
 
 def test_gains_of_single_photos() -> None:
     gains = Gains.of({"a": 0.5, "b": -0.25, "c": 0.0, "d": 2.0})
-    assert gains == Gains(peak_view="d", peak=2.0, worst_view="b", worst=-0.25, won=0.5)
-    assert Gains.of({"a": 1.0}) == Gains(peak_view="a", peak=1, worst_view="a", worst=1, won=1)
+    assert gains == Gains(
+        peak_view="d", peak_gain=2.0, worst_view="b", worst_gain=-0.25, won_share=0.5
+    )
+    assert Gains.of({"a": 1.0}) == Gains(
+        peak_view="a", peak_gain=1, worst_view="a", worst_gain=1, won_share=1
+    )
     assert Gains.of({}) == Gains()
 
 
