@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +19,6 @@ from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 from ..model.visibility import check_has_points
 from ..requests.choices import MOST_BLOCKS, TEST, VALIDATION
-from ..selection.cells import Groups
 from ..selection.manual import usable_manual
 from ..selection.split import choose_test_views
 from .config import AUTO_BLOCKS, RunConfig
@@ -38,10 +37,8 @@ class Run:
     """Everything that decides a run's results, and its folder.
 
     Attributes:
-        folder: the run folder.
         scene: all photos, test photos included; in the local frame.
         rois: the boxes, in the local frame.
-        config: settings.
         test: names of the test photos. Only the evaluation uses them; with validation photos,
             nothing does.
         validation: names of the validation photos, which replace the test photos in the evaluation;
@@ -96,7 +93,7 @@ class Run:
 
     @cached_property
     def extent(self) -> float:
-        """Extent of the training cameras, local units (`SfmScene.extent`)."""
+        """Of the training cameras, local units (`SfmScene.extent`)."""
         return self.train_scene.extent()
 
     def manifest(self) -> dict[str, Any]:
@@ -112,15 +109,10 @@ def inputs_record(scene: SfmScene, rois: Sequence[OrientedBox]) -> dict[str, Any
     """A scene and its boxes, both in the world's frame, in a manifest."""
     images = scene.images
     masks = {image.name: image.mask.digest for image in images if image.mask is not None}
-    objects = {
-        roi.name: {
-            image.name: image.objects[roi.name].digest
-            for image in images
-            if roi.name in image.objects
-        }
-        for roi in rois
-    }
-    objects = {box: found for box, found in objects.items() if found}
+    objects: dict[str, dict[str, str]] = {}
+    for roi in rois:
+        found = {i.name: i.objects[roi.name].digest for i in images if roi.name in i.objects}
+        objects |= {roi.name: found} if found else {}
     record = {
         "rois": [roi.to_dict() for roi in rois],
         "photos": len(images),
@@ -144,9 +136,8 @@ def define_run(
     """The run of these inputs; chooses its test photos, and validation photos if it has any.
 
     Args:
-        folder, config: see `Run`.
+        folder, config, manual: see `Run`.
         scene, rois: in the world's frame.
-        manual: box -> photos, best first, for boxes with a manual selection.
         context: gets a warning for manual photos that cannot be used.
 
     Raises:
@@ -166,7 +157,12 @@ def define_run(
     test = choose_test_views(local, boxes, config.test_every, context)
     validation: tuple[str, ...] = ()
     if config.evaluate_on == VALIDATION:
-        validation = _validation_views(local, boxes, config.test_every, test, context)
+        others = local.without(set(test))
+        try:
+            validation = choose_test_views(others, boxes, config.test_every, context)
+        except SceneError as error:
+            message = f"No validation photos can be chosen beside the test photos. {error.message}"
+            raise SceneError(message, error.hint) from error
     usable = {
         roi: usable_manual(names, local, (*test, *validation), roi, context)
         for roi, names in (manual or {}).items()
@@ -185,21 +181,6 @@ def define_run(
     )
 
 
-def _validation_views(
-    scene: SfmScene,
-    rois: Sequence[OrientedBox],
-    every: int,
-    test: Sequence[str],
-    context: Context,
-) -> tuple[str, ...]:
-    """Names of the validation photos: chosen like test photos, from those that are none."""
-    try:
-        return choose_test_views(scene.without(set(test)), rois, every, context)
-    except SceneError as error:
-        message = f"No validation photos can be chosen beside the test photos. {error.message}"
-        raise SceneError(message, error.hint) from error
-
-
 # --- number of blocks ---
 
 
@@ -212,18 +193,12 @@ def number_of_blocks(
 ) -> int:
     """The blocks that a run gets: as asked for, or fewer; says why.
 
-    Args:
-        scene: with its test photos.
-        train: without.
-        rois, config: of the run.
-        context: gets the lines.
-
-    Raises:
-        RoiError: no photo sees one of the boxes.
+    `scene` has the test photos, `train` has not. RoiError if no photo sees one of the boxes.
     """
     if config.blocks == 1:
         return 1
-    layouts = _Layouts(train, rois, given_groups(config, rois), context)
+    groups = given_groups(config, rois)
+    layouts = _Layouts(train, lambda count: lay_out(train, rois, count, groups, context))
     if config.blocks == AUTO_BLOCKS:
         return _by_memory(scene, layouts, config, context)
     found = next(n for n in range(config.blocks, 0, -1) if n == 1 or layouts.fewest(n) >= FEWEST)
@@ -245,29 +220,15 @@ def number_of_blocks(
 class _Layouts:
     """Layouts of a scene by the number of blocks, each made once."""
 
-    def __init__(
-        self,
-        scene: SfmScene,
-        rois: tuple[OrientedBox, ...],
-        groups: Groups | None,
-        context: Context,
-    ) -> None:
-        self.scene, self.rois, self.groups, self.context = scene, rois, groups, context
-        self._made: dict[int, Layout] = {}
-
-    def of(self, count: int) -> Layout:
-        """The layout with so many blocks."""
-        if count not in self._made:
-            self._made[count] = lay_out(self.scene, self.rois, count, self.groups, self.context)
-        return self._made[count]
+    def __init__(self, scene: SfmScene, made: Callable[[int], Layout]) -> None:
+        self.scene, self.of = scene, cache(made)
 
     def photos(self, count: int) -> list[int]:
-        """The number of photos of each block, ascending."""
+        """Of each block, ascending."""
         blocks = self.of(count).blocks
         return sorted(len(c.photos) for c in blocks.cells) if blocks else [len(self.scene.images)]
 
     def fewest(self, count: int) -> int:
-        """Photos of the block with the fewest."""
         return self.photos(count)[0]
 
     def usual(self, count: int) -> float:

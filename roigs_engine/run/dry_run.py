@@ -28,8 +28,7 @@ def describe_plan(
     """The plan of a run as text; trains a few steps to measure their time, and writes nothing.
 
     Args:
-        run, compare: see `strategies.plan_run`.
-        context: gives the device; checked for cancellation.
+        run, compare, context: see `strategies.plan_run`.
         update: whether the run may move the results of other settings aside.
 
     Raises:
@@ -56,10 +55,14 @@ def _head(run: Run, plan: Plan, context: Context) -> list[str]:
         notes.append(f"lens distortion is removed from {what} first")
     if not all(image.digest for image in images):
         notes.append("a run decodes them first and leaves damaged ones out")
+    held_out = f"{len(run.test)} to test on"
+    if run.validation:
+        unused = counted(len(run.test), "test photo")
+        held_out = f"{len(run.validation)} to validate on, {unused} unused"
     lines = [
         f"Plan of {run.folder}: preset {config.preset}, {config.strategy},"
         f" {'anti-aliased' if config.roi.antialiased else 'not anti-aliased'}, seed {config.seed}",
-        f"Photos: {count}, {len(run.train_scene.images)} to train on, {_held_out(run)}"
+        f"Photos: {count}, {len(run.train_scene.images)} to train on, {held_out}"
         + "".join(f"; {note}" for note in notes),
     ]
     for folder, selections in plan.selections.items():
@@ -95,16 +98,11 @@ def _cell(cell: Cell) -> str:
     return f"{name}: {boxes}; {counted(len(cell.photos), 'photo')}"
 
 
-def _held_out(run: Run) -> str:
-    if not run.validation:
-        return f"{len(run.test)} to test on"
-    return f"{len(run.validation)} to validate on, {counted(len(run.test), 'test photo')} unused"
-
-
 def _row(expected: StageForecast) -> tuple[str, ...]:
     stage = expected.stage
     largest = max((i.camera for i in stage.images), key=lambda c: c.width * c.height)
-    end = expected.end
+    end, step = expected.end, expected.steps_done
+    state = "done" if expected.is_done else f"{step:,} steps done" if step else ""
     return (
         stage.name,
         str(len(stage.images)),
@@ -113,7 +111,7 @@ def _row(expected: StageForecast) -> tuple[str, ...]:
         _starts_from(stage),
         f"{end:,}" if expected.is_done else f"~{round(end, -3):,}",
         f"{expected.seconds / 60:.1f}",
-        _state(expected),
+        state,
     )
 
 
@@ -122,11 +120,6 @@ def _starts_from(stage: Stage) -> str:
     if len(names) > MOST_NAMES:
         return f"{names[0]}, …, {names[-1]}"
     return ", ".join(names) or "sparse points"
-
-
-def _state(expected: StageForecast) -> str:
-    step = expected.steps_done
-    return "done" if expected.is_done else f"{step:,} steps done" if step else ""
 
 
 def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:

@@ -19,14 +19,8 @@ from ..formats.run_files import EARLIER, RESULTS
 def set_aside(run: Path, digest: str) -> None:
     """Move the results of a run as a whole to `earlier/DIGEST`.
 
-    If an engine was killed in between, the rest joins what it has moved.
-
-    Args:
-        run: the run folder.
-        digest: of the manifest that the results belong to, in hexadecimal digits.
-
-    Raises:
-        RunFolderError: one cannot be moved, or a folder is a link.
+    If an engine was killed in between, the rest joins what it has moved. The digest is that of the
+    manifest of the results. RunFolderError if one cannot be moved, or a folder is a link.
     """
     place = _place(run, digest)
     found = [name for name in RESULTS if os.path.lexists(run / name)]
@@ -48,11 +42,7 @@ def bring_back(run: Path, digest: str) -> None:
 
 
 def move_damaged(folder: Path, names: Iterable[str]) -> Path:
-    """Move files of a stage's folder to `FOLDER-damaged` beside it; returns that folder.
-
-    Raises:
-        RunFolderError: one cannot be moved.
-    """
+    """Move files of a stage's folder to `FOLDER-damaged` beside it; returns that folder."""
     place = _free(folder.with_name(f"{folder.name}-damaged"))
     for name in names:
         if os.path.lexists(folder / name):

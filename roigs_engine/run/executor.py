@@ -31,19 +31,10 @@ from .stage_folder import StageFolder, StageResult, StageStatus, folder_of
 class Executor:
     """Trains the stages of plans in a run's folder, each at most once.
 
-    Args:
-        run: the run of the plans.
-        context: of the run; gives the device.
-        preview_seconds: seconds of training between two updates of `preview.ply`; 0: none.
+    `preview_seconds` of training are between two updates of `preview.ply`; 0: there is none.
     """
 
-    def __init__(
-        self,
-        run: Run,
-        context: Context = QUIET,
-        *,
-        preview_seconds: float = 0.0,
-    ) -> None:
+    def __init__(self, run: Run, context: Context = QUIET, *, preview_seconds: float = 0.0) -> None:
         self.run, self.context = run, context
         self._preview_seconds = preview_seconds
         self._memory = run.memory(context)
@@ -61,7 +52,9 @@ class Executor:
             RunFolderError: a stage's folder cannot be read or written.
             TrainingError: a stage diverged twice.
         """
-        self._refuse_links(plan)
+        for output in plan.outputs:  # links are refused before hours of training
+            for name in (run_files.FINE, run_files.COARSE):
+                own_folder(self.run.folder, output.folder, name)
         self.list_stages(plan)
         for folder, selections in plan.selections.items():
             for chosen in selections:
@@ -162,22 +155,17 @@ class Executor:
             named=self._named,
         )
 
-    def _refuse_links(self, plan: Plan) -> None:
-        """Before hours of training: RunFolderError if a result would be written through a link."""
-        for stage in plan.stages:
-            self._place(stage)
-        for output in plan.outputs:
-            for name in (run_files.FINE, run_files.COARSE):
-                own_folder(self.run.folder, output.folder, name)
-
     def _data(self, stage: Stage) -> StageData:
         """The stage's training data."""
         device = torch.device(self.context.device)
         sizes = [images for images in (stage.images, stage.small_images) if images]
         photos, *halves = self._caches(sizes)
-        small = None
-        if halves:
-            small = SmallPhotos(images=stage.small_images, photos=halves[0])
+        small = SmallPhotos(images=stage.small_images, photos=halves[0]) if halves else None
+
+        def labelled() -> tuple[Gaussians, torch.Tensor]:
+            start = self.gaussians(stage.start)
+            return start, self._owners(start, stage.rois)
+
         return StageData(
             images=stage.images,
             photos=photos,
@@ -185,17 +173,12 @@ class Executor:
             photo_at=stage.order.photo_at(),
             extent=stage.extent,
             rois=stage.rois,
-            labelled=lambda: self._labelled(stage),
+            labelled=labelled,
             points=self.run.train_scene.points,
             seed=stage.seed,
             device=device,
             card_photos=self._memory.card.photos if self._memory.card else None,
         )
-
-    def _labelled(self, stage: Stage) -> tuple[Gaussians, torch.Tensor]:
-        """The model that the stage starts with, and the box that owns each of its Gaussians."""
-        start = self.gaussians(stage.start)
-        return start, self._owners(start, stage.rois)
 
     def _of(self, stage: Stage) -> Gaussians:
         """The stage's model."""
@@ -263,10 +246,8 @@ class Executor:
             part.save_ply(own_folder(folder, run_files.COARSE) / f"{roi.name}.ply", frame)
 
     def _warn_of_nothing(self, roi: OrientedBox) -> None:
-        masked = any(roi.name in image.objects for image in self.run.train_scene.images)
-        what = "the masks show no Gaussian of the result as the object's. Is white the object?"
-        self.context.warn(
-            f"Box '{roi.name}': {what}"
-            if masked
-            else f"The result has no Gaussian in box '{roi.name}'. Are the cameras right?"
-        )
+        text = f"The result has no Gaussian in box '{roi.name}'. Are the cameras right?"
+        if any(roi.name in image.objects for image in self.run.train_scene.images):
+            what = "the masks show no Gaussian of the result as the object's. Is white the object?"
+            text = f"Box '{roi.name}': {what}"
+        self.context.warn(text)

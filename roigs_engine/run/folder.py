@@ -34,13 +34,7 @@ STAGE_LOCKS = "*.lock"
 def held(folder: Path, context: Context, patience: float = 0.0) -> Iterator[None]:
     """Hold a run folder, once no engine trains one of its stages.
 
-    Args:
-        folder: of the run.
-        context: gets warnings; checked for cancellation.
-        patience: seconds to wait for another engine to end.
-
-    Raises:
-        RunFolderError: another engine is at work there.
+    RunFolderError if another engine is still at work there after `patience` seconds.
     """
     with ExitStack() as stack:
         _patiently(lambda: stack.enter_context(locked(folder, context.warn)), context, patience)
@@ -68,7 +62,6 @@ def open_folder(run: Run, context: Context = QUIET, *, update: bool = False) -> 
 
     Args:
         run: the run; its folder must not be in use (`formats.lock`).
-        context: receives the warnings.
         update: accept a folder made for other settings: stages that still fit are kept, the
             results move to `earlier/`.
 
@@ -92,13 +85,7 @@ def train_opened(
 ) -> list[EvaluatedModel]:
     """Plan and train a run whose folder is open; returns the models, the run's result last.
 
-    Args:
-        run, context: see `open_folder`.
-        compare: models to compare with, from `config.COMPARISONS`.
-        preview_seconds: seconds of training between two updates of `preview.ply`; 0: none.
-
-    Raises:
-        As `plan_run` and `Executor.execute`.
+    `compare` is as in `plan_run`, `preview_seconds` as in `Executor`; raises as these.
     """
     plan = plan_run(run, compare, context)
     expected = forecast_if_long(run, plan, context)
@@ -112,11 +99,6 @@ def train_opened(
 
 def train_stage(run: Run, plan: Plan, name: str, context: Context) -> None:
     """Train one stage of a run folder that is prepared; what it starts from is trained if missing.
-
-    Args:
-        run, plan: of the folder.
-        name: of the stage.
-        context: of the run.
 
     Raises:
         RunFolderError: the plan has no such stage, the folder is not prepared for this run, or

@@ -111,12 +111,7 @@ def forecast_if_long(run: Run, plan: Plan, context: Context) -> Forecast | None:
 
 
 def forecast(run: Run, plan: Plan, context: Context) -> Forecast:
-    """What a plan will take; trains a few steps to measure their time.
-
-    Args:
-        run, plan: the run and its plan.
-        context: gives the device; checked for cancellation.
-    """
+    """What a plan will take; trains a few steps to measure their time."""
     executor, estimator = Executor(run, context), Estimator(run.train_scene, context)
     ends: dict[str, int] = {}
     stages = []
@@ -149,13 +144,7 @@ def forecast(run: Run, plan: Plan, context: Context) -> Forecast:
 
 
 def expected_start(source: Source, ends: dict[str, int], scene: SfmScene) -> int:
-    """The expected number of Gaussians of a source.
-
-    Args:
-        source: what a stage starts from.
-        ends: the number at the end of each stage before.
-        scene: of the training photos.
-    """
+    """The expected number of Gaussians of a source; `ends`: at the end of each stage before."""
     if source.kind == POINTS:
         return len(scene.points) if source.rows is None else len(source.rows)
     own = [ends[stage.name] for stage in source.inputs]
@@ -197,9 +186,7 @@ RENDER_SHARE = 0.5  # of a training step's time, to render and compare a test ph
 class Estimator:
     """Estimates the stages of one run; measures stages with the same settings once.
 
-    Args:
-        scene: its points become the models that are timed.
-        context: gives the device; checked for cancellation between measurements.
+    The points of the scene become the models that are timed.
     """
 
     def __init__(self, scene: SfmScene, context: Context = QUIET) -> None:
@@ -272,7 +259,8 @@ class Estimator:
             for _ in range(WARM_UP + MEASURED):
                 began = time.perf_counter()
                 trainer.train_step()
-                _finish(data.device)
+                if data.device.type == "cuda":
+                    torch.cuda.synchronize(data.device)
                 times.append(time.perf_counter() - began)
         return float(np.median(times[WARM_UP:]))
 
@@ -332,9 +320,7 @@ def model_of_size(scene: SfmScene, count: int) -> Gaussians:
     model = Gaussians.from_points(scene.points[rows], scene.colors[rows])
     if copies == 1:
         return model
-    values = {
-        name: torch.cat([tensor] * copies)[:count] for name, tensor in model.tensors().items()
-    }
+    values = {name: torch.cat([each] * copies)[:count] for name, each in model.tensors().items()}
     spread = values["log_scales"].exp()
     generator = torch.Generator().manual_seed(0)
     values["means"] = values["means"] + spread * torch.randn(count, 3, generator=generator)
@@ -354,11 +340,6 @@ class _GreyPhotos:
 
     def prefetch(self, indices: Sequence[int]) -> None:
         """Nothing to decode."""
-
-
-def _finish(device: torch.device) -> None:
-    if device.type == "cuda":
-        torch.cuda.synchronize(device)
 
 
 def _rounded(count: int) -> int:

@@ -85,17 +85,12 @@ def lay_out(
     groups: Groups | None,
     context: Context = QUIET,
 ) -> Layout:
-    """The layout of a run.
+    """The layout of a run; RoiError if no photo sees one of the boxes.
 
     Args:
-        scene: of the training photos.
-        rois: the boxes.
+        scene, rois: the training photos; the boxes.
         blocks: number of blocks; 1: the scene is not cut.
         groups: names of the boxes of each group; None: by the photos that they share.
-        context: checked for cancellation.
-
-    Raises:
-        RoiError: no photo sees one of the boxes.
     """
     if blocks == 1 and len(rois) == 1:
         return Layout(groups=((rois[0].name,),))
@@ -157,7 +152,6 @@ class _Making:
                 points[inside] = np.bincount(points[inside]).argmax()
 
     def block_of(self, roi: OrientedBox, block: Int64) -> int:
-        """The block of a box."""
         inside = self.boxed == self.rois.index(roi)
         rows = inside if inside.any() else roi.contains(self.scene.points)  # in a larger box
         return int(np.bincount(block[: len(self.boxed)][rows]).argmax())

@@ -126,9 +126,7 @@ def from_json(value: Any) -> Any:
 def manifest_difference(before: Any, now: dict[str, Any]) -> str:
     """The first difference of two manifests, as text; empty: they are equal.
 
-    Args:
-        before: a JSON value; whatever a file holds.
-        now: a manifest as JSON.
+    `now` is a manifest as JSON, `before` whatever a file holds.
     """
     old = before if isinstance(before, dict) else {}
     if _is_other_scene(old, now):
@@ -142,12 +140,7 @@ def manifest_difference(before: Any, now: dict[str, Any]) -> str:
 
 
 def _setting(path: str, before: Any, now: Any) -> str:
-    """The first difference of two settings, or of what dicts of them hold.
-
-    Args:
-        path: the keys that lead to them, with dots.
-        before, now: JSON values that differ; None: there is none.
-    """
+    """The first difference of two settings, or of what dicts of them hold, at a path of keys."""
     if isinstance(before, dict) and isinstance(now, dict):
         key = next(key for key in {**before, **now} if before.get(key) != now.get(key))
         return _setting(f"{path}.{key}", before.get(key), now.get(key))

@@ -162,13 +162,7 @@ def with_card(
 def layout_memory(
     scene: SfmScene, layout: Layout, config: RunConfig, cache: int | None = None
 ) -> MemoryPlan:
-    """`plan_memory` of a run: of its scene, or of the block that needs most.
-
-    Args:
-        scene: with its test photos.
-        layout, config: of the run.
-        cache: as for `plan_memory`.
-    """
+    """`plan_memory` of a run: of its scene, with test photos, or of the block that needs most."""
     whole = len(scene.points)
     if layout.blocks is None:
         return plan_memory(scene.images, whole, config, cache)
@@ -201,12 +195,7 @@ def stage_memory(
 ) -> int:
     """The most memory, bytes, of an engine that trains one stage of a run.
 
-    Args:
-        stage: of the plan.
-        scene: of the training photos.
-        config: of the run.
-        whole: the memory of the run.
-        cache: as for `plan_memory`.
+    `scene` has the training photos; `whole` is the memory of the run.
     """
     share = stage.start_share(len(scene.points))
     points = round(share * len(scene.points))
@@ -271,11 +260,9 @@ def plan_memory(
 def plan_card(
     images: Sequence[PosedImage], points: int, count: int, card: tuple[int, int]
 ) -> CardPlan:
-    """The GPU memory that training on these photos needs.
+    """The GPU memory that training needs; arguments as for `plan_memory`.
 
     Args:
-        images: all photos of the run.
-        points: number of sparse points, which become the first Gaussians.
         count: the largest number of Gaussians that is expected.
         card: free and total bytes of the GPU.
 
@@ -302,11 +289,10 @@ def plan_card(
 
 def _densifications(*stages: TrainConfig) -> int:
     """How many densifications these stages have."""
-    found = [(config.get(DensityControl), config.steps) for config in stages]
     return sum(
-        max(0, (min(density.until, steps) - density.start) // density.every)
-        for density, steps in found
-        if density is not None
+        max(0, (min(density.until, config.steps) - density.start) // density.every)
+        for config in stages
+        if (density := config.get(DensityControl))
     )
 
 

@@ -41,8 +41,7 @@ class Source:
             `merge`, of the masks of the boxes' objects, which decide what their content is; empty:
             there are none.
         rows: of the sparse points, for `points`; None: all.
-        partition: of the inputs, for `cells`.
-        images: the photos, for `seen`.
+        partition, images: of the inputs, for `cells`; the photos, for `seen`.
         share: of the sparse points that these observe; decides nothing, for estimates.
     """
 
@@ -80,9 +79,6 @@ class Stage:
     Attributes:
         name: unique in the plan, for example `compare-joint/scene`.
         images: the photos, with cameras of the size used for training.
-        config: settings.
-        start: the Gaussians to start from.
-        order: which photo each step uses.
         rois: boxes that limit densification and masks.
         extent: of the scene, world units.
         seed: for the positions of split Gaussians.
@@ -143,7 +139,6 @@ class PlannedModel:
 
     Attributes:
         name: unique among the rows of a box.
-        source: where its Gaussians come from.
         stages: its stages that all boxes share.
         by_roi: box -> its own stages.
     """
@@ -231,17 +226,16 @@ class Plan:
 
 
 def result_of(stage: Stage) -> Source:
-    """The Gaussians at the end of a stage."""
     return Source(kind=RESULT, inputs=(stage,))
 
 
 def camera_record(image: PosedImage) -> tuple[Any, ...]:
-    """What decides which Gaussians a photo shows; ready for JSON."""
+    """What decides which Gaussians a photo shows."""
     return asdict(image.camera), image.world_to_camera.tolist()
 
 
 def _image_record(image: PosedImage) -> tuple[Any, ...]:
-    """What decides how a photo trains a stage; ready for JSON."""
+    """What decides how a photo trains a stage."""
     mask = image.mask.digest if image.mask else ""
     observed = hashlib.sha256(image.point_indices.astype("<i8").tobytes()).hexdigest()
     return image.name, image.digest, *camera_record(image), image.pixel_size, mask, observed

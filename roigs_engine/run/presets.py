@@ -137,11 +137,7 @@ PRESETS: dict[str, Callable[[], RunConfig]] = {
 
 
 def preset(name: str) -> RunConfig:
-    """The preset of that name.
-
-    Raises:
-        ConfigError: the name is unknown.
-    """
+    """The preset of that name; ConfigError if there is none."""
     if name not in PRESETS:
         raise ConfigError(f"There is no preset '{name}'.", f"Use one of {', '.join(PRESETS)}.")
     return PRESETS[name]()

@@ -27,11 +27,11 @@ from .plan import CELLS, POINTS, SEEN, PlannedModel, Source, Stage
 
 
 class PhotoSets:
-    """The training photos of a run and their subsets, in the scene's order.
+    """The training photos and boxes of a run, or of a cell; subsets of them are made once.
 
     Attributes:
-        images: all training photos, or those of a cell.
-        rois: all boxes, or those of a cell.
+        images: in the scene's order.
+        rois: the boxes.
     """
 
     def __init__(self, run: Run, context: Context = QUIET) -> None:
@@ -101,10 +101,9 @@ def make_stage(
     """A stage, with what its mechanisms decide by its photos and boxes.
 
     Args:
-        name: its folder below the run folder.
+        name, config: of the stage.
         photos: of the run, or of a part of it.
         images: to train on.
-        config: settings.
         rois: boxes to densify in; without, the spacing of views is that around all boxes.
         start: what it starts from; None: the sparse points.
         order: of its photos; None: `shuffled_order`.
@@ -178,18 +177,13 @@ def trained_on(
         photos: of the run.
         config: of the stage for the whole scene.
         base: what it goes on with; None: the sparse points.
-        folder: of the stages, below the run folder.
+        folder: begins the names of its stages.
     """
     cells = photos.run.layout.cells
     if cells is None:
+        path, images = path_of(folder, name), photos.images
         stage = make_stage(
-            path_of(folder, name),
-            photos,
-            photos.images,
-            config,
-            rois=photos.rois,
-            start=base,
-            order=mixed_order,
+            path, photos, images, config, rois=photos.rois, start=base, order=mixed_order
         )
         return PlannedModel.of_stages(name, stage)
     alone = config.get(CutoutSteps) is not None

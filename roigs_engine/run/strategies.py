@@ -34,8 +34,8 @@ def plan_run(run: Run, compare: Sequence[str] = (), context: Context = QUIET) ->
 
     Args:
         run: the run.
-        compare: models to compare with, from `config.COMPARISONS`: baselines, other strategies.
-        context: receives the selection's warnings; checked for cancellation.
+        compare: models to compare with, of `choices.COMPARISONS`: baselines, other strategies.
+        context: receives the selection's warnings.
 
     Raises:
         SceneError: no photo is left to train a stage on.
@@ -58,7 +58,7 @@ def strategy(photos: PhotoSets, *, folder: str = "", coarse: Stage | None = None
 
     Args:
         photos: of the run.
-        folder: folder of its stages and files, below the run folder.
+        folder: of its files, below the run folder; begins the names of its stages.
         coarse: a Scene-GS to start from; None: the run's own.
     """
     scene = PlannedModel.of_stages("", coarse) if coarse else scene_model(photos, folder)
@@ -100,25 +100,19 @@ def _independent(photos: PhotoSets, scene: PlannedModel, folder: str) -> tuple[P
     its parts fit together.
     """
     run = photos.run
-    stages = [_object_stage(photos, scene.source, roi, folder) for roi in run.rois]
-    objects: dict[str, tuple[Stage, ...]] = {
-        roi.name: (stage,) for roi, stage in zip(run.rois, stages, strict=True)
-    }
-    composed = PlannedModel(
-        name="Composition",
-        source=Source(
-            kind=MERGE,
-            base=scene.source,
-            inputs=tuple(stages),
-            rois=run.rois,
-            digest=_object_masks(run),
-        ),
-        stages=scene.stages,
-        by_roi=objects,
+    stages = {roi.name: _object_stage(photos, scene.source, roi, folder) for roi in run.rois}
+    source = Source(
+        kind=MERGE,
+        base=scene.source,
+        inputs=tuple(stages.values()),
+        rois=run.rois,
+        digest=_object_masks(run),
     )
+    by_roi: dict[str, tuple[Stage, ...]] = {roi: (stage,) for roi, stage in stages.items()}
+    composed = replace(scene, name="Composition", source=source, by_roi=by_roi)
     models = [
         replace(scene, name="Scene-GS"),
-        *(PlannedModel.of_stages("Object-GS", *own, roi=roi) for roi, own in objects.items()),
+        *(PlannedModel.of_stages("Object-GS", stage, roi=roi) for roi, stage in stages.items()),
         composed,
     ]
     if run.config.refine_steps:
@@ -148,13 +142,11 @@ def _object_start(
     run: Run, scene: Source, roi: OrientedBox, images: Sequence[PosedImage]
 ) -> Source | None:
     """What an Object-GS starts from: the Scene-GS, or an ablation's choice."""
-    match run.config.roi_init:
-        case "points":
-            return None
-        case "box":
-            return Source(kind=CROP, base=scene, rois=(roi,))
-        case _:
-            return seen_part(run, scene, images)
+    if run.config.roi_init == "points":
+        return None
+    if run.config.roi_init == "box":
+        return Source(kind=CROP, base=scene, rois=(roi,))
+    return seen_part(run, scene, images)
 
 
 def _object_masks(run: Run) -> str:
