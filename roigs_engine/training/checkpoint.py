@@ -51,7 +51,7 @@ MAX_HEADER = 1 << 20  # bytes; a header takes a few thousand
 MAX_TENSORS = 1000
 HEADER_ERRORS = (KeyError, TypeError, ValueError, OverflowError, RuntimeError)
 """What a header of valid checksum can raise: RecursionError and torch's are RuntimeErrors."""
-COLUMNS: dict[str, tuple[int, ...]] = {
+COLUMNS: dict[str, Shape] = {
     "means": (3,),
     "quats": (4,),
     "log_scales": (3,),
@@ -154,7 +154,6 @@ def _before(path: Path) -> Path:
 
 
 def _present(path: Path) -> list[Path]:
-    """The existing files, newest first."""
     return [name for name in (path, _before(path)) if name.exists()]
 
 
@@ -242,12 +241,7 @@ def _chunks(tensors: list[Tensor]) -> Iterator[memoryview]:
 
 
 def check_state(state: Mapping[str, Any], config: TrainConfig) -> None:
-    """Raise ValueError unless `Trainer.load_state_dict` can continue from the state.
-
-    Args:
-        state: as `Trainer.state_dict` returns it; the values may be of any type.
-        config: the stage's settings.
-    """
+    """Raise ValueError unless `Trainer.load_state_dict` can continue from the state."""
     whole = StateReader(state, config.steps)
     step = whole.count("step", config.steps)
     for key in ("seconds", "cpu_seconds"):

@@ -55,7 +55,6 @@ def clone_and_split(
     A clone is added to its original; two samples of a split Gaussian replace it.
 
     Args:
-        gaussians: N rows.
         mask: (N,) bool: which to densify.
         reference: (N,) size reference, world units.
         fraction: Gaussians larger than `fraction` x `reference` are split.

@@ -67,16 +67,7 @@ def floaters(
     min_views: int,
     context: Context = QUIET,
 ) -> Tensor:
-    """(N,) bool: which Gaussians are floaters.
-
-    Args:
-        gaussians: the model, N rows.
-        images: the training photos; their pixels are not used.
-        rois: the boxes.
-        points: (P, 3) of the scene, world units.
-        min_views: see `consistent_across_views`.
-        context: checked for cancellation between views.
-    """
+    """(N,) bool: which Gaussians are floaters; arguments as for `consistent_across_views`."""
     found = ~consistent_across_views(gaussians, images, rois, points, min_views, context)
     shown = largest_shares(gaussians, photo_views(images), context)
     found |= fills_only_between(gaussians, views_between(images, points), shown, context)
@@ -105,7 +96,6 @@ def consistent_across_views(
             fewer, if it is nearer than the nearest box in each of them; or if it is in the air, and
             nearer than half of the points that the photo observes in each of them. In a photo that
             sees no box, or has no points, nothing is nearer.
-        context: checked for cancellation between photos.
     """
     means = gaussians.means
     shown_by = torch.zeros(len(gaussians), dtype=torch.int32, device=means.device)
@@ -152,10 +142,6 @@ def views_between(images: Sequence[PosedImage], points: Float64) -> tuple[View, 
     They stand at a quarter, a half and three quarters of the way to a neighbour; and to the left,
     the right, above and below a photo, a quarter of the distance to the nearest one away.
 
-    Args:
-        images: the photos.
-        points: (P, 3) of the scene, world units.
-
     Returns:
         At most `MOST_VIEWS` of each kind, evenly spread; none for a photo alone.
     """
@@ -179,10 +165,8 @@ def fills_only_between(
     """(N,) bool: which Gaussians fill a view between the photos, but no photo.
 
     Args:
-        gaussians: the model, N rows.
         views: of `views_between`.
         shown: (N,) the largest share of a photo that each fills (`largest_shares`).
-        context: checked for cancellation between views.
     """
     filled = largest_shares(gaussians, views, context)
     return (filled > LEAST) & (filled > MORE * shown)
@@ -244,44 +228,35 @@ def hangs_among_cameras(
 ) -> Tensor:
     """(N,) bool: which Gaussians hang in the air among the cameras, where no photo looks.
 
-    Args:
-        gaussians: the model, N rows.
-        images: the training photos; their pixels are not used.
-        points: (P, 3) of the scene, world units; without any, nothing hangs.
-        shown: (N,) the largest share of a photo that each fills (`largest_shares`).
+    `shown` is (N,), the largest share of a photo that each fills. Without points, nothing hangs.
     """
-    device = gaussians.means.device
     if len(points) == 0:
-        return torch.zeros(len(gaussians), dtype=torch.bool, device=device)
-    means = gaussians.means.detach().cpu().numpy().astype(np.float64)
+        return torch.zeros_like(shown, dtype=torch.bool)
+    means = _array(gaussians.means)
     distance, nearest = cKDTree([image.centre for image in images]).query(means)
     # the area of a Gaussian that is seen from its broad side is 2 pi s1 s2
-    scales = gaussians.log_scales.detach().exp().sort(dim=1).values.cpu().numpy().astype(np.float64)
-    opacity = gaussians.logit_opacities.detach().sigmoid().cpu().numpy().astype(np.float64)
-    zoom = np.array([_zoom(image) for image in images])[nearest]
+    scales = _array(gaussians.log_scales.exp().sort(dim=1).values)
+    opacity = _array(gaussians.logit_opacities.sigmoid())
+    cameras = [image.camera for image in images]
+    # the share of each photo that a unit area fills at unit distance
+    zoom = np.array([c.fx * c.fy / (c.width * c.height) for c in cameras])[nearest]
     area = 2 * np.pi * scales[:, 1] * scales[:, 2] * zoom
     with np.errstate(divide="ignore"):  # a Gaussian at a camera's very place
         filled = opacity * np.minimum(area / distance**2, 1.0)
     seen = shown.cpu().numpy()
     unseen = (seen < LEAST) & (filled > LEAST) & (filled > MORE * seen)
-    return torch.from_numpy(unseen).to(device) & in_the_air(gaussians, images, points, MUCH_NEARER)
+    return torch.from_numpy(unseen).to(shown.device) & in_the_air(
+        gaussians, images, points, MUCH_NEARER
+    )
 
 
-def _zoom(image: PosedImage) -> float:
-    """The share of the photo that a unit area fills at unit distance."""
-    camera = image.camera
-    return camera.fx * camera.fy / (camera.width * camera.height)
+def _array(tensor: Tensor) -> Float64:
+    return tensor.detach().cpu().numpy().astype(np.float64)
 
 
 @torch.no_grad()
 def largest_shares(gaussians: Gaussians, views: Iterable[View], context: Context = QUIET) -> Tensor:
-    """(N,) the largest share of a view's light that each Gaussian has, 0 to 1.
-
-    Args:
-        gaussians: the model, N rows.
-        views: to look from.
-        context: checked for cancellation between views.
-    """
+    """(N,) the largest share of a view's light that each Gaussian has, 0 to 1."""
     views = list(views)
     largest = torch.zeros(len(gaussians), device=gaussians.means.device)
     for (camera, _), weights in zip(
@@ -322,6 +297,6 @@ def in_the_air(
     device = gaussians.means.device
     if len(points) == 0:
         return torch.zeros(len(gaussians), dtype=torch.bool, device=device)
-    means = gaussians.means.detach().cpu().numpy().astype(np.float64)
+    means = _array(gaussians.means)
     distance, _ = cKDTree([image.centre for image in images]).query(means)
     return torch.from_numpy(times * distance < reach(means, points)).to(device)

@@ -95,11 +95,7 @@ def machine_key(device: torch.device) -> str:
 
 
 def check(device: torch.device) -> dict[str, float]:
-    """The relative error of each result on the GPU.
-
-    Raises:
-        KernelError: one is above `LIMIT`, or the GPU failed; one line.
-    """
+    """The relative error of each result; KernelError if one is above `LIMIT`, or the GPU failed."""
     try:
         errors = compare(device)
     except torch.OutOfMemoryError as error:
@@ -129,17 +125,11 @@ def compare(device: torch.device) -> dict[str, float]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """What is drawn, on one device.
+    """What is drawn, on one device."""
 
-    Attributes:
-        model: tensors by name, in the form that is trained.
-        view: a camera's pose (1, 4, 4) and intrinsics (1, 3, 3).
-        photo: (H, W, 3) uint8.
-    """
-
-    model: dict[str, Tensor]
-    view: tuple[Tensor, Tensor]
-    photo: Tensor
+    model: dict[str, Tensor]  # by name, in the form that is trained
+    view: tuple[Tensor, Tensor]  # a camera's pose (1, 4, 4) and intrinsics (1, 3, 3)
+    photo: Tensor  # (H, W, 3) uint8
 
 
 def results(device: torch.device, backend: str) -> dict[str, Tensor]:
@@ -186,8 +176,9 @@ def draw(made: Scene, backend: str, **options: Any) -> RenderOutput:
     """The scene as training draws it."""
     means, quats, scales, opacities, sh = (made.model[name] for name in NAMES)
     height, width, _ = made.photo.shape
-    gaussians = means, quats, scales, opacities, sh
-    return rasterize(*gaussians, *made.view, width, height, raw=True, backend=backend, **options)
+    view = *made.view, width, height
+    options |= {"raw": True, "backend": backend}
+    return rasterize(means, quats, scales, opacities, sh, *view, **options)
 
 
 def scene(device: torch.device, count: int, size: tuple[int, int]) -> Scene:

@@ -27,18 +27,12 @@ from ..rasterize.view import blending_weights
 
 
 class MaskedView(NamedTuple):
-    """A photo with a mask of the object.
-
-    Attributes:
-        camera, world_to_camera: of the photo.
-        mask: (H, W) bool, the object's pixels.
-        counted: (H, W) bool, the pixels that vote; None: all.
-    """
+    """A photo with a mask of the object."""
 
     camera: Camera
     world_to_camera: Float64
-    mask: Tensor
-    counted: Tensor | None = None
+    mask: Tensor  # (H, W) bool, the object's pixels
+    counted: Tensor | None = None  # (H, W) bool, the pixels that vote; None: all
 
 
 LEAST = 1 / 255  # sum of votes below which no photo shows a Gaussian
@@ -51,10 +45,7 @@ def mask_votes(
 ) -> tuple[Tensor, Tensor]:
     """(N,) twice: the votes of all views for and against each Gaussian being of the object.
 
-    Args:
-        gaussians: the model, N rows; other Gaussians hide those behind them.
-        views: the masked photos.
-        context: checked for cancellation between views.
+    `gaussians` are the whole model, N rows: other Gaussians hide those behind them.
     """
     means = gaussians.means
     inside, everywhere = (torch.zeros(len(gaussians), device=means.device) for _ in range(2))
@@ -68,13 +59,7 @@ def mask_votes(
 
 
 def object_rows(gaussians: Gaussians, votes: tuple[Tensor, Tensor], candidates: Tensor) -> Tensor:
-    """(N,) bool: the Gaussians of the object.
-
-    Args:
-        gaussians: the model.
-        votes: of `mask_votes`.
-        candidates: (N,) bool: those that may be of the object, as its box owns them.
-    """
+    """(N,) bool: the Gaussians of the object, by `mask_votes`; `candidates`: those of its box."""
     yes, no = votes
     rows, seen = (yes > no) & candidates, (yes + no >= LEAST) & candidates
     unseen = candidates & ~seen
@@ -110,12 +95,6 @@ def object_owners(
     """(N,) index of the box whose object each Gaussian belongs to, -1 for none.
 
     As `owners`, without what boxes own that is not their objects'. A box without masks keeps all.
-
-    Args:
-        gaussians: the model.
-        rois: the boxes.
-        images: photos; those with masks of a box's object vote.
-        context: checked for cancellation between photos.
     """
     owner = owners(gaussians, rois)
     for index, roi in enumerate(rois):

@@ -61,15 +61,7 @@ def one_torch_thread() -> Iterator[None]:
 def explained_full_memory(
     images: Sequence[PosedImage], now: Callable[[], tuple[int, int]]
 ) -> AbstractContextManager[None]:
-    """Turn torch's error into one line.
-
-    Args:
-        images: of the stage.
-        now: where it is: the step, and the number of Gaussians.
-
-    Raises:
-        GpuMemoryError: the GPU memory is full.
-    """
+    """Turn torch's error into a GpuMemoryError; `now`: the step, and the number of Gaussians."""
     cameras = [image.camera for image in images]
     width, height = max(c.width for c in cameras), max(c.height for c in cameras)
 
@@ -115,7 +107,7 @@ class StepsAhead:
     def first_void(self, *, wait: bool) -> tuple[int, Tensor] | None:
         """The first step to do again, and the running loss in front of it; None: none is known.
 
-        Args: `wait`: until it is known of all steps.
+        With `wait`, it is known of all steps.
         """
         if self._buffers is None:
             return None

@@ -77,7 +77,6 @@ class LossMasks:
             as much as in a whole photo, so close-ups, which show a box on many pixels, outweigh
             the others. 1: all masks weigh the same. Above, smaller ones weigh more, up to
             `MOST_WEIGHT` times as much.
-        context: checked for cancellation between photos while the mean share is computed.
     """
 
     def __init__(
@@ -94,7 +93,13 @@ class LossMasks:
         self._weighting = view_weighting
         self._tiles: dict[int, NDArray[np.bool_]] = {}
         self._masks: dict[int, LossMask | None] = {}
-        self._mean_share = self._geometric_mean(drawn, context) if view_weighting else 0.0
+        self._mean_share = 0.0  # the geometric mean
+        if view_weighting:
+            shares = []
+            for index in drawn:
+                context.check_cancelled()
+                shares.append(self._mask(index).mean())
+            self._mean_share = float(np.exp(np.mean(np.log([s for s in shares if s > 0]))))
 
     def __getitem__(self, index: int) -> LossMask | None:
         """The mask of photo `index`; None if it sees no box."""
@@ -114,7 +119,6 @@ class LossMasks:
         )
 
     def _loss_weight(self, share: float) -> float:
-        """The loss weight of a mask with this share of its photo."""
         if not self._weighting:
             return share
         ratio = self._mean_share / share
@@ -122,16 +126,7 @@ class LossMasks:
             return float(share * ratio**self._weighting)
         return float(self._mean_share * min(ratio ** (self._weighting - 1), MOST_WEIGHT))
 
-    def _geometric_mean(self, drawn: Sequence[int], context: Context) -> float:
-        """The geometric mean of the masks' shares."""
-        shares = []
-        for index in drawn:
-            context.check_cancelled()
-            shares.append(self._mask(index).mean())
-        return float(np.exp(np.mean(np.log([share for share in shares if share > 0]))))
-
     def _mask(self, index: int) -> NDArray[np.bool_]:
-        """(H, W): the pixels of the photo's mask."""
         tiles, camera = self._tiles_of(index), self._images[index].camera
         return tiles.repeat(TILE, axis=0).repeat(TILE, axis=1)[: camera.height, : camera.width]
 

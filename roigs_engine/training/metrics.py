@@ -44,11 +44,7 @@ class TrainingMetrics:
     ) -> None:
         """Take a step's loss and, every `PSNR_EVERY` steps, the error of its picture.
 
-        Args:
-            step: its number.
-            loss: () without gradient.
-            pictures: the render, (H, W, 3) in [0, 1], and the photo, (H, W, 3) uint8.
-            weights: (H, W) of the pixels; None: all equal.
+        The pictures are the render, (H, W, 3) in [0, 1], and the photo, (H, W, 3) uint8.
         """
         self.loss = torch.where(self.loss.isnan(), loss, self.loss.lerp(loss, 1 - RECENT))
         if step % PSNR_EVERY:
@@ -71,7 +67,7 @@ class TrainingMetrics:
     def progress(
         self, stage: str, step: int, total: int, gaussians: int, seconds_left: float
     ) -> Progress:
-        """The event that shows them, with where the stage is; waits for the device."""
+        """The event that shows them; waits for the device."""
         return Progress(
             stage=stage,
             step=step,
@@ -127,8 +123,7 @@ class Health:
         Args:
             step: steps done.
             parameters: name -> (N, ...) tensor.
-            skipped_rows: rows skipped so far for a NaN or Inf gradient
-                (`VisibleAdam.skipped_rows`).
+            skipped_rows: `VisibleAdam.skipped_rows`.
 
         Raises:
             TrainingError: a loss, a gradient or a parameter is NaN or Inf.
@@ -147,10 +142,8 @@ class Health:
                 raise TrainingError(text, HINT)
 
     def _read_losses(self) -> None:
-        if not self._new:
-            return
         new, self._new = self._new, []
-        losses = torch.stack([loss for _, _, loss in new]).tolist()
+        losses = torch.stack([loss for _, _, loss in new]).tolist() if new else []
         for (step, photo, _), loss in zip(new, losses, strict=True):
             if not np.isfinite(loss):
                 name = self._photos[photo]

@@ -20,11 +20,13 @@ class PhotoOrder:
     """An order of photos as data, part of a plan.
 
     Attributes:
-        kind: `shuffled` (epochs of permutations), `ordered` (repeated in their order) or `mixed`
-            (`box_order`).
+        kind: `shuffled` (epochs of permutations), `ordered` (repeated in their order) or `mixed`,
+            which is for training on masks.
         count: number of all photos.
         seed: of the epochs.
-        selected, drawn, share, full_every: of `mixed`, see `box_order`.
+        drawn: of `mixed`: photos that steps with a mask draw from.
+        selected, share: of `mixed`: selected photos, and the share of these steps that draw one.
+        full_every: of `mixed`: one step in so many draws from all photos; 1: none does.
     """
 
     kind: str
@@ -38,23 +40,15 @@ class PhotoOrder:
     def photo_at(self) -> PhotoAt:
         """The function step -> position of its photo."""
         if self.kind == "ordered":
-            return ordered(range(self.count))
+            return lambda step: step % self.count  # paper, sec. III-A
         if self.kind == "shuffled":
             return shuffled(range(self.count), self.seed)
-        return box_order(
-            self.count,
-            self.drawn,
-            self.selected,
-            share=self.share,
-            full_every=self.full_every,
-            seed=self.seed,
-        )
-
-
-def ordered(photos: Sequence[int]) -> PhotoAt:
-    """The photos in the order given, repeated (paper, sec. III-A)."""
-    photos = list(photos)
-    return lambda step: photos[step % len(photos)]
+        selected = shuffled(self.selected, self.seed + 1)
+        photo_at = mixed(shuffled(self.drawn, self.seed), selected, self.share)
+        if self.full_every == 1:
+            return photo_at
+        whole = shuffled(range(self.count), self.seed + 2)
+        return with_whole(whole, photo_at, self.full_every)
 
 
 def shuffled(photos: Sequence[int], seed: int) -> PhotoAt:
@@ -95,31 +89,6 @@ def with_whole(whole: PhotoAt, partial: PhotoAt, every: int) -> PhotoAt:
         return whole(before) if is_whole(step, every) else partial(step - before)
 
     return photo_at
-
-
-def box_order(
-    count: int,
-    seen: Sequence[int],
-    selected: Sequence[int],
-    *,
-    share: float,
-    full_every: int,
-    seed: int,
-) -> PhotoAt:
-    """The order of a stage that trains on masks.
-
-    Args:
-        count: number of all photos.
-        seen: photos that the steps with a mask draw from.
-        selected: selected photos.
-        share: share of the steps with a mask that draw from `selected` instead.
-        full_every: one step in `full_every` draws from all photos; 1: all draw as above.
-        seed: of the epochs.
-    """
-    photo_at = mixed(shuffled(seen, seed), shuffled(selected, seed + 1), share)
-    if full_every == 1:
-        return photo_at
-    return with_whole(shuffled(range(count), seed + 2), photo_at, full_every)
 
 
 def evenly_spaced(items: Sequence[Item], most: int) -> list[Item]:

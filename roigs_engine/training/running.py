@@ -20,15 +20,9 @@ if TYPE_CHECKING:
 
 
 class Training(Protocol):
-    """What a mechanism may use of the trainer.
+    """What a mechanism may use of the trainer."""
 
-    Attributes:
-        step: steps done.
-        data: of the stage.
-        optimizer: of the model.
-    """
-
-    step: int
+    step: int  # steps done
     data: StageData
     optimizer: VisibleAdam
 
@@ -81,10 +75,7 @@ class Running:
         return None
 
     def row_rates(self, *, whole: bool) -> Tensor | None:
-        """(N,) float32 factors of the learning rates in a step; None: all are 1.
-
-        Args: `whole`: whether the step uses a whole photo.
-        """
+        """(N,) float32 factors of learning rates, in a step on a `whole` photo; None: all are 1."""
         return None
 
     def observe(self, visible: Tensor, grad2d: Tensor, max_weight: Tensor | None) -> None:
@@ -109,10 +100,8 @@ class Running:
         """The model has other rows: (M,) the old row of each, -1: new; and the model itself."""
 
     def state_dict(self) -> dict[str, Any]:
-        """The state, as `load_state_dict` needs it to continue exactly."""
         return {name: getattr(self, name) for name in self.kept}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from a `state_dict`."""
         for name in self.kept:
             setattr(self, name, state[name])

@@ -74,24 +74,19 @@ class View(NamedTuple):
 
 
 class PhotoViews:
-    """The photos of a stage in one size.
-
-    Attributes: `images`: with the cameras of that size.
-
-    Args:
-        of: the photos, in their size.
-        device: that trains.
-        limit: bytes of a GPU that they may take; None: a share of what is free.
-    """
+    """The photos of a stage in one size, on the device; `limit`: as `StageData.card_photos`."""
 
     def __init__(
         self, of: StageData | SmallPhotos, device: torch.device, limit: int | None
     ) -> None:
         self.images = of.images
-        self._sizes = [(image.camera.width, image.camera.height) for image in of.images]
         self._photos = photos_on(device, of.photos, limit)
-        self._viewmats, self._intrinsics = camera_tensors(of.images, device)
-        self._pixel_sizes = [image.pixel_size for image in of.images]
+        poses = np.stack([image.world_to_camera for image in of.images])
+        intrinsics = np.stack([image.camera.matrix() for image in of.images])
+        self._viewmats, self._intrinsics = (
+            torch.from_numpy(matrices.astype(np.float32)).to(device)
+            for matrices in (poses, intrinsics)
+        )
 
     def photo(self, index: int) -> Tensor:
         """Its pixels, as `PhotoTensors` has them."""
@@ -103,20 +98,6 @@ class PhotoViews:
 
     def view(self, index: int) -> View:
         """Its camera."""
-        one = slice(index, index + 1)
-        return View(
-            self._viewmats[one],
-            self._intrinsics[one],
-            *self._sizes[index],
-            self._pixel_sizes[index],
-        )
-
-
-def camera_tensors(images: Sequence[PosedImage], device: torch.device) -> tuple[Tensor, Tensor]:
-    """(V, 4, 4) world_to_camera and (V, 3, 3) intrinsics of the photos, float32 on the device."""
-    poses = np.stack([image.world_to_camera for image in images])
-    matrices = np.stack([image.camera.matrix() for image in images])
-    return (
-        torch.from_numpy(poses.astype(np.float32)).to(device),
-        torch.from_numpy(matrices.astype(np.float32)).to(device),
-    )
+        one, image = slice(index, index + 1), self.images[index]
+        size = image.camera.width, image.camera.height
+        return View(self._viewmats[one], self._intrinsics[one], *size, image.pixel_size)

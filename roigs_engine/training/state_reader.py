@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import torch
@@ -22,11 +23,7 @@ class StateReader:
     """
 
     def __init__(
-        self,
-        values: Any,
-        steps: int,
-        step: int = 0,
-        shapes: Mapping[str, Shape] | None = None,
+        self, values: Any, steps: int, step: int = 0, shapes: Mapping[str, Shape] | None = None
     ) -> None:
         if not isinstance(values, dict):
             raise ValueError("it is not a dict")
@@ -39,11 +36,9 @@ class StateReader:
         return self.shapes["means"][:1]
 
     def part(self, key: str) -> StateReader:
-        """The part of that name."""
-        value = self._values.get(key)
-        if not isinstance(value, dict):
+        if not isinstance(self._values.get(key), dict):
             raise ValueError(f"it has no '{key}'")
-        return StateReader(value, self.steps, self.step, self.shapes)
+        return StateReader(self._values[key], self.steps, self.step, self.shapes)
 
     def exactly(self, names: Iterable[str]) -> None:
         """Refuse missing and unknown names."""
@@ -64,12 +59,10 @@ class StateReader:
     def number(self, key: str) -> float:
         """A number, which may be NaN."""
         value = self._values.get(key)
-        if not isinstance(value, (int, float)) or isinstance(value, bool):
-            raise ValueError(f"'{key}' is not a number")
-        try:
-            return float(value)
-        except OverflowError as error:
-            raise ValueError(f"'{key}' is not a number") from error
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            with suppress(OverflowError):
+                return float(value)
+        raise ValueError(f"'{key}' is not a number")
 
     def flag(self, key: str) -> bool:
         """True or False."""

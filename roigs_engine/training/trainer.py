@@ -164,7 +164,6 @@ class Trainer:
         self._end_step(index, value)
 
     def _row_rates(self, *, whole: bool) -> Tensor | None:
-        """The product of all factors of the rows' learning rates; None: all are 1."""
         found = [each.row_rates(whole=whole) for each in self._running.values()]
         factors = [rates for rates in found if rates is not None]
         return reduce(torch.mul, factors) if factors else None
@@ -185,7 +184,7 @@ class Trainer:
                 each.after_step(self)
 
     def settled(self) -> bool:
-        """Whether all steps so far are done; if not, the trainer has gone back to the first."""
+        """See `Training`."""
         return not self._taken_back(wait=True)
 
     def _taken_back(self, *, wait: bool) -> bool:
@@ -224,24 +223,19 @@ class Trainer:
         active: Mask = None if mask is None else mask.tiles
         if counted is not None:
             active = counted if mask is None else mask.counting(counted)
-        colours = self.data.backgrounds
-        needed = any(each.needs_max_weight for each in self._running.values())
-        behind = None if colours is None else colours[index]
-        view = index, "whole" if mask is None else "mask"
-        options: dict[str, Any] = {"background": behind, "with_max_weight": needed}
-        return self.render(self.optimizer, view, active, **options)
+        colours, view = self.data.backgrounds, (index, "whole" if mask is None else "mask")
+        return self.render(
+            self.optimizer,
+            view,
+            active,
+            background=None if colours is None else colours[index],
+            with_max_weight=any(each.needs_max_weight for each in self._running.values()),
+        )
 
     def render(
         self, optimizer: VisibleAdam, view: tuple[int, int | str], active: Mask, **options: Any
     ) -> RenderOutput:
-        """An optimizer's Gaussians.
-
-        Args:
-            optimizer: of the model, or a part of it.
-            view: the photo, and what is drawn of it.
-            active: what is needed of it.
-            options: of `rasterize`.
-        """
+        """The Gaussians of the optimizer of the model, or of a part; `options` of `rasterize`."""
         p, camera = optimizer.parameters, self._views(self.step).view(view[0])
         return rasterize(
             p["means"],
@@ -260,7 +254,7 @@ class Trainer:
         )
 
     def prune(self, context: Context, what: str, search: Callable[[], Tensor]) -> bool:
-        """Remove the Gaussians that a search finds, (N,) bool; False if it was stopped."""
+        """See `Training`."""
         began, cpu_began = time.perf_counter(), time.process_time()
         context.info(f"Looking for {what}.")
         self._steps_before = self.optimizer.step_count  # while it searches, nothing has changed
@@ -279,7 +273,6 @@ class Trainer:
         return True
 
     def apply(self, edit: Edit) -> None:
-        """Continue with the edited Gaussians and their optimizer state."""
         if edit.rows is not None:
             self._ahead.grow(len(self._parameters), len(edit.rows))
             self._parameters = leaves(edit.gaussians)
@@ -328,13 +321,7 @@ class Trainer:
 
 
 def learning_rates(config: TrainConfig, extent: float, bands: int) -> dict[str, float | Tensor]:
-    """The learning rate of each of `Gaussians`' tensors, at the first step.
-
-    Args:
-        config: of the stage.
-        extent: of the scene, world units.
-        bands: SH coefficients of a colour.
-    """
+    """The learning rate of each of `Gaussians`' tensors, at the first step; `bands` of SH."""
     sh = torch.full((bands, 3), config.lr_shN)
     sh[0] = config.lr_sh0
     return {

@@ -102,8 +102,7 @@ def unimportant_gaussians(
     """(N,) bool: the Gaussians that a stage's photos do not miss.
 
     Args:
-        gaussians: the model, N rows.
-        data: of the stage.
+        gaussians, data: the model, N rows; of the stage.
         views: its photos, in the size to judge by.
         growth: largest mean growth of the photos' errors, as a share of them.
         rois: boxes that are judged apart.
@@ -181,19 +180,15 @@ class PhotoErrors:
             self._context.check_cancelled()
             squares, counted = self._squares(gaussians, index)
             parts = [(0, counted)] if index in self._whole else []
-            for box, seeing in enumerate(self._seeing, start=1):
+            image = self._views.images[index]
+            for box, (roi, seeing) in enumerate(zip(self._rois, self._seeing, strict=True), 1):
                 if index in seeing:
-                    silhouette = sent(self._silhouette(index, box - 1), counted.device)
-                    parts.append((box, counted & silhouette))
+                    silhouette = roi.silhouette(image.camera, image.world_to_camera)
+                    shown = sent(torch.from_numpy(silhouette), counted.device)
+                    parts.append((box, counted & shown))
             for part, pixels in parts:
                 if pixels.any():
                     yield part, float(squares[pixels].mean(dtype=torch.float64))
-
-    def _silhouette(self, index: int, box: int) -> Tensor:
-        import torch
-
-        image = self._views.images[index]
-        return torch.from_numpy(self._rois[box].silhouette(image.camera, image.world_to_camera))
 
     def _squares(self, gaussians: Gaussians, index: int) -> tuple[Tensor, Tensor]:
         """(H, W) squared errors, and (H, W) bool: which pixels count."""

@@ -15,9 +15,10 @@ SHARES = st.sampled_from([0.0, 0.1, 0.25, 1 / 3, 0.5, 0.7, 0.75, 0.9, 1.0])
 NAMES = st.lists(st.sampled_from("abcdefgh"), unique=True)
 
 
-@given(st.lists(st.integers(), min_size=1, unique=True), st.integers(0, 200))
-def test_ordered_cycles_in_the_order_given(photos: list[int], step: int) -> None:
-    assert photo_order.ordered(photos)(step) == photos[step % len(photos)]
+@given(st.integers(1, 20), st.integers(0, 200))
+def test_ordered_cycles_in_the_order_given(count: int, step: int) -> None:
+    order = photo_order.PhotoOrder(kind="ordered", count=count)
+    assert order.photo_at()(step) == range(count)[step % count]
 
 
 @given(st.integers(1, 20), st.integers(0, 2**31), st.integers(0, 50))
