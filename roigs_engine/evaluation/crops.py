@@ -48,16 +48,10 @@ Panels = Sequence[tuple[ModelScore, EvaluatedModel]]
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:
-    """One picture of the report's page.
+    """One picture of the report's page."""
 
-    Attributes:
-        name: `photo`, or the model's.
-        psnr: in the box, dB.
-        jpeg: the file.
-    """
-
-    name: str
-    psnr: float | None
+    name: str  # `photo`, or the model's
+    psnr: float | None  # in the box, dB
     jpeg: bytes
 
 
@@ -66,8 +60,7 @@ class Comparison:
     """A box on one photo, for the report's page.
 
     Attributes:
-        roi: the box's name.
-        view: the photo's name.
+        roi, view: the box's name; the photo's.
         label: why this photo is shown.
         size: width and height of the pictures, pixels.
         pictures: the photo, then the models; the last one is the result.
@@ -94,13 +87,10 @@ def write_crops(
 
     Args:
         evaluation: of these models on this scene; decides which photos to show.
-        models: the evaluated models.
-        scene: all photos.
-        rois: the evaluated boxes.
+        models, scene, rois: as evaluated.
         run_dir: the images go to its folder `crops`.
         names: rows to show after the photo; the last one is the result. Default: the baseline and
             the box's last row.
-        context: checked for cancellation before every picture.
     """
     written: list[Path] = []
     for roi, panels, chosen in _boxes(evaluation, models, rois, names):
@@ -207,8 +197,8 @@ def _crops(
 ) -> list[tuple[str, float | None, Pixels]]:
     """Name, ROI PSNR and pixels of the crop window: of the photo, then of each model."""
     rows, columns = crop_window(roi, image.camera, image.world_to_camera)
-    found: list[tuple[str, float | None, Pixels]] = []
-    found.append(("photo", None, load_photo(image)[rows, columns]))
+    photo = load_photo(image)[rows, columns]
+    found: list[tuple[str, float | None, Pixels]] = [("photo", None, photo)]
     for row, model in panels:
         view = render_view(model.gaussians, image.camera, image.world_to_camera)
         psnr = next((score.roi_psnr for score in row.views if score.view == image.name), None)
@@ -308,12 +298,12 @@ def box_lines(
         ends = _clipped_line(corners[a], corners[b], np.array([0.0, 0.0, 1.0]), -near)
         # The image's four sides as planes through the camera: n . p >= 0 is inside.
         for normal in (
-            np.array([camera.fx, 0.0, camera.cx]),
-            np.array([-camera.fx, 0.0, camera.width - camera.cx]),
-            np.array([0.0, camera.fy, camera.cy]),
-            np.array([0.0, -camera.fy, camera.height - camera.cy]),
+            (camera.fx, 0.0, camera.cx),
+            (-camera.fx, 0.0, camera.width - camera.cx),
+            (0.0, camera.fy, camera.cy),
+            (0.0, -camera.fy, camera.height - camera.cy),
         ):
-            ends = None if ends is None else _clipped_line(*ends, normal, 0.0)
+            ends = None if ends is None else _clipped_line(*ends, np.array(normal), 0.0)
         if ends is not None:
             pixels = [
                 (camera.fx * p[0] / p[2] + camera.cx, camera.fy * p[1] / p[2] + camera.cy)

@@ -56,11 +56,8 @@ def evaluate(
     model's depth, which are a few numbers, and those of the best model are used at the end.
 
     Args:
-        models: the models.
-        scene: all photos.
-        test: names of the test photos.
-        rois: the boxes.
-        context: receives events; checked for cancellation between photos.
+        models, rois: one row each in the table of each box.
+        scene, test: all photos; names of the test photos.
         baseline: name of the model that gains are relative to; None: the tuned Full Scene if there
             is one, else Full Scene.
         object_mask_from: name of the model whose depth defines the object's mask; None: the best

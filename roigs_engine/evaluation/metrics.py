@@ -39,10 +39,6 @@ def corrected_error(image: Tensor, target: Tensor, mask: Tensor) -> float:
     """Mean squared error in a mask after each channel is multiplied by the factor that fits best.
 
     So a render in the light of another exposure or white balance is right. NaN for an empty mask.
-
-    Args:
-        image, target: (H, W, 3).
-        mask: (H, W) bool.
     """
     shown, wanted = image[mask].double(), target[mask].double()
     factors = (shown * wanted).sum(dim=0) / (shown**2).sum(dim=0).clamp(min=1e-10)

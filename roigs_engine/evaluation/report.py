@@ -14,7 +14,6 @@ from .scores import (
     Evaluation,
     ModelScore,
     RoiScores,
-    ViewScore,
     near_and_far,
 )
 
@@ -201,10 +200,12 @@ def box_notes(scores: RoiScores, evaluation: Evaluation) -> list[str]:
 def _photo_notes(rows: Sequence[ModelScore], baseline: str) -> list[str]:
     """Notes on the table of near, far and single photos."""
     notes = []
-    distances = _distances(rows[0].views if rows else ())
+    views = rows[0].views if rows else ()
+    distances = {view.view: view.distance for view in views if view.distance is not None}
     thirds = near_and_far(distances)
     if thirds[0]:
-        near, far = (" to ".join(_ends([distances[name] for name in third])) for third in thirds)
+        spans = [[f"{distances[name]:.1f}" for name in (t[0], t[-1])] for t in thirds]
+        near, far = (" to ".join(dict.fromkeys(ends)) for ends in spans)
         notes.append(
             f"Near third: mean ROI PSNR on the {len(thirds[0])} of {len(distances)} photos nearest "
             f"to the box ({near} box diagonals from its centre); object: the same of object PSNR. "
@@ -221,16 +222,6 @@ def _photo_notes(rows: Sequence[ModelScore], baseline: str) -> list[str]:
             f"the peak and the worst gain: {'; '.join(photos)}."
         )
     return notes
-
-
-def _distances(views: Sequence[ViewScore]) -> dict[str, float]:
-    """Photo -> distance; empty in a report without distances."""
-    return {view.view: view.distance for view in views if view.distance is not None}
-
-
-def _ends(values: Sequence[float]) -> list[str]:
-    """The least and the largest value as text, once if they look equal."""
-    return list(dict.fromkeys(f"{value:.1f}" for value in (min(values), max(values))))
 
 
 def _span(sizes: Sequence[int]) -> str:

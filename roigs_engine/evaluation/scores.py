@@ -20,7 +20,6 @@ class ViewScore:
     """One model on one test view, inside one box's masks; PSNR in dB.
 
     Attributes:
-        view: the photo's name.
         roi_psnr, roi_ssim: on the silhouette.
         object_psnr: None if the view has fewer than `MIN_OBJECT` object pixels.
         roi_flip: FLIP error on the silhouette; None: the package is missing.
@@ -76,15 +75,12 @@ class ModelScore(Gains):
     """One row of a table, with its gains over the baseline. None: there is no number.
 
     Attributes:
-        model: the row's name.
         roi_psnr, object_psnr, roi_ssim, roi_flip: means over the box's views; PSNR in dB.
         mask_psnr, corrected_psnr: the same, see `ViewScore`.
         near_psnr, far_psnr: means of ROI PSNR over the near and the far third of the views, dB.
         near_object_psnr: mean of object PSNR over the near third, dB.
         image_psnr: mean over all test views, dB.
-        gaussians, gaussians_in_box: numbers of Gaussians.
-        seconds: training time.
-        stages: stage -> its training time, seconds.
+        seconds, stages: training time, and that of each stage.
         ply_bytes: size of the model's PLY.
         antialiased: whether its Gaussians are drawn with anti-aliasing.
         views: scores of each view of the box.
@@ -117,7 +113,6 @@ class MeasuredView:
     """A test view that counts for a box.
 
     Attributes:
-        view: the photo's name.
         silhouette_pixels, object_pixels: sizes of the two masks.
         camera_inside: the camera is inside the box, so the silhouette is the whole image.
         small: fewer than `MIN_SILHOUETTE` pixels, used because no view has more.
@@ -135,11 +130,9 @@ class RoiScores:
     """The table of one box.
 
     Attributes:
-        roi: the box's name.
         views: the test views that count.
         left_out: names of the other test views.
         object_mask_from: name of the model whose depth defines the object's mask; None: no scores.
-        rows: the models.
     """
 
     roi: str
@@ -156,7 +149,6 @@ class Evaluation:
     Attributes:
         test_views: names of the photos that were measured.
         baseline: name of the model that gains are relative to.
-        rois: the table of each box.
         photos: what the measured photos are: `test` or `validation` photos.
         masked: how many of them have a mask; pixels that it ignores are not measured.
     """

@@ -46,7 +46,7 @@ class EvaluatedModel:
     stages: dict[str, float] = field(default_factory=dict)
 
     def to(self, device: torch.device) -> EvaluatedModel:
-        """The same model with its Gaussians on a device, which then renders them."""
+        """The same on a device, which then renders it."""
         return dataclasses.replace(self, gaussians=self.gaussians.to(device))
 
 
@@ -55,7 +55,6 @@ class BoxPlan:
     """What to measure for one box.
 
     Attributes:
-        roi: the box.
         views: the test views that count, by photo name.
         left_out: names of the other test views.
         models: the models with a row.
@@ -131,27 +130,22 @@ def plan_views(
 ) -> BoxPlan:
     """Decides which test views count for the box.
 
-    Raises:
-        ConfigError: two models of the box share a name, or none is named `mask_from`.
+    ConfigError if two models of the box share a name, or none is named `mask_from`.
     """
-    sizes = {}
+    found = {}
     for image in images:
         context.check_cancelled()
-        sizes[image.name] = int(measured_pixels(roi, image).sum())
-    inside = {i.name: roi.camera_inside(i.world_to_camera) for i in images}
-    largest = max(sizes.values())
-    least = MIN_SILHOUETTE if largest >= MIN_SILHOUETTE else max(1, math.ceil(largest / 2))
-    views = {
-        name: MeasuredView(
-            view=name,
+        size = int(measured_pixels(roi, image).sum())
+        found[image.name] = MeasuredView(
+            view=image.name,
             silhouette_pixels=size,
             object_pixels=0,
-            camera_inside=inside[name],
+            camera_inside=roi.camera_inside(image.world_to_camera),
             small=size < MIN_SILHOUETTE,
         )
-        for name, size in sizes.items()
-        if size >= least
-    }
+    largest = max(view.silhouette_pixels for view in found.values())
+    least = MIN_SILHOUETTE if largest >= MIN_SILHOUETTE else max(1, math.ceil(largest / 2))
+    views = {name: view for name, view in found.items() if view.silhouette_pixels >= least}
     if not views:
         context.warn(f"No {photos} photo shows box '{roi.name}': no scores.")
     elif len(views) < FEW_VIEWS or largest < MIN_SILHOUETTE:
@@ -177,7 +171,7 @@ def plan_views(
     return BoxPlan(
         roi=roi,
         views=views,
-        left_out=tuple(name for name in sizes if name not in views),
+        left_out=tuple(name for name in found if name not in views),
         models=rows,
         mask_from=None if mask_from is None else names.index(mask_from),
     )

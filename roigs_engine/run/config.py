@@ -13,7 +13,7 @@ from typing import Any
 from ..errors import ConfigError
 from ..requests import choices
 from ..selection.config import SelectionConfig
-from ..training.config import TrainConfig, miniature, with_steps
+from ..training.config import TrainConfig, check_limits, limited, miniature, with_steps
 from ..training.mechanisms.floater_pruning import FloaterPruning
 
 AUTO_BLOCKS = 0  # as many as this machine's memory needs
@@ -55,19 +55,19 @@ class RunConfig:
     preset: str
     strategy: str
     selection: SelectionConfig
-    kept_share: float
+    kept_share: float = limited(least=0, most=1)
     scene: TrainConfig
     roi: TrainConfig
-    scene_scale: float = 1.0
+    scene_scale: float = limited(1.0, above=0, most=1)
     roi_init: str = "scene"
     roi_order: str = "ordered"
-    selected_share: float = 0.5
-    refine_share: float = 0.0
-    baseline_densify: float = 0.5
+    selected_share: float = limited(0.5, least=0, most=1)
+    refine_share: float = limited(0.0, least=0, most=1)
+    baseline_densify: float = limited(0.5, least=0, most=1)
     whole_schedule: bool = False
     test_every: int = 8
     evaluate_on: str = choices.TEST
-    seed: int = 0
+    seed: int = limited(0, least=0, most=choices.MAX_SEED)
     blocks: int = 1
     groups: tuple[tuple[str, ...], ...] = ()
 
@@ -80,14 +80,7 @@ class RunConfig:
         ):
             if value not in allowed:
                 raise ConfigError(f"{name} is '{value}'.", f"Use one of {', '.join(allowed)}.")
-        for name, share in (
-            ("kept_share", self.kept_share),
-            ("selected_share", self.selected_share),
-            ("refine_share", self.refine_share),
-            ("baseline_densify", self.baseline_densify),
-        ):
-            if not 0 <= share <= 1:
-                raise ConfigError(f"{name} is {share:g}.", "Use a number from 0 to 1.")
+        check_limits(self)
         if self.scene.antialiased != self.roi.antialiased:
             raise ConfigError(
                 "One of the two stages draws with anti-aliasing, the other without.",
@@ -97,14 +90,6 @@ class RunConfig:
             raise ConfigError(
                 f"The Scene-GS uses {FloaterPruning.name}, but has no boxes.",
                 "Use it in the box stage.",
-            )
-        if not 0 < self.scene_scale <= 1:
-            raise ConfigError(
-                f"scene_scale is {self.scene_scale:g}.", "Use a number above 0, at most 1."
-            )
-        if not 0 <= self.seed <= choices.MAX_SEED:
-            raise ConfigError(
-                f"The seed is {self.seed}.", f"Use an integer from 0 to {choices.MAX_SEED:,}."
             )
         if self.evaluate_on == choices.VALIDATION and not self.test_every:
             raise ConfigError(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 from ..context import QUIET, Context
@@ -26,16 +26,25 @@ if TYPE_CHECKING:
 SCALES, SHARE, INTERVAL = "scales", "share", "interval"  # keys and values of a field's metadata
 PLANNED, LIMITED = "planned", "limited"
 LIMITS: dict[str, tuple[Callable[[float, float], bool], str]] = {
-    "least": (operator.ge, "{:g} or more"),
-    "above": (operator.gt, "more than {:g}"),
-    "most": (operator.le, "at most {:g}"),
-    "below": (operator.lt, "less than {:g}"),
+    "least": (operator.ge, "{:,.12g} or more"),
+    "above": (operator.gt, "more than {:,.12g}"),
+    "most": (operator.le, "at most {:,.12g}"),
+    "below": (operator.lt, "less than {:,.12g}"),
 }
 
 
-def limited(default: Any, **limits: float) -> Any:
+def limited(default: Any = MISSING, **limits: float) -> Any:
     """A field whose value has limits: the keys of `LIMITS`. None is within all."""
     return field(default=default, metadata={LIMITED: limits})
+
+
+def check_limits(settings: Any, owner: str = "") -> None:
+    """Raise ConfigError if a `limited` field of a dataclass is out of its limits."""
+    for each in fields(settings):
+        value, limits = getattr(settings, each.name), each.metadata.get(LIMITED, {})
+        if value is not None and not all(LIMITS[key][0](value, at) for key, at in limits.items()):
+            allowed = ", and ".join(LIMITS[key][1].format(at) for key, at in limits.items())
+            raise ConfigError(f"{owner}{each.name} is {value:g}.", f"Use {allowed}.")
 
 
 def share_of_steps(default: int, **limits: float) -> Any:
@@ -87,11 +96,7 @@ class Mechanism:
 
     def check(self, config: TrainConfig) -> None:
         """Raise ConfigError if a setting is out of its limits, or another mechanism is missing."""
-        for each in fields(self):
-            value, limits = getattr(self, each.name), each.metadata.get(LIMITED, {})
-            if value is not None and not all(LIMITS[k][0](value, at) for k, at in limits.items()):
-                allowed = ", and ".join(LIMITS[k][1].format(at) for k, at in limits.items())
-                raise ConfigError(f"{self.name}: {each.name} is {value:g}.", f"Use {allowed}.")
+        check_limits(self, f"{self.name}: ")
         for kind in self.needs:
             config.of(kind, self)
 
