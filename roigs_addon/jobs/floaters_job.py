@@ -50,7 +50,7 @@ def spec(context: bpy.types.Context, take: Callable[[Found], str]) -> JobSpec:
         judged = [_written(item, scene, folder) for item in point_edits.visible(context)]
         listed, options = folder / f"{NAME}-models.json", folder / f"{NAME}.json"
         files.write_json(listed, {"models": [model for _, model in judged]}, durable=False)
-        files.write_json(options, _options(scene, colmap, listed, out, folder), durable=False)
+        files.write_json(options, _options(scene, colmap, listed, folder), durable=False)
     looked_at = [(uid, state) for (uid, state), _ in judged]
     find = run_folders.finder(scene)
 
@@ -62,7 +62,7 @@ def spec(context: bpy.types.Context, take: Callable[[Found], str]) -> JobSpec:
 
     return JobSpec(
         title=FLOATERS,
-        arguments=["floaters", str(options)],
+        arguments=["floaters", str(options), "--out", str(out)],
         log=own_files.log_file(run_folders.settle(scene)),
         on_done=done,
     )
@@ -88,9 +88,7 @@ def _written(
     return (_uid(item), edits.state_of(mesh)), {"ply": str(path), "matrix": matrix.tolist()}
 
 
-def _options(
-    scene: bpy.types.Scene, colmap: Path, listed: Path, out: Path, folder: Path
-) -> dict[str, Any]:
+def _options(scene: bpy.types.Scene, colmap: Path, listed: Path, folder: Path) -> dict[str, Any]:
     props, boxes = scene_props(scene), lookup.rois(scene)
     values = {
         "scene": str(colmap),
@@ -101,7 +99,6 @@ def _options(
         "threads": preferences().threads or None,
         "device": preferences().device,
         "model": str(listed),
-        "out": str(out),
     }
     return {key: value for key, value in values.items() if value is not None}
 

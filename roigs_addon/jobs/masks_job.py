@@ -51,7 +51,6 @@ def spec(scene: bpy.types.Scene, roi: bpy.types.Object, *, anew: bool = False) -
             "threads": settings.get().threads or None,
             "device": settings.get().device,
             "anew": anew or None,
-            "out": str(out),
         }
         given = {key: value for key, value in values.items() if value is not None}
         files.write_json(options, given)
@@ -63,7 +62,7 @@ def spec(scene: bpy.types.Scene, roi: bpy.types.Object, *, anew: bool = False) -
 
     return JobSpec(
         title=MASKING,
-        arguments=["masks", str(options)],
+        arguments=["masks", str(options), "--out", str(out)],
         log=log,
         on_done=done,
         changes=False,

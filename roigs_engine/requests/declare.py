@@ -20,6 +20,11 @@ from ..formats.files import read_json
 from .values import Kind
 
 OPTION = "option"
+NOT_IN_FILES = ("cluster", "run_dir", "out")
+"""Options that an options file may not give: where to connect, and where to write.
+
+The file may be somebody else's, and a cluster runs programs on the computer that connects to it.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,8 +217,8 @@ def read_options(path: Path, request: type[Request], given: Mapping[str, Any]) -
         given: options that win over the file.
 
     Raises:
-        ConfigError: the file cannot be read, has no scene, has an unknown key or one twice, has two
-            options that exclude one another, or a value does not fit.
+        ConfigError: the file cannot be read, has no scene, has an unknown key, one twice or one of
+            `NOT_IN_FILES`, has two options that exclude one another, or a value does not fit.
     """
     record = read_json(path, ConfigError, "docs/files.md describes options files.")
     if not isinstance(record, dict) or not isinstance(record.get("scene"), str):
@@ -229,6 +234,11 @@ def read_options(path: Path, request: type[Request], given: Mapping[str, Any]) -
             raise ConfigError(
                 f"The options file {path} has an unknown key '{key:.60}'.",
                 f"The known keys are: {', '.join(sorted(known))}.",
+            )
+        if name in NOT_IN_FILES and value is not None:
+            raise ConfigError(
+                f"The options file {path} has the key '{key}', which no file may choose.",
+                f"Remove it, and give {known[name].usage} on the command line.",
             )
         if keys.setdefault(name, key) != key:
             raise ConfigError(

@@ -103,7 +103,8 @@ def test_the_engine_is_asked_for_the_boxs_photos(
     asked = options(folder, "masks")
     assert asked["only"] == ["thing"] and asked["photo"] == [photos[1], photos[3]]
     assert asked["model"] == str(folder / "result.ply")
-    assert Path(asked["out"]) == root(scene, folder)
+    said = (folder / "blender" / "engine.log").read_text(encoding="utf-8")
+    assert f"--out {root(scene, folder)}" in said
     (scribble,) = read_scribbles(Path(asked["scribbles"]))
     assert (scribble.box, scribble.photo, len(scribble.strokes)) == ("thing", photos[0], 1)
     assert "anew" not in asked

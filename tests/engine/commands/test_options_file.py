@@ -21,21 +21,18 @@ def options_file(folder: Path, **values: object) -> Path:
 def test_a_options_file_stands_for_options(
     project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file = options_file(
-        tmp_path, scene=str(project.folder), roi=[BOX], method="fvs", count=2, out=str(tmp_path)
-    )
-    assert main(["select", str(file)]) == 0
+    file = options_file(tmp_path, scene=str(project.folder), roi=[BOX], method="fvs", count=2)
+    out = ["--out", str(tmp_path)]
+    assert main(["select", str(file), *out]) == 0
     stored = json.loads((tmp_path / "thing.json").read_text(encoding="utf-8"))
     assert (stored["method"], len(stored["names"])) == ("fvs", 2)
     # What is null is as if it were not there, and a number may be written as 640.0.
     values = {"max_side": 640.0, "count": 2, "seed": None, "only": None, "method": None}
     same = options_file(tmp_path, scene=str(project.folder), roi=BOX, **values)
     assert main(["select", str(same)]) == 0
-    options_file(
-        tmp_path, scene=str(project.folder), roi=[BOX], method="fvs", count=2, out=str(tmp_path)
-    )
+    options_file(tmp_path, scene=str(project.folder), roi=[BOX], method="fvs", count=2)
     # An option beside the file wins.
-    assert main(["select", str(file), "--count", "4"]) == 0
+    assert main(["select", str(file), "--count", "4", *out]) == 0
     stored = json.loads((tmp_path / "thing.json").read_text(encoding="utf-8"))
     assert (stored["method"], len(stored["names"])) == ("fvs", 4)
     capsys.readouterr()
@@ -97,21 +94,28 @@ def test_a_key_that_is_there_twice_is_refused(
     assert twice in line and "options.json" in line
 
 
-def test_required_options_may_be_in_the_file(
-    project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("command", "key", "value", "flag"),
+    [
+        ("train", "cluster", "ray://elsewhere:10001", "--cluster"),
+        ("train", "run-dir", "/home/somebody", "--run-dir"),
+        ("export", "out", "/home/somebody", "--out"),
+    ],
+)
+def test_a_file_says_neither_where_to_write_nor_where_to_connect(
+    project: Project,
+    tmp_path: Path,
+    command: str,
+    key: str,
+    value: str,
+    flag: str,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    scene, out = str(project.folder), tmp_path / "out"
-    file = options_file(tmp_path, scene=scene, out=str(out))
-    assert main(["export", str(file)]) == 0
-    assert (out / "scene.json").exists()
-    assert main(["export", str(file), "--out", str(tmp_path / "other")]) == 0
-    assert (tmp_path / "other" / "scene.json").exists()
-    run = options_file(tmp_path, scene=scene, roi=BOX, run_dir=str(tmp_path / "run"), dry_run=True)
-    capsys.readouterr()
-    assert main(["train", str(run)]) == 0
-    assert f"Plan of {tmp_path / 'run'}:" in capsys.readouterr().out
-    assert main(["train", str(run), "--run-dir", str(tmp_path / "mine")]) == 0
-    assert f"Plan of {tmp_path / 'mine'}:" in capsys.readouterr().out
+    file = options_file(tmp_path, **{"scene": str(project.folder), key: value})
+    for more in ((), (flag, tmp_path / "mine")):
+        line = refused(capsys, command, file, *more)
+        assert f"the key '{key}', which no file may choose" in line and flag in line
+    assert not (tmp_path / "mine").exists()
 
 
 @pytest.mark.parametrize("values", [{}, {"run_dir": None}])
@@ -124,8 +128,8 @@ def test_what_neither_the_file_nor_the_command_line_has_is_missed(
     file = options_file(tmp_path, scene=str(project.folder), roi=BOX, **values)
     assert "required: --run-dir" in refused(capsys, "train", file)
     assert "required: scene, --run-dir" in refused(capsys, "train")
-    file = options_file(tmp_path, scene=str(project.folder), roi=BOX, model=[], out="out")
-    assert "required: --model" in refused(capsys, "evaluate", file)
+    file = options_file(tmp_path, scene=str(project.folder), roi=BOX, model=[])
+    assert "required: --model" in refused(capsys, "evaluate", file, "--out", tmp_path)
 
 
 def test_an_option_beside_the_file_wins_over_what_excludes_it(
