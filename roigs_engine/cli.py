@@ -36,8 +36,8 @@ def main(argv: Sequence[str] | None = None, stop: StopRequest | None = None) -> 
         if command.torch:
             check_address_space(name, MIN_TORCH, MIN_TORCH_CORE)
         result = command.run(request, context, console.print)
-        if text := command.prints(request, result):
-            console.print(text)
+        if result.text:
+            console.print(result.text)
         if result.error is not None:
             raise result.error
         console.emit(Done(outputs=result.outputs))

@@ -70,21 +70,7 @@ class Batched(Result):
         )
 
 
-@dataclass(frozen=True, kw_only=True)
-class NewTable(Result):
-    """A table that was written."""
-
-    table: Path
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlannedBatch(Result):
-    """The plan of a batch that is not done, as text."""
-
-    text: str
-
-
-def run_batch(request: Batch, context: Context = QUIET) -> Batched | NewTable | PlannedBatch:
+def run_batch(request: Batch, context: Context = QUIET) -> Result:
     """Write a table, print its plan, or do it.
 
     Raises:
@@ -95,7 +81,7 @@ def run_batch(request: Batch, context: Context = QUIET) -> Batched | NewTable | 
         table_path = request.table or request.init / TABLE
         count = write_table(table_path, request.init)
         context.info(f"{table_path} has {counted(count, 'scene')}. Look at it, then start it.")
-        return NewTable(table=table_path)
+        return Result(files={"table": table_path})
     folder, store = _place(request)
     assert request.table is not None
     table = Table(request.table)
@@ -249,20 +235,16 @@ class _Work:
 
 def _batched(where: str, states: Sequence[SceneState]) -> Batched:
     """How it ended."""
-    return Batched(
-        runs=where,
-        report=f"{where}/{REPORT_PAGE}" if is_url(where) else str(Path(where, REPORT_PAGE)),
-        scenes=len(states),
-        failed=tuple(state.reason for state in states if state.reason),
-    )
+    failed = tuple(state.reason for state in states if state.reason)
+    report = f"{where}/{REPORT_PAGE}" if is_url(where) else str(Path(where, REPORT_PAGE))
+    found = Batched(runs=where, report=report, scenes=len(states), failed=failed)
+    return found.with_places(*(f"failed: {reason}" for reason in failed))
 
 
 # --- plan ---
 
 
-def _planned(
-    table: Table, rows: Sequence[Row], record: BatchRecord, context: Context
-) -> PlannedBatch:
+def _planned(table: Table, rows: Sequence[Row], record: BatchRecord, context: Context) -> Result:
     """The plan as text; the time of a step is measured, nothing is written."""
     from ..batch.times import Times
 
@@ -273,7 +255,7 @@ def _planned(
         context.check_cancelled()
         found = plan_row(row, folder, record, context)
         seconds |= times.of_scene(found.scene, found.run, found.plan, found.context)
-    return PlannedBatch(text=plan_text(scenes, seconds, times.measured))
+    return Result(text=plan_text(scenes, seconds, times.measured))
 
 
 def plan_text(

@@ -57,9 +57,8 @@ def train_on_cluster(request: Train, context: Context) -> Trained:
     if reason:
         raise RunFolderError(reason, "The same command tries again, and keeps what is done.")
     if isinstance(request, TrainAndEvaluate):
-        table = decode_text(read_bytes(folder / REPORT))
-        return replace(result_in(folder, evaluated=True), table=table)
-    found = result_in(folder, evaluated=False)
+        return result_in(folder, decode_text(read_bytes(folder / REPORT)))
+    found = result_in(folder, None)
     context.info(f"The result is {found.result}.")
     return found
 

@@ -13,6 +13,7 @@ from ..errors import ConfigError, RoiError
 from ..exchange.arrays import turn
 from ..formats.drawable import usable
 from ..formats.gravity import gravity_alignment
+from ..formats.text import counted
 from ..model.roi import load_rois
 from ..requests.models import Convert
 from .inputs import boxes_of
@@ -30,15 +31,6 @@ PAGE, STREAMED = ".html", "lod-meta.json"
 SCENE_UP = "-y"
 """The axis that points up in formats that keep the frame of a scene."""
 OTHER = "Choose another OUT."
-
-
-@dataclass(frozen=True, kw_only=True)
-class Converted(Result):
-    """The file, its Gaussians, and how many were left out."""
-
-    result: Path
-    count: int
-    left_out: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +54,7 @@ class _Model:
     upright: bool = False
 
 
-def convert(request: Convert, context: Context = QUIET) -> Converted:
+def convert(request: Convert, context: Context = QUIET) -> Result:
     """Read the models, make them one, and write it.
 
     Raises:
@@ -91,7 +83,10 @@ def convert(request: Convert, context: Context = QUIET) -> Converted:
     else:
         check = context.check_cancelled
         written = formats.write(request.out, arrays, check, antialiased=model.antialiased)
-    return Converted(result=request.out, count=written, left_out=model.count - written)
+    left = f" ({model.count - written:,} left out)" if model.count > written else ""
+    size = request.out.stat().st_size / 1e6
+    text = f"{counted(written, 'Gaussian')}{left}, {size:.1f} MB in {request.out}"
+    return Result(files={"result": request.out}, text=text)
 
 
 def _single(request: Convert, target: FileFormat, context: Context, *, plain: bool) -> _Model:
@@ -360,7 +355,7 @@ def _page_extras(request: Convert, before: Arrays | None, model: _Model) -> Extr
 # --- levels of detail ---
 
 
-def _write_streamed(request: Convert, context: Context) -> Converted:
+def _write_streamed(request: Convert, context: Context) -> Result:
     """Write a run's result in its levels of detail, as Streamed SOG."""
     from ..exchange import formats, streamed_sog
     from ..formats.levels import read_ladders
@@ -386,4 +381,5 @@ def _write_streamed(request: Convert, context: Context) -> Converted:
         parts.append(levels)
     check, antialiased = context.check_cancelled, formats.are_antialiased(files)
     written = streamed_sog.write(request.out, parts, check, antialiased=antialiased)
-    return Converted(result=request.out, count=written)
+    text = f"{counted(written, 'Gaussian')} in levels of detail in {request.out.parent}"
+    return Result(files={"result": request.out}, text=text)

@@ -87,12 +87,9 @@ def evaluate(request: Evaluate, context: Context = QUIET) -> Evaluated:
         models, scene, test, rois, context=context, baseline=models[0].name, photos=photos
     )
     table = write_evaluation(evaluation, models, scene, rois, request.out, context)
-    return Evaluated(
-        report=request.out / REPORT,
-        page=request.out / REPORT_PAGE,
-        pictures=request.out / CROPS,
-        table=table,
-    )
+    report, _, page = reports
+    found = Evaluated(report=report, page=page, pictures=request.out / CROPS, table=table)
+    return found.with_places(table)
 
 
 def write_evaluation(

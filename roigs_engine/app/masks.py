@@ -67,7 +67,7 @@ def make_masks(request: Masks, context: Context = QUIET) -> Result:
         own = {each.photo: each for each in scribbles if each.box == roi.name}
         if own:
             folders[roi.name] = maker.make(roi, own, context)
-    return Result(files=folders)
+    return Result(files=folders).with_places()
 
 
 def _scribbles(request: Masks, names: Sequence[str]) -> list[Scribble]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,15 +36,7 @@ if TYPE_CHECKING:
     from ..rasterize.instances import Instance
 
 
-@dataclass(frozen=True, kw_only=True)
-class Composed(Result):
-    """The merged PLY, and its number of Gaussians."""
-
-    result: Path
-    count: int
-
-
-def compose(request: Compose, context: Context = QUIET) -> Composed:
+def compose(request: Compose, context: Context = QUIET) -> Result:
     """Replace a scene's Gaussians in boxes by those of object models; EngineError for bad input."""
     from ..model.gaussians import Gaussians
     from ..model.operations import merge
@@ -74,21 +66,14 @@ def compose(request: Compose, context: Context = QUIET) -> Composed:
     composed = merge(scene, pairs)
     context.check_cancelled()
     composed.save_ply(request.out, frame)
-    return Composed(result=request.out, count=len(composed))
+    text = f"{counted(len(composed), 'Gaussian')} in {request.out}"
+    return Result(files={"result": request.out}, text=text)
 
 
 # --- cut ---
 
 
-@dataclass(frozen=True, kw_only=True)
-class CutOut(Result):
-    """The folder with the objects, and the PLY with all else."""
-
-    objects: Path
-    rest: Path
-
-
-def cut(request: Cut, context: Context = QUIET) -> CutOut:
+def cut(request: Cut, context: Context = QUIET) -> Result:
     """Label the Gaussians of each box that has masks, and write the objects and the rest.
 
     Raises:
@@ -115,7 +100,7 @@ def cut(request: Cut, context: Context = QUIET) -> CutOut:
     for index, roi in enumerate(rois):
         model.rows(owner == index).save_ply(files[roi.name], frame)
     model.rows(owner == -1).save_ply(rest, frame)
-    return CutOut(objects=request.out / FINE, rest=rest)
+    return Result(files={"objects": request.out / FINE, "rest": rest}).with_places()
 
 
 def _masked_scene(request: Cut, rois: Sequence[OrientedBox], context: Context) -> SfmScene:
@@ -165,16 +150,7 @@ def _say_owned(
 # --- floaters ---
 
 
-@dataclass(frozen=True, kw_only=True)
-class FoundFloaters(Result):
-    """The NumPy file, how many Gaussians float, and how many there are."""
-
-    floaters: Path
-    count: int
-    among: int
-
-
-def find_floaters(request: Floaters, context: Context = QUIET) -> FoundFloaters:
+def find_floaters(request: Floaters, context: Context = QUIET) -> Result:
     """Find what hangs in the air in a model, by the rule with which a training ends.
 
     Raises:
@@ -210,7 +186,8 @@ def find_floaters(request: Floaters, context: Context = QUIET) -> FoundFloaters:
         found[there] = judged.cpu().numpy()
     with atomic_write(request.out) as file:
         np.save(file, found)
-    return FoundFloaters(floaters=request.out, count=int(found.sum()), among=len(found))
+    text = f"{counted(int(found.sum()), 'floater')} among {len(found):,} Gaussians"
+    return Result(files={"floaters": request.out}, text=text)
 
 
 def _as_one(wanted: list[InstanceRecord], frame: LocalFrame) -> tuple[Gaussians, NDArray[np.bool_]]:

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from typing import Self
 
 from ..errors import ConfigError, EngineError
 from ..formats import run_files
@@ -16,9 +17,15 @@ from ..requests.values import shown
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """What a piece of work has made; each field with a path is a file or folder that it wrote."""
+    """What a piece of work has made; each field with a path is a file or folder that it wrote.
+
+    Attributes:
+        files: more of these, by name.
+        text: the command's answer on standard output.
+    """
 
     files: dict[str, Path] = field(default_factory=dict)
+    text: str = ""
 
     @property
     def error(self) -> EngineError | None:
@@ -31,6 +38,11 @@ class Result:
         named = {each.name: getattr(self, each.name) for each in fields(self)}
         found = {name: value for name, value in named.items() if isinstance(value, Path)}
         return {name: str(path) for name, path in (found | self.files).items()}
+
+    def with_places(self, *lines: str) -> Self:
+        """The result; its text is these lines, and what was written where."""
+        places = (f"{what + ':':10}{path}" for what, path in self.outputs.items())
+        return replace(self, text="\n".join([*lines, *places]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,24 +64,14 @@ class Trained(Result):
     table: str = ""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Planned(Result):
-    """The plan of a training that is not done, as text."""
-
-    text: str
-
-
-def result_in(folder: Path, *, evaluated: bool) -> Trained:
-    """Where everything is in a run folder."""
+def result_in(folder: Path, table: str | None) -> Trained:
+    """Where everything is in a run folder; `table` is of the evaluation, None: there is none."""
     found = Trained(result=folder / run_files.RESULT, rois=folder / run_files.FINE)
-    if not evaluated:
+    if table is None:
         return found
-    return replace(
-        found,
-        report=folder / run_files.REPORT,
-        page=folder / run_files.REPORT_PAGE,
-        pictures=folder / run_files.CROPS,
-    )
+    report, page = folder / run_files.REPORT, folder / run_files.REPORT_PAGE
+    found = replace(found, report=report, page=page, pictures=folder / run_files.CROPS, table=table)
+    return found.with_places(table)
 
 
 def refuse_run_files(out: Path | None, *, option: str = "--out") -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +13,7 @@ from ..errors import ConfigError, EngineError
 from ..formats.events import Preview
 from ..formats.files import read_json
 from ..formats.frame_requests import REQUEST, colour_file, depth_file
+from ..formats.text import counted
 from ..requests.models import Render, RenderFrames
 from .inputs import load_scene, on_device, use_threads
 from .instances import HINT, drawable_model, instances
@@ -30,15 +30,7 @@ STAGE = "models"
 PAUSE = 0.005  # seconds between two looks into the folder
 
 
-@dataclass(frozen=True, kw_only=True)
-class Rendered(Result):
-    """The folder of the pictures, and their number."""
-
-    pictures: Path
-    count: int
-
-
-def render(request: Render, context: Context = QUIET) -> Rendered:
+def render(request: Render, context: Context = QUIET) -> Result:
     """Render a PLY from every camera to a PNG; EngineError if an input cannot be used."""
     import torch
 
@@ -63,7 +55,8 @@ def render(request: Render, context: Context = QUIET) -> Rendered:
         return whole if levels is None else levels.gaussians(camera, world_to_camera)
 
     written = render_sequence(drawn, local, request.out, context)
-    return Rendered(pictures=request.out, count=len(written))
+    text = f"{counted(len(written), 'picture')} in {request.out}"
+    return Result(files={"pictures": request.out}, text=text)
 
 
 def _cameras(request: Render, context: Context) -> CameraPath:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ..context import QUIET, Context
 from ..errors import ConfigError
 from ..formats.files import write_json
+from ..formats.text import counted
 from ..model.roi import OrientedBox
 from ..requests.projects import Export, Inspect, Reconstruct, RefineCameras, Select
 from ..requests.values import AUTO
@@ -20,24 +22,11 @@ from .outputs import Result, refuse_inputs, refuse_run_files
 
 if TYPE_CHECKING:
     from ..colmap.refine import Refinement
+    from ..colmap.refine_by_matches import MatchedFit
     from ..selection import CameraSelection
 
 
-@dataclass(frozen=True, kw_only=True)
-class Reconstructed(Result):
-    """A COLMAP project, its report, and its model."""
-
-    scene: Path
-    report: Path
-    model: Path
-
-    @property
-    def outputs(self) -> dict[str, str]:
-        """Project and report."""
-        return {"scene": str(self.scene), "report": str(self.report)}
-
-
-def reconstruct(request: Reconstruct, context: Context = QUIET) -> Reconstructed:
+def reconstruct(request: Reconstruct, context: Context = QUIET) -> Result:
     """Make a COLMAP project of photos or a video, or resume it.
 
     Raises:
@@ -65,8 +54,8 @@ def reconstruct(request: Reconstruct, context: Context = QUIET) -> Reconstructed
             frames=request.frames or 0,
             masks=masks,
         )
-        report = request.out / "reconstruction.md"
-        done = Reconstructed(scene=request.out, report=report, model=model)
+        files = {"scene": request.out, "report": request.out / "reconstruction.md", "model": model}
+        done = Result(files=files).with_places()
         log.outputs = done.outputs
     return done
 
@@ -80,25 +69,19 @@ class Inspected(Result):
 
 def inspect(request: Inspect, context: Context = QUIET) -> Inspected:
     """Load a scene and look what it contains; EngineError if it cannot be used."""
-    from ..colmap.inspect import inspect_scene
+    from ..colmap.inspect import format_inspection, inspect_scene
     from ..colmap.photo_loader import without_damaged
 
     rois = boxes_of(request, required=False)
     scene = load_scene(request, context)
     if request.check_photos:
         scene = without_damaged(scene, context)
-    return Inspected(report=inspect_scene(scene, rois))
+    report = inspect_scene(scene, rois)
+    text = json.dumps(report, indent=1) if request.json else format_inspection(report)
+    return Inspected(report=report, text=text)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Exported(Result):
-    """The number of cameras and points that were written."""
-
-    cameras: int
-    points: int
-
-
-def export(request: Export, context: Context = QUIET) -> Exported:
+def export(request: Export, context: Context = QUIET) -> Result:
     """Write a model's cameras and points; EngineError if it cannot be used."""
     from ..colmap.export import COLMAP, PLACED, SCENE, stored_transform, transformed, write_export
     from ..formats.scene_transform import transform_file
@@ -119,7 +102,8 @@ def export(request: Export, context: Context = QUIET) -> Exported:
     frame = PLACED if request.placed else COLMAP
     files = write_export(scene, request.out, transform=transform, frame=frame)
     paths = {name: Path(path) for name, path in files.items()}
-    return Exported(files=paths, cameras=len(scene.images), points=len(scene.points))
+    cameras, points = counted(len(scene.images), "camera"), counted(len(scene.points), "point")
+    return Result(files=paths, text=f"{cameras} and {points} in {request.out}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +126,34 @@ def refine_cameras(request: RefineCameras, context: Context = QUIET) -> Refined:
     done = refine.refine_cameras(
         model, out, context, images=request.images, look=not request.tracks_only
     )
-    return Refined(refinement=done, model=out if done.better else None)
+    text = " ".join([_by_tracks(done), *_by_matches(done.matched)])
+    if not done.better:
+        return Refined(refinement=done, text=text)
+    text += f"\nThe new model is in {out}. Use this folder as the scene; boxes stay as they are."
+    return Refined(refinement=done, model=out, text=text)
+
+
+def _by_tracks(done: Refinement) -> str:
+    count = counted(done.left_out, "observation")
+    errors = f"{done.before:.2f} -> {done.after:.2f} px, median of {count} left out"
+    if not done.fits_tracks_better:
+        nothing = "" if done.better else " Nothing is written."
+        return f"The cameras cannot be made to fit the tracks better ({errors}).{nothing}"
+    fuller = f" {counted(done.cameras, 'camera')} got OPENCV's parameters." if done.cameras else ""
+    return f"The cameras fit better: {errors}.{fuller}"
+
+
+def _by_matches(fit: MatchedFit | None) -> list[str]:
+    if fit is None:
+        return []
+    if not fit.enough:
+        return [f"Only {counted(fit.matches, 'place')} matched in the photos: they were not used."]
+    matched = f"{counted(fit.matches, 'place')} matched in {counted(fit.photos, 'photo')}"
+    if not fit.better:
+        return [f"With {matched}, they fit as well as they can ({fit.after:.3f} px)."]
+    errors = f"{fit.before:.3f} -> {fit.after:.3f} px, median of {fit.left_out:,} left out"
+    changed = " and ".join([", ".join(fit.changed[:-1]), fit.changed[-1]]).removeprefix(" and ")
+    return [f"With {matched}: {errors} ({changed} changed)."]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,7 +170,7 @@ def select(request: Select, context: Context = QUIET) -> Selected:
         EngineError: a box or the scene cannot be used.
     """
     from ..model.mask_coverage import with_useful_masks
-    from ..selection import SelectionConfig, select_cameras
+    from ..selection import SelectionConfig, format_selection, select_cameras
     from ..selection.split import choose_test_views
 
     refuse_run_files(request.out)
@@ -178,10 +189,12 @@ def select(request: Select, context: Context = QUIET) -> Selected:
         test = choose_test_views(scene, rois, request.test_every, context)
         scene, tests = scene.without(set(test)), scene.select(test)
     found = tuple(select_cameras(scene, roi, config, context, tests=tests) for roi in rois)
-    for roi, selection in zip(rois, found, strict=True):
-        if files:
+    texts = [format_selection(selection) for selection in found]
+    if files:
+        for roi, selection in zip(rois, found, strict=True):
             write_json(files[roi.name], selection.to_dict())
-    return Selected(selections=found, files=files)
+        texts.append(f"{counted(len(files), 'list')} of photos in {request.out}")
+    return Selected(selections=found, files=files, text="\n".join(texts))
 
 
 def _lists(request: Select, rois: Sequence[OrientedBox]) -> dict[str, Path]:

@@ -19,7 +19,7 @@ from ..requests.runs import Train, TrainAndEvaluate
 from .asked import Asked
 from .event_log import EventLog, logged
 from .inputs import count_photos, mask_options
-from .outputs import Planned, Trained, result_in
+from .outputs import Result, Trained, result_in
 
 if TYPE_CHECKING:
     from ..evaluation.views import EvaluatedModel
@@ -48,7 +48,7 @@ def train(request: Train, context: Context = QUIET) -> Trained:
             "A training here is neither a dry run nor on a cluster.",
             "Call plan_training or train_on_cluster instead.",
         )
-    asked, table = Asked.of(request), ""
+    asked, table = Asked.of(request), None
     with logged(context) as (context, log):
         with opened(asked, context, log) as (run, context):
             trained = train_opened(
@@ -61,7 +61,7 @@ def train(request: Train, context: Context = QUIET) -> Trained:
 
                 images = run.scene.images
                 make_levels(run.folder, images, run.frame, levels=request.levels, context=context)
-        done = replace(result_in(request.run_dir, evaluated=asked.evaluated), table=table)
+        done = result_in(request.run_dir, table)
         if not asked.evaluated:
             context.info(f"The result is {done.result}.")
         log.outputs = done.outputs
@@ -97,7 +97,7 @@ def train_parts(request: TrainAndEvaluate, context: Context = QUIET) -> Trained:
 # --- plan ---
 
 
-def plan_training(request: Train, context: Context = QUIET) -> Planned:
+def plan_training(request: Train, context: Context = QUIET) -> Result:
     """The plan of a training; a few steps are trained to measure time, nothing is written.
 
     Raises:
@@ -108,10 +108,10 @@ def plan_training(request: Train, context: Context = QUIET) -> Planned:
     asked = Asked.of(request)
     request = asked.request
     if asked.photos is not None and not asked.has_model:
-        return Planned(text=_plan_of_photos(asked.photos, request))
+        return Result(text=_plan_of_photos(asked.photos, request))
     context = asked.context(context)
     run = asked.defined(context, pixels=False)
-    return Planned(text=describe_plan(run, asked.compare, context, update=request.update))
+    return Result(text=describe_plan(run, asked.compare, context, update=request.update))
 
 
 def _plan_of_photos(photos: Path, request: Train) -> str:

@@ -6,7 +6,7 @@ import platform
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,15 +27,7 @@ if TYPE_CHECKING:
 GPU_STEPS, CPU_STEPS = 50, 3
 
 
-@dataclass(frozen=True, kw_only=True)
-class Levelled(Result):
-    """The list of levels in the run folder, and the levels of each part of the result."""
-
-    levels: Path
-    ladders: tuple[Ladder, ...]
-
-
-def make_levels(request: Levels, context: Context = QUIET) -> Levelled:
+def make_levels(request: Levels, context: Context = QUIET) -> Result:
     """Train and measure levels of detail, or resume; they are in the run folder.
 
     Raises:
@@ -59,7 +51,25 @@ def make_levels(request: Levels, context: Context = QUIET) -> Levelled:
             steps=request.steps,
             context=context,
         )
-    return Levelled(levels=request.run / run_files.LEVELS_FILE, ladders=tuple(ladders))
+    made = Result(files={"levels": request.run / run_files.LEVELS_FILE})
+    return made.with_places(*_table_of(ladders))
+
+
+def _table_of(ladders: Sequence[Ladder]) -> list[str]:
+    rows = [
+        "| part | Gaussians | from | PSNR | whole, drawn so small |",
+        "|---|---:|---:|---:|---:|",
+    ]
+    for ladder in ladders:
+        for level in ladder.levels:
+            row = f"| {ladder.box or 'surroundings'} | {level.gaussians:,} |"
+            if level.farther:
+                psnr, whole = (level.measured[key] for key in ("psnr", "psnr_whole"))
+                row += f" {level.farther:.1f} x the distance | {psnr:.1f} | {whole:.1f} |"
+            else:
+                row += " | | |"
+            rows.append(row)
+    return rows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,11 +89,12 @@ def clean(request: Clean, context: Context = QUIET) -> Cleaned:
             place = path if path.parent == request.run else path.parent
             sizes[str(place.relative_to(request.run))] += clean_up.disk_size([path])
         found = tuple(sizes.items())
+        text = "\n".join(f"{in_gb(size):>8}  {place}" for place, size in found)
         if request.dry_run:
-            return Cleaned(removable=found)
+            return Cleaned(removable=found, text=text)
         freed = clean_up.remove(request.run)
     context.info(f"Removed {in_gb(freed)}." if freed else "There is nothing to remove.")
-    return Cleaned(removable=found, freed=freed)
+    return Cleaned(removable=found, freed=freed, text=text)
 
 
 def _check_run(folder: Path) -> None:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from ..requests import models, projects, runs
 from ..requests.declare import Request, options_of
-from . import answers
 
 if TYPE_CHECKING:
     from ..app.outputs import Result
@@ -29,7 +28,6 @@ class Command:
             when it is used.
         help: what it does, in a line.
         examples: for the help, each what follows the command.
-        prints: the answer on standard output, of the request and the result; empty: none.
         torch: whether it needs torch, which needs much memory to start.
         as_it_goes: whether the function is also given where to print lines as they are known.
     """
@@ -38,7 +36,6 @@ class Command:
     does: str | Callable[[Any], str]
     help: str
     examples: tuple[str, ...]
-    prints: Callable[[Any, Any], str]
     torch: bool = True
     as_it_goes: bool = False
 
@@ -52,9 +49,8 @@ class Command:
         """Do it; returns the result."""
         does = self.does if isinstance(self.does, str) else self.does(request)
         module, _, name = does.partition(":")
-        work = getattr(import_module(f"..app.{module}", __package__), name)
-        result: Result = work(request, context, *([say] if self.as_it_goes else []))
-        return result
+        work: Callable[..., Result] = getattr(import_module(f"..app.{module}", __package__), name)
+        return work(request, context, *([say] if self.as_it_goes else []))
 
 
 def _training(request: runs.Train) -> str:
@@ -77,7 +73,6 @@ COMMANDS: dict[str, Command] = {
             "garden/images --out garden --pairs all",
             "walk.mp4 --out garden",
         ),
-        prints=answers.reconstructed,
         torch=False,
     ),
     "inspect": Command(
@@ -85,7 +80,6 @@ COMMANDS: dict[str, Command] = {
         does="scenes:inspect",
         help="show what a COLMAP model contains and which photos see each box",
         examples=("garden", "garden --rois garden/rois.json --json"),
-        prints=answers.inspected,
         torch=False,
     ),
     "export": Command(
@@ -97,7 +91,6 @@ COMMANDS: dict[str, Command] = {
             "garden --max-side 640 --out out --events",
             "garden --placed --out metres",
         ),
-        prints=answers.exported,
         torch=False,
     ),
     "refine-cameras": Command(
@@ -106,7 +99,6 @@ COMMANDS: dict[str, Command] = {
         help="fit the cameras of a COLMAP model better, which makes everything trained with them"
         " sharper",
         examples=("garden", "garden --out garden-refined"),
-        prints=answers.refined,
         torch=False,
     ),
     "select": Command(
@@ -117,7 +109,6 @@ COMMANDS: dict[str, Command] = {
             "garden --rois garden/rois.json",
             'garden --roi "vase=0,0,0,1,1,2" --method gp9 --count 40 --out out',
         ),
-        prints=answers.selected,
         torch=False,
     ),
     "train": Command(
@@ -129,7 +120,6 @@ COMMANDS: dict[str, Command] = {
             "garden --rois garden/rois.json --run-dir runs/garden --dry-run",
             "garden --rois garden/rois.json --run-dir runs/paper --preset paper",
         ),
-        prints=answers.trained,
     ),
     "run": Command(
         request=runs.TrainAndEvaluate,
@@ -140,7 +130,6 @@ COMMANDS: dict[str, Command] = {
             "garden --rois garden/rois.json --run-dir runs/garden --dry-run",
             "garden --rois garden/rois.json --run-dir runs/all --compare all",
         ),
-        prints=answers.trained,
     ),
     "batch": Command(
         request=runs.Batch,
@@ -152,7 +141,6 @@ COMMANDS: dict[str, Command] = {
             "museum.toml --run-dir runs/museum --jobs 4",
             "museum.toml --run-dir runs/museum --cluster auto",
         ),
-        prints=answers.batched,
     ),
     "evaluate": Command(
         request=runs.Evaluate,
@@ -163,7 +151,6 @@ COMMANDS: dict[str, Command] = {
             ' "Full Scene=runs/garden/stages/full-scene-1f0c9a3e/model.ply" --model'
             " Ours=runs/garden/result.ply",
         ),
-        prints=answers.evaluated,
     ),
     "render": Command(
         request=models.Render,
@@ -173,21 +160,18 @@ COMMANDS: dict[str, Command] = {
             "result.ply --scene garden --name IMG_0004.jpg --out frames",
             "result.ply --path cameras.json --out frames",
         ),
-        prints=answers.rendered,
     ),
     "render-frames": Command(
         request=models.RenderFrames,
         does="render:render_frames",
         help="render pictures for compositing, as another program asks for them in a folder",
         examples=("requests --once",),
-        prints=answers.nothing,
     ),
     "compose": Command(
         request=models.Compose,
         does="objects:compose",
         help="replace a scene's Gaussians in the boxes by those of object models",
         examples=("scene.ply --rois rois.json --object vase=vase.ply --out all.ply",),
-        prints=answers.composed,
     ),
     "convert": Command(
         request=models.Convert,
@@ -200,7 +184,6 @@ COMMANDS: dict[str, Command] = {
             "placed.json garden.compressed.ply",
             "result.ply vase.html --fly-to rois.json --before old.ply",
         ),
-        prints=answers.converted,
     ),
     "masks": Command(
         request=models.Masks,
@@ -210,35 +193,30 @@ COMMANDS: dict[str, Command] = {
             "garden --rois garden/rois.json --scribbles strokes.json "
             "--model runs/garden/result.ply --out garden/masks",
         ),
-        prints=answers.all_places,
     ),
     "cut": Command(
         request=models.Cut,
         does="objects:cut",
         help="cut objects out of their boxes along masks: the vase without the table under it",
         examples=("garden --rois garden/rois.json --model runs/garden/result.ply --out cut",),
-        prints=answers.all_places,
     ),
     "floaters": Command(
         request=models.Floaters,
         does="objects:find_floaters",
         help="find Gaussians that hang in the air, by the rule with which a training ends",
         examples=("garden --rois garden/rois.json --model result.ply --out floaters.npy",),
-        prints=answers.floaters,
     ),
     "levels": Command(
         request=runs.Levels,
         does="upkeep:make_levels",
         help="make levels of detail of a run's result: fewer Gaussians for views from afar",
         examples=("runs/garden",),
-        prints=answers.levels,
     ),
     "clean": Command(
         request=runs.Clean,
         does="upkeep:clean",
         help="remove what can be made again: caches, stages of earlier settings, previews",
         examples=("runs/garden --dry-run", "runs/garden"),
-        prints=answers.cleaned,
         torch=False,
     ),
     "check-gpu": Command(
@@ -246,7 +224,6 @@ COMMANDS: dict[str, Command] = {
         does="upkeep:check_gpu",
         help="check an NVIDIA GPU against the CPU, and time training steps on both",
         examples=("", "--brief"),
-        prints=answers.nothing,
         as_it_goes=True,
     ),
 }

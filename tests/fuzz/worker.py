@@ -97,13 +97,7 @@ def splats(request: Any, context: Any) -> Result:
 
 def _command(request: type[Request], does: Any) -> Command:
     """A command for tests, which is done by a function of this module."""
-    made = Command(
-        request=request,
-        does="",
-        help="for tests",
-        examples=(),
-        prints=lambda *_: "",
-    )
+    made = Command(request=request, does="", help="for tests", examples=())
     object.__setattr__(made, "run", lambda request, context, _: does(request, context))
     return made
 
