@@ -21,11 +21,11 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.markdown import table
-from roigs_engine.app.batch_plan import options_path, plan_row
+from roigs_engine.app.batch_plan import plan_row
 from roigs_engine.app.batch_table import Table
-from roigs_engine.batch.engine_process import DONE, run_engine
-from roigs_engine.batch.local import with_threads
+from roigs_engine.batch.engine_process import DONE
 from roigs_engine.batch.record import BatchRecord
+from roigs_engine.batch.staged import run_part
 from roigs_engine.context import QUIET
 from roigs_engine.formats.files import write_json
 
@@ -36,11 +36,11 @@ HEAD = ("how", "seconds", "over by hand", "speed", "load", "same bytes")
 
 def by_hand(path: Path, folder: Path) -> None:
     """Do the parts of a table one after the other, each on one core."""
-    for row in Table(path).rows:
-        write_json(options_path(row, folder), row.options)
-        scene = plan_row(row, folder, BatchRecord(folder), QUIET).scene
+    for row in Table(path, folder).rows:
+        write_json(row.options_file, row.options)
+        scene = plan_row(row, BatchRecord(folder), QUIET).scene
         for part in scene.parts:
-            ended = run_engine(with_threads(part, 1), lambda event: None, lambda: False)
+            ended = run_part(part, 1, lambda event: None, lambda: False)
             if ended.state != DONE:
                 sys.exit(f"{part.label}: {ended.reason}")
 

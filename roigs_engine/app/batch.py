@@ -19,7 +19,7 @@ from ..formats.run_files import BATCH, BATCH_LOCK, BATCH_OUTPUTS, REPORT_PAGE
 from ..formats.text import counted, in_gb
 from ..requests.runs import Batch
 from ..requests.values import is_url
-from .batch_plan import checked_plans, files_of_run, options_path, outputs_of, plan_row
+from .batch_plan import checked_plans, files_of_run, outputs_of, plan_row
 from .batch_store import Store, StoredRecord, localized
 from .batch_table import Row, Table, write_table
 from .outputs import Result
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from ..batch.engine_process import Outcome
     from ..batch.moves import PartState
-    from ..batch.parts import ScenePlan
+    from ..batch.parts import Key, ScenePlan
     from ..batch.record import BatchRecord
     from ..batch.schedule import Executor, SceneState
     from ..formats.events import Record
@@ -84,7 +84,7 @@ def run_batch(request: Batch, context: Context = QUIET) -> Result:
         return Result(files={"table": table_path})
     folder, store = _place(request)
     assert request.table is not None
-    table = Table(request.table)
+    table = Table(request.table, folder)
     chosen = _chosen(table, request.scenes)
     rows, wrong = localized(chosen, store, request.cluster, context)
     table.wrong += wrong
@@ -95,12 +95,12 @@ def run_batch(request: Batch, context: Context = QUIET) -> Result:
         if store:
             stack.enter_context(store.held(context))
         record = _record(folder, store, rows)
-        device, scenes = checked_plans(table, rows, folder, record, context)
+        device, scenes = checked_plans(table, rows, record, context)
         for row in rows:
-            write_json(options_path(row, folder), row.options)
+            write_json(row.options_file, row.options)
         executor = _executor(request, folder, store, device, context)
         try:
-            work = _Work(folder=folder, store=store, rows=rows, record=record)
+            work = _Work(store=store, rows=rows, record=record)
             states = work.execute(executor, scenes, request.retries, context)
         finally:
             executor.close()
@@ -170,9 +170,8 @@ def _executor(
 
 @dataclass(frozen=True, kw_only=True)
 class _Work:
-    """A batch that is done: its folder here, its store, rows, and what is done already."""
+    """A batch that is done: its store, its rows, and what is done already."""
 
-    folder: Path
     store: Store | None
     rows: Sequence[Row]
     record: BatchRecord
@@ -214,14 +213,14 @@ class _Work:
         from ..batch.page import write_batch_page
 
         is_there = self.store.is_there if self.store else None
-        write_batch_page(self.folder, scenes.values(), is_there)
+        write_batch_page(self.record.folder, scenes.values(), is_there)
         if self.store:
             self.store.put(BATCH, REPORT_PAGE)
 
     def _note(self, row: Row, scene: SceneState, part: PartState, context: Context) -> None:
         """Write down what a part has finished; raises as `BatchRecord.add`."""
-        folder, objects, record = self.folder, scene.plan.objects, self.record
-        outputs = {output.name: output for output in outputs_of(row, folder, objects)}
+        objects, record = scene.plan.objects, self.record
+        outputs = {output.name: output for output in outputs_of(row, objects)}
         if part.part.name in outputs:
             record.add_output(row.name, outputs[part.part.name])
         elif part.part.name == WHOLE:
@@ -229,8 +228,7 @@ class _Work:
                 context.warn(f"{row.name}: {BATCH_OUTPUTS}/{name} is of an earlier result.")
             if self.store:
                 self.store.fetch(row.name)
-            files = files_of_run(row, folder, objects)
-            record.add(row.name, row.digest, folder / row.name, files)
+            record.add(row.name, row.digest, row.run_dir, files_of_run(row, objects))
 
 
 def _batched(where: str, states: Sequence[SceneState]) -> Batched:
@@ -248,19 +246,17 @@ def _planned(table: Table, rows: Sequence[Row], record: BatchRecord, context: Co
     """The plan as text; the time of a step is measured, nothing is written."""
     from ..batch.times import Times
 
-    folder, times = record.folder, Times()
-    _, scenes = checked_plans(table, rows, folder, record, context)
-    seconds: dict[tuple[str, str], float] = {}
+    times = Times()
+    _, scenes = checked_plans(table, rows, record, context)
+    seconds: dict[Key, float] = {}
     for row in rows:
         context.check_cancelled()
-        found = plan_row(row, folder, record, context)
+        found = plan_row(row, record, context)
         seconds |= times.of_scene(found.scene, found.run, found.plan, found.context)
     return Result(text=plan_text(scenes, seconds, times.measured))
 
 
-def plan_text(
-    scenes: Sequence[ScenePlan], seconds: Mapping[tuple[str, str], float], measured: int
-) -> str:
+def plan_text(scenes: Sequence[ScenePlan], seconds: Mapping[Key, float], measured: int) -> str:
     """The plan of a batch: a row for each scene, and the time on so many machines.
 
     Args:
@@ -283,7 +279,7 @@ def plan_text(
     objects = sum(len(scene.objects) for scene in scenes)
     parts = [scene.parts for scene in scenes]
     times = ", ".join(f"{count}: {duration(makespan(parts, seconds, count))}" for count in MACHINES)
-    unknown = [scene.name for scene in scenes if not scene.stages]
+    unknown = [scene.name for scene in scenes if not scene.steps]
     notes = [
         f"{counted(objects, 'object')} in {counted(len(scenes), 'scene')},"
         f" {counted(sum(map(len, parts)), 'part')}.",
@@ -297,14 +293,16 @@ def plan_text(
     return "\n".join([*lines, "", *notes])
 
 
-def _plan_row(scene: ScenePlan, seconds: Mapping[tuple[str, str], float]) -> tuple[str, ...]:
-    memory = max((part.memory for part in scene.parts), default=0)
+def _plan_row(scene: ScenePlan, seconds: Mapping[Key, float]) -> tuple[str, ...]:
+    facts = (
+        str(len(scene.steps)),
+        f"{sum(scene.steps):,}",
+        in_gb(max((part.memory for part in scene.parts), default=0)),
+        f"{sum(seconds[part.key] for part in scene.parts) / 60:.1f}",
+    )
     return (
         scene.name,
         str(len(scene.objects)),
-        str(len(scene.stages)) if scene.stages else "?",
-        f"{sum(stage.steps for stage in scene.stages):,}" if scene.stages else "?",
-        in_gb(memory) if scene.stages else "?",
-        f"{sum(seconds[part.key] for part in scene.parts) / 60:.1f}" if scene.stages else "?",
+        *(facts if scene.steps else "????"),
         "done" if scene.done else "" if WHOLE in {p.name for p in scene.parts} else "outputs",
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..batch.parts import PREPARE, WHOLE, Cut, Part, ScenePlan, StagePlan, cuts, stage_work, works
+from ..batch.parts import PREPARE, WHOLE, Part, ScenePlan, Staging, cuts, needs, works
 from ..batch.record import BatchRecord, Output
 from ..context import QUIET, Context
 from ..errors import ConfigError, EngineError
@@ -16,12 +16,11 @@ from ..formats.text import counted
 from ..machine import ENGINE
 from ..requests.runs import TrainAndEvaluate
 from .asked import Asked
-from .batch_store import staging
 from .batch_table import Row, Table, Wrong
 
 if TYPE_CHECKING:
     from ..run.definition import Run
-    from ..run.plan import Plan
+    from ..run.plan import Plan, Stage
 
 OUTPUT_MEMORY = 4 * ENGINE
 TEST_WORK = 10.0  # steps that rendering and comparing a test photo is worth
@@ -38,13 +37,12 @@ class Planned:
     context: Context
 
 
-def plan_row(row: Row, folder: Path, record: BatchRecord, context: Context) -> Planned:
+def plan_row(row: Row, record: BatchRecord, context: Context) -> Planned:
     """The plan of a row; nothing is written, and nothing said: its engines say it again.
 
     Args:
         row: of the table.
-        folder: of the batch.
-        record: what is done there.
+        record: what the batch has done.
         context: asked whether to stop.
 
     Raises:
@@ -54,13 +52,13 @@ def plan_row(row: Row, folder: Path, record: BatchRecord, context: Context) -> P
     from ..run.strategies import plan_run
 
     context = replace(context, emit=QUIET.emit)
-    asked = Asked.of(row.request(folder))
+    asked = Asked.of(row.request)
     names = tuple(asked.boxes.names)
-    outputs = outputs_of(row, folder, names)
+    outputs = outputs_of(row, names)
     if not asked.has_model:
-        parts = _parts(row, folder, [], (("", PHOTOS_WORK),), {WHOLE: 0})
-        parts += _output_parts(row, folder, outputs)
-        return Planned(scene=_scene(row, names, parts), run=None, plan=None, context=context)
+        parts = _parts(row, 1, [], (("", PHOTOS_WORK),), {WHOLE: 0}) + _output_parts(row, outputs)
+        scene = ScenePlan(name=row.name, objects=names, steps=(), parts=parts)
+        return Planned(scene=scene, run=None, plan=None, context=context)
     context = asked.context(context)
     run = asked.defined(context, pixels=False)
     whole = run.memory(context)
@@ -69,29 +67,35 @@ def plan_row(row: Row, folder: Path, record: BatchRecord, context: Context) -> P
     largest = max(i.camera.width * i.camera.height for i in run.scene.images) / 1e6
     rest = (("", TEST_WORK * len(run.measured) * largest),)  # no stage: the evaluation
     own = rest if cut else (*works(plan.stages), *rest)
-    row = replace(row, blocks=run.config.blocks)  # `auto` is of this machine, for all of them
     memory = {PREPARE: whole.total, WHOLE: whole.joining if cut else whole.total}
     for stage in plan.stages:
         given = (run.train_scene, run.config, whole, context.photo_memory)
         memory[stage.name] = stage_memory(stage, *given)
-    parts = _parts(row, folder, cut, own, memory) + _output_parts(row, folder, outputs)
-    done = record.is_done(row.name, row.digest, run, files_of_run(row, folder, names))
+    # `auto` blocks are those of this machine, on all machines.
+    parts = _parts(row, run.config.blocks, cut, own, memory) + _output_parts(row, outputs)
+    done = record.is_done(row.name, row.digest, run, files_of_run(row, names))
     missing = [output for output in outputs if done and not record.has_output(row.name, output)]
     if missing:
-        parts = _output_parts(row, folder, missing, needs=())
-    scene = replace(_scene(row, names, parts, plan), done=done and not missing)
+        parts = _output_parts(row, missing, needs=())
+    scene = ScenePlan(
+        name=row.name,
+        objects=names,
+        steps=tuple(stage.config.steps for stage in plan.stages),
+        parts=parts,
+        done=done and not missing,
+    )
     return Planned(scene=scene, run=run, plan=plan, context=context)
 
 
 def checked_plans(
-    table: Table, rows: Sequence[Row], folder: Path, record: BatchRecord, context: Context
+    table: Table, rows: Sequence[Row], record: BatchRecord, context: Context
 ) -> tuple[str, list[ScenePlan]]:
     """The device of the first row, and the plans of all rows.
 
     Args:
         table: of the rows.
         rows: the scenes to do.
-        folder, record, context: as `plan_row`.
+        record, context: as `plan_row`.
 
     Raises:
         ConfigError: a line of the table is wrong, or a scene cannot be done; a warning names each.
@@ -100,7 +104,7 @@ def checked_plans(
     for row in rows:
         context.check_cancelled()
         try:
-            found = plan_row(row, folder, record, context)
+            found = plan_row(row, record, context)
         except EngineError as error:
             wrong.append(Wrong(line=row.line, text=f"Scene '{row.name}': {error}"))
             continue
@@ -116,79 +120,65 @@ def checked_plans(
     return device, scenes
 
 
-def options_path(row: Row, folder: Path) -> Path:
-    """The options file of a row, which its engines read."""
-    if row.home is not None:
-        return row.home / run_files.CLUSTER_OPTIONS
-    return folder / run_files.BATCH_ROWS / f"{row.name}.json"
-
-
-def _scene(
-    row: Row, names: tuple[str, ...], parts: tuple[Part, ...], plan: Plan | None = None
-) -> ScenePlan:
-    stages = [
-        StagePlan(
-            name=stage.name,
-            photos=len(stage.images),
-            side=max(max(i.camera.width, i.camera.height) for i in stage.images),
-            steps=stage.config.steps,
-            work=stage_work(stage),
-        )
-        for stage in (plan.stages if plan else ())
-    ]
-    return ScenePlan(name=row.name, objects=names, stages=tuple(stages), parts=parts)
-
-
 def _parts(
     row: Row,
-    folder: Path,
-    cut: Sequence[Cut],
+    blocks: int,
+    cut: Sequence[Sequence[Stage]],
     own: tuple[tuple[str, float], ...],
     memory: Mapping[str, int],
 ) -> tuple[Part, ...]:
-    """The parts of a row's run."""
-    command = "run" if row.kind is TrainAndEvaluate else "train"
-    run_dir = row.run_folder(folder)
-    options = [command, str(options_path(row, folder)), "--run-dir", str(run_dir)]
-    options += ["--update"] if row.update else []
-    options += ["--blocks", str(row.blocks)] if row.blocks > 1 else []
-
-    gpu = row.options.get("device") != "cpu"
-    kind = Part(scene=row.name, name="", argv=(), gpu=gpu)
+    """The parts of a row's run: for each chain of `cut`, and the last with its `own` work."""
+    evaluated = row.kind is TrainAndEvaluate
+    command = ["run" if evaluated else "train", str(row.options_file)]
+    command += ["--run-dir", str(row.run_dir), *(["--update"] if row.update else [])]
+    command += ["--blocks", str(blocks)] if blocks > 1 else []
 
     def part(
         name: str, needs: tuple[str, ...], stages: tuple[tuple[str, float], ...], *before: str
     ) -> Part:
-        words = (*before, name) if row.kind is TrainAndEvaluate else ()
-        argv = (*options, *(word for each in words for word in ("--part", each)))
-        work = sum(share for _, share in stages)
-        needed = max(memory[stage] for stage in {name, *(n for n, _ in stages if n)})
-        made = replace(kind, name=name, argv=argv, needs=needs, work=work, stages=stages)
-        return replace(made, memory=needed, staging=staging(row, folder, name))
+        named = (*before, name) if evaluated else ()
+        return Part(
+            scene=row.name,
+            name=name,
+            argv=(*command, *(word for each in named for word in ("--part", each))),
+            needs=needs,
+            work=sum(work for _, work in stages),
+            memory=max(memory[stage] for stage in {name, *(n for n, _ in stages if n)}),
+            gpu=row.options.get("device") != "cpu",
+            stages=stages,
+            staging=_staging(row),
+        )
 
-    firsts = [each.name for each in cut if not each.needs]
+    firsts = [chain for chain in cut if not needs(chain)]
     found = [part(PREPARE, (), ())] if len(firsts) > 1 else []
     opened = tuple(other.name for other in found)
-    for each in cut:  # a stage that all others wait for prepares the folder, too
-        before = (PREPARE,) if firsts == [each.name] else ()
-        found.append(part(each.name, each.needs or opened, each.stages, *before))
+    for chain in cut:  # a stage that all others wait for prepares the folder, too
+        before = (PREPARE,) if firsts == [chain] else ()
+        found.append(part(chain[-1].name, needs(chain) or opened, works(chain), *before))
     found.append(part(WHOLE, tuple(other.name for other in found), own))
     return tuple(found)
+
+
+def _staging(row: Row) -> Staging | None:
+    if not row.store:
+        return None
+    base = str(row.run_dir.parent)
+    return Staging(url=row.store, base=base, options=row.asked or row.options)
 
 
 # --- files beside the run folders ---
 
 
-def files_of_run(row: Row, folder: Path, objects: Sequence[str]) -> list[Path]:
+def files_of_run(row: Row, objects: Sequence[str]) -> list[Path]:
     """The files of a row's run that others read, beside its result and report."""
-    run = row.run_folder(folder)
+    run = row.run_dir
     levels = [run / run_files.LEVELS_FILE] if row.options.get("levels") else []
     return [*(_of_object(run, name) for name in objects), *levels]
 
 
-def outputs_of(row: Row, folder: Path, objects: Sequence[str]) -> list[Output]:
+def outputs_of(row: Row, objects: Sequence[str]) -> list[Output]:
     """The files that a row writes beside its run folder, of the result and of each object."""
-    run, out = row.run_folder(folder), folder / run_files.BATCH_OUTPUTS
+    run, out = row.run_dir, row.run_dir.parent / run_files.BATCH_OUTPUTS
     found = [(f"{row.name}{suffix}", run / run_files.RESULT) for suffix in row.outputs]
     found += [
         (f"{row.name}/{name}{suffix}", _of_object(run, name))
@@ -201,7 +191,7 @@ def outputs_of(row: Row, folder: Path, objects: Sequence[str]) -> list[Output]:
 
 
 def _output_parts(
-    row: Row, folder: Path, outputs: Iterable[Output], needs: tuple[str, ...] = (WHOLE,)
+    row: Row, outputs: Iterable[Output], needs: tuple[str, ...] = (WHOLE,)
 ) -> tuple[Part, ...]:
     """A part for each output; `needs` is empty if the run is done."""
     return tuple(
@@ -211,7 +201,7 @@ def _output_parts(
             argv=("convert", *output.options, str(output.source), str(output.path)),
             needs=needs,
             memory=OUTPUT_MEMORY,
-            staging=staging(row, folder, output.name),
+            staging=_staging(row),
         )
         for output in outputs
     )

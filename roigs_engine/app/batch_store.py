@@ -8,9 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..batch.parts import WHOLE
 from ..batch.record import BatchRecord
-from ..batch.staged import Staging, local_options, stored_run
+from ..batch.staged import local_options, stored_run
 from ..context import Context
 from ..errors import ConfigError, EngineError, RunFolderError
 from ..formats.run_files import BATCH, CACHE, CROPS, MANIFEST, REPORT_DATA, REPORT_PAGE
@@ -141,20 +140,6 @@ def localized(
         url = store.url if store else ""
         found.append(replace(row, store=url, elsewhere=bool(cluster)))
     return found, wrong
-
-
-def staging(row: Row, folder: Path, part: str) -> Staging | None:
-    """Where a part's files are; None: the batch is not on a store. `folder` is of the batch."""
-    if not row.store:
-        return None
-    return Staging(
-        url=row.store,
-        base=str(folder),
-        run=row.name,
-        part=part,
-        last=part == WHOLE,
-        options=row.asked or row.options,
-    )
 
 
 def _unusable(url: str, error: OSError) -> RunFolderError:

@@ -7,7 +7,7 @@ import os
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -48,41 +48,37 @@ class Row:
         name: of its run folder.
         line: where it begins in the file.
         options: of `run`, as in an options file; paths are absolute.
+        run_dir: its run folder, in that of the batch.
+        options_file: gets the options, for its engines.
         outputs: suffixes of files to write of the result.
         object_outputs: the same of each object.
         output_options: of `convert`, for these files.
         kind: of request that it is.
-        home: its run folder, if that is not in the folder of a batch.
         store: address of the batch's folder, if that is on a store.
         elsewhere: whether it is done on other machines, whose devices are not this one's.
         asked: the options as the table has them, if addresses in `options` became folders.
-        blocks: number of blocks, once that is known.
         update: whether its run folder may have another run.
     """
 
     name: str
     line: int
     options: dict[str, Any]
+    run_dir: Path
+    options_file: Path
     outputs: tuple[str, ...] = ()
     object_outputs: tuple[str, ...] = ()
     output_options: dict[str, Any] = field(default_factory=dict)
     kind: type[Train] = TrainAndEvaluate
-    home: Path | None = None
     store: str = ""
     elsewhere: bool = False
     asked: dict[str, Any] | None = None
-    blocks: int = 1
     update: bool = True
 
-    def request(self, folder: Path) -> Train:
-        """The request that plans the row here, whoever does it; `folder` is of the batch."""
-        more: dict[str, Any] = {"run_dir": self.run_folder(folder), "update": self.update}
-        more |= {"device": "cpu"} if self.elsewhere else {}
-        return self.kind.of(self.options, **more)
-
-    def run_folder(self, folder: Path) -> Path:
-        """Its run folder; `folder` is that of the batch."""
-        return self.home or folder / self.name
+    @property
+    def request(self) -> Train:
+        """The request that plans the row here, whoever does it."""
+        more = {"device": "cpu"} if self.elsewhere else {}
+        return self.kind.of(self.options, run_dir=self.run_dir, update=self.update, **more)
 
     @property
     def digest(self) -> str:
@@ -94,19 +90,23 @@ class Row:
 class Table:
     """A table file.
 
+    Args:
+        path: the file.
+        folder: of the batch.
+
     Attributes:
         path: the file.
         rows: its scenes, those without a wrong line.
         wrong: what is wrong.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, folder: Path) -> None:
         """Read the file.
 
         Raises:
             ConfigError: it cannot be read, is not TOML, or has no scene.
         """
-        self.path = path
+        self.path, self._batch = path, folder
         self.rows: list[Row] = []
         self.wrong: list[Wrong] = []
         self._folder = Path(os.path.abspath(path)).parent
@@ -148,9 +148,17 @@ class Table:
             return
         outputs, objects = (tuple(found.pop(key, ())) for key in (OUTPUTS, OBJECT_OUTPUTS))
         turned = {key: found.pop(key) for key in OF_OUTPUTS & found.keys()}
-        options = {key: plain(value) for key, value in found.items()}
-        row = Row(name=name, line=self._line(place), options=options, outputs=outputs)
-        self.rows.append(replace(row, object_outputs=objects, output_options=turned))
+        row = Row(
+            name=name,
+            line=self._line(place),
+            options={key: plain(value) for key, value in found.items()},
+            run_dir=self._batch / name,
+            options_file=self._batch / BATCH_ROWS / f"{name}.json",
+            outputs=outputs,
+            object_outputs=objects,
+            output_options=turned,
+        )
+        self.rows.append(row)
 
     def _check_outputs(self) -> None:
         """Two scenes must not write one file, nor a file where the other has its objects'."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ..context import Context
@@ -43,13 +42,13 @@ def train_on_cluster(request: Train, context: Context) -> Trained:
     if request.threads:
         raise ConfigError("--threads is for this machine.", "Leave it out with --cluster.")
     assert request.cluster is not None
-    folder = request.run_dir.absolute()
     row = _row(request)
+    folder, options = row.run_dir, row.options_file
     with locked(folder, context.warn, name=CLUSTER_LOCK):
         refuse_linked_folders(folder)
-        scene = plan_row(row, folder, BatchRecord(folder), context).scene
-        write_json(folder / CLUSTER_OPTIONS, row.options)
-        executor = RayExecutor(request.cluster, folder / CLUSTER_OPTIONS, context)
+        scene = plan_row(row, BatchRecord(folder), context).scene
+        write_json(options, row.options)
+        executor = RayExecutor(request.cluster, options, context)
         try:
             reason = _execute(executor, scene, context)
         finally:
@@ -68,8 +67,16 @@ def _row(request: Train) -> Row:
     kept = {key: plain(getattr(request, key)) for key in KEPT if hasattr(request, key)}
     kept = {key: value for key, value in kept.items() if value is not None}
     home = request.run_dir.absolute()
-    row = Row(name=home.name, line=1, options=settings_of(request) | kept, elsewhere=True)
-    return replace(row, kind=type(request), home=home, update=request.update)
+    return Row(
+        name=home.name,
+        line=1,
+        options=settings_of(request) | kept,
+        run_dir=home,
+        options_file=home / CLUSTER_OPTIONS,
+        kind=type(request),
+        elsewhere=True,
+        update=request.update,
+    )
 
 
 def _execute(executor: Executor, plan: ScenePlan, context: Context) -> str:

@@ -87,20 +87,12 @@ class LocalExecutor:
         """Nothing to end: parts have ended before."""
 
     def _run(self, part: Part, threads: int) -> None:
-        argv = with_threads(part, threads)
+        def emit(event: Record) -> None:
+            self._reports.put((part, event))
+
         try:
-            outcome = run_part(
-                argv,
-                part.staging,
-                lambda event: self._reports.put((part, event)),
-                self._context.should_stop,
-            )
+            outcome = run_part(part, threads, emit, self._context.should_stop)
         except Exception as error:  # without an outcome, the batch would wait for ever
             reason = f"The engine cannot be started ({first_line(error):.200})."
             outcome = Outcome(state=LOST, reason=reason)
         self._reports.put((part, outcome))
-
-
-def with_threads(part: Part, threads: int) -> list[str]:
-    """The part's command line with a number of threads, if its command has that option."""
-    return [*part.argv, *(["--threads", str(threads)] if part.argv[0] == "run" else [])]

@@ -2,15 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 from ..model.scene import PosedImage
 from ..run.plan import Plan, Stage
-from .staged import Staging
 
 PREPARE, WHOLE = "prepare", "all"
+Key = tuple[str, str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Staging:
+    """Where the files of a scene's parts are, if they are on a store.
+
+    Attributes:
+        url: of the batch's folder.
+        base: the same folder on the machine that planned; the command line names it.
+        options: of the scene, for its options file; addresses in them are copied here.
+    """
+
+    url: str
+    base: str
+    options: dict[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +34,7 @@ class Part:
     """Work for one process.
 
     Attributes:
-        scene: the scene's name in the table.
+        scene: the scene's name in the table, and of its run folder.
         name: unique in the scene: `prepare`, a stage, `all`, or an output's suffix.
         argv: the engine's command line.
         needs: names of the scene's parts that must be done before.
@@ -40,7 +56,7 @@ class Part:
     staging: Staging | None = None
 
     @property
-    def key(self) -> tuple[str, str]:
+    def key(self) -> Key:
         """Unique in the batch."""
         return self.scene, self.name
 
@@ -51,31 +67,20 @@ class Part:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StagePlan:
-    """A stage for the printed plan: name, photos, longest side of them, steps, work."""
-
-    name: str
-    photos: int
-    side: int
-    steps: int
-    work: float
-
-
-@dataclass(frozen=True, kw_only=True)
 class ScenePlan:
     """What is to be done for one scene.
 
     Attributes:
         name: of the scene in the table.
         objects: names of its boxes.
-        stages: of its run; empty for photos without a model.
+        steps: of each stage of its run; empty for photos without a model.
         parts: in an order in which they can be done.
         done: whether an earlier batch has done all of it.
     """
 
     name: str
     objects: tuple[str, ...]
-    stages: tuple[StagePlan, ...]
+    steps: tuple[int, ...]
     parts: tuple[Part, ...]
     done: bool = False
 
@@ -116,31 +121,21 @@ def chains(plan: Plan) -> list[tuple[Stage, ...]]:
     return [tuple(chain) for chain in found.values()]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Cut:
-    """Stages for one process: the last one's name, the cuts that it needs, names and work."""
-
-    name: str
-    needs: tuple[str, ...]
-    stages: tuple[tuple[str, float], ...]
-
-
-def cuts(plan: Plan) -> list[Cut]:
-    """The plan's stages for several processes, in order; empty if one process does as well.
+def cuts(plan: Plan) -> list[tuple[Stage, ...]]:
+    """The chains of a plan, for several processes; empty if one process does as well.
 
     Splitting pays only if two can work side by side.
     """
     found = chains(plan)
-    last = {stage.name: chain[-1].name for chain in found for stage in chain}
-    parts = [
-        Cut(
-            name=chain[-1].name,
-            needs=tuple(dict.fromkeys(last[needed.name] for needed in chain[0].start.stages)),
-            stages=works(chain),
-        )
-        for chain in found
-    ]
-    return parts if _is_wide([(cut.name, cut.needs) for cut in parts]) else []
+    depth: dict[str, int] = {}
+    for chain in found:
+        depth[chain[-1].name] = 1 + max((depth[name] for name in needs(chain)), default=0)
+    return found if len(set(depth.values())) < len(depth) else []
+
+
+def needs(chain: Sequence[Stage]) -> tuple[str, ...]:
+    """The chains that one waits for, by their last stages, which alone serve others."""
+    return tuple(dict.fromkeys(needed.name for needed in chain[0].start.stages))
 
 
 def works(stages: Sequence[Stage]) -> tuple[tuple[str, float], ...]:
@@ -148,9 +143,10 @@ def works(stages: Sequence[Stage]) -> tuple[tuple[str, float], ...]:
     return tuple((stage.name, stage_work(stage)) for stage in stages)
 
 
-def _is_wide(parts: Sequence[tuple[str, tuple[str, ...]]]) -> bool:
-    """Whether two of these can be done at a time."""
-    depth: dict[str, int] = {}
-    for name, needs in parts:
-        depth[name] = 1 + max((depth[needed] for needed in needs), default=0)
-    return len(set(depth.values())) < len(depth)
+def costs_after(parts: Sequence[Part], costs: Mapping[Key, float]) -> dict[Key, float]:
+    """The costs of what waits for each part of a scene, on the longest way to the scene's end."""
+    found: dict[Key, float] = {}
+    for part in reversed(parts):
+        later = [costs[p.key] + found[p.key] for p in parts if part.name in p.needs]
+        found[part.key] = max(later, default=0.0)
+    return found

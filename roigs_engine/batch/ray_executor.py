@@ -13,7 +13,7 @@ from ..errors import ConfigError
 from ..formats.text import counted, first_line
 from . import ray_tasks
 from .engine_process import LOST, Outcome
-from .local import Report, with_threads
+from .local import Report
 from .parts import Part
 from .ray_connection import CONNECT_SECONDS, POLL, Connection
 
@@ -86,8 +86,7 @@ class RayExecutor:
             scheduling_strategy="SPREAD",
             label_selector=_without((self._nodes.keys() - fit.keys()) | self._misfits),
         )
-        argv = with_threads(part, cores)
-        reference = task.remote(argv, part, self._mailbox, __version__, self._sign)
+        reference = task.remote(part, cores, self._mailbox, __version__, self._sign)
         self._running[reference] = (part, cores)
         return cores
 

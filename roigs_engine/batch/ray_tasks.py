@@ -23,18 +23,11 @@ def look(sign: str) -> dict[str, Any]:
     return {"version": __version__, "sees": not sign or os.path.exists(sign)}
 
 
-def do_part(
-    argv: list[str],
-    part: Part,
-    mailbox: Any,
-    version: str,
-    sign: str,
-) -> Outcome:
+def do_part(part: Part, threads: int, mailbox: Any, version: str, sign: str) -> Outcome:
     """Do a part on this machine, with its events to a mailbox.
 
     Args:
-        argv: the engine's command line.
-        part: that it does.
+        part, threads: as `run_part`.
         mailbox: a handle to a `Mailbox`.
         version: of the engine that gives out parts.
         sign: a file of the batch, which every machine must see.
@@ -46,7 +39,7 @@ def do_part(
     if problem:
         return Outcome(state=FAILED, reason=f"A machine of the cluster {problem}.", node=node)
     post = _Post(part.key, mailbox)
-    ended = run_part(argv, part.staging, post.add, lambda: post.stop)
+    ended = run_part(part, threads, post.add, lambda: post.stop)
     post.close()
     return Outcome(state=ended.state, reason=ended.reason, node=node)
 

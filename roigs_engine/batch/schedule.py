@@ -13,7 +13,7 @@ from ..formats.events import Record
 from .engine_process import DONE, FAILED, LOST, STOPPED, Outcome
 from .local import Report
 from .moves import MOST_NODES, RUNNING, WAITING, PartState, next_move, share
-from .parts import Part, ScenePlan
+from .parts import Key, Part, ScenePlan, costs_after
 
 POLL = 0.5
 
@@ -84,11 +84,9 @@ class Scheduler:
         self._executor, self._context = executor, context
         self._retries, self._told = retries, told
         self._slow: tuple[str, ...] = ()  # nodes that a part was moved away from
-        self._after = {
-            state.part.key: _work_after(state.part, scene.plan.parts)
-            for scene in self.scenes.values()
-            for state in scene.parts.values()
-        }
+        self._after: dict[Key, float] = {}
+        for plan in scenes:
+            self._after |= costs_after(plan.parts, {p.key: p.work for p in plan.parts})
 
     def run(self) -> None:
         """Do all parts.
@@ -195,9 +193,3 @@ class Scheduler:
         state.state = FAILED
         scene.reason = scene.reason or f"{state.part.label}: {reason}"
         self._context.warn(f"{state.part.label}: {reason} The other scenes go on.")
-
-
-def _work_after(part: Part, parts: Sequence[Part]) -> float:
-    """The work on the longest way from the part's end to the scene's."""
-    following = [other for other in parts if part.name in other.needs]
-    return max((other.work + _work_after(other, parts) for other in following), default=0.0)

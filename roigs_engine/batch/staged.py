@@ -6,9 +6,8 @@ The engine itself works in folders of this machine, as ever.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,36 +24,11 @@ from ..storage.mirror import SCENES, mirror
 from ..storage.quota import claim, enforce_quota, keep, limit
 from ..storage.urls import file_system, folder_of
 from .engine_process import DONE, FAILED, LOST, STOPPED, Outcome, run_engine
+from .parts import WHOLE, Part, Staging
 
 RUNS = "runs"
 PUBLISH_SECONDS = 60.0  # between two looks for new checkpoints
 INPUTS = ("scene", "rois", "images", "masks", "object_masks", "selection")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Staging:
-    """Where a part's files are.
-
-    Attributes:
-        url: of the batch's folder.
-        base: the same folder on the machine that planned; the command line names it.
-        run: name of the run folder in it.
-        part: name of the part.
-        last: whether the run is done after it.
-        options: of the scene, for its options file; addresses in them are copied here.
-    """
-
-    url: str
-    base: str
-    run: str
-    part: str
-    last: bool
-    options: dict[str, Any]
-
-
-def batch_folder(url: str) -> Path:
-    """This machine's folder for run folders of a batch on a store."""
-    return folder_of(url, RUNS)
 
 
 def stored_run(url: str, run: str) -> StoredRun:
@@ -81,20 +55,18 @@ def _folder_and_file(url: str) -> tuple[str, str]:
 
 
 def run_part(
-    argv: Sequence[str],
-    staging: Staging | None,
-    emit: Callable[[Record], None],
-    should_stop: Callable[[], bool],
+    part: Part, threads: int, emit: Callable[[Record], None], should_stop: Callable[[], bool]
 ) -> Outcome:
-    """Do a part to its end; see `run_engine`."""
-    if staging is None:
+    """Do a part to its end, on so many threads if its command has that option; see `run_engine`."""
+    argv = [*part.argv, *(["--threads", str(threads)] if part.argv[0] == "run" else [])]
+    if part.staging is None:
         return run_engine(argv, emit, should_stop)
     context = Context(should_stop=should_stop)
     try:
-        found, _ = file_system(staging.url)
-        run = stored_run(staging.url, staging.run)
-        with Lease(found, run.lease_folder(staging.part), should_stop) as lease:
-            return _leased(argv, staging, run, lease, emit, context)
+        found, _ = file_system(part.staging.url)
+        run = stored_run(part.staging.url, part.scene)
+        with Lease(found, run.lease_folder(part.name), should_stop) as lease:
+            return _leased(argv, part, part.staging, run, lease, emit, context)
     except LeaseTakenError:
         if should_stop():
             return Outcome(state=STOPPED)
@@ -110,7 +82,8 @@ def run_part(
 
 
 def _leased(
-    argv: Sequence[str],
+    argv: list[str],
+    part: Part,
     staging: Staging,
     run: StoredRun,
     lease: Lease,
@@ -118,13 +91,13 @@ def _leased(
     context: Context,
 ) -> Outcome:
     limit()
-    home = batch_folder(staging.url)
-    folder = home / staging.run
+    home = folder_of(staging.url, RUNS)
+    folder = home / part.scene
     claim(context, folder, home / BATCH_ROWS, home / BATCH_OUTPUTS)
-    write_json(home / BATCH_ROWS / f"{staging.run}.json", local_options(staging.options, context))
+    write_json(home / BATCH_ROWS / f"{part.scene}.json", local_options(staging.options, context))
     run.fetch(folder)
     words = [word.replace(staging.base, str(home)) for word in argv]
-    with _at_work(run, folder, staging, lease):
+    with _at_work(run, folder, part.name, staging, lease):
         ended = run_engine(words, emit, lambda: context.should_stop() or not lease.is_held())
     if not lease.is_held():
         return Outcome(state=LOST, reason="Another engine took it over.")
@@ -134,13 +107,15 @@ def _leased(
             run.put_beside(out, out.relative_to(home).as_posix())
             out.unlink()
     elif ended.state in (DONE, STOPPED):
-        run.publish(folder, staging.part, last=staging.last and ended.state == DONE)
+        run.publish(folder, part.name, last=part.name == WHOLE and ended.state == DONE)
     enforce_quota()
     return ended
 
 
 @contextmanager
-def _at_work(run: StoredRun, folder: Path, staging: Staging, lease: Lease) -> Iterator[None]:
+def _at_work(
+    run: StoredRun, folder: Path, part: str, staging: Staging, lease: Lease
+) -> Iterator[None]:
     """Publish checkpoints as the engine writes them, for the machine that goes on if this ends.
 
     The copies that the engine uses are kept.
@@ -158,7 +133,7 @@ def _at_work(run: StoredRun, folder: Path, staging: Staging, lease: Lease) -> It
                 now = {path: path.stat().st_mtime_ns for path in folder.rglob(CHECKPOINT)}
                 if now != known and now and lease.is_held():
                     names = published_files(folder)
-                    run.publish(folder, f"{staging.part} checkpoint", last=False, names=names)
+                    run.publish(folder, f"{part} checkpoint", last=False, names=names)
                     known = now
 
     thread = threading.Thread(target=work, daemon=True)

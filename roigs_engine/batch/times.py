@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from ..formats.text import json_digest
 from ..run.plan import Plan, Stage
 from ..training.config import miniature
-from .parts import WHOLE, Part, ScenePlan, chains, stage_work
+from .parts import WHOLE, Key, Part, ScenePlan, chains, costs_after, stage_work
 
 if TYPE_CHECKING:
     from ..context import Context
@@ -34,7 +34,7 @@ class Times:
 
     def of_scene(
         self, scene: ScenePlan, run: Run | None, plan: Plan | None, context: Context
-    ) -> dict[tuple[str, str], float]:
+    ) -> dict[Key, float]:
         """Seconds of each part that is left to do, with all cores of this machine.
 
         Args:
@@ -68,12 +68,7 @@ def _kind(stage: Stage, points: int) -> str:
     return json_digest([config, rough, len(stage.rois)])
 
 
-# --- several machines ---
-
-
-def makespan(
-    scenes: Sequence[Sequence[Part]], seconds: Mapping[tuple[str, str], float], workers: int
-) -> float:
+def makespan(scenes: Sequence[Sequence[Part]], seconds: Mapping[Key, float], workers: int) -> float:
     """Seconds until all parts are done, each on one of `workers` equal workers.
 
     Args:
@@ -82,10 +77,12 @@ def makespan(
         workers: how many parts can be done at a time.
     """
     needs = {p.key: {(p.scene, name) for name in p.needs} for parts in scenes for p in parts}
-    after = _after(scenes, seconds)
-    ready = [(-after[key], key) for key, needed in needs.items() if not needed]
+    after: dict[Key, float] = {}
+    for parts in scenes:
+        after |= costs_after(parts, seconds)
+    ready = [(-seconds[key] - after[key], key) for key, needed in needs.items() if not needed]
     heapq.heapify(ready)
-    running: list[tuple[float, tuple[str, str]]] = []
+    running: list[tuple[float, Key]] = []
     now = 0.0
     while ready or running:
         while ready and len(running) < workers:
@@ -96,26 +93,5 @@ def makespan(
             if ended in needed:
                 needed.remove(ended)
                 if not needed:
-                    heapq.heappush(ready, (-after[key], key))
+                    heapq.heappush(ready, (-seconds[key] - after[key], key))
     return now
-
-
-def lower_bound(
-    scenes: Sequence[Sequence[Part]], seconds: Mapping[tuple[str, str], float], workers: int
-) -> float:
-    """Seconds that no order of the parts can beat: all the work, or the longest scene."""
-    return max(
-        sum(seconds.values()) / max(workers, 1), max(_after(scenes, seconds).values(), default=0.0)
-    )
-
-
-def _after(
-    scenes: Sequence[Sequence[Part]], seconds: Mapping[tuple[str, str], float]
-) -> dict[tuple[str, str], float]:
-    """Seconds from the start of each part to the end of its scene."""
-    found: dict[tuple[str, str], float] = {}
-    for parts in scenes:
-        for part in reversed(parts):
-            following = [found[other.key] for other in parts if part.name in other.needs]
-            found[part.key] = seconds[part.key] + max(following, default=0.0)
-    return found

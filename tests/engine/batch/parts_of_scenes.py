@@ -19,7 +19,7 @@ def part(scene: str, name: str, *needs: str, work: float = 1.0, memory: int = 0)
 
 
 def scene(name: str, *parts: Part, done: bool = False) -> ScenePlan:
-    return ScenePlan(name=name, objects=(f"{name}-box",), stages=(), parts=parts, done=done)
+    return ScenePlan(name=name, objects=(f"{name}-box",), steps=(), parts=parts, done=done)
 
 
 class Instant:

@@ -12,9 +12,11 @@ import pytest
 
 from roigs_engine.batch import staged
 from roigs_engine.batch.engine_process import FAILED, LOST, STOPPED, Outcome
+from roigs_engine.batch.parts import Part, Staging
 from roigs_engine.batch.staged import stored_run
 from roigs_engine.cli import main
 from roigs_engine.storage.quota import enforce_quota, keep
+from roigs_engine.storage.urls import folder_of
 from tests.engine.batches import contents, table_of
 from tests.engine.commands.command_line import refused
 from tests.engine.commands.forked_engines import forked_engines
@@ -49,19 +51,19 @@ def test_the_same_bytes_and_a_machine_that_is_lost(
 ) -> None:
     real, lost = staged._leased, []
 
-    def lose(argv: Any, staging: Any, run: Any, *rest: Any) -> Outcome:
+    def lose(argv: Any, part: Part, staging: Any, run: Any, *rest: Any) -> Outcome:
         """The machine of the first stage is lost while it publishes; another one goes on."""
-        if staging.part == "scene" and not lost:
+        if part.name == "scene" and not lost:
             lost.append(staging)
             run._put = lambda *_: (_ for _ in ()).throw(KeyError("the machine is gone"))
-            assert real(argv, staging, run, *rest)
-        return real(argv, staging, run, *rest)
+            assert real(argv, part, staging, run, *rest)
+        return real(argv, part, staging, run, *rest)
 
-    def elsewhere(argv: Any, staging: Any, *rest: Any) -> Outcome:
+    def elsewhere(part: Part, *rest: Any) -> Outcome:
         """Each part on a machine of its own."""
-        monkeypatch.setenv("ROIGS_CACHE", str(tmp_path / "homes" / staging.run / staging.part))
+        monkeypatch.setenv("ROIGS_CACHE", str(tmp_path / "homes" / part.scene / part.name))
         try:
-            return one(argv, staging, *rest)
+            return one(part, *rest)
         except Exception as error:
             return Outcome(state=LOST, reason=str(error))
 
@@ -97,16 +99,10 @@ def test_a_full_disk_of_one_machine_is_its_reason(
     def full(self: Any, *_: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    staging = staged.Staging(
-        url=RUNS,
-        base="x",
-        run="hall",
-        part="scene",
-        last=False,
-        options={"scene": "memory://museum/scans/hall"},
-    )
+    staging = Staging(url=RUNS, base="x", options={"scene": "memory://museum/scans/hall"})
+    part = Part(scene="hall", name="scene", argv=("run",), staging=staging)
     monkeypatch.setattr(type(memory_store), "get_file", full)
-    ended = staged.run_part(["run"], staging, lambda event: None, lambda: False)
+    ended = staged.run_part(part, 1, lambda event: None, lambda: False)
     assert ended.state == FAILED and "No space left on device" in ended.reason
     assert not list(memory_store.find("/museum/runs"))  # nothing of it is published or held
 
@@ -116,7 +112,7 @@ def test_a_part_makes_room_of_what_was_used_long_ago(
 ) -> None:
     """Not its own run folder, however long it takes, nor one that is at work beside it."""
     old = time.time() - 7200
-    runs = staged.batch_folder(RUNS)
+    runs = folder_of(RUNS, staged.RUNS)
     for name in ("hall", "attic", "cellar"):
         (runs / name).mkdir(parents=True)
         (runs / name / "result.ply").write_bytes(bytes(5000))
@@ -136,8 +132,9 @@ def test_a_part_makes_room_of_what_was_used_long_ago(
         return Outcome(state=STOPPED)
 
     monkeypatch.setattr(staged, "run_engine", engine)
-    staging = staged.Staging(url=RUNS, base="x", run="hall", part="scene", last=False, options={})
-    assert staged.run_part(["run"], staging, lambda event: None, lambda: False).state == STOPPED
+    staging = Staging(url=RUNS, base="x", options={})
+    part = Part(scene="hall", name="scene", argv=("run",), staging=staging)
+    assert staged.run_part(part, 1, lambda event: None, lambda: False).state == STOPPED
     assert (runs / "hall").is_dir() and (runs / "attic").is_dir()
 
 

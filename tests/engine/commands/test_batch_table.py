@@ -33,7 +33,7 @@ def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_init_writes_a_table_of_what_is_there(scans: Path, tmp_path: Path) -> None:
     table = scans / "museum.toml"
     assert main(["batch", str(table), "--init", str(scans)]) == 0
-    rows = {row.name: row for row in Table(table).rows}
+    rows = {row.name: row for row in Table(table, tmp_path).rows}
     assert set(rows) == {"hall", "attic"}
     assert rows["hall"].options["scene"] == str(scans / "hall")
     assert rows["hall"].options["rois"] == str(scans / "hall" / "rois.json")
@@ -140,8 +140,8 @@ def test_defaults_give_way_to_a_scenes_own_values(scans: Path, tmp_path: Path) -
         *("[scenes.b]", f"scene = '{scans / 'hall'}'", f"rois = '{scans / 'hall/rois.json'}'"),
     ]
     table.write_text("\n".join(lines), encoding="utf-8")
-    a, b = Table(table).rows
-    first, second = (row.request(tmp_path) for row in (a, b))
+    a, b = Table(table, tmp_path).rows
+    first, second = (row.request for row in (a, b))
     assert first.preset == "paper" and first.roi == (BOX,) and a.outputs == (".spz",)
     assert second.preset == "draft" and second.roi == () and b.options["compare"] == []
     assert a.digest != b.digest
@@ -156,8 +156,8 @@ def test_outputs_are_turned_as_convert_turns_them(scans: Path, tmp_path: Path) -
     ]
     table.write_text("\n".join(lines), encoding="utf-8")
     found, record = {}, BatchRecord(tmp_path)
-    for row in Table(table).rows:
-        plan = plan_row(row, tmp_path, record, QUIET).scene
+    for row in Table(table, tmp_path).rows:
+        plan = plan_row(row, record, QUIET).scene
         found[row.name] = next(part.argv for part in plan.parts if part.argv[0] == "convert")
         assert not {"from_up", "sh_degree"} & row.options.keys()  # no options of `run`
     source, out = (str(tmp_path / name) for name in ("a/result.ply", "outputs/a.glb"))
@@ -181,7 +181,7 @@ def test_two_scenes_do_not_write_one_file(scans: Path, tmp_path: Path) -> None:
         f"[scenes.b]{row}outputs = ['ply', 'no such']",
     ]
     table.write_text("\n".join(lines), encoding="utf-8")
-    found = Table(table)
+    found = Table(table, tmp_path)
     assert found.rows[0].outputs == (".glb", ".compressed.ply")
     assert [(wrong.line, wrong.text.partition(".")[0]) for wrong in found.wrong] == [
         (16, "'outputs' has 'no such', which is no format"),

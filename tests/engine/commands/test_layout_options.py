@@ -104,16 +104,14 @@ def table_of(project: Project, folder: Path, *lines: str) -> Table:
     boxes = ", ".join(f"'{text}'" for text in TWO[1::2])
     scene = f"[scenes.hall]\nscene = '{project.folder}'\nroi = [{boxes}]\nsteps_factor = 0.003\n"
     path.write_text(scene + "\n".join(lines), encoding="utf-8")
-    return Table(path)
+    return Table(path, folder)
 
 
 def test_a_batch_does_blocks_side_by_side(project: Project, tmp_path: Path) -> None:
     found = table_of(project, tmp_path, "blocks = 2", "group = ['thing,other']")
     assert not found.wrong
     record = BatchRecord(tmp_path)
-    parts = {
-        part.name: part for part in plan_row(found.rows[0], tmp_path, record, QUIET).scene.parts
-    }
+    parts = {part.name: part for part in plan_row(found.rows[0], record, QUIET).scene.parts}
     coarse = ("block-1-scene", "block-2-scene")
     assert all(parts[name].needs == ("prepare",) for name in coarse)
     assert parts["block-1-joint"].needs == parts["block-2-joint"].needs == coarse
@@ -124,6 +122,6 @@ def test_a_batch_does_blocks_side_by_side(project: Project, tmp_path: Path) -> N
 def test_each_part_of_a_batch_asks_for_its_own_memory(project: Project, tmp_path: Path) -> None:
     table = table_of(project, tmp_path, "strategy = 'independent'", "count = 3")
     (row,), record = table.rows, BatchRecord(tmp_path)
-    parts = plan_row(row, tmp_path, record, QUIET).scene.parts
+    parts = plan_row(row, record, QUIET).scene.parts
     memory = {part.name: part.memory for part in parts}
     assert 0 < memory["object-thing"] < memory["scene"] <= memory["all"]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from roigs_engine.batch.parts import cuts
+from roigs_engine.batch.parts import cuts, needs
 from roigs_engine.errors import RunFolderError
 from roigs_engine.evaluation.views import EvaluatedModel
 from roigs_engine.formats import run_files
@@ -48,7 +48,7 @@ def test_boxes_that_share_no_photo_are_trained_side_by_side(
         own = {image.name[0] == "w" for image in stage.images}
         assert own == {roi.name == "west"}  # the photos of its room alone
         assert stage.config.steps == tiny("joint").roi.steps  # a group has all steps
-    parts = {cut.name: cut.needs for cut in cuts(plan)}
+    parts = {chain[-1].name: needs(chain) for chain in cuts(plan)}
     assert parts == {"scene": (), "group-1-joint": ("scene",), "group-2-joint": ("scene",)}
     assert models[-1].name == "Joint"
     for number, roi in enumerate(BOXES, start=1):
