@@ -13,13 +13,12 @@ from ..batch.staged import local_options, stored_run
 from ..context import Context
 from ..errors import ConfigError, EngineError, RunFolderError
 from ..formats.run_files import BATCH, CACHE, CROPS, MANIFEST, REPORT_DATA, REPORT_PAGE
-from ..formats.text import first_line
 from ..photos.contents import FILE as CONTENTS
 from ..requests.values import is_url
 from ..storage.lease import Lease, LeaseTakenError
 from ..storage.mirror import sign
 from ..storage.quota import make_copy
-from ..storage.urls import file_system, folder_of, refuse_lost
+from ..storage.urls import file_system, folder_of, refuse_lost, unusable
 from .batch_table import Row, Wrong
 
 BATCHES = "batches"
@@ -64,7 +63,7 @@ class Store:
             if self._found.exists(f"{self._place}/{BATCH}"):
                 self._found.get_file(f"{self._place}/{BATCH}", str(here))
         except OSError as error:
-            raise _unusable(self.url, error) from error
+            raise unusable(self.url, error) from error
         for name in names:
             self.fetch(name)
 
@@ -92,7 +91,7 @@ class Store:
                 if (self.folder / name).is_file():
                     self._found.put_file(str(self.folder / name), f"{self._place}/{name}")
         except OSError as error:
-            raise _unusable(self.url, error) from error
+            raise unusable(self.url, error) from error
 
 
 class StoredRecord(BatchRecord):
@@ -140,8 +139,3 @@ def localized(
         url = store.url if store else ""
         found.append(replace(row, store=url, elsewhere=bool(cluster)))
     return found, wrong
-
-
-def _unusable(url: str, error: OSError) -> RunFolderError:
-    reason = first_line(error)
-    return RunFolderError(f"Cannot use {url} ({reason:.100}).", "Is the store there, with space?")

@@ -5,8 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -31,17 +30,6 @@ td img { display: block; max-height: 120px; }
 .failed { color: #d33; white-space: normal; }"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class ObjectRow:
-    """An object's row: texts, and the row of its run's report."""
-
-    scene: str
-    name: str
-    state: str
-    reason: str
-    scores: dict[str, Any]
-
-
 def write_batch_page(
     folder: Path, scenes: Iterable[SceneState], is_there: IsThere | None = None
 ) -> Path:
@@ -56,40 +44,17 @@ def write_batch_page(
         RunFolderError: it cannot be written.
     """
     path = folder / REPORT_PAGE
-    rows = [row for scene in scenes for row in _rows(folder, scene)]
-    rows.sort(key=lambda row: row.state != FAILED)  # first what somebody has to look at
     is_there = is_there or (lambda name: (folder / name).exists())
-    write_text(path, _page(folder, rows, is_there), durable=False)
+    # First what somebody has to look at.
+    ordered = sorted(scenes, key=lambda scene: scene.state != FAILED)
+    write_text(path, _page(folder, ordered, is_there), durable=False)
     return path
 
 
-def result_scores(run: Path) -> dict[str, dict[str, Any]]:
-    """Box -> the row of the result in a run's report; empty if there is none."""
-    try:
-        report = read_json(run / REPORT_DATA)
-        return {box["roi"]: box["rows"][-1] for box in report["rois"] if box["rows"]}
-    except (EngineError, KeyError, TypeError, IndexError):
-        return {}
-
-
-def _rows(folder: Path, scene: SceneState) -> list[ObjectRow]:
-    found = result_scores(folder / scene.plan.name) if scene.state == DONE else {}
-    return [
-        ObjectRow(
-            scene=scene.plan.name,
-            name=name,
-            state=scene.state,
-            reason=scene.reason,
-            scores=found.get(name, {}),
-        )
-        for name in scene.plan.objects
-    ]
-
-
-def _page(folder: Path, rows: Sequence[ObjectRow], is_there: IsThere) -> str:
-    done = sum(row.state == DONE for row in rows)
-    failed = sum(row.state == FAILED for row in rows)
-    title = f"{done} of {counted(len(rows), 'object')} done"
+def _page(folder: Path, scenes: Sequence[SceneState], is_there: IsThere) -> str:
+    states = [scene.state for scene in scenes for _ in scene.plan.objects]
+    done, failed = states.count(DONE), states.count(FAILED)
+    title = f"{done} of {counted(len(states), 'object')} done"
     title += f", {failed} failed" if failed else ""
     policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
     heads = "".join(f"<th>{_text(column)}</th>" for column in COLUMNS)
@@ -103,7 +68,7 @@ def _page(folder: Path, rows: Sequence[ObjectRow], is_there: IsThere) -> str:
         f"<style>{STYLE}\n{CLEAR}</style>",
         f"<h1>{_text(title)}</h1>",
         f'<div class="wide"><table><tr>{heads}</tr>',
-        *(_row(folder, row, is_there) for row in rows),
+        *(row for scene in scenes for row in _rows(folder / scene.plan.name, scene, is_there)),
         "</table></div>",
         "</html>",
         "",
@@ -111,33 +76,46 @@ def _page(folder: Path, rows: Sequence[ObjectRow], is_there: IsThere) -> str:
     return "\n".join(parts)
 
 
-def _row(folder: Path, row: ObjectRow, is_there: IsThere) -> str:
-    scores = row.scores
-    if row.state == FAILED:  # its reason has the room of the numbers that it lacks
-        rest = f'<td class="failed" colspan="{len(COLUMNS) - 3}">failed: {_text(row.reason)}</td>'
-        return f"<tr><td></td><td>{_text(row.scene)}</td><td>{_text(row.name)}</td>{rest}</tr>"
-    cells = [
-        _thumbnail(folder / row.scene / CROPS / row.name) if row.state == DONE else "",
-        _text(row.scene),
-        _text(row.name),
-        _text(row.state),
-        _number(scores.get("roi_psnr"), "{:.2f}"),
-        _number(scores.get("roi_ssim"), "{:.3f}"),
-        _number(scores.get("gaussians_in_box"), "{:,}"),
-        _text(duration(scores["seconds"])) if _is_number(scores.get("seconds")) else "",
-        _links(row, is_there) if row.state == DONE else "",
-    ]
-    return "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
+def _rows(run: Path, scene: SceneState, is_there: IsThere) -> Iterator[str]:
+    """A row for each object of a scene."""
+    name, done = scene.plan.name, scene.state == DONE
+    found = _scores(run) if done else {}
+    for box in scene.plan.objects:
+        scores = found.get(box, {})
+        cells = [
+            _thumbnail(run / CROPS / box) if done else "",
+            _text(name),
+            _text(box),
+            _text(scene.state),
+            _number(scores.get("roi_psnr"), "{:.2f}"),
+            _number(scores.get("roi_ssim"), "{:.3f}"),
+            _number(scores.get("gaussians_in_box"), "{:,}"),
+            _text(duration(scores["seconds"])) if _is_number(scores.get("seconds")) else "",
+            _links(name, box, is_there) if done else "",
+        ]
+        rest = ""
+        if scene.state == FAILED:  # its reason has the space of the numbers that it lacks
+            wide = f'<td class="failed" colspan="{len(cells) - 3}">'
+            cells, rest = cells[:3], f"{wide}failed: {_text(scene.reason)}</td>"
+        yield "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + f"{rest}</tr>"
 
 
-def _links(row: ObjectRow, is_there: IsThere) -> str:
+def _scores(run: Path) -> dict[str, dict[str, Any]]:
+    """Box -> the row of the result in a run's report; empty if there is none."""
+    try:
+        report = read_json(run / REPORT_DATA)
+        return {box["roi"]: box["rows"][-1] for box in report["rois"] if box["rows"]}
+    except (EngineError, KeyError, TypeError, IndexError):
+        return {}
+
+
+def _links(scene: str, box: str, is_there: IsThere) -> str:
     """Links to what the object's run folder has."""
-    names = {"report": REPORT_PAGE, "object": f"{FINE}/{row.name}.ply", "scene": RESULT}
-    found = {what: f"{row.scene}/{name}" for what, name in names.items()}
+    names = {"report": REPORT_PAGE, "object": f"{FINE}/{box}.ply", "scene": RESULT}
     return " ".join(
-        f'<a href="{html.escape(quote(name))}">{what}</a>'
-        for what, name in found.items()
-        if is_there(name)
+        f'<a href="{html.escape(quote(f"{scene}/{name}"))}">{what}</a>'
+        for what, name in names.items()
+        if is_there(f"{scene}/{name}")
     )
 
 

@@ -156,15 +156,14 @@ def _connected(address: str) -> Any:
 
 
 def _nothing_there(address: str, error: Exception) -> ConfigError:
-    reason = first_line(error)
-    if address == "auto" and NO_RAY in reason:
+    if address == "auto" and NO_RAY in str(error):
         return ConfigError(
             "--cluster auto found no Ray cluster that this machine is part of.",
             "Start one here with `ray start --head`, join one with `ray start --address=HOST:6379`,"
             " or use --cluster local, a Ray of this machine alone.",
         )
     return ConfigError(
-        f"There is no Ray cluster at {address} ({reason:.100}).",
+        f"There is no Ray cluster at {address} ({first_line(error):.100}).",
         "Start one there with `ray start --head`, correct the address, or use --cluster local. If"
         " it wants a token, set RAY_AUTH_MODE=token (docs/many.md).",
     )

@@ -24,7 +24,8 @@ from ..errors import RunFolderError
 from ..formats.files import LEFTOVER, own_folder
 from ..formats.names import inner_path
 from ..formats.run_files import CACHE, PREVIEW, UNDISTORTED
-from ..formats.text import first_line, json_digest
+from ..formats.text import json_digest
+from .urls import unusable
 
 COMMITS, OBJECTS, LEASES = ".commits", ".objects", ".leases"
 VERSION = 2
@@ -105,7 +106,7 @@ class StoredRun:
             self._found.makedirs(f"{self._place}/{COMMITS}", exist_ok=True)
             self._found.pipe_file(self._commit(part), text.encode())
         except OSError as error:
-            raise _lost(self._place, error) from error
+            raise unusable(self._place, error) from error
         self._had = {k: v for k, v in self._had.items() if k not in gone} | files
         if last:
             self._tidy(keep=part)
@@ -117,7 +118,7 @@ class StoredRun:
             self._found.makedirs(f"{above}/{name}".rpartition("/")[0], exist_ok=True)
             self._found.put_file(str(path), f"{above}/{name}")
         except OSError as error:
-            raise _lost(self._place, error) from error
+            raise unusable(self._place, error) from error
 
     def _commit(self, part: str) -> str:
         return f"{self._place}/{COMMITS}/{quote(part, safe='')}.json"
@@ -177,7 +178,7 @@ class StoredRun:
         except FileNotFoundError:
             return False
         except OSError as error:
-            raise _lost(f"{self._place}/{name}", error) from error
+            raise unusable(f"{self._place}/{name}", error) from error
         finally:
             Path(temporary).unlink(missing_ok=True)
 
@@ -248,8 +249,3 @@ def _fits(path: Path, entry: Entry) -> bool:
             return bool(hashlib.file_digest(file, "sha256").hexdigest() == entry["sha"])
     except OSError:
         return False
-
-
-def _lost(place: str, error: OSError) -> RunFolderError:
-    reason = first_line(error)
-    return RunFolderError(f"Cannot use {place} ({reason:.100}).", "Is the store there, with space?")

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from ..errors import ConfigError
+from ..errors import ConfigError, RunFolderError
 from ..formats.text import first_line
 from ..requests.values import SCHEME
 
@@ -16,6 +16,13 @@ LOST = ("memory",)
 """Kinds of addresses that are in the memory of this process."""
 HOME = "ROIGS_CACHE"
 """Environment variable: the folder of this machine's copies."""
+
+
+def unusable(place: str, error: OSError) -> RunFolderError:
+    """The error of a store that cannot be read or written."""
+    return RunFolderError(
+        f"Cannot use {place} ({first_line(error):.100}).", "Is the store there, with space?"
+    )
 
 
 def refuse_lost(url: str) -> None:
