@@ -18,7 +18,6 @@ from ..formats.lock import locked
 from ..formats.run_files import BATCH, BATCH_LOCK, BATCH_OUTPUTS, REPORT_PAGE
 from ..formats.text import counted, in_gb
 from ..requests.runs import Batch
-from ..requests.values import is_url
 from .batch_plan import checked_plans, files_of_run, outputs_of, plan_row
 from .batch_store import Store, StoredRecord, localized
 from .batch_table import Row, Table, write_table
@@ -100,11 +99,14 @@ def run_batch(request: Batch, context: Context = QUIET) -> Result:
             write_json(row.options_file, row.options)
         executor = _executor(request, folder, store, device, context)
         try:
-            work = _Work(store=store, rows=rows, record=record)
-            states = work.execute(executor, scenes, request.retries, context)
+            states = _execute(rows, scenes, executor, record, store, request.retries, context)
         finally:
             executor.close()
-    return _batched(store.url if store else str(folder), states)
+    runs = store.url if store else str(folder)
+    report = f"{runs}/{REPORT_PAGE}" if store else str(folder / REPORT_PAGE)
+    failed = tuple(state.reason for state in states if state.reason)
+    done = Batched(runs=runs, report=report, scenes=len(states), failed=failed)
+    return done.with_places(*(f"failed: {reason}" for reason in failed))
 
 
 def _place(request: Batch) -> tuple[Path, Store | None]:
@@ -168,75 +170,70 @@ def _executor(
     return LocalExecutor(request.jobs or default_jobs(device), context)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Work:
-    """A batch that is done: its store, its rows, and what is done already."""
+def _execute(
+    rows: Sequence[Row],
+    scenes: Sequence[ScenePlan],
+    executor: Executor,
+    record: BatchRecord,
+    store: Store | None,
+    retries: int,
+    context: Context,
+) -> list[SceneState]:
+    """Do all parts; the page and the record are written as scenes end."""
+    from ..batch.board import Reporter
+    from ..batch.engine_process import DONE, Outcome
+    from ..batch.page import write_batch_page
+    from ..batch.schedule import Scheduler
 
-    store: Store | None
-    rows: Sequence[Row]
-    record: BatchRecord
+    by_name = {row.name: row for row in rows}
+    written_at = 0.0
 
-    def execute(
-        self, executor: Executor, scenes: Sequence[ScenePlan], retries: int, context: Context
-    ) -> list[SceneState]:
-        """Do all parts; the page and the record are written as scenes end."""
-        from ..batch.board import Reporter
-        from ..batch.engine_process import DONE, Outcome
-        from ..batch.schedule import Scheduler
-
-        by_name = {row.name: row for row in self.rows}
-        written_at = 0.0
-
-        def told(scene: SceneState, part: PartState, report: Record | Outcome) -> None:
-            nonlocal written_at
-            if isinstance(report, Outcome) and part.state == DONE:
-                row = by_name[scene.plan.name]
-                try:
-                    self._note(row, scene, part, context)
-                except EngineError as error:
-                    text = f"{row.name}: {error} The next batch looks at this scene again."
-                    context.warn(text)
-            reporter.take(scene, part, report)
-            if isinstance(report, Outcome) and time.monotonic() - written_at > PAGE_SECONDS:
-                self._write_page(scheduler.scenes)
-                written_at = time.monotonic()
-
-        scheduler = Scheduler(scenes, executor, context, retries=retries, told=told)
-        with Reporter(scheduler.scenes, context) as reporter:
+    def told(scene: SceneState, part: PartState, report: Record | Outcome) -> None:
+        nonlocal written_at
+        if isinstance(report, Outcome) and part.state == DONE:
             try:
-                scheduler.run()
-            finally:
-                self._write_page(scheduler.scenes)
-        return list(scheduler.scenes.values())
+                _note(by_name[scene.plan.name], scene, part.part.name, record, store, context)
+            except EngineError as error:
+                text = f"{scene.plan.name}: {error} The next batch looks at this scene again."
+                context.warn(text)
+        reporter.take(scene, part, report)
+        if isinstance(report, Outcome) and time.monotonic() - written_at > PAGE_SECONDS:
+            write_page()
+            written_at = time.monotonic()
 
-    def _write_page(self, scenes: Mapping[str, SceneState]) -> None:
-        from ..batch.page import write_batch_page
+    def write_page() -> None:
+        is_there = store.is_there if store else None
+        write_batch_page(record.folder, scheduler.scenes.values(), is_there)
+        if store:
+            store.put(BATCH, REPORT_PAGE)
 
-        is_there = self.store.is_there if self.store else None
-        write_batch_page(self.record.folder, scenes.values(), is_there)
-        if self.store:
-            self.store.put(BATCH, REPORT_PAGE)
-
-    def _note(self, row: Row, scene: SceneState, part: PartState, context: Context) -> None:
-        """Write down what a part has finished; raises as `BatchRecord.add`."""
-        objects, record = scene.plan.objects, self.record
-        outputs = {output.name: output for output in outputs_of(row, objects)}
-        if part.part.name in outputs:
-            record.add_output(row.name, outputs[part.part.name])
-        elif part.part.name == WHOLE:
-            for name in record.left_over(row.name, outputs.values()):
-                context.warn(f"{row.name}: {BATCH_OUTPUTS}/{name} is of an earlier result.")
-            if self.store:
-                self.store.fetch(row.name)
-            record.add(row.name, row.digest, row.run_dir, files_of_run(row, objects))
+    scheduler = Scheduler(scenes, executor, context, retries=retries, told=told)
+    with Reporter(scheduler.scenes, context) as reporter:
+        try:
+            scheduler.run()
+        finally:
+            write_page()
+    return list(scheduler.scenes.values())
 
 
-def _batched(where: str, states: Sequence[SceneState]) -> Batched:
-    """How it ended."""
-    failed = tuple(state.reason for state in states if state.reason)
-    report = f"{where}/{REPORT_PAGE}" if is_url(where) else str(Path(where, REPORT_PAGE))
-    found = Batched(runs=where, report=report, scenes=len(states), failed=failed)
-    return found.with_places(*(f"failed: {reason}" for reason in failed))
+def _note(
+    row: Row,
+    scene: SceneState,
+    part: str,
+    record: BatchRecord,
+    store: Store | None,
+    context: Context,
+) -> None:
+    """Write down what a part has finished; raises as `BatchRecord.add`."""
+    outputs = {output.name: output for output in outputs_of(row, scene.plan.objects)}
+    if part in outputs:
+        record.add_output(row.name, outputs[part])
+    elif part == WHOLE:
+        for name in record.left_over(row.name, outputs.values()):
+            context.warn(f"{row.name}: {BATCH_OUTPUTS}/{name} is of an earlier result.")
+        if store:
+            store.fetch(row.name)
+        record.add(row.name, row.digest, row.run_dir, files_of_run(row, scene.plan.objects))
 
 
 # --- plan ---
@@ -253,17 +250,11 @@ def _planned(table: Table, rows: Sequence[Row], record: BatchRecord, context: Co
         context.check_cancelled()
         found = plan_row(row, record, context)
         seconds |= times.of_scene(found.scene, found.run, found.plan, found.context)
-    return Result(text=plan_text(scenes, seconds, times.measured))
+    return Result(text=_plan_text(scenes, seconds, times.measured))
 
 
-def plan_text(scenes: Sequence[ScenePlan], seconds: Mapping[Key, float], measured: int) -> str:
-    """The plan of a batch: a row for each scene, and the time on so many machines.
-
-    Args:
-        scenes: their plans.
-        seconds: of each part.
-        measured: the number of stages that were timed.
-    """
+def _plan_text(scenes: Sequence[ScenePlan], seconds: Mapping[Key, float], measured: int) -> str:
+    """A row for each scene, and the time on so many machines like this one."""
     from ..batch.board import duration
     from ..batch.times import makespan
 

@@ -5,18 +5,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from ..context import Context
 from ..errors import Stopped
-from ..formats.events import (
-    MAX_NUMBER,
-    Message,
-    Preview,
-    Progress,
-    Record,
-    StageStarted,
-)
+from ..formats.events import MAX_NUMBER, Message, Preview, Progress, Record, StageStarted
 from ..formats.events import Board as BoardEvent
 from ..formats.text import counted
 from .engine_process import DONE, FAILED, Outcome
@@ -29,19 +21,16 @@ BATCH_STAGE = "batch"
 EVERY = 1.0  # seconds between two pictures of the board
 
 
-@dataclass
 class Board:
     """Counts and lines of a batch.
 
-    Attributes:
+    Args:
         scenes: their states, by name.
         started: `time.monotonic()` of the start.
     """
 
-    scenes: Mapping[str, SceneState]
-    started: float
-
-    def __post_init__(self) -> None:
+    def __init__(self, scenes: Mapping[str, SceneState], started: float) -> None:
+        self.scenes, self.started = scenes, started
         self._before = self._work_done()
 
     def objects(self, state: str | None = None) -> int:
@@ -156,7 +145,8 @@ class Reporter:
         """Tell what a part has told."""
         name = "" if self._alone else f"{scene.plan.name}: "
         if isinstance(report, Outcome):
-            self._ended(scene, report)
+            if not self._alone:
+                self._ended(scene, report)
         elif report["event"] == "message" and report.get("level") == "warning":
             text = str(report.get("text", ""))
             if (name, text) not in self._warned:
@@ -173,8 +163,6 @@ class Reporter:
             self._last = time.monotonic()
 
     def _ended(self, scene: SceneState, outcome: Outcome) -> None:
-        if self._alone:
-            return
         if not self._context.for_person:
             self._context.emit(self._board.event())
         elif outcome.state == DONE and scene.state == DONE:

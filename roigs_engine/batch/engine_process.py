@@ -88,6 +88,7 @@ def _stop(
 
 
 def _outcome(status: int, final: Record, errors: IO[bytes]) -> Outcome:
+    """How a process ended, by its final event, or by its status and its last words."""
     if final.get("stopped"):
         return Outcome(state=STOPPED)
     if final.get("event") == "done":
@@ -95,16 +96,11 @@ def _outcome(status: int, final: Record, errors: IO[bytes]) -> Outcome:
     if final.get("event") == "failed":
         reason = f"{final.get('message', '')} {final.get('hint', '')}".strip()
         return Outcome(state=FAILED, reason=reason)
-    return Outcome(state=LOST, reason=_last_words(status, errors))
-
-
-def _last_words(status: int, errors: IO[bytes]) -> str:
-    """Why a process ended that did not say so itself."""
+    if status < 0:
+        memory = " (is the memory full?)" if status == -9 else ""
+        return Outcome(state=LOST, reason=f"The engine was ended by signal {-status}{memory}.")
     errors.seek(0, os.SEEK_END)
     errors.seek(max(0, errors.tell() - LAST))
     lines = errors.read().decode("utf-8", "replace").strip().splitlines()
-    if status < 0:
-        memory = " (is the memory full?)" if status == -9 else ""
-        return f"The engine was ended by signal {-status}{memory}."
     said = " ".join(lines[-1].split()) if lines else ""
-    return f"The engine ended with status {status}. {said}".strip()
+    return Outcome(state=LOST, reason=f"The engine ended with status {status}. {said}".strip())

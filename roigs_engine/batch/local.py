@@ -36,12 +36,7 @@ class LocalExecutor:
         self._reports: queue.SimpleQueue[Report] = queue.SimpleQueue()
 
     def has_capacity(self, part: Part, avoid: tuple[str, ...] = ()) -> bool:
-        """Whether the part can start now; a part that is too large alone starts alone.
-
-        Args:
-            part: to be done.
-            avoid: nodes that do not count; there is only one here.
-        """
+        """Whether the part can start now, not on `avoid`; a part that is too large starts alone."""
         if not self._running:
             return True
         taken = sum(other.memory for other in self._running.values())

@@ -95,7 +95,9 @@ class Scheduler:
             Stopped: on request; what is done so far is kept.
         """
         stopped = False
-        while self._running() or (not stopped and self._ready()):
+        while any(part.state == RUNNING for _, part in self._states()) or (
+            not stopped and self._ready()
+        ):
             stopped = stopped or self._context.should_stop()
             if not stopped:
                 self._start()
@@ -106,9 +108,6 @@ class Scheduler:
 
     def _states(self) -> Iterable[tuple[SceneState, PartState]]:
         return ((s, part) for s in self.scenes.values() for part in s.parts.values())
-
-    def _running(self) -> bool:
-        return any(part.state == RUNNING for _, part in self._states())
 
     def _ready(self) -> list[tuple[SceneState, PartState]]:
         """Parts that can start; those with most work after them first, which ends sooner."""
@@ -157,7 +156,7 @@ class Scheduler:
 
     def _end(self, scene: SceneState, state: PartState, outcome: Outcome) -> None:
         state.kept = share(state)
-        state.state, label, moving = WAITING, state.part.label, state.moving
+        state.state, label, moving, node = WAITING, state.part.label, state.moving, outcome.node
         state.moving = state.seen = False
         if outcome.state == DONE:
             state.state, state.seconds = DONE, time.monotonic() - state.started
@@ -168,7 +167,7 @@ class Scheduler:
             else:
                 self._context.warn(f"{label}: {outcome.reason} It is tried again.")
         elif outcome.state == FAILED:
-            avoid = (*state.avoid, outcome.node)
+            avoid = (*state.avoid, node)
             if len(avoid) < MOST_NODES and self._executor.can_move(avoid):
                 state.avoid = avoid
                 self._context.warn(f"{label}: {outcome.reason} It is tried on another machine.")
@@ -176,18 +175,14 @@ class Scheduler:
                 self._fail(scene, state, outcome.reason)
         else:
             assert outcome.state == STOPPED
-            if moving:
-                self._moved(state, outcome.node)
+            if moving and state.from_slow:
+                state.avoid, self._slow = (*state.avoid, node), (*self._slow, node)
+                self._context.info(f"{label}: goes on on a faster machine.")
+            elif moving:
+                state.made_way = True
+                self._context.info(f"{label}: makes way for a longer one.")
         if outcome.state != DONE:
             state.first = (0.0, 0.0)
-
-    def _moved(self, state: PartState, node: str) -> None:
-        if state.from_slow:
-            state.avoid, self._slow = (*state.avoid, node), (*self._slow, node)
-            self._context.info(f"{state.part.label}: goes on on a faster machine.")
-        else:
-            state.made_way = True
-            self._context.info(f"{state.part.label}: makes way for a longer one.")
 
     def _fail(self, scene: SceneState, state: PartState, reason: str) -> None:
         state.state = FAILED
