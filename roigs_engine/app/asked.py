@@ -87,8 +87,14 @@ class Asked:
         """Whether the scene has a COLMAP model already."""
         return self.photos is None or bool(model_folders(self.request.scene))
 
-    def inputs(self, rois: Sequence[OrientedBox]) -> dict[str, Any]:
-        """Boxes, settings and manual photos for `define_run`; ConfigError if they do not fit."""
+    def inputs(self, rois: Sequence[OrientedBox] | None) -> dict[str, Any]:
+        """Boxes, settings and manual photos for `define_run`; nothing while there are no boxes.
+
+        Raises:
+            ConfigError: they do not fit.
+        """
+        if rois is None:
+            return {}
         folder, lists = self.request.run_dir, self.request.selection
         names = [roi.name for roi in rois]
         blocks = self.request.blocks or 1
@@ -126,19 +132,18 @@ class Asked:
         masks = mask_options(self.request, self.boxes.names, self.request.run_dir)
         return load_scene(self.request, context, cache, pixels=pixels, check=check, masks=masks)
 
-    def defined(self, context: Context, *, pixels: bool = True) -> Run:
-        """The run, without opening its folder.
+    def defined(self, context: Context, *, pixels: bool = True) -> tuple[Run, Context]:
+        """The run, its folder unopened, and the context with its device.
 
-        Args:
-            context: with the device.
-            pixels: False: by the cameras alone; nothing is written.
+        Without `pixels`, it is defined by its cameras alone, and nothing is written.
         """
         from ..run.definition import define_run
 
-        inputs = {} if self.boxes.given is None else self.inputs(self.boxes.given)
+        inputs = self.inputs(self.boxes.given)  # what is wrong with them is said first
+        context = self.context(context)
         scene = self.scene(context, pixels=pixels)
         inputs = inputs or self.inputs(self.boxes.boxes(scene))
-        return define_run(self.request.run_dir, scene, context=context, **inputs)
+        return define_run(self.request.run_dir, scene, context=context, **inputs), context
 
 
 def run_config(request: Train) -> RunConfig:
@@ -159,7 +164,6 @@ def run_config(request: Train) -> RunConfig:
 
 
 def _given(request: Train, *names: str) -> dict[str, Any]:
-    """The named options that were given, by name."""
     values = {name: getattr(request, name) for name in names}
     return {name: value for name, value in values.items() if value is not None}
 
@@ -173,11 +177,7 @@ def _blocks_before(folder: Path) -> int:
 
 
 def _is_photos(request: Train) -> bool:
-    """Whether the scene is photos.
-
-    Raises:
-        ConfigError: the run folder is among them, or boxes are given before there is a model.
-    """
+    """Whether the scene is photos; ConfigError if the run folder or boxes do not fit that."""
     if not is_photos(request.scene):
         return False
     if request.run_dir.resolve().is_relative_to(request.scene.resolve()):

@@ -54,12 +54,10 @@ class Batched(Result):
 
     @property
     def outputs(self) -> dict[str, str]:
-        """Page and folder."""
         return {"report": self.report, "runs": self.runs}
 
     @property
     def error(self) -> EngineError | None:
-        """That scenes failed."""
         if not self.failed:
             return None
         return RunFolderError(
@@ -110,11 +108,7 @@ def run_batch(request: Batch, context: Context = QUIET) -> Result:
 
 
 def _place(request: Batch) -> tuple[Path, Store | None]:
-    """The folder of the batch, here, and the store that it is on.
-
-    Raises:
-        ConfigError: options are missing, or do not fit one another.
-    """
+    """The folder of the batch, here, and the store that it is on; ConfigError for wrong options."""
     if request.only:
         raise ConfigError(
             "--only chooses boxes, and a batch is of scenes.",
@@ -160,7 +154,6 @@ def _record(folder: Path, store: Store | None, rows: Sequence[Row]) -> BatchReco
 def _executor(
     request: Batch, folder: Path, store: Store | None, device: str, context: Context
 ) -> Executor:
-    """Where the parts are done."""
     from ..batch.local import LocalExecutor, default_jobs
 
     if request.cluster:
@@ -179,7 +172,6 @@ def _execute(
     retries: int,
     context: Context,
 ) -> list[SceneState]:
-    """Do all parts; the page and the record are written as scenes end."""
     from ..batch.board import Reporter
     from ..batch.engine_process import DONE, Outcome
     from ..batch.page import write_batch_page
@@ -240,7 +232,6 @@ def _note(
 
 
 def _planned(table: Table, rows: Sequence[Row], record: BatchRecord, context: Context) -> Result:
-    """The plan as text; the time of a step is measured, nothing is written."""
     from ..batch.times import Times
 
     times = Times()

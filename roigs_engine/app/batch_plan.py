@@ -40,11 +40,6 @@ class Planned:
 def plan_row(row: Row, record: BatchRecord, context: Context) -> Planned:
     """The plan of a row; nothing is written, and nothing said: its engines say it again.
 
-    Args:
-        row: of the table.
-        record: what the batch has done.
-        context: asked whether to stop.
-
     Raises:
         EngineError: the row cannot be done.
     """
@@ -59,8 +54,7 @@ def plan_row(row: Row, record: BatchRecord, context: Context) -> Planned:
         parts = _parts(row, 1, [], (("", PHOTOS_WORK),), {WHOLE: 0}) + _output_parts(row, outputs)
         scene = ScenePlan(name=row.name, objects=names, steps=(), parts=parts)
         return Planned(scene=scene, run=None, plan=None, context=context)
-    context = asked.context(context)
-    run = asked.defined(context, pixels=False)
+    run, context = asked.defined(context, pixels=False)
     whole = run.memory(context)
     plan = plan_run(run, asked.compare, context)
     cut = cuts(plan) if row.kind is TrainAndEvaluate else []
@@ -90,12 +84,7 @@ def plan_row(row: Row, record: BatchRecord, context: Context) -> Planned:
 def checked_plans(
     table: Table, rows: Sequence[Row], record: BatchRecord, context: Context
 ) -> tuple[str, list[ScenePlan]]:
-    """The device of the first row, and the plans of all rows.
-
-    Args:
-        table: of the rows.
-        rows: the scenes to do.
-        record, context: as `plan_row`.
+    """The device of the rows, and the plans of all.
 
     Raises:
         ConfigError: a line of the table is wrong, or a scene cannot be done; a warning names each.
@@ -208,5 +197,4 @@ def _output_parts(
 
 
 def _of_object(run: Path, name: str) -> Path:
-    """The PLY of an object."""
     return run / run_files.FINE / f"{name}.ply"

@@ -116,11 +116,7 @@ def localized(
 ) -> tuple[list[Row], list[Wrong]]:
     """The rows with folders of this machine for addresses; those that cannot be had are wrong.
 
-    Args:
-        rows: of the table.
-        store: of the batch; None: a folder.
-        cluster: where the parts are done; None: here.
-        context: told of the work.
+    The parts are done on `cluster`; None: here.
     """
     found, wrong = [], []
     for row in rows:

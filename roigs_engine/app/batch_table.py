@@ -6,7 +6,7 @@ import json
 import os
 import re
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from ..formats.names import first_taken, is_file_name, safe_name
 from ..formats.projects import model_folders
 from ..formats.run_files import BATCH_OUTPUTS, BATCH_ROWS, is_own
 from ..formats.text import decode_text, json_digest
-from ..requests.declare import Option, Request, options_of, plain
+from ..requests.declare import options_of, plain
 from ..requests.models import Convert
 from ..requests.runs import Train, TrainAndEvaluate
 from ..requests.values import AUTO, PATH, PLACE, is_url, shown
@@ -110,8 +110,9 @@ class Table:
         self.rows: list[Row] = []
         self.wrong: list[Wrong] = []
         self._folder = Path(os.path.abspath(path)).parent
-        self._options = _options(TrainAndEvaluate, lambda name: name not in NO_KEYS)
-        self._of_outputs = _options(Convert, lambda name: name in OF_OUTPUTS)
+        run, convert = options_of(TrainAndEvaluate), options_of(Convert)
+        self._options = {name: found for name, found in run.items() if name not in NO_KEYS}
+        self._options |= {name: convert[name] for name in OF_OUTPUTS}
         text, record = _read(path)
         self._lines = dict(_lines(text))
         self._check_head(record)
@@ -124,7 +125,6 @@ class Table:
         self._check_outputs()
 
     def _add(self, name: str, values: Any, defaults: Mapping[str, Any]) -> None:
-        """Add a scene, unless something is wrong with it."""
         place, before = (SCENES, name), len(self.wrong)
         if not is_file_name(name) or is_own(name) or name in (BATCH_ROWS, BATCH_OUTPUTS):
             text = f"A scene cannot be called {shown(name)}, as its run folder is. Rename it."
@@ -190,24 +190,26 @@ class Table:
                 self._say(where, f"'{key}' is there twice, with - and with _.")
             elif name in (OUTPUTS, OBJECT_OUTPUTS):
                 found[name] = self._suffixes(value, where)
-            elif name not in self._options and name not in self._of_outputs:
-                options = {*self._options, *self._of_outputs}
-                known = ", ".join(sorted({*options, OUTPUTS, OBJECT_OUTPUTS}))
+            elif name not in self._options:
+                known = ", ".join(sorted({*self._options, OUTPUTS, OBJECT_OUTPUTS}))
                 self._say(where, f"'{key:.60}' is no key of a scene. The keys are: {known}.")
             else:
-                option = self._options.get(name) or self._of_outputs[name]
-                address = is_url(value) and option.kind is PATH
-                checked = replace(option, kind=PLACE) if address else option
+                option = self._options[name]
+                if option.kind is PATH and is_url(value):
+                    option = replace(option, kind=PLACE)
                 try:
-                    found[name] = self._absolute(checked.checked(value, f"'{key}'"))
+                    checked = option.checked(value, f"'{key}'")
                 except EngineError as error:
                     self._say(where, str(error))
+                    continue
+                if isinstance(checked, Path):  # starts at the folder of the table
+                    checked = Path(os.path.normpath(self._folder / checked))
+                found[name] = checked
         if found.get("masks") and found.get("no_masks"):
             self._say(place, "'masks' and 'no_masks' exclude one another. Remove one.")
         return found
 
     def _suffixes(self, value: Any, where: tuple[str, ...]) -> list[str]:
-        """The suffixes of files to write."""
         if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
             self._say(where, f"'{where[-1]}' is {shown(value)}; write a list such as [\"glb\"].")
             return []
@@ -220,10 +222,6 @@ class Table:
                 self._say(where, f"{text} {error.hint}")
         return found
 
-    def _absolute(self, value: Any) -> Any:
-        """Paths start at the folder of the table."""
-        return Path(os.path.normpath(self._folder / value)) if isinstance(value, Path) else value
-
     def _say(self, place: tuple[str, ...], text: str) -> None:
         self.wrong.append(Wrong(line=self._line(place), text=text))
 
@@ -235,11 +233,6 @@ class Table:
                 return min(lines)
             place = place[:-1]
         return 1
-
-
-def _options(request: type[Request], fits: Callable[[str], bool]) -> dict[str, Option]:
-    """The options of a request that a table may have, by name."""
-    return {name: found for name, found in options_of(request).items() if fits(name)}
 
 
 def _read(path: Path) -> tuple[str, dict[str, Any]]:
@@ -354,7 +347,8 @@ def _free_name(folder: Path, scene: Path, taken: set[str]) -> str:
 
 
 def _table_row(name: str, scene: Path, home: Path) -> str:
-    place = os.path.relpath(scene, home) if _is_near(scene, home) else os.path.abspath(scene)
+    is_near = Path(os.path.abspath(scene)).is_relative_to(os.path.abspath(home))
+    place = os.path.relpath(scene, home) if is_near else os.path.abspath(scene)
     boxes = scene / "rois.json"
     lines = [
         f"[scenes.{name if BARE.fullmatch(name) else _quoted(name)}]",
@@ -365,11 +359,6 @@ def _table_row(name: str, scene: Path, home: Path) -> str:
     else:
         lines.append('roi = ["auto"]  # a box around what most photos show')
     return "\n".join([*lines, ""])
-
-
-def _is_near(scene: Path, home: Path) -> bool:
-    """Whether the scene lies below the table's folder."""
-    return Path(os.path.abspath(scene)).is_relative_to(os.path.abspath(home))
 
 
 def _quoted(text: str) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from ..context import Context
 from ..errors import ConfigError, RunFolderError
 from ..formats.files import read_bytes, refuse_linked_folders, write_json
@@ -15,10 +13,6 @@ from ..requests.runs import RETRIES, Train, TrainAndEvaluate
 from .batch_plan import plan_row
 from .batch_table import Row
 from .outputs import Trained, result_in
-
-if TYPE_CHECKING:
-    from ..batch.parts import ScenePlan
-    from ..batch.schedule import Executor
 
 KEPT = ("compare", "device", "preview_seconds", "image_cache")
 """Options that are no settings of a run, and that its parts must have."""
@@ -34,8 +28,10 @@ def train_on_cluster(request: Train, context: Context) -> Trained:
         RunFolderError: a part failed.
         Stopped: on request; checkpoints were written.
     """
+    from ..batch.board import Reporter
     from ..batch.ray_executor import RayExecutor
     from ..batch.record import BatchRecord
+    from ..batch.schedule import Scheduler
 
     if isinstance(request, TrainAndEvaluate) and request.part:
         raise ConfigError("--part is for one machine.", "Leave it out with --cluster.")
@@ -49,11 +45,15 @@ def train_on_cluster(request: Train, context: Context) -> Trained:
         scene = plan_row(row, BatchRecord(folder), context).scene
         write_json(options, row.options)
         executor = RayExecutor(request.cluster, options, context)
+        scheduler = Scheduler(
+            [scene], executor, context, retries=RETRIES, told=lambda *told: reporter.take(*told)
+        )
         try:
-            reason = _execute(executor, scene, context)
+            with Reporter(scheduler.scenes, context, alone=True) as reporter:
+                scheduler.run()
         finally:
             executor.close()
-    if reason:
+    if reason := scheduler.scenes[scene.name].reason:
         raise RunFolderError(reason, "The same command tries again, and keeps what is done.")
     if isinstance(request, TrainAndEvaluate):
         return result_in(folder, decode_text(read_bytes(folder / REPORT)))
@@ -77,16 +77,3 @@ def _row(request: Train) -> Row:
         elsewhere=True,
         update=request.update,
     )
-
-
-def _execute(executor: Executor, plan: ScenePlan, context: Context) -> str:
-    """Do the parts; returns why one failed, empty: none did."""
-    from ..batch.board import Reporter
-    from ..batch.schedule import Scheduler
-
-    scheduler = Scheduler(
-        [plan], executor, context, retries=RETRIES, told=lambda *told: reporter.take(*told)
-    )
-    with Reporter(scheduler.scenes, context, alone=True) as reporter:
-        scheduler.run()
-    return scheduler.scenes[plan.name].reason

@@ -90,7 +90,6 @@ def convert(request: Convert, context: Context = QUIET) -> Result:
 
 
 def _single(request: Convert, target: FileFormat, context: Context, *, plain: bool) -> _Model:
-    """The model of one file, cropped and turned."""
     from ..exchange import formats
 
     home, poses = _home(request, request.source), None
@@ -119,11 +118,9 @@ def _single(request: Convert, target: FileFormat, context: Context, *, plain: bo
 
 
 def _listed(request: Convert, target: FileFormat, *, plain: bool) -> _Model:
-    """The models of a list, at their poses, as one."""
     from ..exchange import formats
     from ..exchange.transform import merged
     from ..model.gaussians import Gaussians
-    from ..rasterize.instances import Instance
 
     if boxes_of(request, required=False):
         raise ConfigError("A list of models cannot be cropped.", "Leave out the boxes.")
@@ -139,19 +136,7 @@ def _listed(request: Convert, target: FileFormat, *, plain: bool) -> _Model:
     else:
         antialiased = formats.are_antialiased(Path(name) for name in names)
     matrix = turn(request.from_up or SCENE_UP, request.up or target.up)
-    placed = []
-    for item in wanted:
-        gaussians, frame = read[item.file]
-        placed.append(
-            Instance(
-                gaussians=gaussians,
-                frame=frame,
-                matrix=matrix @ item.matrix,
-                gains=item.gains,
-                density=item.density,
-            )
-        )
-    whole, frame = merged(placed)
+    whole, frame = merged([item.of(*read[item.file], matrix) for item in wanted])
     return _Model(
         arrays=whole.arrays(frame),
         count=sum(len(models[item.file][0]["means"]) for item in wanted),
@@ -200,7 +185,6 @@ def _warn_of_axes(source: Path, before: str, context: Context) -> None:
 
 
 def _shortened(arrays: Arrays, request: Convert) -> Arrays:
-    """With the SH that were asked for."""
     if request.sh_degree is None:
         return arrays
     return {**arrays, "sh": arrays["sh"][:, : (request.sh_degree + 1) ** 2]}
@@ -224,14 +208,8 @@ def turned(arrays: Arrays, matrix: Float64) -> Arrays:
 def _read(path: Path, *, plain: bool, scene: Path | None = None) -> tuple[Arrays, bool]:
     """The Gaussians of a file, and whether they are drawn with anti-aliasing.
 
-    Args:
-        path: of a file in any format that is read.
-        plain: make them about right without anti-aliasing, as far as photos tell how; if these are
-            not known, they stay as they are.
-        scene: of the photos; None: that of the run that made the file.
-
-    Raises:
-        EngineError: as `formats.read`; `scene` cannot be used.
+    With `plain`, they are made about right without it, as far as photos tell how: those of `scene`,
+    or of the run that made the file.
     """
     from ..exchange import formats
     from ..exchange.transform import without_antialiasing
@@ -247,11 +225,7 @@ def _read(path: Path, *, plain: bool, scene: Path | None = None) -> tuple[Arrays
 
 
 def _say_photos_unknown(target: FileFormat, context: Context) -> None:
-    """Refuse to write anti-aliased Gaussians as plain ones; warn where the format leaves no choice.
-
-    Raises:
-        ConfigError: the format can say how Gaussians are drawn.
-    """
+    """Refuse to write anti-aliased Gaussians as plain ones; warn if the format cannot tell."""
     why = "the photos that they were trained on are not known"
     if target.keeps_antialiased:
         raise ConfigError(
@@ -271,9 +245,7 @@ def _say_photos_unknown(target: FileFormat, context: Context) -> None:
 def _refuse_page_options(request: Convert, *, plain: bool) -> None:
     """Raise ConfigError if an option of pages is given for another format.
 
-    Args:
-        request: with OUT.
-        plain: whether OUT is for viewers without anti-aliasing, which needs the scene too.
+    For viewers without anti-aliasing (`plain`), other formats need the scene too.
     """
     given = {
         "--title": request.title,
@@ -293,11 +265,7 @@ def _refuse_page_options(request: Convert, *, plain: bool) -> None:
 
 
 def _page_poses(request: Convert, context: Context) -> Float64 | None:
-    """(N, 4, 4) world_to_camera of the scene's photos; None if no scene is known.
-
-    Raises:
-        SceneError: the one of `--scene` cannot be read.
-    """
+    """(N, 4, 4) world_to_camera of the scene's photos; None if no scene is known."""
     from ..colmap.project import load_colmap
 
     scene = None
@@ -356,7 +324,6 @@ def _page_extras(request: Convert, before: Arrays | None, model: _Model) -> Extr
 
 
 def _write_streamed(request: Convert, context: Context) -> Result:
-    """Write a run's result in its levels of detail, as Streamed SOG."""
     from ..exchange import formats, streamed_sog
     from ..formats.levels import read_ladders
 

@@ -41,7 +41,7 @@ class EventLog:
         return self._path is not None
 
     def open(self, folder: Path) -> None:
-        """Write to `folder`/events.jsonl from now on, and what was kept; if it is not open yet.
+        """Write to `folder`/events.jsonl from now on, with what was kept; once.
 
         Raises:
             RunFolderError: the file cannot be written.
@@ -66,22 +66,15 @@ class EventLog:
         """Write an event down."""
         if self._path is None:
             self._early.append(to_json(event))
-        elif self._file is not None and self._may_write(self._path):
-            self._append(to_json(event))
+        elif self._file is not None:
+            with suppress(RunFolderError):  # the folder is another process's by now
+                check_held(self._path)
+                self._append(to_json(event))
 
     def close(self) -> None:
-        """End the log."""
         if self._file is not None:
             with suppress(OSError):
                 self._file.close()
-
-    def _may_write(self, path: Path) -> bool:
-        """Whether the folder of the log is still this process's own."""
-        try:
-            check_held(path)
-        except RunFolderError:
-            return False
-        return True
 
     def _append(self, line: str) -> None:
         """Append a line. A full disk ends the log, but not the work."""

@@ -11,7 +11,7 @@ from ..errors import ConfigError, RoiError
 from ..formats import run_files
 from ..formats.files import write_text
 from ..formats.names import first_taken
-from ..formats.projects import model_folders, project_folder
+from ..formats.projects import is_video, model_folders, project_folder
 from ..formats.rois import rois_document
 from ..formats.text import counted
 from ..machine import return_large_blocks
@@ -56,11 +56,9 @@ def load_scene(
     check: Callable[[SfmScene], None] | None = None,
     masks: MaskOptions | None = None,
 ) -> SfmScene:
-    """The scene of a request.
+    """The scene of a request, which has one.
 
     Args:
-        request: has a scene.
-        context: told of problems; checked for cancellation.
         cache: folder for undistorted photos; None: only cameras are needed, not pixels.
         pixels: False if only cameras, and what `cache` knows of the photos, are needed.
         check: called with the cameras before any photo is decoded.
@@ -84,7 +82,6 @@ def load_scene(
 
 
 def _without(scene: SfmScene, photos: Sequence[str], context: Context) -> SfmScene:
-    """The scene without the photos of `--exclude`."""
     there = {image.name for image in scene.images}
     skipped = {name for names in scene.skipped.values() for name in names}
     unknown = [name for name in photos if name not in there | skipped]
@@ -104,10 +101,9 @@ def _without(scene: SfmScene, photos: Sequence[str], context: Context) -> SfmSce
 def mask_options(
     request: object, boxes: Iterable[str] = (), run: Path | None = None
 ) -> MaskOptions:
-    """Which masks a request wants.
+    """Which masks a request wants; one without such options gets the defaults.
 
     Args:
-        request: any; only its options of masks count.
         boxes: names of those whose masks of objects are used, unless the request refuses them.
         run: the run folder; its masks of objects are used, unless a folder of masks is given.
 
@@ -132,8 +128,6 @@ def mask_options(
 
 def is_photos(scene: Path) -> bool:
     """Whether the scene is a folder of photos without a COLMAP model, or a video."""
-    from ..formats.projects import is_video
-
     if is_video(scene):
         return True
     if not scene.is_dir() or model_folders(project_folder(scene)):

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from ..model.gaussians import Gaussians
     from ..model.local_frame import LocalFrame
     from ..model.scene import Float64
+    from ..rasterize.instances import Instance
 
 HINT = "docs/files.md describes requests."
 LIST = ".json"
@@ -40,6 +41,18 @@ class InstanceRecord(NamedTuple):
     gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
     density: float = 1.0
 
+    def of(self, gaussians: Gaussians, frame: LocalFrame, into: Float64 | None = None) -> Instance:
+        """The model that its file holds, in the list's world, or `into` another (4, 4)."""
+        from ..rasterize.instances import Instance
+
+        return Instance(
+            gaussians=gaussians,
+            frame=frame,
+            matrix=self.matrix if into is None else into @ self.matrix,
+            gains=self.gains,
+            density=self.density,
+        )
+
 
 def read_list(path: Path) -> tuple[list[InstanceRecord], Float64 | None]:
     """The models of a list, and (N, 4, 4) world_to_camera of its photos, in the list's world.
@@ -57,11 +70,7 @@ def read_list(path: Path) -> tuple[list[InstanceRecord], Float64 | None]:
 
 
 def instances(record: Any, folder: Path) -> list[InstanceRecord]:
-    """The models of a record's `models`.
-
-    Args:
-        record: of a JSON file.
-        folder: of that file; relative paths start there, wherever the command is started.
+    """The models of a record's `models`; relative paths start at `folder`.
 
     Raises:
         TypeError, ValueError, OverflowError: it is malformed.
@@ -81,11 +90,7 @@ def instances(record: Any, folder: Path) -> list[InstanceRecord]:
 
 
 def drawable_model(path: Path, say: Callable[[str], None]) -> tuple[Gaussians, LocalFrame]:
-    """The Gaussians of a PLY that can be drawn, in a frame of their own; returns both.
-
-    Args:
-        path: of the file.
-        say: gets one line if some cannot be drawn.
+    """The Gaussians of a PLY that can be drawn, and the frame they are in; `say` is told of others.
 
     Raises:
         RunFolderError: the file is missing or damaged.

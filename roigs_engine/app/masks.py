@@ -94,15 +94,7 @@ def _check_photos(names: Sequence[str], scene: SfmScene) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Maker:
-    """Makes the masks of one box at a time.
-
-    Attributes:
-        request: what is asked for.
-        scene: the cameras and points, in the world's frame.
-        rois: all boxes, in the world's frame.
-        frame: the local frame.
-        model: the trained scene, in the local frame; None: not known.
-    """
+    """Makes the masks of one box at a time; the scene and its boxes are in the world's frame."""
 
     request: Masks
     scene: SfmScene
@@ -111,13 +103,7 @@ class _Maker:
     model: Gaussians | None
 
     def make(self, roi: OrientedBox, scribbles: Mapping[str, Scribble], context: Context) -> Path:
-        """Make the masks of a box; returns their folder.
-
-        Args:
-            roi: the box.
-            scribbles: photo -> its strokes.
-            context: told of the work; has the device.
-        """
+        """Make the masks of a box, by the strokes on each photo; returns their folder."""
         from ..colmap.photo_pixels import photo_pixels
         from ..colmap.project import find_model
         from ..masking.box_masks import BoxMasks, basis_digest, masked_photos

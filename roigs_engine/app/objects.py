@@ -104,7 +104,6 @@ def cut(request: Cut, context: Context = QUIET) -> Result:
 
 
 def _masked_scene(request: Cut, rois: Sequence[OrientedBox], context: Context) -> SfmScene:
-    """The scene with the masks of the boxes' objects; ConfigError if there are none."""
     root, names = request.masks or top_folder(request.scene) / MASKS, [roi.name for roi in rois]
     if not any((root / name).is_dir() for name in names):
         raise ConfigError(
@@ -194,7 +193,6 @@ def _as_one(wanted: list[InstanceRecord], frame: LocalFrame) -> tuple[Gaussians,
     """All models as one in a frame, and which rows of the files can be drawn: those it has."""
     from ..exchange.transform import merged
     from ..model.gaussians import Gaussians
-    from ..rasterize.instances import Instance
 
     into = np.diag([*[frame.scale] * 3, 1.0])
     into[:3, 3] = -frame.scale * frame.origin
@@ -206,7 +204,7 @@ def _as_one(wanted: list[InstanceRecord], frame: LocalFrame) -> tuple[Gaussians,
         masks.append(mask)
         if mask.any():
             kept, own = Gaussians.framed(usable(arrays, mask), antialiased=is_antialiased(path))
-            models.append(Instance(gaussians=kept, frame=own, matrix=into @ item.matrix))
+            models.append(item.of(kept, own, into))
     if not models:
         raise ConfigError("The model has no Gaussians that can be drawn.", "Give another model.")
     model, own = merged(_alike(models))

@@ -105,12 +105,7 @@ def refuse_inputs(
 
 
 def named_files(option: str, texts: Iterable[str], form: str) -> dict[str, Path]:
-    """Name -> path of an option's values such as `NAME=FILE`.
-
-    Args:
-        option: the option's name.
-        texts: its values.
-        form: how they are written, for the message.
+    """Name -> path of an option's values such as `NAME=FILE`; `form` says how they are written.
 
     Raises:
         ConfigError: a name or a path is missing, or a name is there twice.
@@ -146,5 +141,4 @@ def _run_folder(out: Path, *, above: bool) -> Path | None:
 
 
 def _is_there(folder: Path, *names: str) -> bool:
-    """Whether the folder has files of these names; False if it cannot be read."""
     return all(os.path.lexists(folder / name) for name in names)

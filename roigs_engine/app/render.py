@@ -137,9 +137,7 @@ class Models:
     def get(self, paths: list[str], context: Context) -> list[tuple[Gaussians, LocalFrame]]:
         """The models, without what cannot be drawn, and the frames that they are in.
 
-        Args:
-            paths: of their files.
-            context: gets the progress: whoever waits for a picture sees that the engine works.
+        The context gets the progress: whoever waits for a picture sees that the engine works.
 
         Raises:
             EngineError: a file is missing or damaged.
@@ -166,12 +164,7 @@ def _state(path: str) -> tuple[int, int]:
 
 
 def answer(request: Path, models: Models, context: Context) -> Path:
-    """Render what a request asks for; returns the picture, which is written last.
-
-    Args:
-        request: its file.
-        models: that were read before.
-        context: has the device, and gets the progress.
+    """Render what a request file asks for; returns the picture, which is written last.
 
     Raises:
         EngineError: the request is malformed, or a model cannot be read.
@@ -180,7 +173,7 @@ def answer(request: Path, models: Models, context: Context) -> Path:
 
     from ..rasterize.camera_path import camera_from_record
     from ..rasterize.image_files import save_layer
-    from ..rasterize.instances import Instance, render_instances
+    from ..rasterize.instances import render_instances
 
     record = read_json(request, ConfigError, HINT)
     try:
@@ -190,16 +183,7 @@ def answer(request: Path, models: Models, context: Context) -> Path:
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{request} is malformed ({error}).", HINT) from error
     read = models.get([item.file for item in wanted], context)
-    placed = [
-        Instance(
-            gaussians=gaussians,
-            frame=frame,
-            matrix=item.matrix,
-            gains=item.gains,
-            density=item.density,
-        )
-        for (gaussians, frame), item in zip(read, wanted, strict=True)
-    ]
+    placed = [item.of(*model) for model, item in zip(read, wanted, strict=True)]
     layer = render_instances(placed, camera, pose, torch.device(context.device))
     save_layer(colour_file(out), depth_file(out), layer)
     return colour_file(out)

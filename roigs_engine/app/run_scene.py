@@ -60,7 +60,6 @@ def cameras_of_run(folder: Path, scene: Path | None, context: Context) -> SfmSce
     Args:
         folder: of the run.
         scene: where its scene is; None: where it was.
-        context: receives messages.
 
     Raises:
         ConfigError: the scene is not where it was.
@@ -85,12 +84,8 @@ def cameras_of_run(folder: Path, scene: Path | None, context: Context) -> SfmSce
 def cameras_of_result(path: Path, scene: Path | None = None) -> SfmScene | None:
     """The cameras that a file's run was trained with; None: it is no run's, or they are gone.
 
-    Args:
-        path: of the file.
-        scene: where the scene is; None: where it was.
-
     Raises:
-        SceneError: `scene` cannot be used.
+        SceneError: `scene`, where the run's scene is now, cannot be used.
     """
     folder = _run_folder(path)
     if scene is not None:
@@ -144,7 +139,11 @@ def up_in_run(path: Path) -> str | None:
 
     for place in _places(folder):
         with suppress(EngineError):
-            return _up(load_poses(place))
+            poses = load_poses(place)
+            if len(poses):
+                up = gravity_alignment(poses)[2]
+                return max(UP, key=lambda axis: float(np.array(UP[axis])[:, 2] @ up))
+            return None
     return None
 
 
@@ -152,11 +151,3 @@ def _places(folder: Path) -> list[Path]:
     """Where the scene of a run folder may be, the likelier place first."""
     known = _path(folder, "scene")
     return [*([] if known is None else [known]), folder / PROJECT]
-
-
-def _up(poses: Float64) -> str | None:
-    """The axis that points up, about, for photos."""
-    if not len(poses):
-        return None
-    up = gravity_alignment(poses)[2]
-    return max(UP, key=lambda axis: float(np.array(UP[axis])[:, 2] @ up))

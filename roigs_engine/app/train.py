@@ -33,10 +33,6 @@ PREPARE = "prepare"
 def train(request: Train, context: Context = QUIET) -> Trained:
     """Train, or resume the run in the folder; a `TrainAndEvaluate` is also compared and measured.
 
-    Args:
-        request: what to train, and how.
-        context: receives the events; asked whether to stop.
-
     Raises:
         EngineError: the request, the scene or the folder cannot be used, or training diverged.
         Stopped: on request; the same request resumes.
@@ -83,8 +79,7 @@ def train_parts(request: TrainAndEvaluate, context: Context = QUIET) -> Trained:
             with opened(asked, context, log):
                 pass
         if stages:
-            context = asked.context(context)
-            run = asked.defined(context)
+            run, context = asked.defined(context)
             quiet = replace(context, emit=QUIET.emit)  # it was said before
             plan = plan_run(run, asked.compare, quiet)
             for name in stages:
@@ -109,13 +104,11 @@ def plan_training(request: Train, context: Context = QUIET) -> Result:
     request = asked.request
     if asked.photos is not None and not asked.has_model:
         return Result(text=_plan_of_photos(asked.photos, request))
-    context = asked.context(context)
-    run = asked.defined(context, pixels=False)
+    run, context = asked.defined(context, pixels=False)
     return Result(text=describe_plan(run, asked.compare, context, update=request.update))
 
 
 def _plan_of_photos(photos: Path, request: Train) -> str:
-    """What a run of photos does that have no model yet."""
     count = counted(count_photos(photos), "photo") if photos.is_dir() else str(photos)
     return "\n".join(
         [
@@ -145,7 +138,7 @@ def opened(asked: Asked, context: Context, log: EventLog) -> Iterator[tuple[Run,
     from ..run.provenance import recorded
 
     request, folder = asked.request, asked.request.run_dir
-    inputs = {} if asked.boxes.given is None else asked.inputs(asked.boxes.given)
+    inputs = asked.inputs(asked.boxes.given)
     with held(folder, context, PATIENCE if asked.parts else 0):
         refuse_linked_folders(folder)
         check_version(folder)
@@ -195,7 +188,6 @@ def _reconstruct(photos: Path, request: Train, context: Context) -> None:
 
 
 def _evaluate(run: Run, trained: Sequence[EvaluatedModel], context: Context) -> str:
-    """Compare the models on the held-out photos, and write the report; returns the table."""
     import torch
 
     from ..evaluation.evaluate import evaluate

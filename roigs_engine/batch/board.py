@@ -157,7 +157,6 @@ class Reporter:
         self._draw()
 
     def _draw(self, *, now: bool = False) -> None:
-        """Show the board to a person, at most once a second."""
         if self._context.for_person and (now or time.monotonic() - self._last >= EVERY):
             self._context.emit(BoardEvent(lines=tuple(self._board.lines())))
             self._last = time.monotonic()

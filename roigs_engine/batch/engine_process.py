@@ -39,12 +39,9 @@ class Outcome:
 def run_engine(
     argv: Sequence[str], emit: Callable[[Record], None], should_stop: Callable[[], bool]
 ) -> Outcome:
-    """`python -m roigs_engine ARGV` to its end.
+    """`python -m roigs_engine ARGV` to its end; `emit` receives each event but the final one.
 
-    Args:
-        argv: the command line.
-        emit: receives each event, except the final one.
-        should_stop: asked twice a second; a stop lets the engine write a checkpoint.
+    `should_stop` is asked twice a second; a stop lets the engine write a checkpoint.
     """
     final: Record = {}
     with tempfile.TemporaryFile() as errors:

@@ -46,7 +46,6 @@ class LocalExecutor:
         """Start a part; returns the number of cores that it gets.
 
         Args:
-            part: to be done.
             waiting: number of parts that could start now besides; with few, each gets more cores.
             avoid: nodes where it failed; there is only one here.
         """

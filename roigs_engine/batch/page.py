@@ -35,10 +35,7 @@ def write_batch_page(
 ) -> Path:
     """Write the page over all scenes; returns its path.
 
-    Args:
-        folder: of the batch.
-        scenes: how far they are.
-        is_there: whether there is a file of that name beside the page; None: look in the folder.
+    `is_there` tells whether there is a file of that name beside the page; None: look in the folder.
 
     Raises:
         RunFolderError: it cannot be written.
@@ -77,7 +74,6 @@ def _page(folder: Path, scenes: Sequence[SceneState], is_there: IsThere) -> str:
 
 
 def _rows(run: Path, scene: SceneState, is_there: IsThere) -> Iterator[str]:
-    """A row for each object of a scene."""
     name, done = scene.plan.name, scene.state == DONE
     found = _scores(run) if done else {}
     for box in scene.plan.objects:
@@ -120,7 +116,6 @@ def _links(scene: str, box: str, is_there: IsThere) -> str:
 
 
 def _thumbnail(crops: Path) -> str:
-    """One of the run's pictures, small."""
     found = matching(crops, "overview.png") or matching(crops, "*.png")
     try:
         return _small(found[0], found[0].stat().st_mtime_ns)

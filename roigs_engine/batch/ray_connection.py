@@ -115,7 +115,6 @@ def _in_thread(call: Callable[[], T], give_up: Callable[[], bool], *, stay: bool
 
 
 def _connected(address: str) -> Any:
-    """The module ray, connected."""
     place = host_and_port(address.removeprefix(CLIENT))
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     if address == "local" or (place is not None and place[0] in (LOOPBACK, "localhost")):

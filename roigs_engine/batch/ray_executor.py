@@ -160,10 +160,7 @@ class RayExecutor:
         return NodeAffinitySchedulingStrategy(node_id=node, soft=soft)
 
     def _refresh(self, patience: float = 0.0) -> None:
-        """Look at machines that are new; forget those that are gone.
-
-        Args:
-            patience: seconds to wait for new machines.
+        """Look at new machines, for some seconds (`patience`); forget those that are gone.
 
         Raises:
             ConfigError: there is no machine that fits.
@@ -242,7 +239,6 @@ def demand(part: Part, nodes: Sequence[Mapping[str, float]], parts: int) -> dict
     """What a part asks Ray for; at least one of the machines has all of it at a time.
 
     Args:
-        part: to be done.
         nodes: resources of the machines that it may go to.
         parts: how many share the cores, this one included.
     """
@@ -256,5 +252,4 @@ def demand(part: Part, nodes: Sequence[Mapping[str, float]], parts: int) -> dict
 
 
 def _without(nodes: Collection[str]) -> dict[str, str]:
-    """A label selector for all machines but some."""
     return {NODE_LABEL: f"!in({', '.join(sorted(nodes))})"} if nodes else {}

@@ -27,7 +27,6 @@ def do_part(part: Part, threads: int, mailbox: Any, version: str, sign: str) -> 
     """Do a part on this machine, with its events to a mailbox.
 
     Args:
-        part, threads: as `run_part`.
         mailbox: a handle to a `Mailbox`.
         version: of the engine that gives out parts.
         sign: a file of the batch, which every machine must see.
@@ -69,12 +68,7 @@ class Mailbox:
     def take(
         self, stop: bool, stopped: set[tuple[str, str]]
     ) -> list[tuple[tuple[str, str], Record]]:
-        """All events since the last time.
-
-        Args:
-            stop: whether all parts are asked to stop.
-            stopped: keys of those that are asked to, else.
-        """
+        """All events since the last time; from now on, all parts (`stop`) or some shall stop."""
         self._stop, self._stopped = stop, stopped
         events, self._events = self._events, []
         return events

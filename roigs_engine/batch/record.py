@@ -57,9 +57,8 @@ class BatchRecord:
         """Whether the run of a scene is finished as the table has it now.
 
         Args:
-            name: of the scene.
-            row: digest of its row.
-            run: of its row; its photos are hashed if an engine has read them before.
+            row: digest of the scene's row.
+            run: of the row; its photos are hashed if an engine has read them before.
             files: what it writes that others read.
         """
         known = self._scenes.get(name)
@@ -76,11 +75,7 @@ class BatchRecord:
             return False
 
     def add(self, name: str, row: str, folder: Path, files: Iterable[Path]) -> None:
-        """Write down that the run of a scene is finished; its outputs are to be made of it.
-
-        Args:
-            name, row, files: as `is_done`.
-            folder: of its run.
+        """Write down that the run of a scene, in `folder`, is finished; see `is_done`.
 
         Raises:
             RunFolderError: a file of the scene cannot be read (a network drive may show it late)

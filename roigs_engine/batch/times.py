@@ -35,11 +35,9 @@ class Times:
     def of_scene(
         self, scene: ScenePlan, run: Run | None, plan: Plan | None, context: Context
     ) -> dict[Key, float]:
-        """Seconds of each part that is left to do, with all cores of this machine.
+        """Seconds of each part that is left to do, with all cores, on the device of the context.
 
-        Args:
-            scene, run, plan: as planned; None for photos without a model, which count as nothing.
-            context: gives the device; checked for cancellation.
+        Photos without a model (`run` and `plan` are None) count as nothing.
         """
         found = {part.key: 0.0 if scene.done else START for part in scene.parts}
         if run is None or plan is None or scene.done or (scene.name, WHOLE) not in found:
@@ -69,13 +67,7 @@ def _kind(stage: Stage, points: int) -> str:
 
 
 def makespan(scenes: Sequence[Sequence[Part]], seconds: Mapping[Key, float], workers: int) -> float:
-    """Seconds until all parts are done, each on one of `workers` equal workers.
-
-    Args:
-        scenes: the parts of each scene.
-        seconds: of each part, by its key.
-        workers: how many parts can be done at a time.
-    """
+    """Seconds until the parts of all scenes are done, each on one of `workers` equal workers."""
     needs = {p.key: {(p.scene, name) for name in p.needs} for parts in scenes for p in parts}
     after: dict[Key, float] = {}
     for parts in scenes:

@@ -58,7 +58,6 @@ class Console:
             threading.Thread(target=self._read_input, daemon=True).start()
 
     def should_stop(self) -> bool:
-        """Whether a stop was requested."""
         return self._stop.asked
 
     @property
@@ -173,6 +172,5 @@ class Console:
 
 
 def _write(text: str, stream: TextIO) -> None:
-    """Write a line in one piece."""
     stream.write(f"{text}\n")
     stream.flush()

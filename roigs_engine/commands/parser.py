@@ -28,7 +28,6 @@ class StoreOnce(argparse.Action):
         values: Any,
         option_string: str | None = None,
     ) -> None:
-        """Set the value."""
         if hasattr(namespace, self.dest):
             raise argparse.ArgumentError(self, "it is given twice")
         setattr(namespace, self.dest, values)
@@ -43,7 +42,6 @@ class Parser(argparse.ArgumentParser):
         self.needed: list[argparse.Action] = []
 
     def error(self, message: str) -> NoReturn:
-        """Raise a ConfigError."""
         message = message.removeprefix("argument ")
         raise ConfigError(f"{message[:1].upper()}{message[1:]}.", f"See {self.prog} --help.")
 

@@ -25,8 +25,7 @@ def check_address_space(name: str, least: int, each: int) -> None:
 
     Args:
         name: of the work.
-        least: bytes that it needs in any case.
-        each: bytes besides, for each core: its threads' stacks and buffers.
+        least, each: bytes that it needs in any case, and for each core (stacks and buffers).
 
     Raises:
         EngineError: the limit is smaller.
@@ -43,11 +42,8 @@ def check_address_space(name: str, least: int, each: int) -> None:
 def run_process(work: Callable[[StopRequest], int]) -> NoReturn:
     """Do the work with streams that never fail and with signals as stop requests; then exit.
 
-    The process ends at once: cleaning up Python, torch and a large scene takes most of a second,
-    and a user who stops a run would wait for it.
-
-    Args:
-        work: is given the stop request, and returns an exit status.
+    The work is given the stop request, and returns an exit status. The process ends at once:
+    cleaning up Python, torch and a large scene takes most of a second.
     """
     stop = StopRequest()
     stop.watch_signals()
@@ -86,6 +82,5 @@ def _finished(work: Callable[[StopRequest], int], stop: StopRequest, output: Str
 
 
 def _failed(text: str) -> int:
-    """Write an error's line; the exit status."""
     sys.stderr.write(f"error: {text}\n")
     return 2

@@ -84,7 +84,6 @@ class Stream(io.TextIOBase):
                 raise TimeoutError(errno.ETIMEDOUT, "nobody reads")
 
     def writable(self) -> bool:
-        """Always."""
         return True
 
     def isatty(self) -> bool:

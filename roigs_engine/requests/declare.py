@@ -83,12 +83,8 @@ class Option:
     def checked(self, value: Any, where: str) -> Any:
         """A value of JSON, TOML or Python, converted; arrays and numbers of numpy are Python's.
 
-        Args:
-            value: the value.
-            where: it stands, for the message.
-
         Raises:
-            ConfigError: it does not fit.
+            ConfigError: it does not fit; the message says `where` it stands.
         """
         value = value.tolist() if hasattr(value, "tolist") else value
         try:

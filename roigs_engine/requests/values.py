@@ -37,7 +37,6 @@ class Number:
     zero: bool = False
 
     def __call__(self, text: str) -> Any:
-        """The value of a text."""
         try:
             value: int | float | None = int(text) if self.integer else float(text)
         except ValueError:
@@ -45,7 +44,6 @@ class Number:
         return self._in_range(value, text)
 
     def of_json(self, value: Any) -> Any:
-        """The value of JSON, TOML or Python."""
         number = isinstance(value, (int, float)) and not isinstance(value, bool)
         found: int | float | None = value if number else None
         if self.integer and isinstance(found, float):
@@ -81,11 +79,9 @@ class AutoOr(Number):
     integer: bool = True
 
     def __call__(self, text: str) -> Any:
-        """The value of a text."""
         return AUTO if text == AUTO else super().__call__(text)
 
     def of_json(self, value: Any) -> Any:
-        """The value of JSON, TOML or Python."""
         return AUTO if value == AUTO else super().of_json(value)
 
     def __str__(self) -> str:
@@ -96,11 +92,9 @@ class Name:
     """Text that is not blank."""
 
     def __call__(self, text: str) -> Any:
-        """The text."""
         return self.of_json(text)
 
     def of_json(self, value: Any) -> Any:
-        """The text of JSON, TOML or Python."""
         if not isinstance(value, str) or "\0" in value:
             raise ArgumentTypeError(f"{shown(value)} is not a string")
         if not value.strip():
@@ -112,7 +106,6 @@ class PathName(Name):
     """A path; a blank one would stand for the working directory."""
 
     def of_json(self, value: Any) -> Any:
-        """The path of JSON, TOML or Python."""
         text = super().of_json(str(value) if isinstance(value, Path) else value)
         if is_url(text):
             refuse_secret(text)
@@ -124,7 +117,6 @@ class PlaceName(PathName):
     """A path, or an address of a store, which stays text."""
 
     def of_json(self, value: Any) -> Any:
-        """The path or address of JSON, TOML or Python."""
         if not is_url(value):
             return super().of_json(value)
         refuse_secret(value)
@@ -138,7 +130,6 @@ class Choice(Name):
     words: tuple[str, ...]
 
     def of_json(self, value: Any) -> Any:
-        """The word of JSON, TOML or Python."""
         if super().of_json(value) not in self.words:
             raise ArgumentTypeError(f"{shown(value)} is not one of {', '.join(self.words)}")
         return value
@@ -155,7 +146,6 @@ class Flag:
         self.negatable = negatable
 
     def of_json(self, value: Any) -> bool:
-        """The value of JSON, TOML or Python."""
         if not isinstance(value, bool):
             raise ArgumentTypeError(f"{shown(value)} is not true or false")
         return value

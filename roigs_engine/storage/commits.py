@@ -80,8 +80,7 @@ class StoredRun:
         """Publish what no other commit has; replaces what the part has published before.
 
         Args:
-            folder: of the run, here.
-            part: its name.
+            part: name of the part that made it.
             last: whether all is done: every file then gets its own name on the store.
             names: only these files; empty: all.
 
@@ -241,7 +240,6 @@ def published_files(folder: Path) -> list[str]:
 
 
 def _fits(path: Path, entry: Entry) -> bool:
-    """Whether a file here is what a commit says."""
     try:
         if path.stat().st_size != entry["size"]:
             return False

@@ -60,11 +60,7 @@ class Lease:
         return not self._lost
 
     def __enter__(self) -> Lease:
-        """Take it.
-
-        Raises:
-            LeaseTakenError: somebody else holds it.
-        """
+        """Take it; LeaseTakenError if somebody else holds it."""
         try:
             while not self._try():
                 if self._should_stop():
@@ -77,7 +73,6 @@ class Lease:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give it back."""
         self._ended.set()
         self._remove(self._name)
 

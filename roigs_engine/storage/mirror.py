@@ -22,10 +22,6 @@ SCENES, FILES, INDEX, LOCK = "scenes", "files", "index.json", "copy.lock"
 def mirror(url: str, context: Context) -> Path:
     """A copy of a scene's folder, brought up to date: only files that changed are read.
 
-    Args:
-        url: of the folder.
-        context: told of the work; checked for cancellation.
-
     Raises:
         ConfigError: there is no such folder, or it cannot be read.
     """
@@ -74,7 +70,6 @@ def sign(facts: Mapping[str, Any]) -> list[Any]:
 
 
 def _copy(found: Any, source: str, target: Path, size: int, url: str) -> None:
-    """Copy a file whole or not at all."""
     target.parent.mkdir(parents=True, exist_ok=True)
     number, name = tempfile.mkstemp(dir=target.parent)
     os.close(number)

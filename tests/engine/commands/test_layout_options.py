@@ -87,6 +87,17 @@ def test_wrong_values_are_one_line(
     assert not (tmp_path / "run").exists()
 
 
+def test_a_plan_says_what_is_wrong_before_it_chooses_the_device(
+    project: Project,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("roigs_engine.app.asked.on_device", None)
+    options = arguments(project, tmp_path / "run", "--dry-run", "--group", "thing,lamp")
+    assert "'lamp', which is no box" in refused(capsys, "train", *options)
+
+
 def test_the_plan_shows_groups(
     project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
