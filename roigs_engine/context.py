@@ -13,14 +13,6 @@ from .formats.events import Event, Message, Progress
 Emit = Callable[[Event], None]
 
 
-def _no_events(event: Event) -> None:
-    """Drop the event: the default."""
-
-
-def _never() -> bool:
-    return False
-
-
 @dataclass(frozen=True, kw_only=True)
 class Context:
     """Passed down as one value; nothing in it changes a result, except for rounding on a GPU.
@@ -35,8 +27,8 @@ class Context:
         for_person: whether a person reads the events, who wants results of a batch's parts alone.
     """
 
-    emit: Emit = _no_events
-    should_stop: Callable[[], bool] = _never
+    emit: Emit = lambda event: None
+    should_stop: Callable[[], bool] = lambda: False
     device: str = "cpu"
     photo_memory: int | None = None
     for_person: bool = False

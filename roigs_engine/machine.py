@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import errno
 import functools
@@ -10,7 +9,6 @@ import os
 import platform
 import shutil
 import sys
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -31,7 +29,7 @@ def machine_memory() -> int:
     if sys.platform == "win32":
         total = _windows_memory() or total
     else:
-        with contextlib.suppress(OSError, ValueError):
+        with suppress(OSError, ValueError):
             total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     total = min(total, address_space() or total)
     try:
@@ -93,7 +91,6 @@ def more_memory() -> str:
 
 def _windows_memory() -> int:
     """Physical memory in bytes from the Windows API; 0 if the call fails."""
-    import ctypes
 
     class Status(ctypes.Structure):
         _fields_ = [
@@ -130,14 +127,10 @@ def release_freed_memory() -> None:
     Every densification frees all parameters and their moments, and allocates slightly larger ones.
     The freed blocks are too small for these, so the heap would grow each time.
     """
-    trim = _malloc_trim()
-    if trim is not None:
-        trim(0)
-
-
-@functools.cache
-def _malloc_trim() -> Callable[[int], int] | None:
-    return getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if trim is not None:
+            trim(0)
 
 
 LARGE_BLOCK, KEPT_FREE = 8 << 20, 128 << 20  # bytes

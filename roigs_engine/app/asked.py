@@ -54,12 +54,7 @@ class Asked:
 
     @staticmethod
     def of(request: Train) -> Asked:
-        """The training of a request.
-
-        Raises:
-            ConfigError: options do not fit one another, or the run folder is no place for a run.
-            RoiError: as `BoxSource.of`.
-        """
+        """The training of a request; EngineError: options do not fit one another, or the folder."""
         config = run_config(request)
         evaluated = isinstance(request, TrainAndEvaluate)
         if evaluated and config.test_every == 0:
@@ -88,11 +83,7 @@ class Asked:
         return self.photos is None or bool(model_folders(self.request.scene))
 
     def inputs(self, rois: Sequence[OrientedBox] | None) -> dict[str, Any]:
-        """Boxes, settings and manual photos for `define_run`; nothing while there are no boxes.
-
-        Raises:
-            ConfigError: they do not fit.
-        """
+        """Boxes, settings and manual photos for `define_run`; nothing while there are no boxes."""
         if rois is None:
             return {}
         folder, lists = self.request.run_dir, self.request.selection

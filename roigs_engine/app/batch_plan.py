@@ -38,10 +38,9 @@ class Planned:
 
 
 def plan_row(row: Row, record: BatchRecord, context: Context) -> Planned:
-    """The plan of a row; nothing is written, and nothing said: its engines say it again.
+    """The plan of a row; EngineError: it cannot be done.
 
-    Raises:
-        EngineError: the row cannot be done.
+    Nothing is written, and nothing said: its engines say it again.
     """
     from ..run.memory import stage_memory
     from ..run.strategies import plan_run
@@ -84,11 +83,7 @@ def plan_row(row: Row, record: BatchRecord, context: Context) -> Planned:
 def checked_plans(
     table: Table, rows: Sequence[Row], record: BatchRecord, context: Context
 ) -> tuple[str, list[ScenePlan]]:
-    """The device of the rows, and the plans of all.
-
-    Raises:
-        ConfigError: a line of the table is wrong, or a scene cannot be done; a warning names each.
-    """
+    """The device of the rows, and their plans; ConfigError after a warning for each mistake."""
     device, scenes, wrong = "cpu", [], list(table.wrong)
     for row in rows:
         context.check_cancelled()

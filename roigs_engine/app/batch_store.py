@@ -27,11 +27,7 @@ SHOWN = (MANIFEST, REPORT_DATA, REPORT_PAGE, f"{CACHE}/{CONTENTS}")
 
 
 class Store:
-    """The folder of a batch on a store, and a copy here of what its page needs.
-
-    Args:
-        url: of the folder.
-    """
+    """The folder of a batch on a store (`url`), and a copy here of what its page needs."""
 
     def __init__(self, url: str) -> None:
         """Raises ConfigError if the address cannot be used."""

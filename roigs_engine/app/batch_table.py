@@ -101,11 +101,7 @@ class Table:
     """
 
     def __init__(self, path: Path, folder: Path) -> None:
-        """Read the file.
-
-        Raises:
-            ConfigError: it cannot be read, is not TOML, or has no scene.
-        """
+        """Read the file; ConfigError: it cannot be read, is not TOML, or has no scene."""
         self.path, self._batch = path, folder
         self.rows: list[Row] = []
         self.wrong: list[Wrong] = []

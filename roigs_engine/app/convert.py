@@ -55,11 +55,7 @@ class _Model:
 
 
 def convert(request: Convert, context: Context = QUIET) -> Result:
-    """Read the models, make them one, and write it.
-
-    Raises:
-        EngineError: an input cannot be used, or options do not fit the format.
-    """
+    """Read the models, make them one, and write it; EngineError: input or options do not fit."""
     from ..exchange import formats
 
     refuse_run_files(request.out)

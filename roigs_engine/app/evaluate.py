@@ -39,11 +39,7 @@ class Evaluated(Result):
 
 
 def evaluate(request: Evaluate, context: Context = QUIET) -> Evaluated:
-    """Render the test photos with every model, and compare.
-
-    Raises:
-        EngineError: a model, the split or the scene cannot be used.
-    """
+    """Render the test photos with every model, and compare; EngineError: an input is wrong."""
     import torch
 
     from ..evaluation import evaluate as evaluation_module

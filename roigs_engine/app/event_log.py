@@ -19,13 +19,9 @@ from ..machine import NO_MEMORY, is_memory_full, more_memory
 
 
 class EventLog:
-    """Passes events on, and writes them down once the folder is known.
+    """Passes events on to a context, and writes them down once the folder is known.
 
-    Args:
-        context: receives the events.
-
-    Attributes:
-        outputs: name -> path of what was made, for the last event.
+    The last event has `outputs`: name -> path of what was made.
     """
 
     def __init__(self, context: Context) -> None:
@@ -41,11 +37,7 @@ class EventLog:
         return self._path is not None
 
     def open(self, folder: Path) -> None:
-        """Write to `folder`/events.jsonl from now on, with what was kept; once.
-
-        Raises:
-            RunFolderError: the file cannot be written.
-        """
+        """Write to `folder`/events.jsonl from now on, with what was kept; RunFolderError if not."""
         if self._path is not None:
             return
         path = folder / EVENTS

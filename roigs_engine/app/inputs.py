@@ -15,7 +15,7 @@ from ..formats.projects import is_video, model_folders, project_folder
 from ..formats.rois import rois_document
 from ..formats.text import counted
 from ..machine import return_large_blocks
-from ..model.roi import OrientedBox, load_rois, parse_roi
+from ..model.roi import AUTOMATIC_NAME, OrientedBox, automatic_box, load_rois, parse_roi
 from ..model.scene import SfmScene
 from ..photos.files import EXTENSIONS, HEIC, PhotoFolder
 from ..photos.mask_paths import MaskOptions
@@ -32,11 +32,7 @@ def use_threads(threads: int | None) -> None:
 
 
 def on_device(context: Context, device: str) -> Context:
-    """The context with the device that a request names; sets up the process for it.
-
-    Raises:
-        KernelError: the device is not available.
-    """
+    """The context with a device, for which it sets the process up; KernelError: it is missing."""
     from ..cuda.device import choose_device
     from ..training.gpu_check import check_once
 
@@ -192,11 +188,7 @@ class BoxSource:
 
     @staticmethod
     def of(request: Boxes, folder: Path | None) -> BoxSource:
-        """The source of a request's boxes; a box that is found is kept in the folder.
-
-        Raises:
-            As `boxes_of`; ConfigError: boxes are given, and left to the scene too.
-        """
+        """The source of a request's boxes; `folder` keeps one that is found. See `boxes_of`."""
         file = folder and folder / run_files.BOXES
         if AUTO not in request.roi:
             return BoxSource(given=boxes_of(request), file=None, only=())
@@ -207,29 +199,21 @@ class BoxSource:
     @property
     def names(self) -> list[str]:
         """The names of the boxes, which are known before the scene."""
-        from ..model.roi import AUTOMATIC_NAME
-
-        if self.given is None and not self._is_kept:
-            return [AUTOMATIC_NAME]
-        return [roi.name for roi in self.given or load_rois(self._file)]
+        rois = self._kept if self.given is None else self.given
+        return [AUTOMATIC_NAME] if rois is None else [roi.name for roi in rois]
 
     def boxes(self, scene: SfmScene) -> list[OrientedBox]:
-        """The boxes.
-
-        Raises:
-            RoiError: as `load_rois` and `automatic_box`, or there is no box of a wanted name.
-        """
-        from ..model.roi import automatic_box
-
+        """The boxes; raises as `load_rois` and `automatic_box`, RoiError for an unknown `only`."""
         if self.given is not None:
             return self.given
-        return _only(load_rois(self._file) if self._is_kept else [automatic_box(scene)], self.only)
+        kept = self._kept
+        return _only([automatic_box(scene)] if kept is None else kept, self.only)
 
     def keep(self, rois: Sequence[OrientedBox], context: Context) -> None:
         """Write the box that was found to the file, where a person can change it, and say so."""
         if self.given is not None:
             return
-        known = self._is_kept
+        known = self.file is not None and self.file.exists()
         for roi in rois:
             sides = " x ".join(f"{2 * side:.3g}" for side in roi.half_extents)
             place = ", ".join(f"{value:.3g}" for value in roi.centre)
@@ -240,10 +224,6 @@ class BoxSource:
             context.info(f"To change the box, edit {self.file}; to find it anew, delete that file.")
 
     @property
-    def _file(self) -> Path:
-        assert self.file is not None
-        return self.file
-
-    @property
-    def _is_kept(self) -> bool:
-        return self.file is not None and self.file.exists()
+    def _kept(self) -> list[OrientedBox] | None:
+        """What was found before."""
+        return load_rois(self.file) if self.file is not None and self.file.exists() else None

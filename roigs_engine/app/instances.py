@@ -57,8 +57,7 @@ class InstanceRecord(NamedTuple):
 def read_list(path: Path) -> tuple[list[InstanceRecord], Float64 | None]:
     """The models of a list, and (N, 4, 4) world_to_camera of its photos, in the list's world.
 
-    Raises:
-        ConfigError: the file cannot be read, or is malformed.
+    ConfigError: the file cannot be read, or is malformed.
     """
     record = read_json(path, ConfigError, HINT)
     try:
@@ -72,8 +71,7 @@ def read_list(path: Path) -> tuple[list[InstanceRecord], Float64 | None]:
 def instances(record: Any, folder: Path) -> list[InstanceRecord]:
     """The models of a record's `models`; relative paths start at `folder`.
 
-    Raises:
-        TypeError, ValueError, OverflowError: it is malformed.
+    TypeError, ValueError, OverflowError: it is malformed.
     """
     wanted = [
         InstanceRecord(
@@ -92,8 +90,7 @@ def instances(record: Any, folder: Path) -> list[InstanceRecord]:
 def drawable_model(path: Path, say: Callable[[str], None]) -> tuple[Gaussians, LocalFrame]:
     """The Gaussians of a PLY that can be drawn, and the frame they are in; `say` is told of others.
 
-    Raises:
-        RunFolderError: the file is missing or damaged.
+    RunFolderError: the file is missing or damaged.
     """
     from ..model.gaussians import Gaussians
 

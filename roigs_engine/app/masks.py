@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 def make_masks(request: Masks, context: Context = QUIET) -> Result:
     """Make the masks of each box that has strokes; `files` has their folders.
 
-    Raises:
-        EngineError: an input cannot be used, there are no strokes, or OpenCV is missing.
+    EngineError: an input cannot be used, there are no strokes, or OpenCV is missing.
     """
     import torch
 

@@ -76,8 +76,7 @@ def compose(request: Compose, context: Context = QUIET) -> Result:
 def cut(request: Cut, context: Context = QUIET) -> Result:
     """Label the Gaussians of each box that has masks, and write the objects and the rest.
 
-    Raises:
-        EngineError: an input cannot be used, or no box has masks.
+    EngineError: an input cannot be used, or no box has masks.
     """
     import torch
 
@@ -152,8 +151,7 @@ def _say_owned(
 def find_floaters(request: Floaters, context: Context = QUIET) -> Result:
     """Find what hangs in the air in a model, by the rule with which a training ends.
 
-    Raises:
-        EngineError: an input cannot be used.
+    EngineError: an input cannot be used.
     """
     import torch
 

@@ -126,8 +126,7 @@ def render_frames(request: RenderFrames, context: Context = QUIET) -> Result:
 class Models:
     """PLYs by path; one that has changed is read again, one that is not asked for is dropped.
 
-    Args:
-        say: gets a line for each file that is read and has Gaussians that cannot be drawn.
+    `say` gets a line for each file that is read and has Gaussians that cannot be drawn.
     """
 
     def __init__(self, say: Callable[[str], None]) -> None:
@@ -135,12 +134,9 @@ class Models:
         self._read: dict[str, tuple[tuple[int, int], Gaussians, LocalFrame]] = {}
 
     def get(self, paths: list[str], context: Context) -> list[tuple[Gaussians, LocalFrame]]:
-        """The models, without what cannot be drawn, and the frames that they are in.
+        """The models, without what cannot be drawn, and their frames; EngineError: one is damaged.
 
         The context gets the progress: whoever waits for a picture sees that the engine works.
-
-        Raises:
-            EngineError: a file is missing or damaged.
         """
         known, self._read = self._read, {}
         different, started = dict.fromkeys(paths), time.monotonic()
@@ -166,8 +162,7 @@ def _state(path: str) -> tuple[int, int]:
 def answer(request: Path, models: Models, context: Context) -> Path:
     """Render what a request file asks for; returns the picture, which is written last.
 
-    Raises:
-        EngineError: the request is malformed, or a model cannot be read.
+    EngineError: the request is malformed, or a model cannot be read.
     """
     import torch
 

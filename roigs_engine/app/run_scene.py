@@ -40,11 +40,7 @@ def scene_of_run(folder: Path) -> SfmScene | None:
 
 
 def levelled_run(result: Path) -> Path:
-    """The run folder of a result that has levels of detail.
-
-    Raises:
-        ConfigError: it is no run's result, or has none.
-    """
+    """The run folder of a result that has levels of detail; ConfigError: it has none."""
     folder = result.absolute().parent
     if result.name != RESULT or not (folder / LEVELS_FILE).is_file():
         raise ConfigError(
@@ -84,8 +80,7 @@ def cameras_of_run(folder: Path, scene: Path | None, context: Context) -> SfmSce
 def cameras_of_result(path: Path, scene: Path | None = None) -> SfmScene | None:
     """The cameras that a file's run was trained with; None: it is no run's, or they are gone.
 
-    Raises:
-        SceneError: `scene`, where the run's scene is now, cannot be used.
+    SceneError: `scene`, where the run's scene is now, cannot be used.
     """
     folder = _run_folder(path)
     if scene is not None:

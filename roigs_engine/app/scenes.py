@@ -15,7 +15,6 @@ from ..formats.files import write_json
 from ..formats.text import counted
 from ..model.roi import OrientedBox
 from ..requests.projects import Export, Inspect, Reconstruct, RefineCameras, Select
-from ..requests.values import AUTO
 from .event_log import logged
 from .inputs import BoxSource, boxes_of, load_scene, mask_options
 from .outputs import Result, refuse_inputs, refuse_run_files
@@ -166,8 +165,7 @@ class Selected(Result):
 def select(request: Select, context: Context = QUIET) -> Selected:
     """Select the photos that show each box best; with `test_every`, test photos are left out.
 
-    Raises:
-        EngineError: a box or the scene cannot be used.
+    EngineError: a box or the scene cannot be used.
     """
     from ..model.mask_coverage import with_useful_masks
     from ..selection import SelectionConfig, format_selection, select_cameras
@@ -175,8 +173,8 @@ def select(request: Select, context: Context = QUIET) -> Selected:
 
     refuse_run_files(request.out)
     source = BoxSource.of(request, request.out)
-    if AUTO not in request.roi:
-        _lists(request, boxes_of(request))  # what is wrong is said before the scene is read
+    if source.given is not None:
+        _lists(request, source.given)  # what is wrong is said before the scene is read
     given = {name: getattr(request, name) for name in ("method", "count", "seed")}
     config = replace(SelectionConfig(), **{k: v for k, v in given.items() if v is not None})
     scene = load_scene(request, context, masks=mask_options(request, source.names))

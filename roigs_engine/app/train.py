@@ -95,8 +95,7 @@ def train_parts(request: TrainAndEvaluate, context: Context = QUIET) -> Trained:
 def plan_training(request: Train, context: Context = QUIET) -> Result:
     """The plan of a training; a few steps are trained to measure time, nothing is written.
 
-    Raises:
-        EngineError: the request, the scene or the folder cannot be used.
+    EngineError: the request, the scene or the folder cannot be used.
     """
     from ..run.dry_run import describe_plan
 

@@ -22,12 +22,7 @@ EVERY = 1.0  # seconds between two pictures of the board
 
 
 class Board:
-    """Counts and lines of a batch.
-
-    Args:
-        scenes: their states, by name.
-        started: `time.monotonic()` of the start.
-    """
+    """Counts and lines of a batch, of its scenes by name; started at that `time.monotonic()`."""
 
     def __init__(self, scenes: Mapping[str, SceneState], started: float) -> None:
         self.scenes, self.started = scenes, started

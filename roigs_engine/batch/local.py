@@ -23,12 +23,7 @@ def default_jobs(device: str) -> int:
 
 
 class LocalExecutor:
-    """Starts parts here.
-
-    Args:
-        jobs: most parts at a time.
-        context: asked whether to stop.
-    """
+    """Starts parts here, at most `jobs` at a time."""
 
     def __init__(self, jobs: int, context: Context) -> None:
         self._jobs, self._context = jobs, context

@@ -114,8 +114,9 @@ def next_move(
     usual = _Usual(states, now)
     if usual.overall is None:
         return None
-    ends = {s.part.key: found for s in states if (found := _seconds_left(s, now)) is not None}
     running = [s for s in states if s.state == RUNNING]
+    # Seconds until those end whose speed is known.
+    ends = {s.part.key: r * s.left for s in running if (r := _rate(s, now)) is not None}
     # Until all is done, were the rest shared evenly.
     rest = sum(usual.left(s) for s in states if s.state == WAITING)
     rest += sum(ends.get(s.part.key, usual.left(s)) for s in running)
@@ -179,9 +180,3 @@ def _rate(state: PartState, now: float) -> float | None:
     if done <= 0 or until - began < SEEN_SECONDS:
         return None
     return (until - began) / (done * state.part.work)
-
-
-def _seconds_left(state: PartState, now: float) -> float | None:
-    """Seconds until a part ends, as fast as it runs; None: not known."""
-    rate = _rate(state, now)
-    return None if state.state != RUNNING or rate is None else rate * state.left

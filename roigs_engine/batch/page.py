@@ -36,9 +36,6 @@ def write_batch_page(
     """Write the page over all scenes; returns its path.
 
     `is_there` tells whether there is a file of that name beside the page; None: look in the folder.
-
-    Raises:
-        RunFolderError: it cannot be written.
     """
     path = folder / REPORT_PAGE
     is_there = is_there or (lambda name: (folder / name).exists())

@@ -51,11 +51,7 @@ class Connection:
                 threading.Thread(target=self._watch, args=(place,), daemon=True).start()
 
     def ask(self, call: Callable[[], T]) -> T:
-        """The result of calls of Ray.
-
-        Raises:
-            EngineError: the cluster is gone.
-        """
+        """The result of calls of Ray; EngineError: the cluster is gone."""
         try:
             return _in_thread(call, self._gone.is_set)
         except (TimeoutError, ConnectionError) as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -59,11 +59,6 @@ class RayExecutor:
             self.close()
             raise
 
-    @property
-    def cores(self) -> float:
-        """Of all machines that fit."""
-        return sum(node.get("CPU", 0.0) for node in self._nodes.values())
-
     def has_capacity(self, part: Part, avoid: tuple[str, ...] = ()) -> bool:
         """Whether a core is free; see `LocalExecutor.has_capacity`."""
         taken = sum(cores for _, cores in self._running.values())
@@ -79,23 +74,20 @@ class RayExecutor:
 
     def _start(self, part: Part, waiting: int, avoid: tuple[str, ...]) -> int:
         fit = self._fit(avoid)
+        others = (self._nodes.keys() - fit.keys()) | self._misfits
         wanted = demand(part, list(fit.values()), len(self._running) + 1 + waiting)
         cores = int(wanted["num_cpus"])
         task = self._do.options(
             **wanted,
             scheduling_strategy="SPREAD",
-            label_selector=_without((self._nodes.keys() - fit.keys()) | self._misfits),
+            label_selector={NODE_LABEL: f"!in({', '.join(sorted(others))})"} if others else {},
         )
         reference = task.remote(part, cores, self._mailbox, __version__, self._sign)
         self._running[reference] = (part, cores)
         return cores
 
     def wait(self, seconds: float) -> list[Report]:
-        """What was reported; see `LocalExecutor.wait`.
-
-        Raises:
-            EngineError: the cluster is gone.
-        """
+        """What was reported; see `LocalExecutor.wait`. EngineError: the cluster is gone."""
         return self._connection.ask(lambda: self._wait(seconds))
 
     def _wait(self, seconds: float) -> list[Report]:
@@ -162,8 +154,7 @@ class RayExecutor:
     def _refresh(self, patience: float = 0.0) -> None:
         """Look at new machines, for some seconds (`patience`); forget those that are gone.
 
-        Raises:
-            ConfigError: there is no machine that fits.
+        ConfigError: there is no machine that fits.
         """
         self._looked = time.monotonic()
         # A head often gives no cores: parts cannot run there.
@@ -249,7 +240,3 @@ def demand(part: Part, nodes: Sequence[Mapping[str, float]], parts: int) -> dict
     # With the even share, parts would wait for the large machines, and small ones do nothing.
     cores = next((c for c in range(max(has), 1, -1) if sum(n // c for n in has) >= parts), 1)
     return {"num_cpus": cores, "num_gpus": int(gpu), "memory": memory}
-
-
-def _without(nodes: Collection[str]) -> dict[str, str]:
-    return {NODE_LABEL: f"!in({', '.join(sorted(nodes))})"} if nodes else {}

@@ -36,11 +36,7 @@ class Output:
 
 
 class BatchRecord:
-    """The finished scenes of the folder of a batch.
-
-    Args:
-        folder: of the batch.
-    """
+    """The finished scenes of a batch's folder."""
 
     def __init__(self, folder: Path) -> None:
         """Read the record; one that is missing or damaged counts as empty."""
@@ -77,9 +73,7 @@ class BatchRecord:
     def add(self, name: str, row: str, folder: Path, files: Iterable[Path]) -> None:
         """Write down that the run of a scene, in `folder`, is finished; see `is_done`.
 
-        Raises:
-            RunFolderError: a file of the scene cannot be read (a network drive may show it late)
-                or the record cannot be written.
+        RunFolderError: a file cannot be read (a network drive may show it late), or written.
         """
         try:
             self._scenes[name] = {

@@ -89,11 +89,7 @@ class Scheduler:
             self._after |= costs_after(plan.parts, {p.key: p.work for p in plan.parts})
 
     def run(self) -> None:
-        """Do all parts.
-
-        Raises:
-            Stopped: on request; what is done so far is kept.
-        """
+        """Do all parts; Stopped on request: what is done so far is kept."""
         stopped = False
         while any(part.state == RUNNING for _, part in self._states()) or (
             not stopped and self._ready()

@@ -23,11 +23,7 @@ ALIKE = 4  # stages share a measurement if their points and photos differ by les
 
 @dataclass
 class Times:
-    """Seconds of parts. Stages with like settings, photos and points are measured once.
-
-    Attributes:
-        measured: how many stages were measured.
-    """
+    """Seconds of parts; stages with like settings, photos and points are `measured` once."""
 
     measured: int = 0
     _rates: dict[str, float] = field(default_factory=dict)

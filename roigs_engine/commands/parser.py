@@ -130,12 +130,9 @@ def _facts(option: Option) -> dict[str, Any]:
 
 
 def parsed(argv: Sequence[str]) -> tuple[Command, Request]:
-    """The command of a command line, and what it is asked for.
+    """The command of a command line, and its request; ConfigError: an option or value is wrong.
 
     A scene that is an options file gives what the command line leaves out.
-
-    Raises:
-        ConfigError: the command line does not fit, the file cannot be read, or a value is wrong.
     """
     parser, parsers = build_parser()
     given = vars(parser.parse_args(argv))

@@ -23,12 +23,7 @@ MIN_NUMPY, MIN_NUMPY_CORE = 256 << 20, 40 << 20
 def check_address_space(name: str, least: int, each: int) -> None:
     """Refuse a small limit of the shell: libraries abort or hang there, beyond Python's reach.
 
-    Args:
-        name: of the work.
-        least, each: bytes that it needs in any case, and for each core (stacks and buffers).
-
-    Raises:
-        EngineError: the limit is smaller.
+    EngineError: it is below `least` bytes and `each` for each core (stacks and buffers).
     """
     limit, needed = address_space(), least + each * usable_cores()
     if limit is not None and limit < needed:

@@ -72,11 +72,7 @@ class Stream(io.TextIOBase):
             data = data[written or 0 :]
 
     def _wait(self) -> None:
-        """Wait until there is room; a stop must not wait for ever for a reader that is asleep.
-
-        Raises:
-            TimeoutError: a stop was requested, and there was no room for `PATIENCE` seconds.
-        """
+        """Wait until there is room; TimeoutError: stopped, and not read for `PATIENCE` seconds."""
         while os.name == "posix" and not select.select([], [self._raw], [], 1.0)[1]:
             if self._stop.asked:
                 self._patience -= 1

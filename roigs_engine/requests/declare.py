@@ -83,8 +83,7 @@ class Option:
     def checked(self, value: Any, where: str) -> Any:
         """A value of JSON, TOML or Python, converted; arrays and numbers of numpy are Python's.
 
-        Raises:
-            ConfigError: it does not fit; the message says `where` it stands.
+        ConfigError: it does not fit; the message says `where` it stands.
         """
         value = value.tolist() if hasattr(value, "tolist") else value
         try:

@@ -22,8 +22,7 @@ SCENES, FILES, INDEX, LOCK = "scenes", "files", "index.json", "copy.lock"
 def mirror(url: str, context: Context) -> Path:
     """A copy of a scene's folder, brought up to date: only files that changed are read.
 
-    Raises:
-        ConfigError: there is no such folder, or it cannot be read.
+    ConfigError: there is no such folder, or it cannot be read.
     """
     found, place = file_system(url)
     limit()

@@ -49,9 +49,7 @@ def folder_of(url: str, kind: str) -> Path:
 def file_system(url: str) -> tuple[Any, str]:
     """The file system of an address, and the place in it without a slash at the end.
 
-    Raises:
-        ConfigError: fsspec, or the package that it needs for such addresses, is not installed, or
-            it knows no such addresses.
+    ConfigError: fsspec, or the package for such addresses, is missing, or it knows none such.
     """
     try:
         import fsspec

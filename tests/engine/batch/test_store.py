@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,8 @@ from tests.engine.synthetic_colmap import write_project
 
 __all__ = ["forked_engines"]
 RUNS = "memory://museum/runs"
+STAGING = Staging(url=RUNS, base="x", options={})
+PART = Part(scene="hall", name="scene", argv=("run",), staging=STAGING)
 
 
 @pytest.fixture
@@ -100,7 +103,7 @@ def test_a_full_disk_of_one_machine_is_its_reason(
         raise OSError(28, "No space left on device")
 
     staging = Staging(url=RUNS, base="x", options={"scene": "memory://museum/scans/hall"})
-    part = Part(scene="hall", name="scene", argv=("run",), staging=staging)
+    part = replace(PART, staging=staging)
     monkeypatch.setattr(type(memory_store), "get_file", full)
     ended = staged.run_part(part, 1, lambda event: None, lambda: False)
     assert ended.state == FAILED and "No space left on device" in ended.reason
@@ -132,9 +135,7 @@ def test_a_part_makes_room_of_what_was_used_long_ago(
         return Outcome(state=STOPPED)
 
     monkeypatch.setattr(staged, "run_engine", engine)
-    staging = Staging(url=RUNS, base="x", options={})
-    part = Part(scene="hall", name="scene", argv=("run",), staging=staging)
-    assert staged.run_part(part, 1, lambda event: None, lambda: False).state == STOPPED
+    assert staged.run_part(PART, 1, lambda event: None, lambda: False).state == STOPPED
     assert (runs / "hall").is_dir() and (runs / "attic").is_dir()
 
 
@@ -142,7 +143,7 @@ def test_a_checkpoint_is_published_with_what_it_needs(
     memory_store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Else, after this engine is lost, no other one can resume: no manifest, no run folder."""
-    folder = staged.batch_folder(RUNS) / "hall"
+    folder = folder_of(RUNS, staged.RUNS) / "hall"
     names = {"manifest.json", "selection/vase.json", "stages/scene-1/checkpoint.bin"}
     monkeypatch.setattr(staged, "PUBLISH_SECONDS", 0.01)
 
@@ -158,8 +159,7 @@ def test_a_checkpoint_is_published_with_what_it_needs(
         return Outcome(state=LOST)
 
     monkeypatch.setattr(staged, "run_engine", engine)
-    staging = staged.Staging(url=RUNS, base="x", run="hall", part="scene", last=False, options={})
-    assert staged.run_part(["run"], staging, lambda event: None, lambda: False).state == LOST
+    assert staged.run_part(PART, 1, lambda event: None, lambda: False).state == LOST
     assert stored_run(RUNS, "hall").entries().keys() == names
 
 
@@ -171,9 +171,8 @@ def test_any_error_of_a_part_is_an_outcome(
     def broken(*_: Any) -> None:
         raise RuntimeError("An error occurred (AccessDenied)\nmore")
 
-    staging = staged.Staging(url=RUNS, base="x", run="hall", part="scene", last=False, options={})
     monkeypatch.setattr(staged, "stored_run", broken)
-    ended = staged.run_part(["run"], staging, lambda event: None, lambda: False)
+    ended = staged.run_part(PART, 1, lambda event: None, lambda: False)
     assert (ended.state, ended.reason) == (LOST, "An error occurred (AccessDenied)")
 
 
