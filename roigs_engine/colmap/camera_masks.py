@@ -167,7 +167,6 @@ def make_masks(
     """The masks by the plans' keys, and the share of pixels in each: exactly 0 if none is, or 1.
 
     Args:
-        plans: how to make them.
         cache: its folder `masks` keeps them; None: a temporary folder.
         write: False: nothing is written, and the masks' files may be missing.
 

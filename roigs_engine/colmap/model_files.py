@@ -54,18 +54,8 @@ def read_model(folder: Path, context: Context = QUIET) -> Model:
     images = read_images(folder, context)
     # Normally the photos list what they observe; else the points' tracks are read.
     tracks = not any((image.point_ids >= 0).any() for image in images)
-    ids, points, colors, rows, viewers = _read(
-        points3d, lambda data: files.points(data, tracks, context)
-    )
-    return Model(
-        cameras=cameras,
-        images=images,
-        point_ids=ids,
-        points=points,
-        colors=colors,
-        track_rows=rows,
-        track_images=viewers,
-    )
+    points = _read(points3d, lambda data: files.points(data, tracks, context))
+    return Model(cameras, images, *points)
 
 
 def read_images(folder: Path, context: Context = QUIET) -> list[ModelImage]:

@@ -42,7 +42,7 @@ ONE_FOCAL = {
 NO_IDS = np.empty(0, dtype=np.int64)
 
 Points = tuple[Int64, Float64, NDArray[np.uint8], Int64, Int64]
-"""ids (P,), positions (P, 3), colours (P, 3), and `Model.track_rows`, `Model.track_images`."""
+"""The fields of `Model` after `images`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +73,7 @@ class ModelImage:
     point_ids: Int64
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Model:
     """A COLMAP model.
 

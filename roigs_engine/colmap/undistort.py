@@ -122,16 +122,13 @@ def plan_undistortion(
     size: tuple[int, int],
     shrink: Callable[[int, int], tuple[int, int]],
 ) -> UndistortionPlan:
-    """How to undistort a photo.
+    """How to undistort a photo; SceneError if the camera cannot be undistorted.
 
     Args:
         photo: the file.
         camera: the photo's camera in the model; the photo may be a resampled copy.
         size: (width, height) of the photo on disk.
         shrink: (width, height) of the undistorted photo -> requested (width, height).
-
-    Raises:
-        SceneError: the camera cannot be undistorted.
     """
     source = resized_lens(camera, *size)
     pinhole = undistorted_camera(source)

@@ -131,8 +131,6 @@ class BoxMasks:
     def _write(self, files: Mapping[str, bytes], inputs: Mapping[str, str]) -> list[str]:
         """Write masks by their names, but not over a person's; returns the names.
 
-        `inputs`: what each was made of.
-
         The record comes first: masks of a process that is killed here are known to be made.
         """
         made = generated_masks(self.folder)  # a person may have changed some meanwhile

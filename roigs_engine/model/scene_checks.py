@@ -105,13 +105,9 @@ def scene_warnings(scene: SfmScene, rois: Sequence[OrientedBox]) -> list[str]:
 
 
 def few_photos(roi: str, count: int, *, points: int = 1, tests: int = 0) -> list[str]:
-    """The warning about a box that too few photos see, if they are too few.
+    """The warning about a box (its name) that too few photos see, if they are too few.
 
-    Args:
-        roi: the box's name.
-        count: photos that see it, without test photos.
-        points: in the box.
-        tests: test photos that see it.
+    `count`, `tests`: training and test photos that see it; `points`: in the box.
     """
     kind, others = kind_of_photos(count, tests)
     if points == 0:

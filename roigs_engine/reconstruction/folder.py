@@ -79,8 +79,7 @@ class Folder:
     def begin(self, photos: list[Photo], settings: Settings) -> str:
         """Prepare for these photos and settings; what is of use stays, and the rest begins again.
 
-        Returns:
-            What begins again, and why, as a sentence; empty: nothing, or this is the first time.
+        Returns a sentence on what begins again, and why; empty: nothing, or this is the first time.
         """
         state = read_record(self._record)
         features = settings.of_features()

@@ -48,14 +48,8 @@ def map_models(
 ) -> list[Mapped]:
     """The models, the largest first; empty: no two photos could be registered.
 
-    Args:
-        folder: with photos and a database.
-        total: number of photos.
-        settings: `seed` and `threads` of the task.
-
-    Raises:
-        SceneError: pycolmap failed.
-        Stopped: on request; snapshots stay, from which the next call resumes.
+    `settings`: `seed` and `threads` of the task. After a stop, snapshots stay, from which the next
+    call resumes. SceneError: pycolmap failed.
     """
     out = folder.work("models")
     shutil.rmtree(out, ignore_errors=True)

@@ -208,11 +208,9 @@ def reconstruct(
     Args:
         source: folder of the photos, or a video, whose frames follow one another.
         out: folder of the project; what an earlier call has left there is resumed.
-        settings: see there.
         threads: of the CPU; None: all cores.
         ready: called with the folder for a log, once this process may write there.
         frames: about how many frames of a video to use; 0: as many as its motion asks for.
-        masks: which masks of the photos to use.
 
     Returns:
         The folder of the model.

@@ -67,11 +67,7 @@ def extract(colmap: Any, task: Task) -> None:
 
 
 def _by_masks(names: list[str], masks: str) -> list[tuple[str, list[str]]]:
-    """The photos with a mask and those without: pycolmap leaves out photos whose mask is missing.
-
-    Returns:
-        (folder of masks, names) of each part that has photos.
-    """
+    """(folder of masks, names): with a mask, and without, which pycolmap would leave out."""
     masked = [name for name in names if masks and Path(masks, f"{name}.png").is_file()]
     rest = [name for name in names if name not in set(masked)]
     return [(folder, part) for folder, part in ((masks, masked), ("", rest)) if part]

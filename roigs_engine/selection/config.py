@@ -10,8 +10,7 @@ from ..requests.choices import MAX_SEED
 from .methods import METHODS
 
 # The paper selects 150 of 314 candidates (sec. III-A); small scenes use the same share.
-PAPER_COUNT = 150
-PAPER_SHARE = 0.48
+PAPER_COUNT, PAPER_SHARE = 150, 0.48
 
 
 @dataclass(frozen=True, kw_only=True)

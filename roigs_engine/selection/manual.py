@@ -50,13 +50,8 @@ def usable_manual(
 ) -> tuple[str, ...]:
     """The manually selected photos of a box that can be trained on.
 
-    Test and validation photos, and photos of the model that cannot be used, are skipped with a
-    warning.
-
-    Args:
-        names: the user's photos.
-        scene: the whole scene, test photos included.
-        test: the test and validation photos.
+    Test and validation photos (`test`), and photos of the model that cannot be used, are skipped
+    with a warning. `scene` is the whole one, test photos included.
 
     Raises:
         ConfigError: the model does not have a photo, or no photo is left.

@@ -26,11 +26,6 @@ def choose_test_views(
     its other views. Every box has at least one test photo and one training photo. With `every` = 0
     there are no test photos.
 
-    Args:
-        scene: all photos.
-        rois: the boxes.
-        every: see above.
-
     Raises:
         ConfigError: `every` is 1 or negative.
         SceneError: too few photos see a box.
