@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 from torch import Tensor
 
 from ..context import QUIET, Context
@@ -147,12 +148,7 @@ def _tiles(image: PosedImage, rois: Sequence[OrientedBox]) -> NDArray[np.bool_]:
     for roi in rois:
         pixels |= shown_pixels(roi, image)
     touched = touched_tiles(torch.from_numpy(pixels)).numpy()
-    rows, columns = touched.shape
-    padded = np.pad(touched, 1)
-    grown: NDArray[np.bool_] = np.zeros_like(touched)
-    for y in range(3):
-        for x in range(3):
-            grown |= padded[y : y + rows, x : x + columns]
+    grown: NDArray[np.bool_] = binary_dilation(touched, np.ones((3, 3)))
     return grown
 
 

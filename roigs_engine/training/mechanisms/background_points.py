@@ -113,15 +113,15 @@ def _empty_cells(
     pixels: Float64, image: PosedImage, cells: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows and columns of the cells without a point in them or in the eight around them."""
+    from scipy.ndimage import binary_dilation
+
     side = _side(image, cells)
     lengths = image.camera.height, image.camera.width
     shape = tuple(min(math.ceil(length / side), cells) for length in lengths)
-    near = np.zeros((shape[0] + 2, shape[1] + 2), dtype=bool)
+    near = np.zeros(shape, dtype=bool)
     columns, rows = (pixels // side).astype(np.int64).T
-    for down in range(3):
-        for right in range(3):
-            near[rows + down, columns + right] = True
-    empty = np.nonzero(~near[1:-1, 1:-1])
+    near[rows, columns] = True
+    empty = np.nonzero(~binary_dilation(near, np.ones((3, 3))))
     return empty[0], empty[1]
 
 
@@ -135,18 +135,14 @@ def _cell_colours(
     for k, (row, column) in enumerate(zip(rows, columns, strict=True)):
         top, left = int(row * side), int(column * side)
         cell = photo[top : int((row + 1) * side), left : int((column + 1) * side)]
-        pixels = cell[:: _step(cell.shape[0]), :: _step(cell.shape[1])].reshape(-1, photo.shape[2])
+        down, right = (max(1, length // SAMPLES) for length in cell.shape[:2])
+        pixels = cell[::down, ::right].reshape(-1, photo.shape[2])
         if photo.shape[2] == 4:  # see `loss_masks.split_mask`
             pixels = pixels[pixels[:, 3] > 0]
         if len(pixels):
             colours[k] = pixels[:, :3].mean(axis=0).round()
             counts[k] = colours[k].max() > BLACK
     return colours, counts
-
-
-def _step(pixels: int) -> int:
-    """Of so many pixels in a row, every how many are looked at."""
-    return max(1, pixels // SAMPLES)
 
 
 def _lifted(pixels: Float64, depths: Float64, image: PosedImage) -> Float64:

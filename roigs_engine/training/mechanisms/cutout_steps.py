@@ -208,6 +208,8 @@ class Cutouts:
         self, model: Gaussians, box: int, roi: OrientedBox, image: PosedImage
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]] | None:
         """The pixels that show a box's object, and those to compare; None: the box is not seen."""
+        from scipy.ndimage import binary_erosion
+
         from ...rasterize.view import rasterize_view
 
         rows, silhouette = self._rows[box], roi.silhouette(image.camera, image.world_to_camera)
@@ -216,7 +218,7 @@ class Cutouts:
         share = _share(model, rows, image)
         mask, counted = load_object_mask(image, roi.name), load_mask(image)
         if mask is None:
-            shown = _core(share > 1 - BLOCKED)
+            shown = binary_erosion(share > 1 - BLOCKED, np.ones((2 * CORE + 1, 2 * CORE + 1)))
             used = shown
         else:
             view = rasterize_view(
@@ -245,14 +247,3 @@ def _share(model: Gaussians, rows: Tensor, image: PosedImage) -> NDArray[np.floa
         labelled, image.camera, image.world_to_camera, sh_degree=0, background=black
     )
     return np.asarray(view.image[0, ..., 0].cpu().numpy())
-
-
-def _core(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The mask without its edge."""
-    padded = np.pad(mask, CORE)
-    height, width = mask.shape
-    for axis, size in ((0, height), (1, width)):
-        moved = [np.take(padded, range(k, k + size), axis=axis) for k in range(2 * CORE + 1)]
-        padded = np.logical_and.reduce(moved)
-    core: NDArray[np.bool_] = padded
-    return core
