@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -165,7 +166,7 @@ class Evaluation:
 
     def to_dict(self) -> dict[str, Any]:
         """Ready for JSON."""
-        record: dict[str, Any] = _plain(dataclasses.asdict(self))
+        record: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(self)))
         if not self.masked:
             del record["masked"]
         rows = [row for scores in record["rois"] for row in scores["rows"]]
@@ -188,12 +189,6 @@ class Evaluation:
             rois.append(RoiScores(**{**scores, "rows": rows, "views": views, "left_out": left_out}))
         test_views = tuple(record["test_views"])
         return cls(**{**record, "rois": tuple(rois), "test_views": test_views})
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 
 FEW_VIEWS = 3  # test photos; the scores of fewer say little, and have no near and far third

@@ -118,7 +118,7 @@ class RunConfig:
         return self.scene.steps + self.roi.steps
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON; without `groups`."""
+        """For JSON; without `groups`."""
         record = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
         record["selection"] = dataclasses.asdict(self.selection)
         record |= {"scene": self.scene.to_dict(), "roi": self.roi.to_dict()}

@@ -37,9 +37,7 @@ AHEAD = 3  # photos in memory at least: the one in use, and two that are decoded
 DEFAULT_SHARE = 4  # the cache takes at most 1/4 of the machine's memory
 CARD_PER_GAUSSIAN = 850  # bytes: parameters and moments, statistics, what a step computes of it
 CARD_PER_GAUSSIAN_EDITED = 1600  # .. and the copies while densifying, without a step's
-CARD_PER_PIXEL = (
-    110  # of the largest photo: pictures, gradients, the checkpoints of half-filled groups
-)
+CARD_PER_PIXEL = 110  # of the largest photo: pictures, gradients, half-filled groups' checkpoints
 CARD_PER_PAIR = 180  # of a Gaussian and a tile: its place in lists, its moments, the checkpoints
 CARD_BUFFER = 1.25  # cuda.pair_buffers: for more pairs than there are
 CARD_CACHE = 1.2  # torch keeps freed blocks of other sizes
@@ -218,9 +216,8 @@ def plan_memory(
     """The memory that training on these photos needs.
 
     Args:
-        images: all photos of the run.
+        images, config: all photos of the run, and its settings.
         points: number of sparse points, which become the first Gaussians.
-        config: of the run.
         cache: bytes of decoded photos to keep; None: a quarter of the memory, or less if less is
             free.
         share: of the scene that these photos show; so much of its growth is here.
@@ -297,7 +294,7 @@ def _densifications(*stages: TrainConfig) -> int:
 
 
 def _advice(images: Sequence[PosedImage], left: int) -> str:
-    """A hint with the size of photos that fits into so many bytes of the machine's memory."""
+    """A hint with the size of photos that fits into so many bytes."""
     side = _largest_side(images, left / (3 * AHEAD + PER_PIXEL))
     if side is None:
         return "Use a machine with more memory, or a model with fewer points."

@@ -59,11 +59,9 @@ class StageRecord:
     """`stage.json` without its checksum.
 
     Attributes:
-        fingerprint: of the stage.
         seconds: of training, without checkpoints and evaluation.
         cpu_seconds: the same as CPU time of all threads of the process. Compare this one on a
             machine that is busy with other programs.
-        steps: of training.
         gaussians: their number.
         device: the type of device that it was trained on: `cpu`, `cuda`.
         model_sha256: of the file with the model, in hexadecimal digits.
@@ -99,12 +97,7 @@ def read_record(path: Path) -> StageRecord | None:
 
 
 def check_model(path: Path, record: StageRecord) -> None:
-    """Make sure that the model is the one of the record.
-
-    Raises:
-        DamagedError: it is not, or is missing.
-        RunFolderError: it cannot be read.
-    """
+    """DamagedError if the model is not that of the record; RunFolderError if it is not readable."""
     try:
         found = sha256(path)
     except FileNotFoundError as error:
@@ -120,8 +113,6 @@ class StageResult:
     """A finished stage.
 
     Attributes:
-        name: the stage's name.
-        record: of it.
         model_path: the trained model's PLY, in the world's frame.
         frame: of the model.
         trained: the model, if this process trained it.
@@ -139,7 +130,7 @@ class StageResult:
         return self.trained or Gaussians.load_ply(self.model_path, self.frame)
 
     def without_model(self) -> StageResult:
-        """The same without the model in memory."""
+        """The same, without the model in memory."""
         return replace(self, trained=None)
 
 
@@ -182,9 +173,7 @@ class StageFolder:
     """The folder that a stage is trained in.
 
     Attributes:
-        name: the stage's name, shown to the user.
-        folder: the stage's folder (`folder_of`).
-        fingerprint: of the stage.
+        name, folder: of the stage, shown to the user; see `folder_of`.
         frame: that the stage is trained in; its PLYs are in the world's.
         preview: file for the preview of the current Gaussians.
         preview_seconds: seconds of training between two previews; 0: none.

@@ -139,7 +139,7 @@ class Mechanism:
         """Whether it does anything while a stage of this config trains."""
         return type(self).begin is not Mechanism.begin
 
-    def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
+    def begin(self, config: TrainConfig, training: Training) -> Running:
         """What acts while the stage trains; asked if it `acts`.
 
         `training` has the stage's first model, or that of a checkpoint.

@@ -85,12 +85,11 @@ class LossMasks:
         images: Sequence[PosedImage],
         rois: Sequence[OrientedBox],
         drawn: Sequence[int],
-        device: torch.device | None = None,
-        *,
+        device: torch.device = CPU,
         view_weighting: float = 0.0,
         context: Context = QUIET,
     ) -> None:
-        self._images, self._rois, self._device = images, rois, device or CPU
+        self._images, self._rois, self._device = images, rois, device
         self._weighting = view_weighting
         self._tiles: dict[int, NDArray[np.bool_]] = {}
         self._masks: dict[int, LossMask | None] = {}

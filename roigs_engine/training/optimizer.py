@@ -4,11 +4,11 @@ Two rules make a step's cost depend on what the photo shows and not on the scene
 
 * Rows that are not visible, or whose gradient is zero, as others hide them, keep their value and
   their moments: no decay.
-* There is no dense gradient. Normally each parameter's `.grad` is allocated once, as zeros; the
-  rasterizer's backward pass adds to the rows of visible Gaussians in place; `VisibleAdam.step`
-  applies these rows and zeroes them. With `fused`, the backward pass takes the step itself
+* There is no dense gradient. With `fused`, the rasterizer's backward pass takes the step itself
   (`VisibleAdam.backward_step`), on all rows to which a pixel hands a gradient, though that of each
-  parameter may be zero. It leaves SH of higher degrees than are drawn as they are.
+  parameter may be zero. It leaves SH of higher degrees than are drawn as they are. Otherwise each
+  parameter's `.grad` is allocated once, as zeros, the backward pass adds to the rows of visible
+  Gaussians, and `VisibleAdam.step` applies and zeroes these rows.
 """
 
 from __future__ import annotations
@@ -38,12 +38,10 @@ class VisibleAdam:
 
     Attributes:
         parameters: the leaf tensors by name.
-        exp_avg: first moments by name, in the parameters' shapes.
-        exp_avg_sq: second moments by name.
+        exp_avg, exp_avg_sq: their first and second moments.
         row_rates: (N,) float32, a factor of the learning rates for each Gaussian in the next steps;
             None: 1. It does not follow the rows in `replace`, and is no part of the state or of a
             `part`.
-        step_count: number of steps taken.
         skipped_rows: number of rows skipped so far for a NaN or Inf gradient; a tensor on a GPU,
             since reading it would wait for the GPU.
     """
@@ -105,7 +103,7 @@ class VisibleAdam:
             visible: (N,) bool. The gradient of all other rows must be zero; it is not touched.
 
         Returns:
-            The number of rows that were skipped (and their gradient zeroed) for NaN or Inf.
+            The number of rows skipped, and their gradient zeroed, for NaN or Inf.
         """
         for name, parameter in self.parameters.items():
             if visible.shape != parameter.shape[:1] or visible.dtype != torch.bool:
@@ -131,11 +129,7 @@ class VisibleAdam:
         return skipped
 
     def step_by(self, kernel: Callable[[Any], int | Tensor]) -> int | Tensor:
-        """Take a step with a kernel; returns the number of skipped rows, as `step`.
-
-        Args: `kernel`: gets a pointer to a `bindings.Adam`, whose tensors are float32 on their
-            device, and returns the number of skipped rows.
-        """
+        """Take a step with a kernel, which gets a `bindings.Adam*` and returns what `step` does."""
         self._check_row_rates()
         self.step_count += 1
         parameters = (bindings.AdamParameter * len(self.parameters))()
@@ -209,12 +203,9 @@ class VisibleAdam:
         """Replace the parameters after Gaussians were added, removed or reordered.
 
         Args:
-            parameters: a new leaf tensor for every name.
+            parameters: a new leaf tensor for every name; EngineError if they do not fit.
             rows: (N_new,) long: for each new row, the old row whose moments it gets; -1: zero
                 moments. Gradients are zero afterwards.
-
-        Raises:
-            EngineError: wrong names or shapes.
         """
         if set(parameters) != set(self.parameters):
             raise EngineError(f"Expected {sorted(self.parameters)}, got {sorted(parameters)}.")
@@ -299,18 +290,16 @@ class VisibleAdam:
 
 @dataclass(frozen=True)
 class FusedStep:
-    """An optimizer step that the backward pass takes (`rasterize.inputs.BackwardStep`)."""
+    """The `rasterize.inputs.BackwardStep` of an optimizer."""
 
     optimizer: VisibleAdam
     pair_buffer: PairBuffer | None = None
 
     @property
     def tensors(self) -> tuple[Tensor, ...]:
-        """The tensors that the step updates."""
         return tuple(self.optimizer.parameters.values())
 
     def take(self, kernel: Callable[[Any], int | Tensor]) -> None:
-        """Take the step with a kernel, see `VisibleAdam.step_by`."""
         self.optimizer.step_by(kernel)
 
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 class Training(Protocol):
     """What a mechanism may use of the trainer."""
 
+    context: Context
     step: int  # steps done
     data: StageData
     optimizer: VisibleAdam

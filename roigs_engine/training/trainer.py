@@ -46,8 +46,7 @@ class Trainer:
         self, gaussians: Gaussians, data: StageData, config: TrainConfig, context: Context = QUIET
     ) -> None:
         """Start at step 0 with a copy of `gaussians`; `context`: checked for cancellation."""
-        self.config = config
-        self.data = data
+        self.config, self.data, self.context = config, data, context
         self.step = 0
         self.seconds = 0.0
         self.cpu_seconds = 0.0  # of the whole process, all its threads
@@ -62,7 +61,7 @@ class Trainer:
         self._metrics = TrainingMetrics(data.device)
         self._steps_before = 0  # of the optimizer, in front of this step
         acting = [each for each in config.mechanisms if each.acts(config)]
-        self._running = {each.name: each.begin(config, self, context) for each in acting}
+        self._running = {each.name: each.begin(config, self) for each in acting}
 
     @property
     def gaussians(self) -> Gaussians:

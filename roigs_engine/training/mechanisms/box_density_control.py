@@ -67,9 +67,7 @@ class BoxDensityControl(DensityControl):
         budgets = box_budgets(views.images, views.rois, self.budget, views.context)
         return config.using(replace(self, budgets=budgets))
 
-    def begin(
-        self, config: TrainConfig, training: Training, context: Context
-    ) -> RunningBoxDensityControl:
+    def begin(self, config: TrainConfig, training: Training) -> RunningBoxDensityControl:
         return RunningBoxDensityControl(self, training)
 
     def check_state(self, state: StateReader) -> None:

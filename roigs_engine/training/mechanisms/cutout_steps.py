@@ -51,7 +51,7 @@ class CutoutSteps(Mechanism):
     name: ClassVar[str] = "cutout_steps"
     uses_object_masks: ClassVar[bool] = True
 
-    def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
+    def begin(self, config: TrainConfig, training: Training) -> Running:
         from ..edits import morton_order
 
         data = training.data
@@ -61,7 +61,9 @@ class CutoutSteps(Mechanism):
         model = model.to(data.device)
         rows = morton_order(model.means)  # the trainer's
         model, owner = model.rows(rows), owner.to(data.device)[rows]
-        return _Running(Cutouts(model, owner, data.rois, data.images, data.seed, context), config)
+        return _Running(
+            Cutouts(model, owner, data.rois, data.images, data.seed, training.context), config
+        )
 
 
 class _Running(Running):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
-from ...context import Context
 from ..config import Mechanism, TrainConfig, interval, share_of_steps
 from ..running import Running
 
@@ -64,9 +63,7 @@ class DensityControl(Mechanism):
     def acts(self, config: TrainConfig) -> bool:
         return self.until > self.start
 
-    def begin(
-        self, config: TrainConfig, training: Training, context: Context
-    ) -> RunningDensityControl:
+    def begin(self, config: TrainConfig, training: Training) -> RunningDensityControl:
         return RunningDensityControl(self, training)
 
     def check_state(self, state: StateReader) -> None:

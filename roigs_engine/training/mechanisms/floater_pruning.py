@@ -32,7 +32,7 @@ class FloaterPruning(Mechanism):
 
     min_views: int = limited(MIN_VIEWS, least=1)
 
-    def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
+    def begin(self, config: TrainConfig, training: Training) -> Running:
         return _Running(self.min_views)
 
 

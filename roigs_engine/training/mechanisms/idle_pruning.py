@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from ...context import Context
 from ...errors import ConfigError
 from ..config import Mechanism, TrainConfig, interval
 from ..running import Running
@@ -44,7 +43,7 @@ class IdlePruning(Mechanism):
                 f"Leave out {self.name} or {MaskedSteps.name}.",
             )
 
-    def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
+    def begin(self, config: TrainConfig, training: Training) -> Running:
         return _Running(self, training)
 
     def check_state(self, state: StateReader) -> None:

@@ -61,7 +61,7 @@ class ImportancePruning(Mechanism):
     def acts(self, config: TrainConfig) -> bool:
         return config.of(DensityControl).ends_within(config)
 
-    def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
+    def begin(self, config: TrainConfig, training: Training) -> Running:
         by_box = config.get(MaskedSteps) is not None
         return _Running(self.growth, config.of(DensityControl).until, by_box=by_box)
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
-from ...context import Context
 from ...errors import ConfigError
 from ..config import Mechanism, PlannedViews, TrainConfig, limited, planned
 from ..photo_order import is_whole
@@ -54,15 +53,15 @@ class MaskedSteps(Mechanism):
     def planned(self, config: TrainConfig, views: PlannedViews) -> TrainConfig:
         return config.using(replace(self, seeing=views.rows_seeing))
 
-    def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
+    def begin(self, config: TrainConfig, training: Training) -> Running:
         from ..loss_masks import LossMasks
 
         data = training.data
-        options: dict[str, Any] = {"view_weighting": self.view_weighting, "context": context}
-        masks = {False: LossMasks(data.images, data.rois, self.seeing, data.device, **options)}
+        sizes = {False: data.images}
         if config.has_small and data.small is not None:
-            small = data.small.images
-            masks[True] = LossMasks(small, data.rois, self.seeing, data.device, **options)
+            sizes[True] = data.small.images
+        given = data.rois, self.seeing, data.device, self.view_weighting, training.context
+        masks = {small: LossMasks(images, *given) for small, images in sizes.items()}
         return _Running(self.full_every, masks)
 
 

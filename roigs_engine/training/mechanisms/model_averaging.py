@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from ...context import Context
 from ..config import Mechanism, TrainConfig, share_of_steps
 from ..running import Running
 
@@ -38,7 +37,7 @@ class ModelAveraging(Mechanism):
 
     steps: int = share_of_steps(0, least=0)
 
-    def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
+    def begin(self, config: TrainConfig, training: Training) -> Running:
         return _Running(self.steps, config.steps)
 
     def check_state(self, state: StateReader) -> None:

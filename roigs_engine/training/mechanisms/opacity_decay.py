@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from ...context import Context
 from ...model.roi import OrientedBox
 from ...model.scene import PosedImage
 from ..config import Mechanism, PlannedViews, TrainConfig, limited
@@ -76,7 +75,7 @@ class OpacityDecay(Mechanism):
             decided = replace(decided, outside_share=min(lower, self.outside_share or lower))
         return config.using(decided)
 
-    def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
+    def begin(self, config: TrainConfig, training: Training) -> Running:
         return _Running(self, config.steps, training)
 
     def check_state(self, state: StateReader) -> None:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from ...context import Context
 from ...model.roi import OrientedBox
 from ..config import Mechanism, TrainConfig, limited
 from ..running import Running
@@ -37,7 +36,7 @@ class SurroundingsRate(Mechanism):
 
     factor: float = limited(2.0, above=0, below=math.inf)
 
-    def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
+    def begin(self, config: TrainConfig, training: Training) -> Running:
         return _Running(self.factor, training)
 
     def check_state(self, state: StateReader) -> None:

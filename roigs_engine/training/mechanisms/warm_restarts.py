@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from ...context import Context
 from ..config import Mechanism, TrainConfig, limited
 from ..running import Running
 from .density_control import DensityControl
@@ -41,7 +40,7 @@ class WarmRestarts(Mechanism):
             return set()
         return {first + k * rest // (self.count + 1) for k in range(self.count)}
 
-    def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
+    def begin(self, config: TrainConfig, training: Training) -> Running:
         return _Running(self.steps(config))
 
 

@@ -65,7 +65,7 @@ def control(
         settings = replace(settings, budgets=budgets)
     data = StageData(images=[], photos=None, photo_at=lambda step: 0, extent=extent, rois=rois)
     training = Training(data, model(len(made[0]), spread=0.0))
-    chosen = settings.begin(TrainConfig(steps=100), training, QUIET)
+    chosen = settings.begin(TrainConfig(steps=100), training)
     if budgets is not None:
         chosen.began = torch.tensor(budgets)
     chosen.gradient, chosen.views = made

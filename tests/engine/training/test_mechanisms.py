@@ -39,7 +39,7 @@ class Drift(Mechanism):
     by: float = limited(0.01, above=0)
     until: int = share_of_steps(40)
 
-    def begin(self, config: TrainConfig, training: Training, context: Context) -> Running:
+    def begin(self, config: TrainConfig, training: Training) -> Running:
         return Drifting(self)
 
     def check_state(self, state: StateReader) -> None:
