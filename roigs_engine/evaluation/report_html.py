@@ -116,12 +116,10 @@ def _figure(item: Comparison) -> str:
     """Baseline and result, or photo and result if there is one model, under a slider."""
     left, right = item.pictures[-2], item.pictures[-1]
     width, height = item.size
-    photo = item.pictures[0]
-    reference = (
-        ""
-        if left is photo
-        else f"<details><summary>Photo</summary>{_image(photo, width, height)}</details>"
-    )
+    photo, reference = item.pictures[0], ""
+    if left is not photo:
+        shown = _image(photo, width, height)
+        reference = f"<details><summary>Photo</summary>{shown}</details>"
     sides = f"{_named(left)} | {_named(right)}"
     return (
         f'<figure><div class="slider" style="width:{width}px;aspect-ratio:{width}/{height}">'

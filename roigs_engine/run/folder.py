@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 
 from ..context import QUIET, Context
@@ -38,7 +39,10 @@ def held(folder: Path, context: Context, patience: float = 0.0) -> Iterator[None
     """
     with ExitStack() as stack:
         _patiently(lambda: stack.enter_context(locked(folder, context.warn)), context, patience)
-        _patiently(lambda: _refuse_stages_at_work(folder), context, patience)
+        for path in matching(folder, STAGE_LOCKS):
+            if path.name != LOCK:
+                _patiently(partial(_refuse_holder, path), context, patience)
+                path.unlink(missing_ok=True)  # a killed engine left it
         yield
 
 
@@ -146,14 +150,6 @@ def _patiently(take: Callable[[], None], context: Context, patience: float) -> N
                 raise
         context.check_cancelled()
         time.sleep(POLL)
-
-
-def _refuse_stages_at_work(folder: Path) -> None:
-    """Remove locks of stages that killed engines have left; refuse those in use."""
-    for path in matching(folder, STAGE_LOCKS):
-        if path.name != LOCK:
-            _refuse_holder(path)
-            path.unlink(missing_ok=True)
 
 
 def _refuse_holder(path: Path) -> None:

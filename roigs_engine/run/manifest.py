@@ -170,10 +170,6 @@ def _groups(_: str, before: Any, now: Any) -> str:
     return f"groups was {was}, now {are}"
 
 
-def _photos(_: str, before: Any, now: Any) -> str:
-    return _changed("photo", "photos", _by_name(before), _by_name(now))
-
-
 def _rois(_: str, before: Any, now: Any) -> str:
     old, new = ({roi.get("name"): roi for roi in rois or ()} for rois in (before, now))
     return _changed("box", "boxes", old, new) if old != new else "the order of the boxes changed"
@@ -202,18 +198,14 @@ def _object_masks(_: str, before: Any, now: Any) -> str:
     return f"box '{box}': {_masks('', old.get(box), new.get(box))}"
 
 
-def _selected(_: str, before: Any, now: Any) -> str:
-    return _setting("--selection", _by_name(before), _by_name(now))
-
-
 _WORDS: Mapping[str, Callable[[str, Any, Any], str]] = {
     "sizes": _sizes,
     "rois": _rois,
     "groups": _groups,
-    CONTENTS: _photos,
+    CONTENTS: lambda _, old, new: _changed("photo", "photos", _by_name(old), _by_name(new)),
     "masks": _masks,
     "object_masks": _object_masks,
-    "manual": _selected,
+    "manual": lambda _, old, new: _setting("--selection", _by_name(old), _by_name(new)),
 }
 
 

@@ -173,7 +173,7 @@ class StageFolder:
     """The folder that a stage is trained in.
 
     Attributes:
-        name, folder: of the stage, shown to the user; see `folder_of`.
+        name, folder: of the stage (`folder_of`); the name is shown to the user.
         frame: that the stage is trained in; its PLYs are in the world's.
         preview: file for the preview of the current Gaussians.
         preview_seconds: seconds of training between two previews; 0: none.

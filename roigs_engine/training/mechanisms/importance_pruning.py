@@ -125,10 +125,10 @@ def visible_worth(
     from ...rasterize.view import blending_weights
 
     worth = torch.zeros(len(gaussians), dtype=torch.float64, device=gaussians.means.device)
-    cameras = [(i.camera, max(i.camera.width, i.camera.height) // 2) for i in images]
+    sides = [max(image.camera.width, image.camera.height) // 2 for image in images]
     half = [
-        (camera.thumbnail(side), image.world_to_camera)
-        for image, (camera, side) in zip(images, cameras, strict=True)
+        (image.camera.thumbnail(side), image.world_to_camera)
+        for image, side in zip(images, sides, strict=True)
     ]
     for weights in blending_weights(gaussians, half, context):
         worth += weights.total * weights.largest

@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from roigs_engine.context import QUIET
 from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.rotations import rotation_matrices
@@ -266,7 +265,7 @@ def test_statistics_after_an_edit() -> None:
     gaussians = model(3)
     density = control(EVERYWHERE, stats(torch.ones(3)))
     training = Training(density.data, gaussians)
-    pruning = IdlePruning(every=1).begin(TrainConfig(steps=9), training, QUIET)
+    pruning = IdlePruning(every=1).begin(TrainConfig(steps=9), training)
     for weights in ([0.1, 0.2, 0.3], [0.3, 0.1, 0.2]):
         pruning.observe(torch.ones(3), torch.ones(3), torch.tensor(weights))
     assert pruning.state_dict()["weight"].tolist() == pytest.approx([0.3, 0.2, 0.3])
