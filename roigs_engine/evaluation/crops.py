@@ -60,7 +60,6 @@ class Comparison:
     """A box on one photo, for the report's page.
 
     Attributes:
-        roi, view: the box's name; the photo's.
         label: why this photo is shown.
         size: width and height of the pictures, pixels.
         pictures: the photo, then the models; the last one is the result.

@@ -33,7 +33,6 @@ class EvaluatedModel:
 
     Attributes:
         name: the row's name, unique among the rows of a box.
-        gaussians: the model.
         seconds: total training time.
         rois: names of the boxes with a row for it; None: all boxes. An Object-GS has one box.
         stages: stage -> seconds.

@@ -127,7 +127,6 @@ class Executor:
         )
 
     def status(self, stage: Stage) -> StageStatus:
-        """How far the stage is; nothing is trained or moved."""
         return self._folder(stage).peek()
 
     def list_stages(self, plan: Plan) -> None:
@@ -156,7 +155,6 @@ class Executor:
         )
 
     def _data(self, stage: Stage) -> StageData:
-        """The stage's training data."""
         device = torch.device(self.context.device)
         sizes = [images for images in (stage.images, stage.small_images) if images]
         photos, *halves = self._caches(sizes)
@@ -181,7 +179,6 @@ class Executor:
         )
 
     def _of(self, stage: Stage) -> Gaussians:
-        """The stage's model."""
         result = self.result(stage)
         return result.gaussians if self._keeps else result.without_model().gaussians
 

@@ -55,12 +55,9 @@ class StageForecast:
     """What is expected of a whole stage, or known of a finished one.
 
     Attributes:
-        stage: the stage.
         end, most: number of Gaussians at the end, and the largest before.
-        seconds: training time.
-        step_seconds: time of a step at the end.
-        steps_done: steps that are done.
-        is_done: whether it is finished.
+        seconds, step_seconds: of training; of a step at the end.
+        steps_done, is_done: how far it is.
     """
 
     stage: Stage

@@ -40,7 +40,6 @@ class Cell:
     Attributes:
         label: begins the names of its stages; empty: the whole scene.
         photos: names of its training photos.
-        rois: its boxes.
         points: rows of the sparse points that its photos observe.
         share: of the photos that see a box of its group, those that see its own; of all photos, its
             own, if it has no box or trains a Scene-GS.

@@ -29,16 +29,10 @@ CUTOUT_SHARE = 0.6  # steps of the stage that cuts objects out, in steps of the 
 
 @dataclass(frozen=True, kw_only=True)
 class TunedBaseline:
-    """Settings of a tuned baseline.
-
-    Attributes:
-        coarse: of its first stage.
-        scale: factor on the size of that stage's photos.
-        fine: of its last stage, on photos of full size.
-    """
+    """Settings of the two stages of a tuned baseline, the last one on photos of full size."""
 
     coarse: TrainConfig
-    scale: float
+    scale: float  # factor on the size of the first stage's photos
     fine: TrainConfig
 
 

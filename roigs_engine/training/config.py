@@ -231,27 +231,24 @@ class TrainConfig:
         return math.exp((1 - t) * math.log(self.lr_means) + t * math.log(self.lr_means_final))
 
     def degree(self, step: int) -> int:
-        """SH degree in use at a step."""
         return min(self.sh_degree, self.sh_start + step // max(self.sh_every, 1))
 
     @property
     def has_small(self) -> bool:
-        """Whether some steps use photos of half the size."""
+        """See `Mechanism`."""
         return any(each.has_small for each in self.mechanisms)
 
     def is_small(self, step: int) -> bool:
-        """Whether a step uses a photo of half the size."""
+        """See `Mechanism`."""
         return any(each.is_small(step, self) for each in self.mechanisms)
 
     def planned(self, views: PlannedViews) -> TrainConfig:
-        """The config of a stage with these photos and boxes."""
         config = self
         for mechanism in self.mechanisms:
             config = mechanism.planned(config, views)
         return config
 
     def measured(self, data: StageData, context: Context) -> TrainConfig:
-        """The config of a stage with these pixels."""
         config = self
         for mechanism in self.mechanisms:
             config = mechanism.measured(config, data, context)

@@ -87,8 +87,7 @@ def box_budgets(
         images: the stage's photos; each pixel in a box's silhouette counts, unless the photo's
             mask ignores it, or the mask of the box's object does not show it. Photos without such
             a mask count with the mean share that the masks leave of the silhouette.
-        rois: the boxes.
-        factor: on the root.
+        rois, factor: the boxes; on the root.
     """
     return tuple(int(factor * _pixels(roi, images, context) ** EXPONENT) for roi in rois)
 

@@ -102,8 +102,7 @@ class Cutout:
     """One object on one photo.
 
     Attributes:
-        photo: its row number.
-        box: the object's, its row number.
+        photo, box: their row numbers.
         rows: of the object's Gaussians, ascending.
         shown: (H, W) bool, the pixels that show the object.
         counted: (H, W) bool, the pixels to compare.
@@ -140,7 +139,6 @@ class Cutouts:
     Args:
         model: at the start of the stage, in the order of its rows; none is added or removed.
         owner: (N,) the box whose object each Gaussian is of, -1 for none.
-        rois, images: of the stage.
         seed: of the order and the colours.
     """
 
