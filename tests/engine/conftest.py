@@ -15,6 +15,7 @@ from roigs_engine.errors import KernelError
 from roigs_engine.kernels import bindings, library
 from roigs_engine.rasterize import cpu
 from roigs_engine.storage import urls
+from tests.engine.shared_runs import made_once
 
 
 @pytest.fixture(scope="module", params=["generic", "avx2", "avx512", "neon"])
@@ -68,3 +69,11 @@ def mounted(tmp_path: Path) -> Iterator[Callable[[str], Path]]:
     yield mount
     if os.path.ismount(folder):
         subprocess.run(["umount", str(folder)], check=True)
+
+
+@pytest.fixture(scope="session")
+def request_(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """A run that nobody killed, its scene and arguments."""
+    from tests.engine.killing import Request  # it decides what its processes are forked from
+
+    return Request(made_once(tmp_path_factory, "unkilled", Request.make))

@@ -167,16 +167,28 @@ def tiny() -> RunConfig:
 
 
 class Request:
-    """A scene with lens distortion, and what a run that nobody killed has made of it."""
+    """A scene with lens distortion, and what a run that nobody killed has made of it.
+
+    Tests share it: they only read `whole`.
+    """
 
     def __init__(self, folder: Path) -> None:
+        """Of a folder that `make` has filled."""
+        self._scene, self.whole = folder / "scene", folder / "whole"
+        moments = json.loads((folder / "moments.json").read_text(encoding="utf-8"))
+        self.moments, self.steps = moments, Ended(0, "", moments).steps
+
+    @classmethod
+    def make(cls, folder: Path) -> None:
+        """Write the scene, run it, and note the run's moments."""
         lens = camera("OPENCV", params=[100.0, 90.0, 45.0, 40.0, 0.05, 0.01, 0.001, 0.002])
         names = [f"{k}.png" for k in range(10)]
         write_project(folder / "scene", names=names, cameras=[lens], dots=True)
-        self._scene, self.whole = folder / "scene", folder / "whole"
-        ended = engine(self.arguments(self.whole))
+        (folder / "moments.json").write_text("[]", encoding="utf-8")
+        request = cls(folder)
+        ended = engine(request.arguments(request.whole))
         assert ended.status == 0, ended.errors
-        self.moments, self.steps = ended.moments, ended.steps
+        (folder / "moments.json").write_text(json.dumps(ended.moments), encoding="utf-8")
 
     def arguments(self, run: Path, threads: int = 2) -> list[object]:
         """Of the command line."""

@@ -75,6 +75,23 @@ def kill_engines(run: Path, spared: list[int], told: threading.Event) -> None:
                 os.kill(process, signal.SIGKILL)
 
 
+def same_by_hand(run: Path, name: str, folder: Path) -> None:
+    """A scene's run folder in a batch has what its row gives when it is run here."""
+    options = run / "rows" / f"{name}.json"
+    assert main(["run", str(options), "--run-dir", str(folder / name)]) == 0
+    assert contents(run / name) == contents(folder / name)
+
+
+def test_a_batch_is_as_here(cluster: Any, table: Path, tmp_path: Path) -> None:
+    text = table.read_text(encoding="utf-8")
+    table.write_text(text.replace("steps-factor = 0.03", "steps-factor = 0.005"), encoding="utf-8")
+    run = tmp_path / "run"
+    assert main(["batch", str(table), "--run-dir", str(run), "--cluster", cluster.address]) == 0
+    same_by_hand(run, "hall", tmp_path / "by hand")
+    assert (run / "attic" / "result.ply").is_file()
+
+
+@pytest.mark.slow
 def test_killed_drivers_engines_and_machines(
     cluster: Any, table: Path, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
@@ -112,9 +129,7 @@ def test_killed_drivers_engines_and_machines(
     whole = [event for event in said if event.get("stage") == "batch"]
     assert whole[-1]["step"] == whole[-1]["total"] == 2
     for name in SCENES:
-        by_hand = tmp_path / "by hand" / name
-        assert main(["run", str(run / "rows" / f"{name}.json"), "--run-dir", str(by_hand)]) == 0
-        assert contents(run / name) == contents(by_hand)
+        same_by_hand(run, name, tmp_path / "by hand")
 
 
 def test_one_part_can_be_stopped_to_go_on_elsewhere(

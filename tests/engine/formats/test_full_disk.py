@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,11 +17,6 @@ from tests.engine.killing import Ended, Request, engine
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="the engine is forked")
 FULL = "No space left on device"
-
-
-@pytest.fixture(scope="module")
-def request_(tmp_path_factory: pytest.TempPathFactory) -> Request:
-    return Request(tmp_path_factory.mktemp("full"))
 
 
 def refused(ended: Ended, *words: str) -> None:
@@ -77,8 +73,9 @@ def test_a_run_that_may_not_be_written_to_any_more(
     request_.finish(folder)
 
 
-def test_a_folder_of_another_request(request_: Request) -> None:
-    ended = engine([*request_.arguments(request_.whole), "--seed", 1])
+def test_a_folder_of_another_request(request_: Request, tmp_path: Path) -> None:
+    shutil.copytree(request_.whole, tmp_path / "run")
+    ended = engine([*request_.arguments(tmp_path / "run"), "--seed", 1])
     refused(ended, "seed was 0, now 1", "--update", "--run-dir")
 
 

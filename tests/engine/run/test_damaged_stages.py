@@ -122,16 +122,17 @@ def test_a_stage_is_verified_once(
     assert sorted(path.parent.name[:5] for path in verified) == ["joint", "scene"]
 
 
-def test_a_stage_killed_at_its_end_resumes_from_its_checkpoint(tmp_path: Path) -> None:
-    request = Request(tmp_path)
+def test_a_stage_killed_at_its_end_resumes_from_its_checkpoint(
+    request_: Request, tmp_path: Path
+) -> None:
     run = tmp_path / "run"
-    engine(request.arguments(run), request.moment("^scene: after stage.json"))
+    engine(request_.arguments(run), request_.moment("^scene: after stage.json"))
     flipped(stage_of(run, "scene") / "model.ply")
-    ended = engine(request.arguments(run))
+    ended = engine(request_.arguments(run))
     assert ended.status == 0
     assert "resumed from its checkpoint" in ended.errors
     assert "scene: resumes at step" in ended.errors
-    whole, made = contents(request.whole), contents(run)
+    whole, made = contents(request_.whole), contents(run)
     assert {k: v for k, v in made.items() if "-damaged" not in k} == whole
 
 

@@ -77,11 +77,6 @@ STOPS = [
 ]
 
 
-@pytest.fixture(scope="module")
-def request_(tmp_path_factory: pytest.TempPathFactory) -> Request:
-    return Request(tmp_path_factory.mktemp("killed"))
-
-
 def ended_well(ended: Ended, fault: str) -> None:
     """The documented status, and no traceback."""
     assert ended.status in ENDINGS[fault], ended.errors

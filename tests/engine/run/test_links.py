@@ -26,11 +26,6 @@ READ_FIRST = {"manifest.json", "provenance.json", "stages.json", "stage.json"}
 READ_LATER = {"checkpoint.bin", "checkpoint.before.bin", "model.ply"}
 
 
-@pytest.fixture(scope="module")
-def request_(tmp_path_factory: pytest.TempPathFactory) -> Request:
-    return Request(tmp_path_factory.mktemp("links"))
-
-
 def paths(run: Path, *, folders: bool) -> list[Path]:
     """Every file, or every folder, that a run writes, relative to it."""
     found = [path for path in sorted(run.rglob("*")) if path.is_dir() == folders]
