@@ -56,7 +56,7 @@ def evaluate(
     model's depth, which are a few numbers, and those of the best model are used at the end.
 
     Args:
-        models, rois: one row each in the table of each box.
+        models, rois: each model has a row in the table of each of its boxes.
         scene, test: all photos; names of the test photos.
         baseline: name of the model that gains are relative to; None: the tuned Full Scene if there
             is one, else Full Scene.

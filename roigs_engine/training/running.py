@@ -30,30 +30,24 @@ class Training(Protocol):
     @property
     def gaussians(self) -> Gaussians:
         """The current model; its tensors may be changed in place."""
-        ...
 
     @property
     def photos(self) -> PhotoViews:
         """The photos in full size."""
-        ...
 
     def settled(self) -> bool:
         """Whether all steps so far are done; if not, the trainer has gone back to the first."""
-        ...
 
     def apply(self, edit: Edit) -> None:
         """Continue with other rows; all mechanisms follow."""
-        ...
 
     def prune(self, context: Context, what: str, search: Callable[[], Tensor]) -> bool:
         """Remove the Gaussians that a search finds, (N,) bool; False: stopped, nothing changed."""
-        ...
 
     def render(
         self, optimizer: VisibleAdam, view: tuple[int, int | str], active: Mask, **options: Any
     ) -> RenderOutput:
         """An optimizer's Gaussians, on a photo of the step's size; `view` names photo and part."""
-        ...
 
 
 class Running:
