@@ -8,14 +8,7 @@ from pathlib import Path
 from ..formats.files import write_json, write_text
 from ..formats.run_files import REPORT, REPORT_DATA
 from ..formats.text import counted, printable
-from .scores import (
-    MIN_OBJECT,
-    MIN_SILHOUETTE,
-    Evaluation,
-    ModelScore,
-    RoiScores,
-    near_and_far,
-)
+from .scores import MIN_OBJECT, MIN_SILHOUETTE, Evaluation, ModelScore, RoiScores, near_and_far
 
 NONE = "–"  # a cell without a number
 Key = Callable[[ModelScore], float | None]

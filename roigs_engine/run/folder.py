@@ -81,11 +81,7 @@ def open_folder(run: Run, context: Context = QUIET, *, update: bool = False) -> 
 
 
 def train_opened(
-    run: Run,
-    compare: Sequence[str] = (),
-    context: Context = QUIET,
-    *,
-    preview_seconds: float = 0.0,
+    run: Run, compare: Sequence[str] = (), context: Context = QUIET, *, preview_seconds: float = 0.0
 ) -> list[EvaluatedModel]:
     """Plan and train a run whose folder is open; returns the models, the run's result last.
 

@@ -131,11 +131,7 @@ class _Making:
     """The cells of a scene that is cut, or whose boxes are trained in groups."""
 
     def __init__(
-        self,
-        views: Views,
-        rois: Sequence[OrientedBox],
-        seen: dict[str, set[str]],
-        groups: Groups,
+        self, views: Views, rois: Sequence[OrientedBox], seen: dict[str, set[str]], groups: Groups
     ) -> None:
         self.views, self.scene = views, views.scene
         self.rois, self.seen, self.groups = tuple(rois), seen, groups

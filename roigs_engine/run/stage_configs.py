@@ -99,10 +99,7 @@ def cutout_stage(config: RunConfig) -> TrainConfig:
     """The stage that makes objects look right alone: the box stage's settings at its end."""
     steps = max(1, round(CUTOUT_SHARE * config.roi.steps))
     stage = replace(
-        config.roi,
-        steps=steps,
-        sh_start=config.roi.sh_degree,
-        lr_means=config.roi.lr_means / 10,
+        config.roi, steps=steps, sh_start=config.roi.sh_degree, lr_means=config.roi.lr_means / 10
     )
     stage = stage.only(MaskedSteps, SpacedShRate, MeasuredShRate)
     return stage.using(CutoutSteps(), ModelAveraging(steps=steps // 2))

@@ -242,11 +242,7 @@ class StageFolder:
         return StageResult(name=self.name, record=record, model_path=model_path, frame=self.frame)
 
     def train(
-        self,
-        start: Callable[[], Gaussians],
-        data: StageData,
-        config: TrainConfig,
-        context: Context,
+        self, start: Callable[[], Gaussians], data: StageData, config: TrainConfig, context: Context
     ) -> StageResult:
         """Train the stage to its end, from its last checkpoint if there is one.
 
@@ -273,11 +269,7 @@ class StageFolder:
         return self._finish(trainer)
 
     def _trained(
-        self,
-        start: Callable[[], Gaussians],
-        data: StageData,
-        config: TrainConfig,
-        context: Context,
+        self, start: Callable[[], Gaussians], data: StageData, config: TrainConfig, context: Context
     ) -> Trainer:
         """A trainer at its last step; `_save` never writes a checkpoint with NaN or Inf."""
         if checkpoint_exists(self._checkpoint):

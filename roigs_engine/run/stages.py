@@ -163,12 +163,7 @@ def path_of(folder: str, stage: str) -> str:
 
 
 def trained_on(
-    name: str,
-    photos: PhotoSets,
-    config: TrainConfig,
-    base: Source | None,
-    *,
-    folder: str = "",
+    name: str, photos: PhotoSets, config: TrainConfig, base: Source | None, *, folder: str = ""
 ) -> PlannedModel:
     """A model that is trained on in all boxes, cell by cell if the run has cells.
 

@@ -161,11 +161,7 @@ class _KernelLoss(torch.autograd.Function):
 
 
 def _terms_on_cpu(
-    image: Tensor,
-    photo: Tensor,
-    ssim_weight: float,
-    mask: Tensor | None,
-    gradient: Tensor | None,
+    image: Tensor, photo: Tensor, ssim_weight: float, mask: Tensor | None, gradient: Tensor | None
 ) -> Tensor:
     """(3,) loss, L1 and SSIM by `roigs_photo_loss` of kernels/loss.cpp; fills the gradient."""
     _, height, width = image.shape
@@ -178,11 +174,7 @@ def _terms_on_cpu(
 
 
 def _terms_on_gpu(
-    image: Tensor,
-    photo: Tensor,
-    ssim_weight: float,
-    mask: Tensor | None,
-    gradient: Tensor | None,
+    image: Tensor, photo: Tensor, ssim_weight: float, mask: Tensor | None, gradient: Tensor | None
 ) -> Tensor:
     """As `_terms_on_cpu`, by cuda/kernels/loss.cu."""
     _, height, width = image.shape
