@@ -14,7 +14,7 @@ from ..colmap.photo_pixels import PhotoPixels
 from ..errors import EngineError
 from ..formats.scribbles import MOST, OBJECT, Stroke
 from ..model.roi import OrientedBox
-from ..model.scene import Camera, Float64
+from ..model.scene import Camera, Float64, origin
 
 Mask = NDArray[np.bool_]
 Seeds = NDArray[np.uint8]
@@ -119,8 +119,7 @@ class View:
     @property
     def centre(self) -> Float64:
         """(3,) camera centre in the world."""
-        rotation, translation = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
-        return -rotation.T @ translation
+        return origin(self.world_to_camera)
 
     @property
     def is_scribbled(self) -> bool:

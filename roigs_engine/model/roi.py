@@ -13,7 +13,7 @@ from ..errors import RoiError
 from ..formats.foreground import View, foreground_bounds
 from ..formats.gravity import gravity_alignment
 from ..formats.rois import RoiRecord, read_rois, roi_record
-from .scene import Camera, Float64, SfmScene
+from .scene import Camera, Float64, SfmScene, origin
 
 NEAR_SHARE = 1e-3  # near plane for clipping a box, in units of the box's diagonal
 # The 12 edges of a box whose corner k has the sign bits of k (x = bit 0, y = bit 1, z = bit 2).
@@ -40,8 +40,7 @@ class OrientedBox(RoiRecord):
     @property
     def centre(self) -> Float64:
         """(3,) centre in the world."""
-        rotation, translation = self.world_to_box[:3, :3], self.world_to_box[:3, 3]
-        return -rotation.T @ translation
+        return origin(self.world_to_box)
 
     @property
     def diagonal(self) -> float:
@@ -104,8 +103,7 @@ class OrientedBox(RoiRecord):
 
     def camera_inside(self, world_to_camera: Float64) -> bool:
         """Whether the camera's centre lies inside the box."""
-        centre = -world_to_camera[:3, :3].T @ world_to_camera[:3, 3]
-        return bool(self.contains(centre[None])[0])
+        return bool(self.contains(origin(world_to_camera)[None])[0])
 
     def silhouette(self, camera: Camera, world_to_camera: Float64) -> NDArray[np.bool_]:
         """(H, W) pixels whose centre lies in the projected box (the paper's mask, sec. III-B).

@@ -109,8 +109,7 @@ class PosedImage:
     @property
     def centre(self) -> Float64:
         """(3,) camera centre in the world."""
-        rotation, translation = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
-        return -rotation.T @ translation
+        return origin(self.world_to_camera)
 
     def local(self, points: Float64) -> Float64:
         """World positions (P, 3) -> (P, 3) in the camera's axes."""
@@ -218,6 +217,11 @@ class SfmScene:
             digest.update(image.world_to_camera.tobytes() + image.point_indices.tobytes())
         digest.update(self.points.tobytes() + self.colors.tobytes())
         return digest.hexdigest()
+
+
+def origin(transform: Float64) -> Float64:
+    """(3,) where a rigid transform from the world (4, 4) has its origin, in the world."""
+    return -transform[:3, :3].T @ transform[:3, 3]
 
 
 def project(

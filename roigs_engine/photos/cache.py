@@ -50,9 +50,8 @@ class PhotoCache:
                 self._kept.move_to_end(index)
                 return self._kept[index]
             future = self._pending.get(index)
-            mine = (
-                future is None or future.cancel()
-            )  # still queued: faster done here than waited for
+            # Still queued: it is done faster here than waited for.
+            mine = future is None or future.cancel()
             if mine:
                 future = self._pending[index] = Future()
                 future.set_running_or_notify_cancel()

@@ -18,6 +18,7 @@ import numpy as np
 from ..colmap.library import pycolmap_module
 from ..errors import EngineError
 from ..formats.gravity import Matrix, Vector, gravity_alignment
+from ..model.scene import origin
 from .database import camera_ids, show_spaces, spaces_hidden
 
 Task = dict[str, Any]
@@ -168,7 +169,7 @@ def normalisation(poses: Matrix, points: Matrix, distance: float) -> Matrix:
     scale = DISTANCE / distance if distance > 0 else 1.0
     rotation = gravity_alignment(poses)
     aligned = scale * points @ rotation.T
-    eyes = np.array([-pose[:3, :3].T @ pose[:3, 3] for pose in poses])
+    eyes = np.array([origin(pose) for pose in poses])
     heights = scale * eyes @ rotation[2]
     centre = np.append(np.median(aligned[:, :2], axis=0), floor(aligned[:, 2], float(max(heights))))
     return np.column_stack([scale * rotation, -centre])

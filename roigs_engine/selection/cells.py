@@ -142,10 +142,8 @@ def _cut(
     along = np.round(along / max(float(np.abs(along).max()), 1e-300), 9)  # and on every machine
     order = np.argsort(along, kind="stable")
     share = (middle - first) / (end - first)
-    both, points = (
-        np.cumsum(weights[rows][order].sum(axis=1)),
-        np.cumsum(weights[rows][order][:, 0]),
-    )
+    weight = weights[rows][order]
+    both, points = np.cumsum(weight.sum(axis=1)), np.cumsum(weight[:, 0])
     at = int(np.searchsorted(both, both[-1] * share))
     shown = points[min(at, len(points) - 1)] / max(points[-1], 1e-300)
     if not LEAST * share <= shown <= 1 - LEAST * (1 - share):

@@ -49,11 +49,8 @@ def gp_inputs(
     columns = [roi.to_box(candidates.centres()), candidates.forwards() @ rotation.T]
     if extended:
         distance = np.maximum(features.distance, 1e-9 * roi.diagonal)
-        columns.append(
-            np.column_stack(
-                [np.log(distance), np.log(features.area + 1e-6), np.log1p(features.keypoints)]
-            )
-        )
+        logs = np.log(distance), np.log(features.area + 1e-6), np.log1p(features.keypoints)
+        columns.append(np.column_stack(logs))
     table = np.concatenate(columns, axis=1)
     deviation = table.std(axis=0)
     varies = deviation > CONSTANT * np.maximum(1.0, np.abs(table).max(axis=0))

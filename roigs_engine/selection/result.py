@@ -50,9 +50,8 @@ def format_selection(selection: CameraSelection) -> str:
     """A summary line, a table of the selected photos, best first, and the warnings."""
     head = ("rank", "photo", "score", "distance", "area", "keypoints")
     rows = [head]
-    for rank, (name, score) in enumerate(
-        zip(selection.names, selection.scores, strict=True), start=1
-    ):
+    pairs = zip(selection.names, selection.scores, strict=True)
+    for rank, (name, score) in enumerate(pairs, start=1):
         values = selection.features.get(name, {})
         rows.append(
             (
