@@ -31,26 +31,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Asked:
-    """A training as its request tells it, before the scene is looked at.
+    """A training as its request tells it, before the scene is looked at."""
 
-    Attributes:
-        request: with the COLMAP project that photos become as its scene.
-        photos: the photos that it is made of; None: the scene has a model.
-        config: the preset with the options; blocks and groups are not yet in it.
-        boxes: where they come from.
-        manual: folder of photo lists; None: none.
-        compare: models to compare with.
-        evaluated: whether test photos are rendered and compared.
-        parts: of the run, if it is not to be done in one go.
-    """
-
-    request: Train
-    photos: Path | None
-    config: RunConfig
-    boxes: BoxSource
-    compare: tuple[str, ...] = ()
-    evaluated: bool = False
-    parts: tuple[str, ...] = ()
+    request: Train  # with the COLMAP project that photos become as its scene
+    photos: Path | None  # the photos that it is made of; None: the scene has a model
+    config: RunConfig  # the preset with the options; blocks and groups are not yet in it
+    boxes: BoxSource  # where they come from
+    compare: tuple[str, ...] = ()  # models to compare with
+    evaluated: bool = False  # whether test photos are rendered and compared
+    parts: tuple[str, ...] = ()  # of the run, if it is not to be done in one go
 
     @staticmethod
     def of(request: Train) -> Asked:

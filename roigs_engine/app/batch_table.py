@@ -42,37 +42,21 @@ class Wrong:
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """A scene of the table.
+    """A scene of the table."""
 
-    Attributes:
-        name: of its run folder.
-        line: where it begins in the file.
-        options: of `run`, as in an options file; paths are absolute.
-        run_dir: its run folder, in that of the batch.
-        options_file: gets the options, for its engines.
-        outputs: suffixes of files to write of the result.
-        object_outputs: the same of each object.
-        output_options: of `convert`, for these files.
-        kind: of request that it is.
-        store: address of the batch's folder, if that is on a store.
-        elsewhere: whether it is done on other machines, whose devices are not this one's.
-        asked: the options as the table has them, if addresses in `options` became folders.
-        update: whether its run folder may have another run.
-    """
-
-    name: str
-    line: int
-    options: dict[str, Any]
-    run_dir: Path
-    options_file: Path
-    outputs: tuple[str, ...] = ()
-    object_outputs: tuple[str, ...] = ()
-    output_options: dict[str, Any] = field(default_factory=dict)
-    kind: type[Train] = TrainAndEvaluate
-    store: str = ""
-    elsewhere: bool = False
-    asked: dict[str, Any] | None = None
-    update: bool = True
+    name: str  # of its run folder
+    line: int  # where it begins in the file
+    options: dict[str, Any]  # of `run`, as in an options file; paths are absolute
+    run_dir: Path  # its run folder, in that of the batch
+    options_file: Path  # gets the options, for its engines
+    outputs: tuple[str, ...] = ()  # suffixes of files to write of the result
+    object_outputs: tuple[str, ...] = ()  # the same of each object
+    output_options: dict[str, Any] = field(default_factory=dict)  # of `convert`, for these files
+    kind: type[Train] = TrainAndEvaluate  # of request that it is
+    store: str = ""  # address of the batch's folder, if that is on a store
+    elsewhere: bool = False  # whether it is done on other machines, with other devices
+    asked: dict[str, Any] | None = None  # as in the table, if addresses there became folders here
+    update: bool = True  # whether its run folder may have another run
 
     @property
     def request(self) -> Train:

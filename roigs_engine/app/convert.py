@@ -35,23 +35,14 @@ OTHER = "Choose another OUT."
 
 @dataclass(frozen=True, kw_only=True)
 class _Model:
-    """Gaussians on their way to a file.
+    """Gaussians on their way to a file."""
 
-    Attributes:
-        arrays: as they will be written.
-        count: how many there were, with those that cannot be drawn.
-        antialiased: whether they are drawn with anti-aliasing.
-        poses: (N, 4, 4) world_to_camera of photos, in the frame of the boxes; None: not known.
-        matrix: (4, 4) from that frame to the file's.
-        upright: whether photos tell which way is up.
-    """
-
-    arrays: Arrays
-    count: int
-    antialiased: bool
-    poses: Float64 | None
-    matrix: Float64
-    upright: bool = False
+    arrays: Arrays  # as they will be written
+    count: int  # how many there were, with those that cannot be drawn
+    antialiased: bool  # whether they are drawn with anti-aliasing
+    poses: Float64 | None  # (N, 4, 4) world_to_camera of photos, in the boxes' frame
+    matrix: Float64  # (4, 4) from that frame to the file's
+    upright: bool = False  # whether photos tell which way is up
 
 
 def convert(request: Convert, context: Context = QUIET) -> Result:

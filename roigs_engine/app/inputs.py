@@ -174,17 +174,11 @@ def _only(rois: list[OrientedBox], wanted: Sequence[str]) -> list[OrientedBox]:
 
 @dataclass(frozen=True, kw_only=True)
 class BoxSource:
-    """The boxes of a request that may leave them to the scene (`--roi auto`).
+    """The boxes of a request that may leave them to the scene (`--roi auto`)."""
 
-    Attributes:
-        given: the boxes; None: one around what most photos show.
-        file: where that box is kept, and read again; None: nowhere.
-        only: names of the boxes that are used; empty: all.
-    """
-
-    given: list[OrientedBox] | None
-    file: Path | None
-    only: tuple[str, ...]
+    given: list[OrientedBox] | None  # the boxes; None: one around what most photos show
+    file: Path | None  # where that box is kept, and read again; None: nowhere
+    only: tuple[str, ...]  # names of the boxes that are used; empty: all
 
     @staticmethod
     def of(request: Boxes, folder: Path | None) -> BoxSource:

@@ -27,19 +27,12 @@ FAR = 1e15  # as for boxes
 
 
 class InstanceRecord(NamedTuple):
-    """A model of a list.
+    """A model of a list."""
 
-    Attributes:
-        file: of its Gaussians.
-        matrix: (4, 4) from its own world to that of the list.
-        gains: factors on red, green and blue.
-        density: how much of it is there, above 0 and at most 1, see `faded`.
-    """
-
-    file: str
-    matrix: Float64
-    gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    density: float = 1.0
+    file: str  # of its Gaussians
+    matrix: Float64  # (4, 4) from its own world to that of the list
+    gains: tuple[float, float, float] = (1.0, 1.0, 1.0)  # factors on red, green and blue
+    density: float = 1.0  # how much of it is there, above 0 and at most 1, see `faded`
 
     def of(self, gaussians: Gaussians, frame: LocalFrame, into: Float64 | None = None) -> Instance:
         """The model that its file holds, in the list's world, or `into` another (4, 4)."""

@@ -27,39 +27,22 @@ MOST_NODES = 3  # where a part may fail, or be slow
 
 @dataclass(kw_only=True)
 class PartState:
-    """How far a part is.
+    """How far a part is."""
 
-    Attributes:
-        part: the part.
-        state: `waiting`, `running`, `done`, `failed`.
-        lost: how often its process was lost.
-        avoid: nodes where it failed, or that are slow.
-        cores: that it was given.
-        progress: the last event with its progress.
-        started: `time.monotonic()` of its first event, or of when it was given out.
-        seen: whether it had an event; until then it may wait for a machine.
-        first: `time.monotonic()` of its first progress, and its share then; zeros: none yet.
-        seconds: it took, once it is done.
-        kept: its share when it last stopped or was lost.
-        moving: whether it was asked to stop, to go on elsewhere or later.
-        from_slow: whether that is since its machine is slow.
-        made_way: whether it made way for a longer part; it does once.
-    """
-
-    part: Part
-    state: str = WAITING
-    lost: int = 0
-    avoid: tuple[str, ...] = ()
-    cores: int = 1
-    progress: Record = field(default_factory=dict)
-    started: float = 0.0
-    first: tuple[float, float] = (0.0, 0.0)
-    seconds: float = 0.0
-    kept: float = 0.0
-    moving: bool = False
-    from_slow: bool = False
-    made_way: bool = False
-    seen: bool = False
+    part: Part  # the part
+    state: str = WAITING  # `waiting`, `running`, `done`, `failed`
+    lost: int = 0  # how often its process was lost
+    avoid: tuple[str, ...] = ()  # nodes where it failed, or that are slow
+    cores: int = 1  # that it was given
+    progress: Record = field(default_factory=dict)  # the last event with its progress
+    started: float = 0.0  # `time.monotonic()` of its first event, or of when it was given out
+    first: tuple[float, float] = (0.0, 0.0)  # time and share at its first progress; zeros: none yet
+    seconds: float = 0.0  # it took, once it is done
+    kept: float = 0.0  # its share when it last stopped or was lost
+    moving: bool = False  # whether it was asked to stop, to go on elsewhere or later
+    from_slow: bool = False  # whether that is since its machine is slow
+    made_way: bool = False  # whether it made way for a longer part; it does once
+    seen: bool = False  # whether it had an event; until then it may wait for a machine
 
     @property
     def left(self) -> float:

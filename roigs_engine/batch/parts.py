@@ -16,44 +16,26 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True, kw_only=True)
 class Staging:
-    """Where the files of a scene's parts are, if they are on a store.
+    """Where the files of a scene's parts are, if they are on a store."""
 
-    Attributes:
-        url: of the batch's folder.
-        base: the same folder on the machine that planned; the command line names it.
-        options: of the scene, for its options file; addresses in them are copied here.
-    """
-
-    url: str
-    base: str
-    options: dict[str, Any]
+    url: str  # of the batch's folder
+    base: str  # the same folder on the machine that planned; the command line names it
+    options: dict[str, Any]  # of the scene, for its options file; addresses in them are copied here
 
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """Work for one process.
+    """Work for one process."""
 
-    Attributes:
-        scene: the scene's name in the table, and of its run folder.
-        name: unique in the scene: `prepare`, a stage, `all`, or an output's suffix.
-        argv: the engine's command line.
-        needs: names of the scene's parts that must be done before.
-        work: steps times megapixels, to compare parts with one another.
-        memory: bytes that it may take.
-        gpu: whether it uses a GPU where there is one.
-        stages: name and work of the stages that it trains, in order.
-        staging: where its files are, if they are on a store.
-    """
-
-    scene: str
-    name: str
-    argv: tuple[str, ...]
-    needs: tuple[str, ...] = ()
-    work: float = 0.0
-    memory: int = 0
-    gpu: bool = False
-    stages: tuple[tuple[str, float], ...] = ()
-    staging: Staging | None = None
+    scene: str  # the scene's name in the table, and of its run folder
+    name: str  # unique in the scene: `prepare`, a stage, `all`, or an output's suffix
+    argv: tuple[str, ...]  # the engine's command line
+    needs: tuple[str, ...] = ()  # names of the scene's parts that must be done before
+    work: float = 0.0  # steps times megapixels, to compare parts with one another
+    memory: int = 0  # bytes that it may take
+    gpu: bool = False  # whether it uses a GPU where there is one
+    stages: tuple[tuple[str, float], ...] = ()  # name and work of those that it trains, in order
+    staging: Staging | None = None  # where its files are, if they are on a store
 
     @property
     def key(self) -> Key:
@@ -68,21 +50,13 @@ class Part:
 
 @dataclass(frozen=True, kw_only=True)
 class ScenePlan:
-    """What is to be done for one scene.
+    """What is to be done for one scene."""
 
-    Attributes:
-        name: of the scene in the table.
-        objects: names of its boxes.
-        steps: of each stage of its run; empty for photos without a model.
-        parts: in an order in which they can be done.
-        done: whether an earlier batch has done all of it.
-    """
-
-    name: str
-    objects: tuple[str, ...]
-    steps: tuple[int, ...]
-    parts: tuple[Part, ...]
-    done: bool = False
+    name: str  # of the scene in the table
+    objects: tuple[str, ...]  # names of its boxes
+    steps: tuple[int, ...]  # of each stage of its run; empty for photos without a model
+    parts: tuple[Part, ...]  # in an order in which they can be done
+    done: bool = False  # whether an earlier batch has done all of it
 
     @cached_property
     def work(self) -> float:

@@ -20,19 +20,12 @@ VERSION = 2
 
 @dataclass(frozen=True, kw_only=True)
 class Output:
-    """A file that a batch writes beside its run folders.
+    """A file that a batch writes beside its run folders."""
 
-    Attributes:
-        name: its place in the folder of outputs.
-        source: the PLY that it is made of.
-        path: where it is.
-        options: words of the command line that makes it.
-    """
-
-    name: str
-    source: Path
-    path: Path
-    options: tuple[str, ...] = ()
+    name: str  # its place in the folder of outputs
+    source: Path  # the PLY that it is made of
+    path: Path  # where it is
+    options: tuple[str, ...] = ()  # words of the command line that makes it
 
 
 class BatchRecord:

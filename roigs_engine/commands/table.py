@@ -20,24 +20,14 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """A command of the command line.
+    """A command of the command line."""
 
-    Attributes:
-        request: what it is asked for.
-        does: module and function of `app` that does it, or which one for a request; it is imported
-            when it is used.
-        help: what it does, in a line.
-        examples: for the help, each what follows the command.
-        torch: whether it needs torch, which needs much memory to start.
-        as_it_goes: whether the function is also given where to print lines as they are known.
-    """
-
-    request: type[Request]
-    does: str | Callable[[Any], str]
-    help: str
-    examples: tuple[str, ...]
-    torch: bool = True
-    as_it_goes: bool = False
+    request: type[Request]  # what it is asked for
+    does: str | Callable[[Any], str]  # `MODULE:FUNCTION` of `app`, or which for a request
+    help: str  # what it does, in a line
+    examples: tuple[str, ...]  # for the help, each what follows the command
+    torch: bool = True  # whether it needs torch, which needs much memory to start
+    as_it_goes: bool = False  # whether it is given where to print lines as they are known
 
     @property
     def takes_file(self) -> bool:

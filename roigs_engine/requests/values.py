@@ -21,20 +21,13 @@ SCHEME = re.compile(r"([a-z][a-z0-9+.-]+)://", re.IGNORECASE)
 
 @dataclass(frozen=True, kw_only=True)
 class Number:
-    """An integer or a number in a range.
+    """An integer or a number in a range."""
 
-    Attributes:
-        low, high: the range; both belong to it.
-        integer: whether it must be an integer.
-        above: `low` does not belong to the range.
-        zero: 0 is allowed too, though it is below the range.
-    """
-
-    low: float
+    low: float  # the range; both belong to it
     high: float
-    integer: bool = False
-    above: bool = False
-    zero: bool = False
+    integer: bool = False  # whether it must be an integer
+    above: bool = False  # `low` does not belong to the range
+    zero: bool = False  # 0 is allowed too, though it is below the range
 
     def __call__(self, text: str) -> Any:
         try:
