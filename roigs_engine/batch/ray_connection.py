@@ -134,7 +134,8 @@ def _connected(address: str) -> Any:
         if place is not None:
             with socket.create_connection(place, CONNECT_SECONDS):
                 pass
-        _hush(ray)
+        with suppress(AttributeError):  # what Ray prints of lost machines would not be JSON
+            ray._private.worker.print_to_stdstream = lambda *_, **__: None
         seconds = START_SECONDS if address == "local" else JOIN_SECONDS
         until = time.monotonic() + seconds
         _in_thread(
@@ -162,12 +163,6 @@ def _nothing_there(address: str, error: Exception) -> ConfigError:
         "Start one there with `ray start --head`, correct the address, or use --cluster local. If"
         " it wants a token, set RAY_AUTH_MODE=token (docs/many.md).",
     )
-
-
-def _hush(ray: Any) -> None:
-    """Keep what Ray prints of lost machines off standard output, which may be read as JSON."""
-    with suppress(AttributeError):
-        ray._private.worker.print_to_stdstream = lambda *_, **__: None
 
 
 def host_and_port(address: str) -> tuple[str, int] | None:

@@ -161,13 +161,11 @@ def _declared(request: Any) -> dict[str, Option]:
             if declared is None:
                 continue
             required = fields[name].default is MISSING
-            flags = declared.flags
-            if flags is None:
-                flags = (f"--{name.replace('_', '-')}",)
+            usual = (f"--{name.replace('_', '-')}",)
             found[name] = replace(
                 declared,
                 name=name,
-                flags=flags,
+                flags=usual if declared.flags is None else declared.flags,
                 required=required,
                 default=None if required else fields[name].default,
                 heading=vars(part).get("heading", ""),

@@ -128,15 +128,14 @@ class Choice(Name):
         return value
 
 
+@dataclass(frozen=True, kw_only=True)
 class Flag:
     """True or false; on the command line, the option's name alone is true.
 
-    Args:
-        negatable: whether `--no-NAME` is false, as for an option whose default depends on others.
+    If it is `negatable`, `--no-NAME` is false: for an option whose default depends on others.
     """
 
-    def __init__(self, *, negatable: bool = False) -> None:
-        self.negatable = negatable
+    negatable: bool = False
 
     def of_json(self, value: Any) -> bool:
         if not isinstance(value, bool):
