@@ -16,6 +16,8 @@ from .transform import moved
 
 TITLE = "OpenUSD"
 PRIM = "/Gaussians"
+ARCS = ("references", "payload", "inheritPaths", "specializes", "variantSetNames", "clips")
+"""What makes OpenUSD open other files, or the same prims again and again."""
 KIND = "ParticleField3DGaussianSplat"
 
 
@@ -72,8 +74,14 @@ def read(path: Path) -> Arrays:
     """See `FileFormat`: the Gaussians of a stage with one such prim, where it has them, y up."""
     usd, geom, *_ = _modules()
     with reading(path, TITLE):
-        stage = usd.Stage.Open(os.fspath(path), usd.Stage.LoadNone)
+        layer, others = _alone(path)
+        stage = usd.Stage.Open(layer, usd.Stage.LoadNone)
         prims = [prim for prim in stage.Traverse() if prim.GetTypeName() == KIND]
+        if others and not prims:
+            raise EngineError(
+                f"{path} has its Gaussians in other files, which are not opened.",
+                "Make one file of them: usdcat --flatten IN --out OUT.",
+            )
         if len(prims) != 1:
             raise damaged(path, TITLE, f"{len(prims)} prims of Gaussians, not one")
 
@@ -95,3 +103,26 @@ def read(path: Path) -> Arrays:
         place = np.array(geom.Xformable(prims[0]).ComputeLocalToWorldTransform(0.0)).T
         up = str(geom.GetStageUpAxis(stage)).lower()
         return moved(arrays, turn(up, "y") @ place)
+
+
+def _alone(path: Path) -> tuple[Any, bool]:
+    """The layer of a file without what it takes from elsewhere; whether it took anything.
+
+    A small file may name a pipe, any file of the computer, or itself a billion times.
+    """
+    sdf = package("pxr.Sdf", TITLE, "usd-core")
+    layer = sdf.Layer.OpenAsAnonymous(os.fspath(path))
+    if layer is None:
+        raise damaged(path, TITLE, "there is no layer in it")
+    others = bool(layer.subLayerPaths)
+    layer.subLayerPaths.clear()
+
+    def cut(place: Any) -> None:
+        nonlocal others
+        spec = layer.GetObjectAtPath(place)
+        for name in filter(spec.HasInfo, ARCS) if spec else ():
+            spec.ClearInfo(name)
+            others = True
+
+    layer.Traverse(sdf.Path.absoluteRootPath, cut)
+    return layer, others

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import os
 import struct
 from pathlib import Path
 
@@ -111,4 +112,30 @@ def test_openusd_says_what_is_wrong_and_not_where_in_its_source(tmp_path: Path) 
     whole = exchange.good(".usdc", 1)
     refused(tmp_path / "a.usdc", whole[:2000], r"\(Sdf crate file corrupt, possibly truncated")
     refused(tmp_path / "b.usdc", whole[:50], r"\(File too small to contain bootstrap structure\)")
-    refused(tmp_path / "c.usdz", exchange.good(".usdz", 1)[:200], r"\(Failed to open layer @")
+    refused(tmp_path / "c.usdz", exchange.good(".usdz", 1)[:200], "there is no layer in it")
+
+
+def test_openusd_opens_no_other_file_and_nothing_twice(tmp_path: Path) -> None:
+    """Doubling references of 2 KB reached 5 GB; a pipe that a layer names is waited for."""
+    pytest.importorskip("pxr")
+    good = exchange.good(".usda", 1).decode()
+    (tmp_path / "other.usda").write_text(good)
+    os.mkfifo(tmp_path / "pipe.usda")
+    double = "".join(
+        f'def "P{k}" {{\n def "a" (references = </P{k - 1}>) {{\n }}\n'
+        f' def "b" (references = </P{k - 1}>) {{\n }}\n}}\n'
+        for k in range(1, 60)
+    )
+    head, _, rest = good.partition("\n)\n")
+    texts = {
+        "doubled": f'#usda 1.0\ndef "P0" {{\n}}\n{double}',
+        "referred": '#usda 1.0\ndef "A" (references = @other.usda@) {\n}\n',
+        "paid": f'#usda 1.0\ndef "A" (payload = @{tmp_path}/other.usda@) {{\n}}\n',
+        "layered": "#usda 1.0\n(\n subLayers = [@pipe.usda@]\n)\n",
+    }
+    for name, text in texts.items():
+        (tmp_path / f"{name}.usda").write_text(text)
+        with pytest.raises(EngineError, match="in other files, which are not opened"):
+            formats.read(tmp_path / f"{name}.usda")
+    (tmp_path / "good.usda").write_text(f"{head}\n subLayers = [@pipe.usda@]\n)\n{rest}")
+    assert len(formats.read(tmp_path / "good.usda")["means"]) == exchange.GAUSSIANS
