@@ -23,7 +23,7 @@ import torch
 from ..errors import KernelError, RunFolderError
 from ..formats.files import atomic_write
 from ..kernels.build import SOURCE_FOLDER as SHARED_FOLDER
-from ..kernels.library import user_cache
+from ..kernels.library import refuse_others_code, user_cache
 
 FOLDER = Path(__file__).parent / "kernels"
 PROGRAMS = ("project.cu", "blend.cu", "weigh.cu", "gradient.cu", "backward.cu", "loss.cu")
@@ -164,11 +164,11 @@ def _strings(texts: Sequence[bytes]) -> Any:
 def libraries(folders: Sequence[str] | None = None) -> list[Path]:
     """NVRTC libraries in the folders of packages, by default those of this Python."""
     found = []
-    for folder in sys.path if folders is None else folders:
+    for folder in filter(os.path.isabs, sys.path if folders is None else folders):
         for pattern in PATTERNS:
             found += [
                 path
-                for path in sorted(Path(folder or ".").glob(pattern))
+                for path in sorted(Path(folder).glob(pattern))
                 if "builtins" not in path.name and ".alt." not in path.name
             ]
     return list(dict.fromkeys(found))
@@ -198,6 +198,7 @@ def load(major: int | None = None) -> Nvrtc:
 def machine_code(compiler: Nvrtc, target: int) -> bytes:
     """The kernels for a compute capability, from disk if they were compiled before."""
     path = cached(compiler, target)
+    refuse_others_code(path)
     with suppress(OSError):
         return path.read_bytes()
     code = compiler.compile(target)

@@ -9,8 +9,10 @@ from __future__ import annotations
 import ctypes
 import functools
 import os
+import stat
 import sys
 import warnings
+from contextlib import suppress
 from pathlib import Path
 
 from ..errors import KernelError
@@ -80,6 +82,8 @@ def _folder_with_libraries() -> Path:
     cache = _user_cache_folder()
     for folder in (PACKAGE_FOLDER, cache):
         if available(folder):
+            if folder is cache:
+                refuse_others_code(folder)
             _check_age(folder)
             return folder
     folder = PACKAGE_FOLDER if _is_writable(PACKAGE_FOLDER) else cache
@@ -170,6 +174,28 @@ def _is_writable(folder: Path) -> bool:
 def _user_cache_folder() -> Path:
     """The kernels' folder if the package's is read-only; one folder per source version."""
     return user_cache() / "kernels" / build.source_key()
+
+
+def refuse_others_code(path: Path) -> None:
+    """Refuse a file or folder in the user's cache that others can change: what it holds is run.
+
+    Raises:
+        KernelError: it, or a folder above it, belongs to somebody else or is writable for all.
+    """
+    if not hasattr(os, "getuid"):
+        return
+    home = user_cache()
+    inside = [path, *path.rglob("*")]
+    for place in (*inside, *path.parents):
+        with suppress(FileNotFoundError):
+            status = place.stat()
+            foreign = place.is_relative_to(home) and status.st_uid not in (0, os.getuid())
+            open_to_all = status.st_mode & stat.S_IWOTH and not status.st_mode & stat.S_ISVTX
+            if foreign or open_to_all:
+                raise KernelError(
+                    f"Others can change {place}, from which the engine loads code.",
+                    f"Delete {home}, and make {home.parent} writable for yourself only.",
+                )
 
 
 def user_cache() -> Path:

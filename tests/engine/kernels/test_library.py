@@ -247,6 +247,29 @@ def test_missing_library_is_built_once(tmp_path: Path, monkeypatch: pytest.Monke
         assert built[-1] == tmp_path / wanted
 
 
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="owners and modes of POSIX")
+def test_a_cache_that_others_can_change_is_not_loaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(library, "user_cache", lambda: tmp_path / "roigs")
+    kernels = tmp_path / "roigs" / "kernels" / "1"
+    kernels.mkdir(parents=True)
+    (kernels / "linux").mkdir()
+    code = kernels / "linux" / "kernels.so"
+    code.write_bytes(b"code")
+    library.refuse_others_code(kernels)
+    library.refuse_others_code(kernels / "not yet there")
+    for place in (code, kernels, tmp_path / "roigs", tmp_path):
+        place.chmod(place.stat().st_mode | 0o002)
+        with pytest.raises(KernelError, match=f"Others can change {place}, from which"):
+            library.refuse_others_code(kernels)
+        place.chmod(place.stat().st_mode & ~0o002)
+    monkeypatch.setattr(library.os, "getuid", lambda: 12345)
+    if code.stat().st_uid:
+        with pytest.raises(KernelError, match="Others can change"):
+            library.refuse_others_code(kernels)
+
+
 def test_missing_library_and_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(folder: Path) -> None:
         raise build.BuildError("No C++ compiler found.")
