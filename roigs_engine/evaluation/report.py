@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -18,6 +19,8 @@ FLIP: Column = ("ROI FLIP", lambda row: row.roi_flip, ".4f", -1)
 MASK: Column = ("mask PSNR (dB)", lambda row: row.mask_psnr, ".2f", 1)
 CORRECTED: Column = ("corrected (dB)", lambda row: row.corrected_psnr, ".2f", 1)
 OPTIONAL = (FLIP, MASK, CORRECTED)
+MARKDOWN = re.compile(r"[\\`*_\[\]<>|~]")
+"""What a name may hold that Markdown or HTML would take as its own."""
 """Columns that are there if they have a number."""
 COLUMNS: tuple[Column, ...] = (
     ("ROI PSNR (dB)", lambda row: row.roi_psnr, ".2f", 1),
@@ -67,7 +70,7 @@ def format_markdown(evaluation: Evaluation) -> str:
         columns = [column for column in PHOTO_COLUMNS if has_number(rows, column)]
         if columns:
             lines += ["Near and far, and single photos:", "", *_table(rows, columns), ""]
-        lines += [f"- {printable(line)}" for line in box_notes(scores, evaluation)]
+        lines += [f"- {_text(line)}" for line in box_notes(scores, evaluation)]
         lines.append("")
     seen = [row for scores in evaluation.rois for row in scores.rows if row.views]
     missing = bool(seen) and not has_number(seen, FLIP)
@@ -94,8 +97,8 @@ def write_report(evaluation: Evaluation, run_dir: Path) -> tuple[Path, Path]:
 
 
 def _text(text: str) -> str:
-    """The text on one line, escaped for a table cell."""
-    return printable(" ".join(text.split())).replace("|", "\\|")
+    """The text on one line; names in it are no Markdown, and no HTML."""
+    return MARKDOWN.sub(r"\\\g<0>", printable(" ".join(text.split())))
 
 
 def shown_columns(rows: Sequence[ModelScore]) -> list[Column]:

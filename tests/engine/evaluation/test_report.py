@@ -27,6 +27,19 @@ def test_markdown_table_of_single_photos() -> None:
     assert "Photos of the peak and the worst gain: ours 3.png, 0.png." in text
 
 
+def test_names_are_no_markdown() -> None:
+    name = "<img src=//host/x onerror=a()> ![x](http://host) `a` *b* | _c_ \\"
+    scores = by_hand().rois[0]
+    rows = (
+        scores.rows[0],
+        dataclasses.replace(scores.rows[1], model=name, peak_view=name, worst_view=name),
+    )
+    scores = dataclasses.replace(scores, roi=name, rows=rows)
+    text = format_markdown(dataclasses.replace(by_hand(), rois=(scores,)))
+    shown = r"\<img src=//host/x onerror=a()\> !\[x\](http://host) \`a\` \*b\* \| \_c\_ \\"
+    assert text.count(shown) == 1 + 2 + 3 and "<img" not in text.replace("\\<img", "")
+
+
 def test_a_report_says_validation_photos() -> None:
     scores = dataclasses.replace(by_hand().rois[0], left_out=("8.png",))
     unseen = dataclasses.replace(scores, roi="unseen", views=(), rows=())
