@@ -27,7 +27,7 @@ from pathlib import Path
 started = time.perf_counter()
 from roigs_engine.cuda import compiler
 compiler.user_cache = lambda: Path(sys.argv[2])
-nvrtc = compiler.nvrtc_of_torch()
+nvrtc = compiler.load()
 nvrtc.architectures()
 code = compiler.machine_code(nvrtc, int(sys.argv[1]))
 print(json.dumps([time.perf_counter() - started, len(code), nvrtc.version]))

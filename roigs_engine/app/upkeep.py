@@ -139,7 +139,7 @@ def check_gpu(
     memory = torch.cuda.get_device_properties(device).total_memory / 2**30
     name = torch.cuda.get_device_name(device)
     say(f"Card     {name}, compute capability {capability}, {memory:.1f} GiB")
-    nvrtc = ".".join(map(str, compiler.nvrtc_of_torch().version))
+    nvrtc = ".".join(map(str, compiler.load().version))
     say(f"Kernels  ready in {seconds:.1f} s, NVRTC {nvrtc}")
     for result, error in gpu_check.compare(device).items():
         verdict = "ok   " if error <= gpu_check.LIMIT else "WRONG"

@@ -19,7 +19,6 @@ class Program(Protocol):
 
     def launch(self, kernel: str, blocks: int, threads: int, argument: ctypes.Structure) -> None:
         """Start a kernel with its argument, after what runs on the device's current stream."""
-        ...
 
 
 class CardProgram:
@@ -35,7 +34,6 @@ class CardProgram:
         self._kernels = self._driver.load(code, compiler.KERNELS)
 
     def launch(self, kernel: str, blocks: int, threads: int, argument: ctypes.Structure) -> None:
-        """See `Program`."""
         self._driver.enter(self._context)  # autograd's threads have none of their own
         stream = torch.cuda.current_stream(self._device).cuda_stream
         self._driver.launch(self._kernels[kernel], (blocks, threads), stream, argument)
@@ -45,10 +43,9 @@ class CardProgram:
 def program(device: torch.device) -> Program:
     """The kernels for a device; compiled, where they are not on disk.
 
-    Raises:
-        KernelError: no compiler, no driver, or one too old; or the code cannot be loaded.
+    KernelError: no compiler, no driver, or one too old; or the code cannot be loaded.
     """
-    nvrtc = compiler.nvrtc_of_torch()
+    nvrtc = compiler.load()
     driver.load().check_version(nvrtc.version)
     target = compiler.architecture(device, nvrtc)
     try:
@@ -60,12 +57,8 @@ def program(device: torch.device) -> Program:
 
 
 def prepare(device: torch.device, context: Context = QUIET) -> None:
-    """Compile for a device, unless that is done; a message says so before it starts.
-
-    Raises:
-        KernelError: as `program`.
-    """
-    nvrtc = compiler.nvrtc_of_torch()
+    """Compile for a device, unless that is done; a message says so first. KernelError as above."""
+    nvrtc = compiler.load()
     if not compiler.cached(nvrtc, compiler.architecture(device, nvrtc)).is_file():
         context.info("Compiling the GPU kernels for this card, once: some seconds.")
     program(device)

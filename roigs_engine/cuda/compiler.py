@@ -13,7 +13,7 @@ import functools
 import hashlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -35,6 +35,15 @@ KERNELS = (
 )
 """The names of all kernels."""
 
+PATTERNS = (
+    "nvidia/*/lib/libnvrtc.so.[0-9]*",
+    "torch/lib/libnvrtc*.so*",
+    "nvidia/*/bin/nvrtc64_*.dll",
+    "nvidia/*/bin/*/nvrtc64_*.dll",
+    "torch/lib/nvrtc64_*.dll",
+)
+"""Where wheels keep the library, below a folder of packages."""
+OPTIONS = ("--std=c++17", "--device-as-default-execution-space")
 _INTEGERS = """#pragma once
 typedef signed char int8_t;
 typedef unsigned char uint8_t;
@@ -54,8 +63,9 @@ def source_text() -> str:
 @functools.cache
 def headers() -> dict[str, str]:
     """Name -> text of all that `source_text` includes, itself or further down."""
-    found = {path.name: _text(path) for path in sorted(FOLDER.iterdir()) if path.suffix != ".md"}
-    found |= {name: _text(SHARED_FOLDER / name) for name in SHARED}
+    own = [path for path in sorted(FOLDER.iterdir()) if path.suffix != ".md"]
+    paths = [*own, *(SHARED_FOLDER / name for name in SHARED)]
+    found = {path.name: path.read_text(encoding="utf-8") for path in paths}
     scalar = '#pragma once\n#include "scalar.h"\n'
     return found | {"simd.h": scalar, "simd_rows.h": scalar, "cstdint": _INTEGERS}
 
@@ -67,22 +77,6 @@ def source_key() -> str:
     for name, text in headers().items():
         digest.update(f"{name}\0{text}\0".encode())
     return digest.hexdigest()[:16]
-
-
-def _text(path: Path) -> str:
-    return path.read_text(encoding="utf-8")
-
-
-PATTERNS = (
-    "nvidia/*/lib/libnvrtc.so.[0-9]*",
-    "torch/lib/libnvrtc*.so*",
-    "nvidia/*/bin/nvrtc64_*.dll",
-    "nvidia/*/bin/*/nvrtc64_*.dll",
-    "torch/lib/nvrtc64_*.dll",
-)
-"""Where wheels keep the library, below a folder of packages."""
-
-OPTIONS = ("--std=c++17", "--device-as-default-execution-space")
 
 
 class Nvrtc:
@@ -106,24 +100,17 @@ class Nvrtc:
         return list(found)
 
     def compile(self, architecture: int) -> bytes:
-        """The kernels' machine code for a compute capability.
-
-        Raises:
-            KernelError: the compiler refuses.
-        """
-        texts = [text.encode() for text in headers().values()]
-        names = [name.encode() for name in headers()]
-        options = [f"--gpu-architecture=sm_{architecture}".encode()]
-        options += [option.encode() for option in OPTIONS]
+        """The kernels' machine code for a compute capability, or KernelError."""
+        options = [f"--gpu-architecture=sm_{architecture}", *OPTIONS]
         handle = ctypes.c_void_p()
         self._call(
             "nvrtcCreateProgram",
             ctypes.byref(handle),
             source_text().encode(),
             b"roigs.cu",
-            len(names),
-            _strings(texts),
-            _strings(names),
+            len(headers()),
+            _strings(headers().values()),
+            _strings(headers()),
         )
         try:
             self._compile(handle, options)
@@ -135,7 +122,7 @@ class Nvrtc:
         finally:
             self._library.nvrtcDestroyProgram(ctypes.byref(handle))
 
-    def _compile(self, program: ctypes.c_void_p, options: Sequence[bytes]) -> None:
+    def _compile(self, program: ctypes.c_void_p, options: Sequence[str]) -> None:
         try:
             self._call("nvrtcCompileProgram", program, len(options), _strings(options))
         except KernelError as error:
@@ -157,29 +144,28 @@ class Nvrtc:
             )
 
 
-def _strings(texts: Sequence[bytes]) -> Any:
-    return (ctypes.c_char_p * len(texts))(*texts)
+def _strings(texts: Iterable[str]) -> Any:
+    encoded = [text.encode() for text in texts]
+    return (ctypes.c_char_p * len(encoded))(*encoded)
 
 
-def libraries(folders: Sequence[str] | None = None) -> list[Path]:
-    """NVRTC libraries in the folders of packages, by default those of this Python."""
-    found = []
-    for folder in filter(os.path.isabs, sys.path if folders is None else folders):
-        for pattern in PATTERNS:
-            found += [
-                path
-                for path in sorted(Path(folder).glob(pattern))
-                if "builtins" not in path.name and ".alt." not in path.name
-            ]
+def libraries() -> list[Path]:
+    """NVRTC libraries in this Python's folders of packages."""
+    found = [
+        path
+        for folder in filter(os.path.isabs, sys.path)
+        for pattern in PATTERNS
+        for path in sorted(Path(folder).glob(pattern))
+        if "builtins" not in path.name and ".alt." not in path.name
+    ]
     return list(dict.fromkeys(found))
 
 
 @functools.cache
-def load(major: int | None = None) -> Nvrtc:
-    """The library; of several, the one of this major version of CUDA.
+def load() -> Nvrtc:
+    """The library; of several, that of torch's major version of CUDA, or else the newest.
 
-    Raises:
-        KernelError: there is none, or it cannot be loaded.
+    KernelError: there is none, or it cannot be loaded.
     """
     found, reason = [], ""
     for path in libraries():
@@ -192,7 +178,8 @@ def load(major: int | None = None) -> Nvrtc:
             f"NVRTC cannot be loaded ({reason})." if reason else "NVRTC is not installed.",
             "Install torch for CUDA with pip: NVRTC comes with it.",
         )
-    return max(found, key=lambda nvrtc: (nvrtc.version[0] == major, nvrtc.version))
+    major = (torch.version.cuda or "").partition(".")[0]
+    return max(found, key=lambda nvrtc: (str(nvrtc.version[0]) == major, nvrtc.version))
 
 
 def machine_code(compiler: Nvrtc, target: int) -> bytes:
@@ -214,11 +201,7 @@ def cached(compiler: Nvrtc, target: int) -> Path:
 
 
 def architecture(device: torch.device, compiler: Nvrtc) -> int:
-    """The newest compute capability of the compiler whose code runs on a card.
-
-    Raises:
-        KernelError: there is none.
-    """
+    """The newest compute capability of the compiler whose code runs on a card, or KernelError."""
     major, minor = torch.cuda.get_device_capability(device)
     known = compiler.architectures()
     usable = [known for known in known if known // 10 == major and known % 10 <= minor]
@@ -229,9 +212,3 @@ def architecture(device: torch.device, compiler: Nvrtc) -> int:
             "Install torch for a newer CUDA." if 10 * major > max(known) else "Use the CPU.",
         )
     return max(usable)
-
-
-def nvrtc_of_torch() -> Nvrtc:
-    """The compiler of torch's version of CUDA, or the newest. Raises KernelError."""
-    cuda = torch.version.cuda
-    return load(int(cuda.partition(".")[0]) if cuda else None)

@@ -16,8 +16,6 @@ from ..formats.events import Device
 from . import card
 
 CPU = torch.device("cpu")
-
-
 Check = Callable[[torch.device, Context], None]
 """Raises KernelError if a GPU computes what it should not."""
 
@@ -25,12 +23,8 @@ Check = Callable[[torch.device, Context], None]
 def choose_device(name: str, context: Context = QUIET, check: Check | None = None) -> torch.device:
     """The device for `--device`: "cpu", "cuda", or "auto", the GPU if one can be used.
 
-    An event says which one it is, and why.
-
-    Args: `check`: tests our kernels on the GPU, before they are used.
-
-    Raises:
-        KernelError: "cuda" was requested and cannot be used.
+    An event says which one it is, and why. `check` tests our kernels on the GPU before they are
+    used. KernelError: "cuda" was requested and cannot be used.
     """
     if name == "cpu":
         context.emit(Device(kind="cpu", name="", reason="chosen"))
@@ -83,14 +77,9 @@ def card_memory(device: torch.device) -> tuple[int, int]:
 
 @contextmanager
 def explain_out_of_memory(doing: Callable[[], str], advice: Callable[[], str]) -> Iterator[None]:
-    """Turn torch's out-of-memory error into one line.
+    """Turn torch's out-of-memory error into a GpuMemoryError.
 
-    Args:
-        doing: describes the work with its numbers, for the message.
-        advice: what to change, for the hint.
-
-    Raises:
-        GpuMemoryError: the GPU memory is full.
+    `doing` describes the work with its numbers; `advice` says what to change.
     """
     try:
         yield

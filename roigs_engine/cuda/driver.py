@@ -75,7 +75,7 @@ class Driver:
         self.call("cuLaunchKernel", kernel, *grid, ctypes.c_void_p(stream), arguments, None)
 
     def call(self, name: str, *arguments: Any) -> None:
-        """Call a function of the driver; raises KernelError if it fails."""
+        """Call a function of the driver; KernelError if it fails."""
         failed = int(getattr(self._library, name)(*arguments))
         if not failed:
             return
@@ -94,11 +94,7 @@ class Driver:
 
 @functools.cache
 def load() -> Driver:
-    """The system's driver.
-
-    Raises:
-        KernelError: there is none, or it does not start.
-    """
+    """The system's driver; KernelError if there is none, or it does not start."""
     try:
         library = ctypes.CDLL(LIBRARY)
     except OSError as error:

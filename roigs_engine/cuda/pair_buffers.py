@@ -54,25 +54,16 @@ class ArrivingNumbers:
 
 @dataclass(frozen=True, kw_only=True)
 class PairBuffer:
-    """The buffer for one view of one step.
+    """The buffer for one view of one step."""
 
-    Attributes:
-        capacity: pairs that it holds; None: the view is new, wait for the number.
-        void: () bool on the GPU, whether this view or an earlier one has too many.
-        report: gets the number of pairs that were counted: on the GPU, or read if `capacity` is
-            None.
-    """
-
-    capacity: int | None
-    void: Tensor
+    capacity: int | None  # pairs that it holds; None: the view is new, wait for the number
+    void: Tensor  # () bool on the GPU, whether this view or an earlier one has too many
     report: Callable[[Tensor | int], None]
+    """Gets the number of pairs that were counted: on the GPU, or read if `capacity` is None."""
 
 
 class PairBuffers:
-    """The buffers of a stage's views.
-
-    Args: `read`: starts to read a () int64 of the device.
-    """
+    """The buffers of a stage's views; `read` starts to read a () int64 of the device."""
 
     def __init__(
         self, device: torch.device, read: Callable[[Tensor], Number] | None = None
@@ -100,7 +91,7 @@ class PairBuffers:
     def first_void(self, *, wait: bool) -> int | None:
         """The first step that must be done again, if any is known; later ones are forgotten.
 
-        Args: `wait`: until the GPU has counted the pairs of all views.
+        With `wait`, the GPU has counted the pairs of all views.
         """
         while self._coming:
             step, view, capacity, number = self._coming[0]

@@ -22,18 +22,10 @@ class Photos(Protocol):
     def prefetch(self, indices: Sequence[int]) -> None: ...
 
 
-class PhotoTensors(Protocol):
-    """Photos for the trainer on its device, uint8: (H, W, 3), or with a mask (H, W, 4)."""
+def photos_on(device: torch.device, photos: Photos, limit: int | None) -> HostPhotos | DevicePhotos:
+    """The photos as tensors on the device, uint8: (H, W, 3), or with a mask (H, W, 4).
 
-    def __getitem__(self, index: int) -> Tensor: ...
-
-    def prefetch(self, indices: Sequence[int]) -> None: ...
-
-
-def photos_on(device: torch.device, photos: Photos, limit: int | None = None) -> PhotoTensors:
-    """The photos as tensors on the device.
-
-    Args: `limit`: bytes of a GPU that they may take; None: a share of what is free.
+    `limit` is how many bytes of a GPU they may take; None: a share of what is free.
     """
     if device.type == "cpu":
         return HostPhotos(photos)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..formats.files import atomic_write
+from ..formats.files import write_bytes
 from ..formats.splat_ply import ANTIALIASED
 from .arrays import Arrays, unit_quats
 from .libraries import damaged, package, reading
@@ -35,8 +35,7 @@ def write(path: Path, arrays: Arrays, *, antialiased: bool = False) -> int:
     )
     if antialiased:  # gsply writes no comments; they follow the format, as in a plain PLY
         data = data.replace(b"\nelement ", f"\n{ANTIALIASED}\nelement ".encode(), 1)
-    with atomic_write(path) as file:
-        file.write(data)
+    write_bytes(path, data)
     return len(sh)
 
 

@@ -70,12 +70,7 @@ def format_of(path: Path) -> FileFormat:
 
 
 def write(
-    path: Path,
-    arrays: Arrays,
-    check: Check = nothing,
-    *,
-    antialiased: bool = False,
-    **more: Any,
+    path: Path, arrays: Arrays, check: Check = nothing, *, antialiased: bool = False, **more: Any
 ) -> int:
     """Write Gaussians in the format that the name says, whole or not at all; returns how many.
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ..formats.files import atomic_write
+from ..formats.files import write_bytes
 from ..model.gaussians import SH_C0
 from ..model.scene import Float64
 from .arrays import Arrays, logits, opacities, unit_quats
@@ -67,9 +67,7 @@ def write(path: Path, arrays: Arrays) -> int:
     made.scenes.append(gltf.Scene(nodes=[0]))
     made.buffers.append(gltf.Buffer(byteLength=len(blob)))
     made.set_binary_blob(bytes(blob))
-    with atomic_write(path) as file:
-        for part in made.save_to_bytes():
-            file.write(part)
+    write_bytes(path, b"".join(made.save_to_bytes()))
     return len(arrays["means"])
 
 

@@ -19,8 +19,12 @@ from ..errors import EngineError, RunFolderError
 from ..formats.text import in_gb
 from ..machine import is_memory_full
 
-EXTRA = "formats"
-"""The extra of pyproject.toml that installs all of them."""
+EXTRA = "formats"  # of pyproject.toml: installs all of them
+HINT = "Write or download the file again."
+MOST_RATIO, SMALL = 100, 64 << 20
+"""Files of Gaussians unpack to some ten times their size; bombs to a thousand times."""
+OPENUSD = re.compile(r" at line \d+ in file .*? : '(.*?)\n?'(?:\n|$)", re.DOTALL)
+"""Its errors begin with the place in its source."""
 
 
 def package(module: str, purpose: str, name: str = "") -> Any:
@@ -39,14 +43,6 @@ def package(module: str, purpose: str, name: str = "") -> Any:
             f"{purpose} needs {name}, which is not installed ({error}).",
             f"Install {name}, or all of the extra '{EXTRA}'.",
         ) from error
-
-
-HINT = "Write or download the file again."
-MOST_RATIO, SMALL = 100, 64 << 20
-"""Files of Gaussians unpack to some ten times their size; bombs to a thousand times."""
-
-OPENUSD = re.compile(r" at line \d+ in file .*? : '(.*?)\n?'(?:\n|$)", re.DOTALL)
-"""Its errors begin with the place in its source."""
 
 
 def damaged(path: Path, title: str, why: object) -> RunFolderError:

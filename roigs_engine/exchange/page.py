@@ -19,7 +19,7 @@ import numpy as np
 
 from ..errors import ConfigError, EngineError
 from ..formats.drawable import usable
-from ..formats.files import atomic_write
+from ..formats.files import write_text
 from ..formats.text import printable
 from ..model.local_frame import LocalFrame
 from ..model.scene import Float64
@@ -73,8 +73,7 @@ def write(
         "script": "\n".join(_part(name).replace('"use strict";\n', "") for name in SCRIPTS),
     }
     text = re.sub(r"\{\{(\w+)\}\}", lambda found: values[found[1]], _part("page.html"))
-    with atomic_write(path) as file:
-        file.write(text.encode("utf-8", "backslashreplace"))  # names on disk may be no UTF-8
+    write_text(path, text)
     return counts[AFTER]
 
 
@@ -123,6 +122,5 @@ def _part(name: str) -> str:
         return (PARTS / name).read_text(encoding="utf-8")
     except OSError as error:
         raise EngineError(
-            f"A part of web pages is missing: {PARTS / name}.",
-            "Install the engine again.",
+            f"A part of web pages is missing: {PARTS / name}.", "Install the engine again."
         ) from error

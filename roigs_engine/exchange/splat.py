@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..formats.files import atomic_write
+from ..formats.files import write_bytes
 from ..model.gaussians import SH_C0
 from .arrays import Arrays, Float32, logits, opacities, unit_quats
 from .libraries import damaged
@@ -28,8 +28,7 @@ def write(path: Path, arrays: Arrays) -> int:
     rows["colour"][:, 3] = _bytes(alpha)
     rows["rotation"] = np.clip(np.round(unit_quats(arrays) * 128 + 128), 0, 255)
     order = np.argsort(-arrays["log_scales"].sum(axis=1) - np.log(alpha + 1e-6), kind="stable")
-    with atomic_write(path) as file:
-        file.write(rows[order].tobytes())
+    write_bytes(path, rows[order].tobytes())
     return len(rows)
 
 

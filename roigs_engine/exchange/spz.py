@@ -15,7 +15,7 @@ import numpy as np
 
 from ..errors import ConfigError
 from ..formats.drawable import FLAT
-from ..formats.files import atomic_write
+from ..formats.files import write_bytes
 from .arrays import Arrays, Check, Float32, in_morton_order, nothing, unit_quats
 from .compressed_ply import arrays_of
 from .libraries import damaged, package, reading, refuse_bomb, scratch
@@ -73,8 +73,7 @@ def write(
     check()
     data = _packed(kept, fraction, step, antialiased=antialiased)
     check()
-    with atomic_write(path) as file:
-        file.write(data)
+    write_bytes(path, data)
     return int(inside.sum())
 
 

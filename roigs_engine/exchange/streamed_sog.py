@@ -19,13 +19,14 @@ import numpy as np
 
 from ..errors import RunFolderError
 from ..formats.files import (
-    atomic_write,
     is_link,
     matching,
     own_folder,
     read_json,
+    read_record,
     remove_leftovers,
     remove_leftovers_of,
+    write_bytes,
     write_json,
 )
 from ..formats.lock import locked
@@ -84,8 +85,7 @@ def _write_sog(root: Path, name: str, files: Mapping[str, bytes]) -> str:
         digest.update(hashlib.sha256(data).digest())
     folder = own_folder(root, f"{name}-{digest.hexdigest()[:DIGITS]}")
     for file_name, data in files.items():
-        with atomic_write(folder / file_name) as file:
-            file.write(data)
+        write_bytes(folder / file_name, data)
     return f"{folder.name}/{sog.META}"
 
 
@@ -139,21 +139,18 @@ def _named(files: Iterable[Path]) -> set[str] | None:
 
 def _remove(folder: Path) -> None:
     """Delete a SOG of ours; others' files, and so their folders, stay."""
-    files: tuple[str, ...] = ()
-    with suppress(RunFolderError):
-        files = _files_of_ours(read_json(folder / sog.META))
     with suppress(OSError, ValueError):  # a damaged `meta.json` may hold any text
-        for name in files:
+        for name in _files_of_ours(read_record(folder / sog.META)):
             (folder / name).unlink(missing_ok=True)
         folder.rmdir()  # also an empty one, of an engine that was killed at its first file
 
 
-def _files_of_ours(meta: Any) -> tuple[str, ...]:
+def _files_of_ours(meta: dict[str, Any]) -> tuple[str, ...]:
     """The files of a SOG by its `meta.json`, which is the last; none if another program wrote it.
 
     If an engine is killed while it deletes them, `meta.json` still tells the next one the others.
     """
-    if not isinstance(meta, dict) or meta.get("asset") != {"generator": sog.GENERATOR}:
+    if meta.get("asset") != {"generator": sog.GENERATOR}:
         return ()
     parts = [part.get("files") for part in meta.values() if isinstance(part, dict)]
     names = [name for files in parts if isinstance(files, list) for name in map(str, files)]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import EngineError
-from ..formats.files import atomic_write
+from ..formats.files import write_bytes
 from .arrays import Arrays, logits, opacities, turn, unit_quats
 from .libraries import damaged, package, reading, scratch
 from .transform import moved
@@ -65,8 +65,7 @@ def write(path: Path, arrays: Arrays) -> int:
             utils.CreateNewUsdzPackage(os.fspath(made), os.fspath(whole))
             made = whole
         data = made.read_bytes()
-    with atomic_write(path) as file:
-        file.write(data)
+    write_bytes(path, data)
     return len(means)
 
 

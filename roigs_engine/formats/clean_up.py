@@ -8,9 +8,9 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
-from ..errors import EngineError, RunFolderError
+from ..errors import RunFolderError
 from . import run_files
-from .files import is_link, matching, read_json
+from .files import is_link, matching, read_record
 from .stage_list import read_stage_list
 
 # Files count as the engine's if they are called as it calls them, in a folder of a run.
@@ -21,12 +21,8 @@ _OF_A_STAGE = re.compile(r"stage\.json|model\.ply|checkpoint(\.before)?\.bin")
 
 def is_run_folder(folder: Path) -> bool:
     """Whether an engine has worked in the folder: by what its manifest or provenance says."""
-    for name, key in ((run_files.MANIFEST, "config"), (run_files.PROVENANCE, "entries")):
-        with suppress(EngineError):
-            record = read_json(folder / name)
-            if isinstance(record, dict) and key in record:
-                return True
-    return False
+    manifest, provenance = folder / run_files.MANIFEST, folder / run_files.PROVENANCE
+    return "config" in read_record(manifest) or "entries" in read_record(provenance)
 
 
 def removable(run: Path) -> list[Path]:

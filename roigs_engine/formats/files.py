@@ -149,9 +149,7 @@ def open_log(path: Path) -> TextIO:
     if is_link(path):
         path.unlink()
     elif path.exists() and path.stat().st_nlink > 1:
-        content = read_bytes(path)
-        with atomic_write(path) as copy:
-            copy.write(content)
+        write_bytes(path, read_bytes(path))
     with open(path, "a+b", opener=unlinked) as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(max(size - 1, 0))
@@ -264,15 +262,20 @@ def _remove_abandoned(path: Path) -> None:
             path.unlink()
 
 
-def write_text(path: Path, text: str, *, durable: bool = True) -> None:
-    """Write UTF-8 text under `path`, whole or not at all; `durable` as `atomic_write`."""
+def write_bytes(path: Path, data: bytes, *, durable: bool = True) -> None:
+    """Write a file, whole or not at all; `durable` as `atomic_write`."""
     with atomic_write(path, durable=durable) as file:
-        # Names on disk that are no UTF-8 come with surrogates, written as JSON writes them.
-        file.write(text.encode("utf-8", "backslashreplace"))
+        file.write(data)
+
+
+def write_text(path: Path, text: str, *, durable: bool = True) -> None:
+    """Write UTF-8 text as `write_bytes`."""
+    # Names on disk that are no UTF-8 come with surrogates, written as JSON writes them.
+    write_bytes(path, text.encode("utf-8", "backslashreplace"), durable=durable)
 
 
 def write_json(path: Path, value: Any, *, durable: bool = True) -> None:
-    """Write `value` as indented UTF-8 JSON under `path`, whole or not at all."""
+    """Write `value` as indented JSON as `write_bytes`."""
     write_text(path, json.dumps(value, indent=1, ensure_ascii=False) + "\n", durable=durable)
 
 

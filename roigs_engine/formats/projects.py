@@ -6,20 +6,15 @@ import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-PHOTO_FOLDERS = ("images", "images_2", "images_4", "images_8")
-"""Names of a project's folders of photos; the first one that fits is used."""
-VIDEOS = {".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v"}
-"""Suffixes of videos that become photos."""
+PHOTO_FOLDERS = ("images", "images_2", "images_4", "images_8")  # the first that fits is used
+VIDEOS = {".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v"}  # they become photos
 SPARSE = "sparse"
-RECONSTRUCTION = "reconstruction"
-"""What `reconstruct` keeps for itself."""
+RECONSTRUCTION = "reconstruction"  # what `reconstruct` keeps for itself
 SUFFIXES = (".bin", ".txt")
 FIRST_MODEL, REFINED = "0", "refined"
 CAMERAS_FILE = "cameras.bin"
-REFINED_FILES = (CAMERAS_FILE, "images.bin", "points3D.bin")
-"""Of a refined model, which is always binary."""
-IMAGES_FILES = ("images.bin", "images.txt")
-"""Every model has one of these."""
+REFINED_FILES = (CAMERAS_FILE, "images.bin", "points3D.bin")  # a refined model is always binary
+IMAGES_FILES = ("images.bin", "images.txt")  # every model has one of these
 FEWEST_OBSERVED = 30
 """COLMAP itself registers a photo only by so many points. It has fewer if they proved wrong later,
 or if lower limits were used to register it at all."""

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-MANIFEST = "manifest.json"
-"""What the run was made for: boxes, photos, settings."""
-SETTINGS = "settings.json"
-"""The options that the run was asked for with: an options file (docs/files.md)."""
+MANIFEST = "manifest.json"  # what the run was made for: boxes, photos, settings
+SETTINGS = "settings.json"  # the options that it was asked for with: an options file
 PROVENANCE = "provenance.json"
 SPLIT = "split.json"
 LOCK = "run.lock"
@@ -14,20 +12,15 @@ STAGES, STAGES_FILE = "stages", "stages.json"
 """A folder for each stage, `NAME-FINGERPRINT`, and the list of those of the present settings."""
 EARLIER = "earlier"
 """Results of earlier settings: a folder for each, named after a hash of their manifest."""
-CACHE, UNDISTORTED, MASKS = "cache", "undistorted", "masks"
-"""The latter two are in the former."""
+CACHE, UNDISTORTED, MASKS = "cache", "undistorted", "masks"  # the latter two are in the former
 OBJECT_MASKS = "blender/masks"
 """Masks of objects that Blender could not write beside the photos: a folder for each box."""
-BOXES = "rois.json"
-"""The box of `--roi auto`."""
-PROJECT = "colmap"
-"""The COLMAP project of a run of photos."""
-SELECTION = "selection"
-"""Folder with a list of photos for each box."""
+BOXES = "rois.json"  # the box of `--roi auto`
+PROJECT = "colmap"  # the COLMAP project of a run of photos
+SELECTION = "selection"  # folder with a list of photos for each box
 
 RESULT = "result.ply"
-BACKGROUND = "background.ply"
-"""The result without what lies in the boxes."""
+BACKGROUND = "background.ply"  # the result without what lies in the boxes
 FINE, COARSE = "rois", "coarse"
 """Folders with a PLY for each box: refined, and as the Scene-GS has it."""
 PREVIEW = "preview.ply"
@@ -35,19 +28,16 @@ REPORT, REPORT_DATA, CROPS = "report.md", "report.json", "crops"
 REPORT_PAGE = "report.html"
 LEVELS, LEVELS_FILE = "levels", "levels.json"
 """Levels of detail: a folder for each, laid out as the run folder, and the list of them."""
-LEVELS_MADE = "made.json"
-"""In the folder of levels: file -> hash of what it was made from."""
+LEVELS_MADE = "made.json"  # in the folder of levels: file -> hash of what it was made from
 
 STAGE, MODEL, CHECKPOINT = "stage.json", "model.ply", "checkpoint.bin"
 """In a stage's folder: once it is done, and while it trains."""
 SCENE_STAGE, JOINT_STAGE, REFINE_STAGE, OBJECT_STAGE = "scene", "joint", "refine", "object-"
 """Names of stages; the last is followed by the box's."""
-CUTOUT_STAGE = "cutout"
-"""Name of the stage that makes objects with masks look right alone."""
+CUTOUT_STAGE = "cutout"  # makes objects with masks look right alone
 FULL_SCENE_STAGE, FULL_OBJECT_STAGE = "full-scene", "full-object-"
 """Names of the baselines' stages; the last is followed by the box's."""
-TUNED_STAGE, TUNED_COARSE_STAGE = "tuned-", "tuned-coarse-"
-"""Followed by `scene`, or `object-` and the box's name."""
+TUNED_STAGE, TUNED_COARSE_STAGE = "tuned-", "tuned-coarse-"  # `scene` or `object-NAME` follows
 COMPARED = "compare-"
 """Followed by the name of another strategy: the folder of its result, and of its stages' names."""
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
-from ..errors import EngineError
-from .files import read_json, write_json
+from .files import read_record, write_json
 from .run_files import STAGES, STAGES_FILE
 
 FOLDER = re.compile(r"[^/\\:\x00-\x1f\ud800-\udfff]+-[0-9a-f]{8}")
@@ -32,12 +30,9 @@ def read_stage_list(run: Path) -> dict[str, Path]:
 
     A folder need not exist: the list is written before the first stage is trained.
     """
-    try:
-        record: Any = read_json(run / STAGES_FILE)
-        return {
-            str(name): run / STAGES / folder
-            for name, folder in record["stages"].items()
-            if FOLDER.fullmatch(folder)
-        }
-    except (EngineError, OSError, AttributeError, KeyError, TypeError):
-        return {}
+    stages = read_record(run / STAGES_FILE).get("stages")
+    return {
+        name: run / STAGES / folder
+        for name, folder in (stages.items() if isinstance(stages, dict) else ())
+        if isinstance(folder, str) and FOLDER.fullmatch(folder)
+    }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from . import library
@@ -28,6 +29,12 @@ class Gaussians(ctypes.Structure):
         ("sh_degree", ctypes.c_int32),
         ("raw", ctypes.c_int32),
     ]
+
+
+def packed_gaussians(parameters: Sequence[Tensor], sh_degree: int, raw: bool) -> Gaussians:
+    """The structure of contiguous means, quats, scales, opacities and SH, which must stay alive."""
+    addresses = (parameter.data_ptr() for parameter in parameters)
+    return Gaussians(*addresses, len(parameters[0]), parameters[4].shape[1], sh_degree, raw)
 
 
 class Gradients(ctypes.Structure):
@@ -99,22 +106,13 @@ SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "roigs_project_backward": (None, [_ADDRESS] * 4),  # view, Gaussians, Gradients, grad2d
     "roigs_project_backward_adam": (_COUNT, [_ADDRESS] * 4),  # view, Gaussians, Adam, grad2d
     "roigs_adam": (_COUNT, [_COUNT, _ADDRESS, _ADDRESS]),  # rows, Adam, visible
-    "roigs_copy_rows": (
-        None,
-        [_ADDRESS, _COUNT, _COUNT, _ADDRESS, _COUNT, _ADDRESS],
-    ),  # matrix, rows, width, chosen, count, out
+    # matrix, rows, width, chosen, count, out
+    "roigs_copy_rows": (None, [_ADDRESS, _COUNT, _COUNT, _ADDRESS, _COUNT, _ADDRESS]),
+    # width, height; image (3, height, width), target (height, width, 3), weights (height, width) or
+    # null; SSIM's weight; gradient (3, height, width) or null, result: loss, L1, SSIM as doubles
     "roigs_photo_loss": (
         None,
-        [
-            _COUNT,  # width
-            _COUNT,  # height
-            _ADDRESS,  # image (3, height, width)
-            _ADDRESS,  # target (height, width, 3)
-            _ADDRESS,  # weights (height, width) or null
-            ctypes.c_float,  # ssim_weight
-            _ADDRESS,  # gradient (3, height, width) or null
-            _ADDRESS,  # result: loss, L1, SSIM, three doubles
-        ],
+        [_COUNT, _COUNT, *[_ADDRESS] * 3, ctypes.c_float, *[_ADDRESS] * 2],
     ),
 }
 

@@ -34,9 +34,9 @@ class BuildError(RuntimeError):
 
 @dataclass(frozen=True, kw_only=True)
 class Platform:
-    """An operating system and processor family, and how the bundled compiler calls it."""
+    """An operating system and processor family."""
 
-    triple: str
+    triple: str  # its name for the bundled compiler
     suffix: str
     isas: Mapping[str, str]  # name of the instruction set -> processor level of the x86-64 psABI
 
@@ -57,14 +57,8 @@ PLATFORMS = {
 # allowed is what vectorisation needs (no errno, no floating-point traps) and fused multiply-add.
 # Sums are reassociated nowhere by the compiler: the sources spell out their vector lanes.
 FLAGS = (
-    "-std=c++17",
-    "-O3",
-    "-fno-math-errno",
-    "-fno-trapping-math",
-    "-ffp-contract=fast",
-    "-fno-exceptions",
-    "-fno-rtti",
-    "-fvisibility=hidden",
+    *("-std=c++17", "-O3", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast"),
+    *("-fno-exceptions", "-fno-rtti", "-fvisibility=hidden"),
 )
 
 # See runtime.cpp: its `new` and `delete` are for the kernels only, not for others in the process.
@@ -105,22 +99,13 @@ def is_current(folder: Path, target: str) -> bool:
     """Whether all libraries of a platform are there, made from the sources as they are now."""
     key = source_key()
     return all(
-        library_path(folder, target, isa).is_file() and read_key(folder, target, isa) == key
+        library_path(folder, target, isa).is_file() and read_keys(folder, target, isa)[0] == key
         for isa in PLATFORMS[target].isas
     )
 
 
-def read_key(folder: Path, target: str, isa: str) -> str:
-    """The `source_key` that a library was built from; empty when unknown."""
-    return _read_keys(folder, target, isa)[0]
-
-
-def read_interface_key(folder: Path, target: str, isa: str) -> str:
-    """The `interface_key` that a library was built from; empty when unknown."""
-    return _read_keys(folder, target, isa)[1]
-
-
-def _read_keys(folder: Path, target: str, isa: str) -> tuple[str, str]:
+def read_keys(folder: Path, target: str, isa: str) -> tuple[str, str]:
+    """`source_key` and `interface_key` that a library was built from; empty when unknown."""
     try:
         text = _key_file(library_path(folder, target, isa)).read_text(encoding="ascii")
     except OSError:

@@ -30,11 +30,8 @@ def load() -> ctypes.CDLL:
     """The kernels' library for this processor, set to use all usable cores.
 
     The environment variable ROIGS_ISA selects another instruction set than the best one, to measure
-    it or to work around a bug.
-
-    Raises:
-        KernelError: there is no library and no compiler to build it, or ROIGS_ISA names an
-            instruction set that is missing or cannot run here.
+    it or to work around a bug. KernelError: there is no library and no compiler to build it, or
+    ROIGS_ISA names an instruction set that is missing or cannot run here.
     """
     folder = _folder_with_libraries()
     library = _opened(build.library_path(folder, _platform(), _choose_isa(folder)))
@@ -74,11 +71,7 @@ def _platform() -> str:
 
 @functools.cache
 def _folder_with_libraries() -> Path:
-    """The folder to load from; builds the libraries if there are none.
-
-    Raises:
-        KernelError: the libraries are of another version, or they cannot be built.
-    """
+    """The folder to load from; builds the libraries if there are none, or raises KernelError."""
     cache = _user_cache_folder()
     for folder in (PACKAGE_FOLDER, cache):
         if available(folder):
@@ -101,8 +94,7 @@ def _choose_isa(folder: Path) -> str:
     """The instruction set to load from `folder`: ROIGS_ISA, or the best one that can run."""
     present = available(folder)
     if "generic" in present:
-        path = build.library_path(folder, _platform(), "generic")
-        best = _best_isa(path)
+        best = _best_isa(build.library_path(folder, _platform(), "generic"))
         runnable = _RANKING[: _RANKING.index(best) + 1]
     else:
         best, runnable = present[-1], tuple(present)
@@ -147,19 +139,16 @@ def _set_threads(library: ctypes.CDLL, count: int | None) -> None:
 def _check_age(folder: Path) -> None:
     """Tell a developer whose compiled kernels are older than their sources how to compile them.
 
-    A warning, as long as they are called in the same way.
-
-    Raises:
-        KernelError: they are not: a call would read or write the wrong memory.
+    A warning, as long as they are called in the same way. Otherwise a KernelError: a call would
+    read or write the wrong memory.
     """
-    target, present = _platform(), available(folder)
-    key, interface = build.source_key(), build.interface_key()
-    if any(build.read_interface_key(folder, target, name) != interface for name in present):
+    keys = [build.read_keys(folder, _platform(), name) for name in available(folder)]
+    if any(interface != build.interface_key() for _, interface in keys):
         raise KernelError(
             f"The compiled kernels in {folder} are of another version of the engine.",
             f"Run `{_BUILD_COMMAND}`.",
         )
-    if any(build.read_key(folder, target, name) != key for name in present):
+    if any(source != build.source_key() for source, _ in keys):
         warnings.warn(
             f"the compiled kernels are older than their sources: run `{_BUILD_COMMAND}`",
             stacklevel=3,

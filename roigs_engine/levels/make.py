@@ -13,8 +13,8 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -25,7 +25,7 @@ from ..cuda.device import CPU
 from ..errors import RunFolderError, SceneError
 from ..evaluation.metrics import psnr_from_mse
 from ..formats import run_files
-from ..formats.files import own_folder, read_json, remove_leftovers, write_json
+from ..formats.files import own_folder, read_record, remove_leftovers, write_json
 from ..formats.levels import FADE, Ladder, Level, write_ladders
 from ..formats.lock import check_held
 from ..formats.text import json_digest
@@ -52,24 +52,18 @@ from .parts import (
     views_at,
 )
 
-LEVELS = 5
-"""How many, with the whole one."""
-HELD = 8
-"""One view in `HELD` is measured on and not trained on."""
-FEW = 16
-"""With fewer photos, all are trained on, and measured on are views between them."""
+LEVELS = 5  # with the whole one
+HELD = 8  # one view in so many is measured on and not trained on
+FEW = 16  # with fewer photos, all are trained on, and measured on are views between them
 MOST_BETWEEN = 60
 STEPS = 500
-SHARE = 0.5
-"""A part is trained for longer if less than this share of the views shows a Gaussian, mean."""
+SHARE = 0.5  # if fewer of the views, mean, show a Gaussian, a part is trained for longer
 LONGEST = 4.0  # times as long
 FAINTEST = 1 / 255  # blending weight with which a view shows a Gaussian
 LEAST = 64  # Gaussians of a level
 GREY = 0.5
-STEP = 2 ** (1 / 3)
-"""Between two distances that are measured."""
-NEAREST = STEP
-FARTHEST = 8.0
+STEP = 2 ** (1 / 3)  # between two distances that are measured
+NEAREST, FARTHEST = STEP, 8.0
 APART = FADE**2
 """Factor from where a level begins to where the next may: between two fades is one level alone."""
 ENOUGH = 40.0  # dB; a mean error of 2.5 of 255
@@ -92,7 +86,7 @@ def make_levels(
     steps: int = STEPS,
     context: Context = QUIET,
 ) -> list[Ladder]:
-    """Make the levels of a run's result; levels that are there and fit are kept.
+    """Make the levels of a run's result; those that are there and fit are kept.
 
     Args:
         folder: of the run, locked.
@@ -100,12 +94,11 @@ def make_levels(
         frame: to compute in.
         levels: how many, with the whole one.
         steps: to train each for.
-        context: gives the device; receives progress.
+        context: gives the device; receives progress. Stopped: the same call goes on later.
 
     Raises:
         RunFolderError: there is no result, or it is damaged.
         SceneError: no photo shows a part.
-        Stopped: on request; the same call goes on later.
     """
     remove_leftovers(folder)
     parts = parts_of_run(folder, images, frame)
@@ -146,60 +139,45 @@ class _Maker:
 
     def ladder(self, part: Part, levels: int) -> Ladder:
         """The ladder of a part, with at most `levels` levels; trains what is not there."""
-        made: list[tuple[str, Gaussians]] = []
-        start = part.gaussians
+        made: dict[str, Gaussians] = {}
+        start: Gaussians | None = part.gaussians
         for level in range(1, levels):
-            if len(part.gaussians) < LEAST << level:
+            if start is None or len(part.gaussians) < LEAST << level:
                 break
             ply = f"{run_files.LEVELS}/{level}/{part.ply}"
-            found = self._level(part, ply, start, level)
-            if found is None:
-                break
-            made.append((ply, found))
-            start = found
-        records = measure(part, [model for _, model in made], self.views.held, self.context)
-        good = [
-            (ply, model, first)
-            for (ply, model), measured in zip(made, records, strict=True)
-            if (first := farther(measured)) is not None
-        ]
-        begins = spaced([first.coarser for _, _, first in good])
-        whole = Level(ply=part.ply, gaussians=len(part.gaussians), farther=0.0, measured={})
-        coarser = tuple(
-            Level(
-                ply=ply,
-                gaussians=len(model),
-                farther=begin,
-                measured={
-                    "psnr": first.level,
-                    "psnr_whole": first.whole,
-                    "psnr_to_whole": first.between,
-                },
-            )
-            for (ply, model, first), begin in zip(good, begins, strict=True)
-        )
+            start = self._level(part, ply, start, level)
+            if start is not None:
+                made[ply] = start
+        records = measure(part, list(made.values()), self.views.held, self.context)
+        firsts = {ply: farther(measured) for ply, measured in zip(made, records, strict=True)}
+        good = {ply: first for ply, first in firsts.items() if first is not None}
+        rungs = [Level(ply=part.ply, gaussians=len(part.gaussians), farther=0.0, measured={})]
+        begins = spaced([first.coarser for first in good.values()])
+        for (ply, first), begin in zip(good.items(), begins, strict=True):
+            psnrs = {"psnr": first.level, "psnr_whole": first.whole, "psnr_to_whole": first.between}
+            count = len(made[ply])
+            rungs.append(Level(ply=ply, gaussians=count, farther=begin, measured=psnrs))
         return Ladder(
             box=part.box,
             rate=(part.rate or 1.0) * self.frame.scale,  # without a photo, it has one level
             probes=part.probes / self.frame.scale + self.frame.origin,
-            levels=(whole, *coarser),
+            levels=tuple(rungs),
         )
 
     def _level(self, part: Part, ply: str, start: Gaussians, level: int) -> Gaussians | None:
         """A level's Gaussians: read if they were made from the same, else trained and written."""
         record = self.folder / run_files.LEVELS / run_files.LEVELS_MADE
-        digest = json_digest(
-            {
-                "whole": content_digest(self.folder / part.ply),
-                "views": [
-                    [camera.matrix().tolist(), pose.tolist()] for camera, pose in self.views.train
-                ],
-                "level": level,
-                "steps": self.steps,
-            }
-        )
+        inputs = {
+            "whole": content_digest(self.folder / part.ply),
+            "views": [
+                [camera.matrix().tolist(), pose.tolist()] for camera, pose in self.views.train
+            ],
+            "level": level,
+            "steps": self.steps,
+        }
+        digest = json_digest(inputs)
         path = own_folder(self.folder, *Path(ply).parent.parts) / Path(ply).name
-        if _known(record).get(ply) == digest:
+        if read_record(record).get(ply) == digest:
             with suppress(RunFolderError):  # it is lost or damaged
                 return Gaussians.load_ply(path, self.frame)
         made = make_level(
@@ -209,17 +187,8 @@ class _Maker:
             return None
         check_held(self.folder)
         made.save_ply(path, self.frame)
-        write_json(record, _known(record) | {ply: digest})
+        write_json(record, read_record(record) | {ply: digest})
         return Gaussians.load_ply(path, self.frame)
-
-
-def _known(record: Path) -> dict[str, Any]:
-    """What was made from what; nothing if that is not known."""
-    try:
-        known = read_json(record)
-    except RunFolderError:
-        return {}
-    return known if isinstance(known, dict) else {}
 
 
 def coarseness(level: int) -> float:
@@ -228,11 +197,6 @@ def coarseness(level: int) -> float:
     Half the Gaussians serve 4^(1/3) times the distance: an eighth of them 4 times.
     """
     return float(4 ** (level / 3))
-
-
-def count_at(level: int, whole: int) -> int:
-    """Number of Gaussians of a level."""
-    return max(LEAST, whole >> level)
 
 
 def make_level(
@@ -253,9 +217,6 @@ def make_level(
         level: from 1.
         steps: to train for, if `SHARE` of the views show each Gaussian; more if fewer do.
         context: gives the device; receives progress.
-
-    Raises:
-        Stopped: on request.
     """
     coarser = coarseness(level)
     small = views_at(part, views, coarser)
@@ -263,7 +224,8 @@ def make_level(
         return None
     weights, share = contributions(start, small, context)
     steps = round(steps * min(max(SHARE / max(share, 1e-6), 1.0), LONGEST))
-    kept = weights.topk(min(count_at(level, len(part.gaussians)), len(start))).indices.sort().values
+    count = max(LEAST, len(part.gaussians) >> level)
+    kept = weights.topk(min(count, len(start))).indices.sort().values
     device = torch.device(context.device)
     backgrounds = [(BLACK, WHITE)[k % 2] for k in range(len(small))]
     config = TrainConfig(
@@ -279,7 +241,8 @@ def make_level(
         images=[_image(view, k) for k, view in enumerate(small)],
         photos=TeacherPictures(part, small, backgrounds, coarser, context),
         photo_at=shuffled(range(len(small)), 0),
-        extent=_extent(part),
+        # The part's radius, for the learning rate of positions.
+        extent=float(np.linalg.norm(part.probes - part.probes.mean(axis=0), axis=1).max()),
         backgrounds=torch.tensor(backgrounds, device=device)[:, None].expand(-1, 3),
         device=device,
     )
@@ -308,38 +271,25 @@ def contributions(
     return (most * total.sqrt()).cpu(), float(shown.mean()) / max(len(views), 1)
 
 
-def _extent(part: Part) -> float:
-    """Radius of the part, for the learning rate of positions."""
-    return float(np.linalg.norm(part.probes - part.probes.mean(axis=0), axis=1).max())
-
-
 def _image(view: View, number: int) -> PosedImage:
     camera, pose = view
-    nowhere = np.zeros(0, dtype=np.int64)
     return PosedImage(
         name=f"view {number}",
         path=Path(),  # its pixels are drawn
         camera=camera,
         world_to_camera=pose,
-        point_indices=nowhere,
+        point_indices=np.zeros(0, dtype=np.int64),
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """A model at a distance, mean over views.
+    """A model at a distance: PSNRs, dB, mean over views."""
 
-    Attributes:
-        coarser: than the photos, see `formats.levels`.
-        whole: PSNR of the whole part drawn as viewers draw it, against the truth, dB.
-        level: PSNR of the level against the truth, dB.
-        between: PSNR of the level against the whole part as viewers draw it, dB.
-    """
-
-    coarser: float
-    whole: float
-    level: float
-    between: float
+    coarser: float  # than the photos, see `formats.levels`
+    whole: float  # of the whole part drawn as viewers draw it, against the truth
+    level: float  # of the level against the truth
+    between: float  # of the level against the whole part as viewers draw it
 
 
 def distances() -> list[float]:
@@ -389,10 +339,7 @@ def farther(records: Sequence[Measured]) -> Measured | None:
 
 def spaced(steps: Sequence[float]) -> list[float]:
     """Distances at which levels begin, far enough apart."""
-    result: list[float] = []
-    for step in steps:
-        result.append(max([step, *(APART * before for before in result[-1:])]))
-    return result
+    return list(accumulate(steps, lambda before, step: max(step, APART * before)))
 
 
 def _error(picture: torch.Tensor, truth: torch.Tensor) -> float:

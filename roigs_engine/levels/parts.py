@@ -41,36 +41,24 @@ BLACK, WHITE = 0.0, 1.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Part:
-    """A part of a result.
+    """A part of a result."""
 
-    Attributes:
-        box: its name; empty: the surroundings.
-        ply: of all its Gaussians, relative to the run folder.
-        gaussians: in the frame.
-        probes: (P, 3) points in the frame that stand for it.
-        rate: how finely its photos show it, pixels per unit of the frame; 0: none does.
-    """
-
-    box: str
-    ply: str
-    gaussians: Gaussians
-    probes: Float64
-    rate: float
+    box: str  # its name; empty: the surroundings
+    ply: str  # of all its Gaussians, relative to the run folder
+    gaussians: Gaussians  # in the frame
+    probes: Float64  # (P, 3) points in the frame that stand for it
+    rate: float  # how finely its photos show it, pixels per unit of the frame; 0: none does
 
 
 def parts_of_run(folder: Path, images: Sequence[PosedImage], frame: LocalFrame) -> list[Part]:
-    """The parts of a run's result that have Gaussians.
+    """The parts of a run's result that have Gaussians; its photos are in the frame.
 
-    Args:
-        folder: of the run.
-        images: its photos, in the frame.
-        frame: to compute in.
-
-    Raises:
-        RunFolderError: there is no result, or a file is damaged.
+    RunFolderError: there is no result, or a file is damaged.
     """
     files = {"": folder / run_files.BACKGROUND}
-    boxes = _boxes(folder)
+    boxes: set[str] | None = None  # not known
+    with suppress(RunFolderError, KeyError, TypeError):
+        boxes = {str(roi["name"]) for roi in read_json(folder / run_files.MANIFEST)["rois"]}
     files |= {
         path.stem: path
         for path in matching(folder / run_files.FINE, "*.ply")
@@ -95,13 +83,6 @@ def parts_of_run(folder: Path, images: Sequence[PosedImage], frame: LocalFrame) 
         ply = path.relative_to(folder).as_posix()
         parts.append(Part(box=box, ply=ply, gaussians=gaussians, probes=probes, rate=rate))
     return parts
-
-
-def _boxes(folder: Path) -> set[str] | None:
-    """The names of a run's boxes; None: not known."""
-    with suppress(RunFolderError, KeyError, TypeError):
-        return {str(roi["name"]) for roi in read_json(folder / run_files.MANIFEST)["rois"]}
-    return None
 
 
 def rate_of(probes: Float64, view: View) -> float:
@@ -148,8 +129,7 @@ def views_at(part: Part, views: Sequence[View], coarser: float) -> list[View]:
         factor = part.rate / (coarser * rate) if rate > 0 else math.inf
         if factor > 1 + 1e-6:
             continue
-        window = _window(part, camera, pose)
-        cropped = _cropped(camera, window, factor)
+        cropped = _cropped(camera, _window(part, camera, pose), factor)
         if min(cropped.width, cropped.height) >= SMALLEST:
             found.append((cropped, pose))
     return found
@@ -234,16 +214,8 @@ def _cropped(camera: Camera, window: tuple[float, float, float, float], factor: 
 class LevelledResult:
     """The result of a run, part by part, each in the level that a view needs.
 
-    Files are read when they are first needed, and kept.
-
-    Args:
-        folder: of the run.
-        frame: to compute in.
-        quality: see `formats.levels.shown_levels`.
-        device: of the Gaussians.
-
-    Raises:
-        RunFolderError: there are no levels, or a file is damaged.
+    Files are read when they are first needed, and kept. `quality` is that of `shown_levels`.
+    RunFolderError: there are no levels, or a file is damaged.
     """
 
     def __init__(
@@ -263,12 +235,7 @@ class LevelledResult:
         self._read: dict[str, Gaussians] = {}
 
     def gaussians(self, camera: Camera, world_to_camera: Float64) -> Gaussians:
-        """The Gaussians that a view needs, in the frame.
-
-        Args:
-            camera: of the view.
-            world_to_camera: (4, 4) from the frame.
-        """
+        """The Gaussians that a view needs, in the frame."""
         parts = []
         for ladder in self._ladders:
             for ply, density in self.shown(ladder, camera, world_to_camera):

@@ -29,11 +29,13 @@ Cameras and background get none.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
 from ..cuda.device import sent
-from ..errors import EngineError
+from ..errors import EngineError, KernelError
 from .inputs import (
     BackwardStep,
     Depth,
@@ -114,27 +116,31 @@ def rasterize(
         blur=blur_of(pixel_size, antialiased),
         backward_step=backward_step,
     )
-    return _render(inputs, backend)
+    return _renderer(backend)(inputs).cut(active.shown)
 
 
 def _chosen(backend: str, parameters: tuple[Tensor, ...]) -> str:
     """The backend to use: for "auto" the compiled one of the device, where there is one."""
     if backend not in BACKENDS:
         raise EngineError(f"rasterize: unknown backend {backend!r}.", f"Use one of {BACKENDS}.")
-    if backend != "auto":
-        return backend
-    device = parameters[0].device.type
-    if device not in ("cpu", "cuda") or any(p.dtype != torch.float32 for p in parameters):
-        return "reference"
-    return device
+    device, is_float = parameters[0].device.type, all(p.dtype == torch.float32 for p in parameters)
+    if backend == "auto":
+        return device if is_float and device in ("cpu", "cuda") else "reference"
+    if (backend != "reference" and not is_float) or (backend == "cpu" and device != "cpu"):
+        kinds = ", ".join(sorted({str(p.dtype) for p in parameters}))
+        raise KernelError(
+            f"rasterize: the {backend} backend does not take {kinds} on {device}.",
+            "Pass float32 tensors on its device.",
+        )
+    return backend
 
 
-def _render(inputs: RenderInputs, backend: str) -> RenderOutput:
-    """Render with a backend, which is imported when it is first used."""
+def _renderer(backend: str) -> Callable[[RenderInputs], RenderOutput]:
+    """A backend, which is imported when it is first used."""
     if backend == "cpu":
         from .cpu import render
     elif backend == "cuda":
         from .cuda import render
     else:
         from .reference import render
-    return render(inputs).cut(inputs.window)
+    return render

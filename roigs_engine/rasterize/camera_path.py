@@ -30,8 +30,7 @@ MAX_SIDE = 16384  # pixels; a larger width or height in a path file is a mistake
 def load_camera_path(path: Path) -> list[tuple[str, Camera, Float64]]:
     """The cameras of a path file, as (name, camera, world_to_camera), in the file's order.
 
-    Raises:
-        ConfigError: the file is unreadable or malformed; the message names the camera.
+    ConfigError: the file is unreadable or malformed; the message names the camera.
     """
     hint = "docs/files.md describes camera path files."
     document = read_json(path, ConfigError, hint)

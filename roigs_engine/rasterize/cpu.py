@@ -8,6 +8,7 @@ interface and the order of calls.
 from __future__ import annotations
 
 import ctypes
+from functools import partial
 from typing import Any, ClassVar
 
 import torch
@@ -17,9 +18,10 @@ from torch.autograd.function import once_differentiable
 from ..errors import EngineError, KernelError
 from ..kernels import bindings
 from ..kernels.bindings import pointer
-from .inputs import RenderInputs, RenderOutput, gradient_target
+from .inputs import RenderInputs, RenderOutput, gradient_targets
 
 _MOST_GAUSSIANS = 2**30  # rows are counted in 32 bits, some beyond the last
+_SMALLER = "Render a smaller image, or fewer or smaller Gaussians."
 
 
 class KernelView:
@@ -77,17 +79,8 @@ class _Lease:
             view.give_back()
 
 
-_SMALLER = "Render a smaller image, or fewer or smaller Gaussians."
-
-
 def render(inputs: RenderInputs) -> RenderOutput:
     """Render all cameras; see `rasterize`. Raises KernelError."""
-    for name, tensor in zip(bindings.Gradients._fields_, inputs.parameters, strict=True):
-        if tensor.dtype != torch.float32 or tensor.device.type != "cpu":
-            raise KernelError(
-                f"rasterize: {name[0]} is {tensor.dtype} on {tensor.device}.",
-                "The cpu backend takes float32 tensors on the CPU.",
-            )
     if inputs.means.shape[0] > _MOST_GAUSSIANS:
         raise KernelError(
             f"rasterize: {inputs.means.shape[0]} Gaussians are too many.",
@@ -97,22 +90,17 @@ def render(inputs: RenderInputs) -> RenderOutput:
 
 
 class _Cameras:
-    """The cameras of `RenderInputs` in the kernels' form.
+    """The cameras of `RenderInputs` in the kernels' form: one of `structures` for each.
 
-    Attributes:
-        inputs: all of them.
-        structures: one for each camera.
-        size: height and width of the window.
-        pixel_weights: (C, H, W) of the window; None: 1.
+    `size` is height and width of the window; `pixel_weights` (C, H, W) are those in it, None: 1.
     """
 
     def __init__(self, inputs: RenderInputs) -> None:
         left, top, right, bottom = inputs.window
         self.inputs, self.size = inputs, (bottom - top, right - left)
-        weights = inputs.pixel_weights
-        self.pixel_weights = (
-            None if weights is None else weights[:, top:bottom, left:right].contiguous()
-        )
+        self.pixel_weights = None
+        if inputs.pixel_weights is not None:
+            self.pixel_weights = inputs.pixel_weights[:, top:bottom, left:right].contiguous()
         mask = inputs.tile_mask
         # Kept alive: the structures point to it.
         self._tile_mask = None if mask is None else mask.to("cpu", torch.uint8).contiguous()
@@ -120,14 +108,7 @@ class _Cameras:
 
     def gaussians(self, parameters: list[Tensor]) -> bindings.Gaussians:
         """The kernels' argument of five packed parameters."""
-        means, sh = parameters[0], parameters[4]
-        return bindings.Gaussians(
-            *(pointer(p) for p in parameters),
-            means.shape[0],
-            sh.shape[1],
-            self.inputs.sh_degree,
-            self.inputs.raw,
-        )
+        return bindings.packed_gaussians(parameters, self.inputs.sh_degree, self.inputs.raw)
 
 
 def _camera_structures(inputs: RenderInputs, tile_mask: Tensor | None) -> list[bindings.Camera]:
@@ -141,12 +122,7 @@ def _camera_structures(inputs: RenderInputs, tile_mask: Tensor | None) -> list[b
         camera.position[:] = [-sum(view[j][i] * view[j][3] for j in range(3)) for i in range(3)]
         camera.focal_and_centre[:] = [K[0][0], K[1][1], K[0][2], K[1][2]]
         camera.background[:] = background
-        camera.blur[:] = inputs.blur
-        camera.centre_bounds[:] = inputs.centre_bounds(c)
-        camera.min_sigmas = inputs.limits.min_sigmas
-        camera.min_transmittance = inputs.limits.min_transmittance
-        camera.size[:] = [inputs.width, inputs.height]
-        camera.tiles[:] = inputs.tiles
+        inputs.fill(camera, c)
         camera.window[:] = inputs.window
         camera.tile_mask = pointer(tile_mask)
         structures.append(camera)
@@ -206,17 +182,15 @@ class _Rasterize(torch.autograd.Function):
             return (None,) * (1 + len(parameters))
         image_gradient = image_gradient.to(torch.float32).contiguous()  # planar: no copy
         packed = [p.contiguous() for p in parameters]
-        gaussians = ctx.cameras.gaussians(packed)
+        gaussians = ctypes.byref(ctx.cameras.gaussians(packed))
         views, ctx.lease.views = ctx.lease.views, []
-        if ctx.cameras.inputs.backward_step is not None:
-            _step(ctx, views, gaussians, image, image_gradient)
-            return (None,) * (1 + len(parameters))
-        targets = [
-            gradient_target(p, needed)
-            for p, needed in zip(parameters, ctx.needs_input_grad[1:], strict=True)
-        ]
+        step = ctx.cameras.inputs.backward_step
+        if step is not None and not views:
+            raise EngineError("rasterize: with a backward step, backward() can be called once.")
+        needed = [step is None and each for each in ctx.needs_input_grad[1:]]
+        targets = gradient_targets(parameters, needed)
         gradients = bindings.Gradients(*(pointer(buffer) for buffer, _ in targets))
-        for c, image_gradient_c in enumerate(image_gradient):
+        for c, gradient in enumerate(image_gradient):
             if views:
                 view = views[c]
             else:  # a second backward through the same graph: the first one gave the views back
@@ -225,49 +199,21 @@ class _Rasterize(torch.autograd.Function):
                 again, alpha = torch.empty_like(image[c]), torch.empty_like(image[c, 0])
                 outputs = bindings.Outputs(pointer(again), pointer(alpha))
                 view.call("roigs_render", ctypes.byref(outputs))
-            view.call("roigs_render_backward", pointer(image[c]), pointer(image_gradient_c))
-            view.call(
-                "roigs_project_backward",
-                ctypes.byref(gaussians),
-                ctypes.byref(gradients),
-                pointer(ctx.grad2d[c]),
-            )
+            view.call("roigs_render_backward", pointer(image[c]), pointer(gradient))
+            grad2d = pointer(ctx.grad2d[c])
+            if step is None:
+                view.call("roigs_project_backward", gaussians, ctypes.byref(gradients), grad2d)
+            else:
+                kernel = partial(view.call, "roigs_project_backward_adam", gaussians)
+                step.take(lambda adam, kernel=kernel, out=grad2d: kernel(adam, out))
             view.give_back()
         return (None, *(buffer if is_fresh else None for buffer, is_fresh in targets))
-
-
-def _step(
-    ctx: Any,
-    views: list[KernelView],
-    gaussians: bindings.Gaussians,
-    image: Tensor,
-    image_gradient: Tensor,
-) -> None:
-    """The backward pass of one camera, with an optimizer step at its end."""
-    if not views:
-        raise EngineError("rasterize: with a backward step, backward() can be called only once.")
-    view = views[0]
-    view.call("roigs_render_backward", pointer(image), pointer(image_gradient))
-    ctx.cameras.inputs.backward_step.take(
-        lambda adam: view.call(
-            "roigs_project_backward_adam",
-            ctypes.byref(gaussians),
-            adam,
-            pointer(ctx.grad2d),
-        )
-    )
-    view.give_back()
 
 
 def _prepare(
     view: KernelView, cameras: _Cameras, c: int, parameters: list[Tensor], visible: Tensor
 ) -> None:
     """Project and bin for camera `c`."""
-    gaussians = cameras.gaussians(parameters)
-    view.call(
-        "roigs_project",
-        ctypes.byref(gaussians),
-        ctypes.byref(cameras.structures[c]),
-        pointer(visible),
-    )
+    gaussians, camera = cameras.gaussians(parameters), cameras.structures[c]
+    view.call("roigs_project", ctypes.byref(gaussians), ctypes.byref(camera), pointer(visible))
     view.call("roigs_bin")

@@ -31,39 +31,28 @@ from ..cuda.bindings import (
 )
 from ..errors import EngineError, KernelError
 from ..kernels import bindings
-from .inputs import RenderInputs, RenderOutput, gradient_target
+from .inputs import RenderInputs, RenderOutput, gradient_targets
 
 _MOST_PAIRS = 2**31 - 2**12  # 32-bit places in lists, and the batch behind the last one
 
 
 def render(inputs: RenderInputs) -> RenderOutput:
     """Render all cameras; see `rasterize`. Raises KernelError."""
-    for name, tensor in zip(bindings.Gradients._fields_, inputs.parameters, strict=True):
-        if tensor.dtype != torch.float32:
-            raise KernelError(f"rasterize: {name[0]} is {tensor.dtype}: the kernels take float32.")
     return RenderOutput.of_planar(*_Rasterize.apply(inputs, *inputs.parameters))  # type: ignore[no-untyped-call]
 
 
 @dataclass(eq=False)
 class View:
-    """One camera's frame, from kernel to kernel.
-
-    Attributes:
-        frame: the kernels' argument.
-        kept: the tensors that it points to, by name.
-        pairs: of Gaussians and tiles; the buffer's capacity, if there is one.
-        groups: blocks that walk over the pixels, at most.
-    """
+    """One camera's frame, from kernel to kernel."""
 
     inputs: RenderInputs
-    frame: Frame = field(default_factory=Frame)
-    kept: dict[str, Tensor] = field(default_factory=dict)
-    pairs: int = 0
-    groups: int = 0
+    frame: Frame = field(default_factory=Frame)  # the kernels' argument
+    kept: dict[str, Tensor] = field(default_factory=dict)  # the tensors that it points to
+    pairs: int = 0  # of Gaussians and tiles; the buffer's capacity, if there is one
+    groups: int = 0  # blocks that walk over the pixels, at most
 
     @property
     def device(self) -> torch.device:
-        """Where all of it is."""
         return self.inputs.means.device
 
     def set(self, **tensors: Tensor | None) -> None:
@@ -74,11 +63,9 @@ class View:
                 self.kept[name] = tensor
 
     def empty(self, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
-        """A new tensor on the device."""
         return torch.empty(*shape, dtype=dtype, device=self.device)
 
     def launch(self, kernel: str, blocks: int, threads: int) -> None:
-        """Launch a kernel on the frame."""
         card.program(self.device).launch(kernel, blocks, threads, self.frame)
 
     def launch_rows(self, kernel: str) -> None:
@@ -90,13 +77,7 @@ def prepare(inputs: RenderInputs, c: int, parameters: list[Tensor], visible: Ten
     """Project and list for camera `c`; `visible` (N,) is written."""
     view, count = View(inputs), len(parameters[0])
     frame = view.frame
-    frame.gaussians = bindings.Gaussians(
-        *(address(p) for p in parameters),
-        count,
-        parameters[4].shape[1],
-        inputs.sh_degree,
-        inputs.raw,
-    )
+    frame.gaussians = bindings.packed_gaussians(parameters, inputs.sh_degree, inputs.raw)
     _set_camera(view, c)
     left, top, right, bottom = inputs.tiles
     frame.tile_count = (right - left) * (bottom - top)
@@ -140,12 +121,7 @@ def _set_camera(view: View, c: int) -> None:
         background=inputs.background.to(torch.float32).contiguous(),
         camera_values=view.empty(CAMERA_VALUES),
     )
-    shape.blur[:] = inputs.blur
-    shape.centre_bounds[:] = inputs.centre_bounds(c)
-    shape.min_sigmas = inputs.limits.min_sigmas
-    shape.min_transmittance = inputs.limits.min_transmittance
-    shape.size[:] = [inputs.width, inputs.height]
-    shape.tiles[:] = inputs.tiles
+    inputs.fill(shape, c)
     if inputs.tile_mask is not None:
         view.kept["mask"] = inputs.tile_mask.to(torch.uint8).contiguous()
         shape.tile_mask = address(view.kept["mask"])
@@ -183,7 +159,7 @@ def _list(view: View, may_leave_slots: bool) -> None:
 def blend(view: View, outputs: dict[str, Tensor | None], *, walked: bool) -> None:
     """Draw a prepared view into the tensors of `outputs`, which hold background.
 
-    Args: `walked`: weights or gradients are wanted, of this view or later.
+    `walked`: weights or gradients are wanted, of this view or later.
     """
     if not view.pairs:
         return
@@ -247,18 +223,15 @@ class _Rasterize(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *output_gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         image_gradient, parameters = output_gradients[0], ctx.saved_tensors
-        nothing = (None,) * (1 + len(parameters))
         if image_gradient is None:
-            return nothing
+            return (None,) * (1 + len(parameters))
         if ctx.views is None:
             raise EngineError("rasterize: backward() can be called only once on this backend.")
         views, ctx.views = ctx.views, None
         gradient = image_gradient.to(torch.float32).contiguous()  # planar: no copy
         step = ctx.inputs.backward_step
-        targets = [
-            gradient_target(p, needed and step is None)
-            for p, needed in zip(parameters, ctx.needs_input_grad[1:], strict=True)
-        ]
+        needed = [step is None and each for each in ctx.needs_input_grad[1:]]
+        targets = gradient_targets(parameters, needed)
         for c, view in enumerate(views):
             view.set(image_gradient=gradient[c], grad2d=ctx.grad2d[c])
             if view.pairs:
@@ -270,8 +243,6 @@ class _Rasterize(torch.autograd.Function):
                 buffers = (address(buffer) for buffer, _ in targets)
                 view.frame.gradients = bindings.Gradients(*buffers)
                 view.launch_rows("project_backward")
-        if step is not None:
-            return nothing
         return (None, *(buffer if is_fresh else None for buffer, is_fresh in targets))
 
 

@@ -51,9 +51,7 @@ def render_sequence(
 ) -> list[Path]:
     """Render every camera to `out_dir/NAME.png` (8-bit sRGB); returns the files in this order.
 
-    Args:
-        model: the Gaussians, or those that a camera with this world_to_camera needs.
-        cameras, out_dir, context: from where, and where to.
+    `model` is the Gaussians, or gives those that a camera with this world_to_camera needs.
     """
     context.emit(StageStarted(stage="render", total=len(cameras)))
     started = time.monotonic()

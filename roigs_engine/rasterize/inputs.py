@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, Protocol
 
@@ -12,37 +12,22 @@ from torch import Tensor
 
 from ..cuda.pair_buffers import PairBuffer
 from ..errors import EngineError
+from ..kernels import bindings
 from .limits import Limits
 
-TILE = 16
-"""Side of a pixel tile; culling, binning and masks work in whole tiles."""
-
-LONGEST_SIDE = 1 << 16
-"""Largest image width and height, px: up to it, float32 positions have steps of 1/128 px."""
-
-NEAR = 0.01
-"""Gaussians whose centre is nearer to the camera plane than this (scene units) are culled."""
-
+TILE = 16  # side of a pixel tile; culling, binning and masks work in whole tiles
+LONGEST_SIDE = 1 << 16  # px of an image: up to it, float32 positions have steps of 1/128 px
+NEAR = 0.01  # Gaussians whose centre is nearer to the camera plane (scene units) are culled
 BLUR = 0.3
-"""Added to the 2D covariance's diagonal, px^2: each Gaussian covers at least about a pixel.
-
-The pixels are those of the whole photo, see `blur_of`."""
-
-ALPHA_MIN = 1.0 / 255.0
-"""Contributions below this are skipped: 8-bit output would not show them."""
-
+"""Added to the 2D covariance's diagonal, px^2 of the whole photo (`blur_of`): each Gaussian covers
+at least about a pixel."""
+ALPHA_MIN = 1.0 / 255.0  # smaller contributions are skipped: 8-bit output would not show them
+ALPHA_MAX = 0.999  # of a pixel: keeps 1 / (1 - alpha) in the gradient finite
 FAINTEST = (ALPHA_MIN / 2) ** 2
 """Of areas, squared: Gaussians below this ratio are not drawn; keeps the root's gradient finite."""
-
-ALPHA_MAX = 0.999
-"""Upper limit of alpha per pixel: keeps 1 / (1 - alpha) in the gradient finite."""
-
 FRUSTUM_MARGIN = 0.3
 """The Jacobian is evaluated inside the view, widened by this share of its half width."""
-
-SH_SIZES = (1, 4, 9, 16)
-"""Numbers of SH coefficients per colour for degrees 0 to 3."""
-
+SH_SIZES = (1, 4, 9, 16)  # coefficients per colour for degrees 0 to 3
 
 Depth = bool | Literal["median"]
 """Whether to return a depth, and which: True is the mean."""
@@ -51,13 +36,11 @@ Depth = bool | Literal["median"]
 class Blur(NamedTuple):
     """Added to the diagonal of the 2D covariance, px^2 of the picture.
 
-    Attributes:
-        drawn: in all.
-        stored: with which a Gaussian has the opacity that is stored. The drawn one is as much lower
-            as the Gaussian is larger, so that its integral is the same.
+    With `stored`, a Gaussian has the opacity that is stored. The drawn one is as much lower as the
+    Gaussian is larger, so that its integral is the same.
     """
 
-    drawn: float
+    drawn: float  # in all
     stored: float
 
 
@@ -70,48 +53,36 @@ class BackwardStep(Protocol):
     @property
     def tensors(self) -> tuple[Tensor, ...]:
         """The tensors that the step updates, in the order of `rasterize`'s first five arguments."""
-        ...
 
     @property
     def pair_buffer(self) -> PairBuffer | None:
         """For the view's pairs on a GPU, so that nothing waits for it; None: it waits."""
-        ...
 
     def take(self, kernel: Callable[[Any], int | Tensor]) -> None:
         """Take the step with a kernel, which gets the address of a `bindings.Adam`.
 
         The kernel returns the number of rows that it skipped for a NaN or Inf gradient.
         """
-        ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderOutput:
     """The output of `rasterize` for C cameras, N Gaussians. Only `image` has a gradient.
 
-    H and W are those of the window, if there is one.
-
-    Attributes:
-        image: (C, H, W, 3) colours blended in sRGB values, background included.
-        alpha: (C, H, W) 1 - the transmittance behind the last Gaussian.
-        visible: (C, N) bool, True if the Gaussian reaches an active tile.
-        grad2d: (C, N) float32, zeros until `backward()` has run; then |dL / d(projected centre)|
-            with x scaled by width / 2 and y by height / 2: 3DGS's criterion for densification.
-        depth: (C, H, W) camera depth, 0 where no Gaussian is: the mean sum(w z) / sum(w), or the
-            median, the depth of the Gaussian at which the weights w, added front to back, reach
-            half of their sum; or None.
-        max_weight: (N,) largest weight alpha * T of the Gaussian in any pixel; or None.
-        weight_sum: (N,) sum of its weights over all cameras' pixels, each times the pixel's
-            `pixel_weights` if these are given; or None.
+    H and W are those of the window, if there is one. `grad2d` is zero until `backward()` has run;
+    then |dL / d(projected centre)| with x scaled by width / 2 and y by height / 2: 3DGS's criterion
+    for densification. `depth` is that of the camera, 0 where no Gaussian is: the mean
+    sum(w z) / sum(w), or the median, the depth of the Gaussian at which the weights w = alpha * T,
+    added front to back, reach half of their sum.
     """
 
-    image: Tensor
-    alpha: Tensor
-    visible: Tensor
-    grad2d: Tensor
-    depth: Tensor | None
-    max_weight: Tensor | None
-    weight_sum: Tensor | None
+    image: Tensor  # (C, H, W, 3) colours blended in sRGB values, background included
+    alpha: Tensor  # (C, H, W) 1 - the transmittance behind the last Gaussian
+    visible: Tensor  # (C, N) bool, True if the Gaussian reaches an active tile
+    grad2d: Tensor  # (C, N) float32
+    depth: Tensor | None  # (C, H, W)
+    max_weight: Tensor | None  # (N,) largest weight of the Gaussian in any pixel
+    weight_sum: Tensor | None  # (N,) over all cameras' pixels, each times its `pixel_weights`
 
     @classmethod
     def of_planar(cls, image: Tensor, *others: Tensor | None) -> RenderOutput:
@@ -161,6 +132,15 @@ class RenderInputs:
     def means(self) -> Tensor:
         """(N, 3) centres."""
         return self.parameters[0]
+
+    def fill(self, camera: bindings.Camera, c: int) -> None:
+        """Set what all kernels read of camera `c` on the CPU."""
+        camera.blur[:] = self.blur
+        camera.centre_bounds[:] = self.centre_bounds(c)
+        camera.min_sigmas = self.limits.min_sigmas
+        camera.min_transmittance = self.limits.min_transmittance
+        camera.size[:] = [self.width, self.height]
+        camera.tiles[:] = self.tiles
 
     def centre_bounds(self, camera: int) -> tuple[float, float, float, float]:
         """Left, top, right, bottom, px: Gaussians with a centre not inside are culled.
@@ -290,17 +270,24 @@ def background_colour(background: Tensor | None, like: Tensor) -> Tensor:
     return background.to(dtype=like.dtype, device=like.device)
 
 
-def gradient_target(parameter: Tensor, needed: bool) -> tuple[Tensor | None, bool]:
-    """The buffer for a parameter's gradient, and whether it is new.
+def gradient_targets(
+    parameters: Sequence[Tensor], needed: Sequence[bool]
+) -> list[tuple[Tensor | None, bool]]:
+    """For each parameter the buffer for its gradient, and whether that is new.
 
     A dense gradient costs as much for an invisible Gaussian as for a visible one: it is zeroed,
     added to `.grad` and zeroed again by the optimizer. A view shows a small part of the Gaussians,
     so this would be most of a training step. If a leaf already has a `.grad`, rows are added there
     and autograd gets no gradient (so hooks on the leaf do not run).
     """
-    if not needed:
-        return None, False
-    grad = parameter.grad if parameter.is_leaf else None
-    if grad is not None and grad.dtype == torch.float32 and grad.is_contiguous():
-        return grad, False
-    return torch.zeros(parameter.shape, dtype=torch.float32, device=parameter.device), True
+    targets: list[tuple[Tensor | None, bool]] = []
+    for parameter, is_needed in zip(parameters, needed, strict=True):
+        grad = parameter.grad if parameter.is_leaf else None
+        if not is_needed:
+            targets.append((None, False))
+        elif grad is not None and grad.dtype == torch.float32 and grad.is_contiguous():
+            targets.append((grad, False))
+        else:
+            new = torch.zeros(parameter.shape, dtype=torch.float32, device=parameter.device)
+            targets.append((new, True))
+    return targets

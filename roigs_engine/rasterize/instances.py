@@ -32,21 +32,13 @@ SIMILAR = 1e-5  # how unequal the scales of a similarity may be
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Instance:
-    """A model and its pose.
+    """A model and its pose."""
 
-    Attributes:
-        gaussians: in `frame`, on the CPU.
-        frame: of the model's own world.
-        matrix: (4, 4) from the model's own world to the world; any affine one.
-        gains: of red, green and blue, see `recoloured`.
-        density: how much of it is there, see `faded`.
-    """
-
-    gaussians: Gaussians
-    frame: LocalFrame
-    matrix: Float64
-    gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    density: float = 1.0
+    gaussians: Gaussians  # in `frame`, on the CPU
+    frame: LocalFrame  # of the model's own world
+    matrix: Float64  # (4, 4) from the model's own world to the world; any affine one
+    gains: tuple[float, float, float] = (1.0, 1.0, 1.0)  # red, green, blue, see `recoloured`
+    density: float = 1.0  # how much of it is there, see `faded`
 
     @property
     def from_frame(self) -> Float64:
@@ -61,34 +53,20 @@ class Instance:
 class Layer:
     """A picture for compositing.
 
-    Attributes:
-        image: (H, W, 3) sRGB values from 0 to 1, not multiplied by alpha.
-        alpha: (H, W) from 0 to 1.
-        depth: (H, W) along the camera's axis, world units; NOTHING where nothing is. The median: a
-            mean would lie between an object that lets a little through and what is behind it, and
-            would put a mesh between the two in front.
+    The depth is the median: a mean would lie between an object that lets a little through and what
+    is behind it, and would put a mesh between the two in front.
     """
 
-    image: Tensor
-    alpha: Tensor
-    depth: Tensor
+    image: Tensor  # (H, W, 3) sRGB values from 0 to 1, not multiplied by alpha
+    alpha: Tensor  # (H, W) from 0 to 1
+    depth: Tensor  # (H, W) along the camera's axis, world units; NOTHING where nothing is
 
 
 @torch.no_grad()
 def render_instances(
-    models: Sequence[Instance],
-    camera: Camera,
-    world_to_camera: Float64,
-    device: torch.device = CPU,
+    models: Sequence[Instance], camera: Camera, world_to_camera: Float64, device: torch.device = CPU
 ) -> Layer:
-    """Render models together.
-
-    Args:
-        models: at least one Gaussian in all.
-        camera: the camera.
-        world_to_camera: (4, 4).
-        device: where to render.
-    """
+    """Render models together, on a device; they have at least one Gaussian in all."""
     parts = [_seen(model, world_to_camera) for model in models]
     scale = LocalFrame.of_centres(np.concatenate([part.means.numpy() for part in parts])).scale
     if len({part.antialiased for part in parts}) > 1:

@@ -13,7 +13,7 @@ MIN_SIGMAS = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """Which Gaussians are drawn, and how far back.
+    """Which Gaussians are drawn, and how far back; EngineError if a number is negative or NaN.
 
     Attributes:
         max_slope: none whose centre is beside the image and has a larger |x / z| (camera frame), or
@@ -25,19 +25,11 @@ class Limits:
             a pixel of the same block lets more through; reference draws it. Nor does a Gaussian
             get a gradient from pixels (cpu: from blocks of pixels) in which its weight alpha x T is
             not larger; from reference, it does. What others get there does not change.
-
-    Raises:
-        EngineError: one is negative or NaN.
     """
 
     max_slope: float = math.inf
     min_sigmas: float = 0.0
     min_transmittance: float = 1e-6
-
-    @property
-    def cull(self) -> bool:
-        """Whether there are Gaussians that are not drawn wherever they are seen from."""
-        return self.max_slope < math.inf or self.min_sigmas > 0
 
     def __post_init__(self) -> None:
         for name in ("max_slope", "min_sigmas", "min_transmittance"):

@@ -15,18 +15,14 @@ from .inputs import TILE
 class ActiveTiles:
     """The tiles of an image that are rendered.
 
-    Attributes:
-        size: width and height of the image, pixels.
-        rectangle: of tiles around them, see `tile_rectangle`.
-        mask: (rows, columns) bool of the rectangle; None: all of it.
-        window: x0, y0, x1, y1 in pixels, end exclusive: images hold this part of the picture alone,
-            and the rest takes no memory or time. It consists of whole tiles, and all active ones
-            lie in it. None: all.
+    With a `window` (x0, y0, x1, y1 in pixels, end exclusive), images hold this part of the picture
+    alone, and the rest takes no memory or time. It consists of whole tiles, and all active ones lie
+    in it.
     """
 
-    size: tuple[int, int]
-    rectangle: tuple[int, int, int, int]
-    mask: Tensor | None = None
+    size: tuple[int, int]  # width and height of the image, pixels
+    rectangle: tuple[int, int, int, int]  # of tiles around them, see `tile_rectangle`
+    mask: Tensor | None = None  # (rows, columns) bool of the rectangle; None: all of it
     window: tuple[int, int, int, int] | None = None
 
     @property
@@ -44,13 +40,10 @@ Mask = tuple[int, int, int, int] | Tensor | ActiveTiles | None
 
 
 def active_tiles(width: int, height: int, mask: Mask) -> ActiveTiles:
-    """The tiles of an image that a mask touches.
+    """The tiles of an image that a mask touches; EngineError if it does not fit the image.
 
     Of a mask on a GPU, the rectangle is the whole image: to find a smaller one would wait for the
     GPU.
-
-    Raises:
-        EngineError: the mask does not fit the image.
     """
     size = (width, height)
     if isinstance(mask, ActiveTiles):
@@ -90,18 +83,13 @@ def _check(tiles: ActiveTiles, size: tuple[int, int]) -> None:
     fits = 0 <= left <= right <= columns and 0 <= top <= bottom <= rows
     if not fits or (mask is not None and (mask.dtype, tuple(mask.shape)) != (torch.bool, shape)):
         raise EngineError("rasterize: the tiles' rectangle and mask do not fit the image.", hint)
-    if tiles.window is not None:
-        _check_window(tiles.window, tiles)
-
-
-def _check_window(window: tuple[int, int, int, int], tiles: ActiveTiles) -> None:
-    """Raise EngineError unless a window is made of whole tiles, among them all active ones."""
-    x0, y0, x1, y1 = tiles.rectangle
-    left, top, right, bottom = inside = tile_rectangle(*tiles.size, window)
-    if window != pixel_rectangle(tiles.size, inside) or left == right:
-        raise EngineError(f"rasterize: the window {window} is not made of whole tiles.")
-    if x0 < x1 and not (left <= x0 and top <= y0 and x1 <= right and y1 <= bottom):
-        raise EngineError(f"rasterize: active tiles lie beyond the window {window}.")
+    if tiles.window is None:
+        return
+    x0, y0, x1, y1 = inside = tile_rectangle(*size, tiles.window)
+    if tiles.window != pixel_rectangle(size, inside) or x0 == x1:
+        raise EngineError(f"rasterize: the window {tiles.window} is not made of whole tiles.")
+    if left < right and not (x0 <= left and y0 <= top and right <= x1 and bottom <= y1):
+        raise EngineError(f"rasterize: active tiles lie beyond the window {tiles.window}.")
 
 
 def tiles_of_grid(grid: Tensor, size: tuple[int, int]) -> ActiveTiles:
@@ -129,10 +117,8 @@ def tile_rectangle(
     if mask is None:
         return 0, 0, columns, rows
     x0, y0, x1, y1 = (int(v) for v in mask)
-    if x1 <= x0 or y1 <= y0:
-        return 0, 0, 0, 0
     left, top = max(x0, 0) // TILE, max(y0, 0) // TILE
     right, bottom = min(-(-x1 // TILE), columns), min(-(-y1 // TILE), rows)
-    if right <= left or bottom <= top:
+    if min(x1 - x0, y1 - y0, right - left, bottom - top) <= 0:
         return 0, 0, 0, 0
     return left, top, right, bottom

@@ -20,16 +20,10 @@ from .limits import NO_LIMITS, PICTURE_LIMITS, Limits
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RenderedView:
-    """A rendered image.
+    """A rendered image, and its depth if that was requested."""
 
-    Attributes:
-        image: (H, W, 3) float32 sRGB values in [0, 1].
-        depth: (H, W) expected depth along the camera's z axis, world units, 0 where no Gaussian
-            is; None unless requested.
-    """
-
-    image: Tensor
-    depth: Tensor | None
+    image: Tensor  # (H, W, 3) float32 sRGB values in [0, 1]
+    depth: Tensor | None  # (H, W) expected one along z, world units, 0 where no Gaussian is
 
 
 @torch.no_grad()
@@ -45,15 +39,14 @@ def render_view(
 
     `PICTURE_LIMITS` hold, as in everything that is shown or measured.
     """
-    size = camera.width, camera.height
-
-    def doing() -> str:
-        return f"rendering {len(gaussians):,} Gaussians at {size[0]}x{size[1]}"
-
-    def advice() -> str:
-        return f"Render smaller images (--max-side {smaller_side(*size)}), or use --device cpu."
-
-    with explain_out_of_memory(doing, advice):
+    width, height = camera.width, camera.height
+    with explain_out_of_memory(
+        lambda: f"rendering {len(gaussians):,} Gaussians at {width}x{height}",
+        lambda: (
+            f"Render smaller images (--max-side {smaller_side(width, height)}),"
+            " or use --device cpu."
+        ),
+    ):
         output = rasterize_view(
             gaussians,
             camera,
@@ -62,21 +55,14 @@ def render_view(
             background=background,
             with_depth=with_depth,
         )
-    depth = output.depth[0] if with_depth and output.depth is not None else None
+    depth = None if output.depth is None else output.depth[0]
     return RenderedView(image=output.image[0].clamp(0, 1), depth=depth)
 
 
 def rasterize_view(
     gaussians: Gaussians, camera: Camera, world_to_camera: Float64, **options: Any
 ) -> RenderOutput:
-    """`rasterize` a model from one camera, on its device; as in training by default.
-
-    Args:
-        gaussians: the model.
-        camera: the camera.
-        world_to_camera: (4, 4).
-        options: of `rasterize`.
-    """
+    """`rasterize` a model from one camera, on its device, with its options; as in training."""
     device = gaussians.means.device
     viewmat = torch.as_tensor(np.asarray(world_to_camera), dtype=torch.float32, device=device)
     matrix = torch.as_tensor(camera.matrix(), dtype=torch.float32, device=device)
@@ -101,15 +87,10 @@ View = tuple[Camera, Float64]
 
 
 class BlendingWeights(NamedTuple):
-    """The weights of N Gaussians in a view's pixels.
+    """The weights of N Gaussians in a view's pixels."""
 
-    Attributes:
-        largest: (N,) the largest one of each.
-        total: (N,) their sum, each times its pixel's weight if pixels have weights.
-    """
-
-    largest: Tensor
-    total: Tensor
+    largest: Tensor  # (N,) the largest one of each
+    total: Tensor  # (N,) their sum, each times its pixel's weight if pixels have weights
 
 
 @torch.no_grad()
@@ -121,17 +102,9 @@ def blending_weights(
     limits: Limits = NO_LIMITS,
     pixels: Iterable[Tensor | None] | None = None,
 ) -> Iterator[BlendingWeights]:
-    """The weights in each view in turn, on the model's device.
+    """The weights in each view in turn, on the model's device; a stop is checked for before each.
 
-    Args:
-        gaussians: the model, N rows.
-        views: to look from.
-        context: checked for cancellation before each view.
-        limits: which Gaussians are drawn; by default as in training.
-        pixels: for each view, (H, W) weights of its pixels in the total; None: 1.
-
-    Raises:
-        Stopped: the user stopped.
+    `pixels` are (H, W) weights of each view's pixels in the total; None: 1.
     """
     every = iter(() if pixels is None else pixels)
     for camera, pose in views:

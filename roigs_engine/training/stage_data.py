@@ -89,7 +89,7 @@ class PhotoViews:
         )
 
     def photo(self, index: int) -> Tensor:
-        """Its pixels, as `PhotoTensors` has them."""
+        """Its pixels, as `photos_on` has them."""
         return self._photos[index]
 
     def prefetch(self, index: int) -> None:

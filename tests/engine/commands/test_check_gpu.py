@@ -20,7 +20,7 @@ from tests.engine.cuda.shim import ShimProgram, compiled
 def _card(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(device, "check_cuda", lambda context: device.CPU)
     monkeypatch.setattr(driver, "build", lambda: "580.95.05")
-    monkeypatch.setattr(compiler, "nvrtc_of_torch", lambda: SimpleNamespace(version=(13, 0)))
+    monkeypatch.setattr(compiler, "load", lambda: SimpleNamespace(version=(13, 0)))
     for name, value in (
         ("get_device_capability", (8, 9)),
         ("get_device_name", "Some Card"),

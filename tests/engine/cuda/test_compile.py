@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -31,7 +32,7 @@ def test_a_mistake_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_it_is_found_where_wheels_keep_it(tmp_path: Path) -> None:
+def test_it_is_found_where_wheels_keep_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = (
         "nvidia/cuda_nvrtc/lib/libnvrtc.so.12",
         "nvidia/cuda_nvrtc/lib/libnvrtc-builtins.so.12.9",
@@ -47,7 +48,8 @@ def test_it_is_found_where_wheels_keep_it(tmp_path: Path) -> None:
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
-    found = {path.relative_to(tmp_path).as_posix() for path in compiler.libraries([str(tmp_path)])}
+    monkeypatch.setattr(sys, "path", [str(tmp_path)])
+    found = {path.relative_to(tmp_path).as_posix() for path in compiler.libraries()}
     assert found == {n for n in names if "builtins" not in n and ".alt." not in n}
 
 

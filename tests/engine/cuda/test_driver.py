@@ -59,7 +59,7 @@ def compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeCompiler:
     """A torch with a GPU, a compiler, and a cache of its own."""
     made = FakeCompiler()
     monkeypatch.setattr(compiling, "user_cache", lambda: tmp_path)
-    monkeypatch.setattr(compiling, "load", lambda major: made)
+    monkeypatch.setattr(compiling, "load", lambda: made)
     monkeypatch.setattr(torch.version, "cuda", "13.0")
     for name, value in (
         ("is_available", True),

@@ -63,11 +63,6 @@ def test_pictures_differ_by_as_much_at_most(isa: str) -> None:
         assert 0 < float((rough - exact.image).abs().max()) < least * brightest
 
 
-def test_it_is_no_cull() -> None:
-    assert not NO_LIMITS.cull and not TRAINING_LIMITS.cull
-    assert Limits(max_slope=3.0).cull and Limits(min_sigmas=1.0).cull
-
-
 def test_less_than_none() -> None:
     with pytest.raises(EngineError, match="min_transmittance -1 is not 0 or more"):
         Limits(min_transmittance=-1)
