@@ -1,4 +1,4 @@
-"""Links between the documents lead somewhere: to files and folders, and to headings."""
+"""Links between the documents lead somewhere, and the tests that they name exist."""
 
 from __future__ import annotations
 
@@ -45,3 +45,17 @@ def test_links_lead_somewhere(document: Path) -> None:
         ):
             broken.append(link)
     assert not broken
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_tests_that_a_document_names_exist(document: Path) -> None:
+    """A promise names its test: in full, or as in `tests/engine`."""
+    named = re.findall(r"`([\w/]*test_\w+\.py)`", document.read_text(encoding="utf-8"))
+    places = (ROOT, ROOT / "tests", ROOT / "tests" / "engine")
+    alone = {path.name for path in (ROOT / "tests").rglob("test_*.py")}
+    missing = [
+        name
+        for name in named
+        if not any((place / name).is_file() for place in places) and name not in alone
+    ]
+    assert not missing

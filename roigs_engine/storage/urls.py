@@ -14,6 +14,12 @@ from ..requests.values import SCHEME
 
 LOST = ("memory",)
 """Kinds of addresses that are in the memory of this process."""
+STORES = (
+    *("s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss", "oci", "hdfs", "webhdfs"),
+    *("http", "https", "webdav", "ftp", "sftp", "ssh", "smb", "hf", "file", *LOST),
+)
+"""Kinds of addresses that are used: a table may be somebody else's, and fsspec knows some kinds,
+such as `dask`, whose servers can run programs here."""
 HOME = "ROIGS_CACHE"
 """Environment variable: the folder of this machine's copies."""
 
@@ -51,13 +57,18 @@ def file_system(url: str) -> tuple[Any, str]:
 
     ConfigError: fsspec, or the package for such addresses, is missing, or it knows none such.
     """
+    match = SCHEME.match(url)
+    kind = match[1].lower() if match else ""
+    if kind not in STORES or "::" in url:
+        raise ConfigError(
+            f"{url:.200} is not an address of a store.",
+            f"It may begin with {', '.join(STORES[:-1])}.",
+        )
     try:
         import fsspec
 
         found, place = fsspec.core.url_to_fs(url, use_listings_cache=False)
     except ImportError as error:
-        match = SCHEME.match(url)
-        kind = match[1].lower() if match else ""
         package = {"s3": "s3fs", "gs": "gcsfs", "gcs": "gcsfs", "abfs": "adlfs", "az": "adlfs"}
         wanted = package.get(kind, "fsspec")
         raise ConfigError(
