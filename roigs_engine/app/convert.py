@@ -57,7 +57,7 @@ def convert(request: Convert, context: Context = QUIET) -> Result:
     plain = request.plain or not target.keeps_antialiased
     _refuse_page_options(request, plain=plain)
     if request.source.suffix.lower() == LIST:
-        model = _listed(request, target, plain=plain)
+        model = _listed(request, target, context, plain=plain)
     else:
         model = _single(request, target, context, plain=plain)
     arrays = _shortened(model.arrays, request)
@@ -104,7 +104,7 @@ def _single(request: Convert, target: FileFormat, context: Context, *, plain: bo
     )
 
 
-def _listed(request: Convert, target: FileFormat, *, plain: bool) -> _Model:
+def _listed(request: Convert, target: FileFormat, context: Context, *, plain: bool) -> _Model:
     from ..exchange import formats
     from ..exchange.transform import merged
     from ..model.gaussians import Gaussians
@@ -114,7 +114,10 @@ def _listed(request: Convert, target: FileFormat, *, plain: bool) -> _Model:
     wanted, poses = read_list(request.source)
     refuse_inputs([request.out], [request.source, *(Path(item.file) for item in wanted)], OTHER)
     names = dict.fromkeys(item.file for item in wanted)
-    models = {name: _read(Path(name), plain=plain, scene=request.page_scene) for name in names}
+    models = {}
+    for name in names:
+        context.check_cancelled()
+        models[name] = _read(Path(name), plain=plain, scene=request.page_scene)
     read = {name: Gaussians.framed(usable(arrays)) for name, (arrays, _) in models.items()}
     if not any(len(gaussians) for gaussians, _ in read.values()):
         raise ConfigError(f"{request.source} has no Gaussians.", "Give models that have some.")
@@ -123,7 +126,7 @@ def _listed(request: Convert, target: FileFormat, *, plain: bool) -> _Model:
     else:
         antialiased = formats.are_antialiased(Path(name) for name in names)
     matrix = turn(request.from_up or SCENE_UP, request.up or target.up)
-    whole, frame = merged([item.of(*read[item.file], matrix) for item in wanted])
+    whole, frame = merged([item.of(*read[item.file], matrix) for item in wanted], context)
     return _Model(
         arrays=whole.arrays(frame),
         count=sum(len(models[item.file][0]["means"]) for item in wanted),

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..context import QUIET, Context
 from ..formats.drawable import usable
 from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
@@ -19,11 +20,14 @@ from ..rasterize.reference import drawn_share, jacobian, sh_basis
 from .arrays import Arrays, flaw
 
 
-def merged(models: Sequence[Instance]) -> tuple[Gaussians, LocalFrame]:
+def merged(
+    models: Sequence[Instance], context: Context = QUIET
+) -> tuple[Gaussians, LocalFrame]:
     """One model of all (at least one Gaussian), in the world, and the frame that it is in."""
     bands = max(model.gaussians.sh.shape[1] for model in models)
     parts = []
     for model in models:
+        context.check_cancelled()
         sh = turned_sh(model.gaussians.sh, model.from_frame[:3, :3])
         padded = torch.nn.functional.pad(sh, (0, 0, 0, bands - sh.shape[1]))
         parts.append(posed(model, model.from_frame, padded))

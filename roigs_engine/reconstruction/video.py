@@ -20,12 +20,14 @@ from PIL import Image
 from ..context import Context
 from ..errors import EngineError, SceneError
 from ..formats.events import StageStarted
-from ..formats.files import atomic_write, own_folder, read_record, write_json
+from ..formats.files import atomic_write, own_folder, read_record, regular, write_json
 from ..formats.text import counted
 from ..photos.headers import content_digest
 from .folder import IMAGES, Folder
 from .photo_checks import BLURRED, fine_detail
 
+CONTAINERS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi"
+"""FFmpeg's names of what `projects.VIDEOS` are."""
 ENDS_EARLY = 0.98  # of the frames that the file's header promises
 Pixels = NDArray[np.uint8]
 
@@ -66,8 +68,12 @@ class Video:
         """
         number = 0
         try:
-            # The prefix keeps names such as "concat:..." from being more than names.
-            with self._av.open(f"file:{self.path.absolute()}") as file:
+            with open(self.path, "rb", opener=regular):
+                pass  # no pipe or device, which would be waited for
+            # The prefix keeps names such as "concat:..." from being more than names, the list a
+            # playlist that is called a video from naming other files.
+            name, only = f"file:{self.path.absolute()}", {"format_whitelist": CONTAINERS}
+            with self._av.open(name, container_options=only) as file:
                 if not file.streams.video:
                     raise SceneError(f"{self.path} has no pictures.", "Give a video.")
                 stream = file.streams.video[0]

@@ -7,6 +7,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from roigs_engine.context import Context
+from roigs_engine.errors import Stopped
 from roigs_engine.exchange.transform import merged, turned_sh
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
@@ -89,3 +91,16 @@ def test_far_places_keep_their_precision() -> None:
     assert isinstance(frame, LocalFrame)
     back = model.means.double().numpy() / frame.scale + frame.origin - far[:3, 3]
     np.testing.assert_allclose(back, cloud().means.numpy(), atol=1e-4)
+
+
+def test_a_long_list_hears_a_stop() -> None:
+    asked = 0
+
+    def stops() -> bool:
+        nonlocal asked
+        asked += 1
+        return asked > 3
+
+    with pytest.raises(Stopped):
+        merged([placed(cloud())] * 1000, Context(should_stop=stops))
+    assert asked == 4

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from fractions import Fraction
 from pathlib import Path
@@ -144,6 +145,14 @@ def test_what_is_no_video_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixt
     (tmp_path / "text.mp4").write_text("this is no video\n" * 1000)
     (tmp_path / "empty.mov").write_bytes(b"")
     for name in ("cut.mp4", "text.mp4", "empty.mov", "missing.avi"):
+        line = refused(capsys, "reconstruct", tmp_path / name, "--out", tmp_path / "scene")
+        assert "Cannot read the video" in line and name in line
+    os.mkfifo(tmp_path / "pipe.mp4")
+    (tmp_path / "link.mp4").symlink_to(tmp_path / "pipe.mp4")
+    (tmp_path / "device.mp4").symlink_to("/dev/zero")
+    (tmp_path / "list.mp4").write_text("ffconcat version 1.0\nfile cut.mp4\n")
+    (tmp_path / "play.mp4").write_text("#EXTM3U\n#EXTINF:1,\ncut.mp4\n#EXT-X-ENDLIST\n")
+    for name in ("pipe.mp4", "link.mp4", "device.mp4", "list.mp4", "play.mp4"):
         line = refused(capsys, "reconstruct", tmp_path / name, "--out", tmp_path / "scene")
         assert "Cannot read the video" in line and name in line
     still = film(tmp_path / "still.mp4", [0] * 20)
