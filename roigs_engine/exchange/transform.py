@@ -20,9 +20,7 @@ from ..rasterize.reference import drawn_share, jacobian, sh_basis
 from .arrays import Arrays, flaw
 
 
-def merged(
-    models: Sequence[Instance], context: Context = QUIET
-) -> tuple[Gaussians, LocalFrame]:
+def merged(models: Sequence[Instance], context: Context = QUIET) -> tuple[Gaussians, LocalFrame]:
     """One model of all (at least one Gaussian), in the world, and the frame that it is in."""
     bands = max(model.gaussians.sh.shape[1] for model in models)
     parts = []

@@ -186,7 +186,7 @@ class _Rasterize(torch.autograd.Function):
         views, ctx.lease.views = ctx.lease.views, []
         step = ctx.cameras.inputs.backward_step
         if step is not None and not views:
-            raise EngineError("rasterize: with a backward step, backward() can be called once.")
+            raise EngineError("rasterize: backward() with a step can be called only once.")
         needed = [step is None and each for each in ctx.needs_input_grad[1:]]
         targets = gradient_targets(parameters, needed)
         gradients = bindings.Gradients(*(pointer(buffer) for buffer, _ in targets))

@@ -145,6 +145,7 @@ class _KernelLoss(torch.autograd.Function):
         gradient = torch.empty_like(planar) if ctx.needs_input_grad[0] else None
         loss, l1, ssim = terms(planar, target.contiguous(), ssim_weight, mask, gradient).unbind()
         ctx.save_for_backward(gradient)
+        ctx.on_cpu = terms is _terms_on_cpu
         ctx.mark_non_differentiable(l1, ssim)
         ctx.set_materialize_grads(False)
         return loss, l1, ssim
@@ -155,7 +156,7 @@ class _KernelLoss(torch.autograd.Function):
         if scale is None or gradient is None:
             return (None,) * 5
         # The usual factor of 1 needs no pass over the image; but to read it would wait for a GPU.
-        if gradient.is_cuda or scale != 1:
+        if not ctx.on_cpu or scale != 1:
             gradient.mul_(scale)  # in place: fresh memory costs more. torch refuses a second time
         return gradient.permute(1, 2, 0), *(None,) * 4
 

@@ -253,7 +253,7 @@ def rows(path):
 counts = [rows(model["ply"]) for model in models]
 every = np.zeros(sum(counts), bool)
 every[[0, 2, counts[0] - 1, counts[0]]] = True
-np.save(options["out"], every)
+np.save(sys.argv[sys.argv.index("--out") + 1], every)
 say(event="done", outputs={}, stopped=False)
 """
 

@@ -277,9 +277,9 @@ def test_clean_up(blender: ModuleType, two) -> None:
 
     _, folder, older = two
     assert not blender.ops.roigs.clean_up.poll()
-    (folder / "manifest.json").write_text("{}")
+    (folder / "manifest.json").write_text('{"config": {}}')
     listed_stage(folder, "scene")
-    gone = ("preview.ply", "stages/scene-1234abcd/model.ply", "cache/undistorted/1.png")
+    gone = ("preview.ply", "stages/scene-1234abcd/model.ply", f"cache/undistorted/{1:032x}.png")
     for path in (Path(folder, name) for name in gone):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(bytes(1_000_000))

@@ -87,7 +87,7 @@ def test_a_report_is_a_table_whatever_the_names(
     assert len(table) == 8  # two tables
     for lines in (table[:4], table[4:]):
         assert len({len(line) for line in lines}) == 1
-        assert r"A\x1b[2J\|B \| x \|" in lines[2]
+        assert r"A\\x1b\[2J\|B \| x \|" in lines[2]
     page = f"page:     {out / 'report.html'}"
     assert shown.endswith(f"\nreport:   {out / 'report.md'}\n{page}\npictures: {out / 'crops'}\n")
     record = json.loads((out / "report.json").read_text(encoding="utf-8"))

@@ -30,7 +30,7 @@ def run(tmp_path: Path) -> Path:
         places = rng.uniform(-size, size, (400, 3))
         model = Gaussians.from_points(places, rng.integers(0, 256, places.shape).astype(np.uint8))
         model.save_ply(folder / name)
-    (folder / "manifest.json").write_text("{}")
+    (folder / "manifest.json").write_text('{"config": {}}')
     (folder / "settings.json").write_text(json.dumps({"scene": str(scene)}))
     return folder
 
@@ -87,7 +87,7 @@ def test_damaged_settings_are_one_line(
 
 @pytest.mark.parametrize("sizes", [[5], 5, ["0x0"], ["-3x4"], ["9" * 30], ["axb"]])
 def test_damaged_sizes_of_photos_do_not_matter(run: Path, sizes: object) -> None:
-    (run / "manifest.json").write_text(json.dumps({"sizes": sizes}))
+    (run / "manifest.json").write_text(json.dumps({"config": {}, "sizes": sizes}))
     settings = json.loads((run / "settings.json").read_text())
     (run / "settings.json").write_text(json.dumps(settings | {"images": sizes}))
     assert main(words(run)) == 0

@@ -104,12 +104,12 @@ def test_no_command_replaces_what_it_reads(
     box = {"name": "rois", "min": [-0.5] * 3, "max": [0.5] * 3}
     for path in (rois, report):
         path.write_text(json.dumps([box]), encoding="utf-8")
-    options.write_text(json.dumps({"scene": scene, "out": str(tmp_path)}), encoding="utf-8")
+    options.write_text(json.dumps({"scene": scene}), encoding="utf-8")
     before = {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
     evaluate = ["evaluate", scene, "--model", "A=a.ply", "--out", tmp_path]
     for command, name in (
         (["select", scene, "--rois", rois, "--out", tmp_path], rois),
-        (["export", options], options),
+        (["export", options, "--out", tmp_path], options),
         ([*evaluate, "--rois", report], report),
         ([*evaluate, "--rois", rois, "--split", report], report),
     ):

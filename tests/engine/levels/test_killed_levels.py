@@ -39,7 +39,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def make_run(folder: Path, scene: Path) -> Path:
     cloud(500, 0).save_ply(folder / "rois/thing.ply")
     cloud(500, 1, size=0.8, shift=0.5).save_ply(folder / "background.ply")
-    (folder / "manifest.json").write_text("{}")
+    (folder / "manifest.json").write_text('{"config": {}}')
     (folder / "settings.json").write_text(json.dumps({"scene": str(scene)}))
     return folder
 
