@@ -100,7 +100,9 @@ def engine(arguments: Sequence[object], at: Moment | None = None) -> Ended:
         )
 
 
-def killed_everywhere(start: Path, folder: Path, work: Callable[[], object]) -> Iterator[int]:
+def killed_everywhere(
+    start: Path, folder: Path, work: Callable[[], object], *, step: int = 1
+) -> Iterator[int]:
     """Do some work in a folder, killed before the first change of a name there, the second, ...
 
     A file opened to write is a change, too. The last time the work ends.
@@ -109,11 +111,12 @@ def killed_everywhere(start: Path, folder: Path, work: Callable[[], object]) -> 
         start: the folder is a copy of it each time.
         folder: where the work is done; it is replaced.
         work: a function of a module, or a partial of one; it gets to a process of its own.
+        step: only before every so many changes.
 
     Yields:
         How many changes were begun, each time that the folder may be looked at.
     """
-    for number in count(1):
+    for number in count(1, step):
         shutil.rmtree(folder, ignore_errors=True)
         shutil.copytree(start, folder)
         process = CONTEXT.Process(target=_dying, args=(number, str(folder), work))

@@ -197,6 +197,7 @@ def test_machines_with_another_version_are_refused(
     assert said and all("does not see" in text for text in said)
 
 
+@pytest.mark.slow
 def test_machines_that_do_not_answer_yet_are_waited_for(
     cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -220,6 +221,7 @@ def test_machines_that_do_not_answer_yet_are_waited_for(
     assert said and all("is not used: it does not answer" in text for text in said)
 
 
+@pytest.mark.slow
 def test_heads_without_cores_do_no_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A part that fails elsewhere would wait for one for ever."""
     sign = tmp_path / "batch.lock"
@@ -322,6 +324,7 @@ def test_a_head_that_is_killed_is_one_line(cluster: Any, table: Path, tmp_path: 
     assert "the same command goes on" in last["hint"]
 
 
+@pytest.mark.slow
 def test_a_ray_of_ones_own_stays_and_is_for_this_machine_alone() -> None:
     """Its programs end with the thread that has started them; others are not to reach it."""
     code = (

@@ -34,6 +34,7 @@ def _card(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("_card")
+@pytest.mark.slow  # steps of the size of a real training, by kernels for GPUs on a CPU
 def test_it_prints_everything_for_a_bug_report(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -116,12 +116,15 @@ def refuse_mixed(path: Path) -> None:
             assert (folder / "sh0.webp").read_bytes() == b"%d" % lod["count"]
 
 
-def test_killed_before_any_change_it_shows_the_old_model_or_the_new_one(tmp_path: Path) -> None:
+@pytest.mark.parametrize("step", [7, pytest.param(1, marks=pytest.mark.slow)])
+def test_killed_before_any_change_it_shows_the_old_model_or_the_new_one(
+    step: int, tmp_path: Path
+) -> None:
     start, fresh, out = (tmp_path / name for name in ("start", "fresh", "out"))
     written(start / "lod-meta.json", OLD)
     written(fresh / "lod-meta.json", NEW)
     path = out / "lod-meta.json"
-    for number in killed_everywhere(start, out, partial(written, path, NEW)):
+    for number in killed_everywhere(start, out, partial(written, path, NEW), step=step):
         refuse_mixed(path)
         written(path, NEW)
         assert tree(out) == tree(fresh), f"killed before change {number}"
