@@ -24,7 +24,7 @@ BLENDER ?=
 SUITE ?= trixie
 
 # By file, as fixtures of a module are dear; a test process with Blender takes up to 1 GB.
-PARALLEL := --numprocesses auto --maxprocesses 4 --dist loadfile
+PARALLEL := --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -12,6 +13,16 @@ ROOT = Path(__file__).resolve().parent.parent
 # In a checkout whose folder is named 'tests', that name is the top folder's, to pytest.
 if "tests.tests" in sys.modules:
     sys.modules["tests"] = sys.modules["tests.tests"]
+
+
+# Files that take longest, so that none is left for the end, when other processes have no work.
+LONGEST = (
+    *("test_ray.py", "test_batch.py", "test_links.py", "test_formats.py", "test_killed.py"),
+    *("test_training.py", "test_store.py", "test_full_disk.py", "test_damaged_input.py"),
+    *("test_limits.py", "test_events_and_stop.py", "test_import.py", "test_awkward_photos.py"),
+    *("test_safety.py", "test_drawing.py", "test_streamed_sog.py", "test_deaths.py"),
+    *("test_reconstructing.py", "test_killed_levels.py", "test_scratch.py"),
+)
 
 
 class RootIsNoPackage:
@@ -50,3 +61,15 @@ def pytest_configure(config: pytest.Config) -> None:
     """Register what must be known before collection begins."""
     config.pluginmanager.register(RootIsNoPackage())
     same_examples()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files first; else the order stays."""
+    ranks = {name: rank for rank, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: ranks.get(item.path.name, len(LONGEST)))
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """One process more than there are cores: a third of the time, tests wait for another one."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return (cores or 1) + 1

@@ -18,9 +18,9 @@ Column = tuple[str, Key, str, int]
 FLIP: Column = ("ROI FLIP", lambda row: row.roi_flip, ".4f", -1)
 MASK: Column = ("mask PSNR (dB)", lambda row: row.mask_psnr, ".2f", 1)
 CORRECTED: Column = ("corrected (dB)", lambda row: row.corrected_psnr, ".2f", 1)
-OPTIONAL = (FLIP, MASK, CORRECTED)
 MARKDOWN = re.compile(r"[\\`*_\[\]<>|~]")
 """What a name may hold that Markdown or HTML would take as its own."""
+OPTIONAL = (FLIP, MASK, CORRECTED)
 """Columns that are there if they have a number."""
 COLUMNS: tuple[Column, ...] = (
     ("ROI PSNR (dB)", lambda row: row.roi_psnr, ".2f", 1),
