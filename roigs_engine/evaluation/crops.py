@@ -84,12 +84,8 @@ def write_crops(
 ) -> list[Path]:
     """Write the images of all boxes; returns the files, box by box.
 
-    Args:
-        evaluation: of these models on this scene; decides which photos to show.
-        models, scene, rois: as evaluated.
-        run_dir: the images go to its folder `crops`.
-        names: rows to show after the photo; the last one is the result. Default: the baseline and
-            the box's last row.
+    The evaluation decides which photos to show. `names` are the rows to show after the photo, the
+    result last; None: the baseline and the box's last row.
     """
     written: list[Path] = []
     for roi, panels, chosen in _boxes(evaluation, models, rois, names):

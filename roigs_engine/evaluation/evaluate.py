@@ -56,8 +56,7 @@ def evaluate(
     model's depth, which are a few numbers, and those of the best model are used at the end.
 
     Args:
-        models, rois: each model has a row in the table of each of its boxes.
-        scene, test: all photos; names of the test photos.
+        test: names of the test photos.
         baseline: name of the model that gains are relative to; None: the tuned Full Scene if there
             is one, else Full Scene.
         object_mask_from: name of the model whose depth defines the object's mask; None: the best
@@ -183,7 +182,13 @@ def _row(
 ) -> ModelScore:
     """The row of model `index`; model `best` defines the object's mask, `base` is the baseline."""
     model = plan.models[index]
-    views = [_view(sample, index, best) for sample in samples.values()]
+    views = []
+    for sample in samples.values():
+        score = sample.scores[index]
+        if best is not None and sample.pixels[best] >= MIN_OBJECT:
+            psnr = metrics.psnr_from_mse(sample.object_mse[index][best])
+            score = dataclasses.replace(score, object_psnr=psnr)
+        views.append(score)
     thirds = near_and_far({v.view: v.distance for v in views if v.distance is not None})
     near, far = ([view for view in views if view.view in third] for third in thirds)
     gains = Gains()
@@ -216,11 +221,3 @@ def _row(
         near_object_psnr=average(near, "object_psnr"),
         antialiased=model.gaussians.antialiased,
     )
-
-
-def _view(sample: Sample, index: int, best: int | None) -> ViewScore:
-    """The scores of model `index` on one view; model `best` defines the object's mask."""
-    if best is None or sample.pixels[best] < MIN_OBJECT:
-        return sample.scores[index]
-    psnr = metrics.psnr_from_mse(sample.object_mse[index][best])
-    return dataclasses.replace(sample.scores[index], object_psnr=psnr)

@@ -84,8 +84,7 @@ def _text(text: str) -> str:
 
 def _box(scores: RoiScores, evaluation: Evaluation, pictures: Sequence[Comparison]) -> list[str]:
     rows = scores.rows
-    columns = shown_columns(rows)
-    parts = [f"<h2>{_text(scores.roi)}</h2>", *_table(rows, columns)]
+    parts = [f"<h2>{_text(scores.roi)}</h2>", *_table(rows, shown_columns(rows))]
     if pictures:
         parts += ['<div class="pictures">', *(_figure(item) for item in pictures), "</div>"]
     parts += _plot(rows)

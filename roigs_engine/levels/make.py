@@ -91,14 +91,13 @@ def make_levels(
     Args:
         folder: of the run, locked.
         images: its photos, of which only the cameras are used, in the frame.
-        frame: to compute in.
         levels: how many, with the whole one.
         steps: to train each for.
-        context: gives the device; receives progress. Stopped: the same call goes on later.
 
     Raises:
         RunFolderError: there is no result, or it is damaged.
         SceneError: no photo shows a part.
+        Stopped: on request; the same call goes on later.
     """
     remove_leftovers(folder)
     parts = parts_of_run(folder, images, frame)
@@ -208,15 +207,10 @@ def make_level(
     steps: int = STEPS,
     context: Context = QUIET,
 ) -> Gaussians | None:
-    """A level of a part; None if it is stopped, or no view shows the part so coarsely.
+    """A level of a part, from 1; None if it is stopped, or no view shows the part so coarsely.
 
-    Args:
-        part: the whole of it.
-        start: the level before, or the whole.
-        views: that show the part.
-        level: from 1.
-        steps: to train for, if `SHARE` of the views show each Gaussian; more if fewer do.
-        context: gives the device; receives progress.
+    It starts from the level before, or the whole. `steps` are those of a part each of whose
+    Gaussians is shown by `SHARE` of the views; it trains for longer if fewer show them.
     """
     coarser = coarseness(level)
     small = views_at(part, views, coarser)

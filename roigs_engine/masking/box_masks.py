@@ -166,14 +166,9 @@ Strokes = Mapping[str, tuple[Stroke, ...]]
 def basis_digest(
     model: Path | None, scene: SfmScene, roi: OrientedBox, rois: Sequence[OrientedBox]
 ) -> str:
-    """Hash of what carries masks from photo to photo: the model, or else the sparse points.
+    """Hash of what carries masks from photo to photo: the model's PLY, or else the sparse points.
 
-    Args:
-        model: the PLY; None: there is none.
-        rois: all boxes, which share the Gaussians.
-
-    Raises:
-        SceneError: the model cannot be read.
+    `rois` are all boxes, which share the Gaussians. SceneError: the model cannot be read.
     """
     if model is None:
         points = hashlib.sha256(np.ascontiguousarray(scene.points).tobytes()).hexdigest()

@@ -61,7 +61,9 @@ def make_masks(
         step += 1
         context.progress(STAGE, step, total, started)
 
-    begun = _begun(views)
+    # Strokes all around an object begin; others correct a mask, unless there is nothing else.
+    whole = [view for view in views if view.given is not None or fenced(view).any()]
+    begun = whole or [view for view in views if view.is_scribbled]
     for view in views:
         if view.given is None and view.is_scribbled:
             knowledge.learn_strokes(view)
@@ -90,15 +92,6 @@ def make_masks(
         for view in views:
             knowledge.learn(view, masks[view.name], PERSON if view in begun else 1.0)
     return masks
-
-
-def _begun(views: Sequence[View]) -> list[View]:
-    """The photos to begin with: a person's masks, and objects with strokes all around them.
-
-    Other strokes correct a mask: they are too few to begin with, unless there is nothing else.
-    """
-    whole = [view for view in views if view.given is not None or fenced(view).any()]
-    return whole or [view for view in views if view.is_scribbled]
 
 
 def _nearest_first(views: Sequence[View], begun: Sequence[View], centre: Float64) -> list[View]:

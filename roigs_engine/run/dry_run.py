@@ -14,7 +14,7 @@ from .forecast import StageForecast, disk_space, forecast
 from .layout import Cell
 from .manifest import check_version, from_json, manifest_difference, read_manifest
 from .memory import cell_memory
-from .plan import Plan, Stage
+from .plan import Plan
 from .strategies import plan_run
 
 HEAD = ("stage", "photos", "size", "steps", "starts from", "Gaussians", "minutes", "")
@@ -103,23 +103,19 @@ def _row(expected: StageForecast) -> tuple[str, ...]:
     largest = max((i.camera for i in stage.images), key=lambda c: c.width * c.height)
     end, step = expected.end, expected.steps_done
     state = "done" if expected.is_done else f"{step:,} steps done" if step else ""
+    names = list(dict.fromkeys(needed.name for needed in stage.start.stages))
+    if len(names) > MOST_NAMES:
+        names = [names[0], "…", names[-1]]
     return (
         stage.name,
         str(len(stage.images)),
         f"{largest.width}x{largest.height}",
         f"{stage.config.steps:,}",
-        _starts_from(stage),
+        ", ".join(names) or "sparse points",
         f"{end:,}" if expected.is_done else f"~{round(end, -3):,}",
         f"{expected.seconds / 60:.1f}",
         state,
     )
-
-
-def _starts_from(stage: Stage) -> str:
-    names = list(dict.fromkeys(needed.name for needed in stage.start.stages))
-    if len(names) > MOST_NAMES:
-        return f"{names[0]}, …, {names[-1]}"
-    return ", ".join(names) or "sparse points"
 
 
 def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:

@@ -156,8 +156,7 @@ class Executor:
 
     def _data(self, stage: Stage) -> StageData:
         device = torch.device(self.context.device)
-        sizes = [images for images in (stage.images, stage.small_images) if images]
-        photos, *halves = self._caches(sizes)
+        photos, *halves = self._caches([i for i in (stage.images, stage.small_images) if i])
         small = SmallPhotos(images=stage.small_images, photos=halves[0]) if halves else None
 
         def labelled() -> tuple[Gaussians, torch.Tensor]:

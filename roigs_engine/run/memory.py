@@ -236,11 +236,14 @@ def plan_memory(
     least = AHEAD * max(image.decoded_bytes for image in images)
     left = machine - ENGINE - start
     if least + PER_PIXEL * largest > left:
+        side = _largest_side(images, left / (3 * AHEAD + PER_PIXEL))
         raise SceneError(
             f"Training needs at least {in_gb(machine - left + least + PER_PIXEL * largest)} of"
             f" memory ({points:,} points, photos of up to {largest / 1e6:.1f} megapixels); this"
             f" machine has {in_gb(machine)}.",
-            _advice(images, left),
+            "Use a machine with more memory, or a model with fewer points."
+            if side is None
+            else f"Use --max-side {side} or less.",
         )
     if cache is None:
         cache = min(machine // DEFAULT_SHARE, left - PER_PIXEL_AT_MOST * largest)
@@ -272,10 +275,13 @@ def plan_card(
     model = int(CARD_CACHE * CARD_PER_GAUSSIAN * points)
     if model + CARD_CACHE * CARD_PER_PIXEL * pixels + ahead > free:
         need = model + int(CARD_CACHE * CARD_PER_PIXEL * pixels) + ahead
+        left = (free - model) / (3 * CARD_AHEAD + CARD_CACHE * CARD_PER_PIXEL)
+        side = _largest_side(images, left)
+        otherwise = "lose other programs that use the GPU, or train on the CPU (--device cpu)."
         raise SceneError(
             f"Training needs at least {in_gb(need)} of GPU memory ({points:,} points, photos of up"
             f" to {pixels / 1e6:.1f} megapixels); {in_gb(free)} of {in_gb(total)} are free.",
-            _card_advice(images, free - model),
+            f"C{otherwise}" if side is None else f"Use --max-side {side} or less, c{otherwise}",
         )
     step = CARD_CACHE * (CARD_PER_GAUSSIAN * count + CARD_PER_PIXEL_AT_MOST * pixels) + ahead
     training = int(max(step, CARD_CACHE * CARD_PER_GAUSSIAN_EDITED * count))
@@ -291,21 +297,6 @@ def _densifications(*stages: TrainConfig) -> int:
         for config in stages
         if (density := config.get(DensityControl))
     )
-
-
-def _advice(images: Sequence[PosedImage], left: int) -> str:
-    """A hint with the size of photos that fits into so many bytes."""
-    side = _largest_side(images, left / (3 * AHEAD + PER_PIXEL))
-    if side is None:
-        return "Use a machine with more memory, or a model with fewer points."
-    return f"Use --max-side {side} or less."
-
-
-def _card_advice(images: Sequence[PosedImage], left: int) -> str:
-    """A hint with the size of photos that fits on a GPU, beside the points."""
-    side = _largest_side(images, left / (3 * CARD_AHEAD + CARD_CACHE * CARD_PER_PIXEL))
-    otherwise = "lose other programs that use the GPU, or train on the CPU (--device cpu)."
-    return f"C{otherwise}" if side is None else f"Use --max-side {side} or less, c{otherwise}"
 
 
 def _largest_side(images: Sequence[PosedImage], pixels: float) -> int | None:

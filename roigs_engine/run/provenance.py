@@ -37,12 +37,15 @@ def recorded(folder: Path, seed: int, device: str) -> Iterator[None]:
     """
     path = folder / PROVENANCE
     entries = _earlier(path)
+    versions = {}
+    for name in PACKAGES:
+        with suppress(PackageNotFoundError):
+            versions[name] = version(name)
     now: dict[str, Any] = {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "ended": "killed",  # replaced unless the process is killed
         "seconds": None,
-        "versions": {"roigs_engine": __version__, "python": platform.python_version()}
-        | {name: found for name in PACKAGES if (found := _version(name))},
+        "versions": {"roigs_engine": __version__, "python": platform.python_version()} | versions,
         "machine": {
             "system": platform.platform(),
             "chip": processor_name(),
@@ -88,12 +91,6 @@ def _earlier(path: Path) -> list[Any]:
     if not isinstance(record, dict) or not isinstance(record.get("entries"), list):
         raise RunFolderError(f"{path} is not a provenance file.", hint)
     return list(record["entries"])
-
-
-def _version(name: str) -> str:
-    with suppress(PackageNotFoundError):
-        return version(name)
-    return ""
 
 
 def _stages(folder: Path) -> dict[str, float]:

@@ -127,26 +127,20 @@ def _object_stage(photos: PhotoSets, scene: Source, roi: OrientedBox, folder: st
     run = photos.run
     by_name = {image.name: image for image in photos.images}
     images = tuple(by_name[name] for name in photos.selection(roi).names)
+    start = None  # the sparse points, an ablation of the paper
+    if run.config.roi_init == "box":  # another one
+        start = Source(kind=CROP, base=scene, rois=(roi,))
+    elif run.config.roi_init == "scene":
+        start = seen_part(run, scene, images)
     return make_stage(
         path_of(folder, f"{run_files.OBJECT_STAGE}{roi.name}"),
         photos,
         images,
         stage_configs.object_stage(run.config),
         rois=(roi,),
-        start=_object_start(run, scene, roi, images),
+        start=start,
         order=in_order if run.config.roi_order == "ordered" else shuffled_order,
     )
-
-
-def _object_start(
-    run: Run, scene: Source, roi: OrientedBox, images: Sequence[PosedImage]
-) -> Source | None:
-    """What an Object-GS starts from: the Scene-GS, or an ablation's choice."""
-    if run.config.roi_init == "points":
-        return None
-    if run.config.roi_init == "box":
-        return Source(kind=CROP, base=scene, rois=(roi,))
-    return seen_part(run, scene, images)
 
 
 def _object_masks(run: Run) -> str:

@@ -119,12 +119,7 @@ def _percentile(points: Tensor, share: float) -> Tensor:
 
 
 def chosen_rows(matrix: Tensor, rows: Tensor) -> Tensor:
-    """Copies of rows, without gradient.
-
-    Args:
-        matrix: (N, ...).
-        rows: (M,) long, the row of `matrix` that each new row copies; -1: zeros.
-    """
+    """Copies of rows of (N, ...), without gradient; `rows`: (M,) long row numbers, -1: zeros."""
     matrix = matrix.detach()
     on_kernels = matrix.device.type == "cpu" and matrix.dtype == torch.float32
     if on_kernels and matrix.is_contiguous():

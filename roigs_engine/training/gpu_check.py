@@ -21,6 +21,7 @@ from ..cuda import compiler, driver
 from ..errors import EngineError, KernelError
 from ..formats.files import read_json, write_json
 from ..kernels.library import user_cache
+from ..model.gaussians import NAMES
 from ..rasterize import RenderOutput, rasterize
 from .losses import photo_loss
 from .optimizer import EPS, VisibleAdam
@@ -34,7 +35,6 @@ LONGEST = 120.0
 
 SIZE = (160, 120)
 COUNT = 2000
-NAMES = ("means", "quats", "log_scales", "logit_opacities", "sh")
 COUNT_TIMED, SIZE_TIMED = 100_000, (960, 640)
 WARM_UP = 2  # steps: memory is new, caches are cold
 USE_CPU = "Run `python -m roigs_engine check-gpu` and report what it prints; --device cpu trains."
@@ -174,11 +174,9 @@ def _misstep(optimizer: VisibleAdam, name: str, before: Tensor) -> Tensor:
 
 def draw(made: Scene, backend: str, **options: Any) -> RenderOutput:
     """The scene as training draws it."""
-    means, quats, scales, opacities, sh = (made.model[name] for name in NAMES)
     height, width, _ = made.photo.shape
-    view = *made.view, width, height
-    options |= {"raw": True, "backend": backend}
-    return rasterize(means, quats, scales, opacities, sh, *view, **options)
+    tensors = (made.model[name] for name in NAMES)
+    return rasterize(*tensors, *made.view, width, height, raw=True, backend=backend, **options)
 
 
 def scene(device: torch.device, count: int, size: tuple[int, int]) -> Scene:

@@ -20,9 +20,7 @@ from .optimizer import VisibleAdam
 class PeriodicCallback:
     """A function to call every `every` seconds of training; takes at most a tenth of the time.
 
-    Args:
-        every: seconds of training between two calls; 0: never.
-        call: the function.
+    `every` 0: never.
     """
 
     def __init__(self, every: float, call: Callable[[], None]) -> None:

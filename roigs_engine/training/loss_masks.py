@@ -103,20 +103,18 @@ class LossMasks:
 
     def __getitem__(self, index: int) -> LossMask | None:
         """The mask of photo `index`; None if it sees no box."""
-        if index not in self._masks:
-            self._masks[index] = self._made(index)
-        return self._masks[index]
-
-    def _made(self, index: int) -> LossMask | None:
+        if index in self._masks:
+            return self._masks[index]
         grid, camera = self._tiles_of(index), self._images[index].camera
         if not grid.any():
-            return None
+            return self._masks.setdefault(index, None)
         tiles = tiles_of_grid(torch.from_numpy(grid), (camera.width, camera.height))
         assert tiles.mask is not None
-        return LossMask(
+        made = LossMask(
             tiles=replace(tiles, mask=sent(tiles.mask.contiguous(), self._device)).windowed(),
             loss_weight=self._loss_weight(float(self._mask(index).mean())),
         )
+        return self._masks.setdefault(index, made)
 
     def _loss_weight(self, share: float) -> float:
         if not self._weighting:

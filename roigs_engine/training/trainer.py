@@ -94,8 +94,11 @@ class Trainer:
         before, first = self.seconds, self.step
         cpu_started = time.process_time() - self.cpu_seconds
         while self.step < self.config.steps:
-            if context.should_stop() or not self._between_steps(context):
+            if context.should_stop():
                 break
+            with torch.no_grad():
+                if not all(each.between_steps(self, context) for each in self._running.values()):
+                    break
             self.train_step()
             now = time.perf_counter()
             self.seconds = before + now - started
@@ -114,11 +117,6 @@ class Trainer:
             return False
         with torch.no_grad():
             return all(each.end(self, context) for each in self._running.values())
-
-    def _between_steps(self, context: Context) -> bool:
-        """Whether no mechanism was stopped."""
-        with torch.no_grad():
-            return all(each.between_steps(self, context) for each in self._running.values())
 
     def train_step(self) -> None:
         """Render a photo, compare, take an optimizer step, then do what is due."""
@@ -237,11 +235,7 @@ class Trainer:
         """The Gaussians of the optimizer of the model, or of a part; `options` of `rasterize`."""
         p, camera = optimizer.parameters, self._views(self.step).view(view[0])
         return rasterize(
-            p["means"],
-            p["quats"],
-            p["log_scales"],
-            p["logit_opacities"],
-            p["sh"],
+            *(p[name] for name in NAMES),
             **camera._asdict(),
             sh_degree=self.config.degree(self.step),
             raw=True,

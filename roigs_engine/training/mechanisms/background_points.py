@@ -63,11 +63,8 @@ def background_points(
 ) -> tuple[Float64, NDArray[np.uint8]]:
     """(B, 3) positions in the world, (B, 3) uint8 colours; B is from 0 to the number of points.
 
-    Args:
-        points: (P, 3) of the scene, world units.
-        images: the training photos.
-        photos: their pixels, in the same order; those that need nothing are not decoded.
-        cells: along the longer side of a photo.
+    `points` are (P, 3), world units. `photos` are the pixels of `images`, in the same order; those
+    that need nothing are not decoded. `cells` are along the longer side of a photo.
     """
     from scipy.spatial import cKDTree
 

@@ -83,24 +83,20 @@ def box_budgets(
 ) -> tuple[int, ...]:
     """Each box's budget at the end, `factor` x pixels^0.5.
 
-    Args:
-        images: the stage's photos; each pixel in a box's silhouette counts, unless the photo's
-            mask ignores it, or the mask of the box's object does not show it. Photos without such
-            a mask count with the mean share that the masks leave of the silhouette.
-        rois, factor: the boxes; on the root.
+    Each pixel in a box's silhouette counts, unless the photo's mask ignores it, or the mask of the
+    box's object does not show it. Photos without such a mask count with the mean share that the
+    masks leave of the silhouette.
     """
-    return tuple(int(factor * _pixels(roi, images, context) ** EXPONENT) for roi in rois)
-
-
-def _pixels(roi: OrientedBox, images: Sequence[PosedImage], context: Context) -> float:
-    """Number of pixels in the box's silhouette that count, over all photos."""
-    shares = [share for image in images if (share := object_share(roi, image)) is not None]
-    usual, pixels = (sum(shares) / len(shares) if shares else 1.0), 0.0
-    for image in images:
-        context.check_cancelled()
-        share = 1.0 if roi.name in image.objects else usual
-        pixels += share * counted_pixels(roi, image)
-    return pixels
+    budgets = []
+    for roi in rois:
+        shares = [share for image in images if (share := object_share(roi, image)) is not None]
+        usual, pixels = (sum(shares) / len(shares) if shares else 1.0), 0.0
+        for image in images:
+            context.check_cancelled()
+            share = 1.0 if roi.name in image.objects else usual
+            pixels += share * counted_pixels(roi, image)
+        budgets.append(int(factor * pixels**EXPONENT))
+    return tuple(budgets)
 
 
 class RunningBoxDensityControl(RunningDensityControl):

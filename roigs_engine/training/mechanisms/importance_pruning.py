@@ -101,11 +101,8 @@ def unimportant_gaussians(
 ) -> Tensor:
     """(N,) bool: the Gaussians that a stage's photos do not miss.
 
-    Args:
-        gaussians, data: the model, N rows; of the stage.
-        views: its photos, in the size to judge by.
-        growth: largest mean growth of the photos' errors, as a share of them.
-        rois: boxes that are judged apart.
+    `views` are its photos in the size to judge by; `growth` is the largest mean growth of their
+    errors, as a share of them; `rois` are boxes that are judged apart.
     """
     errors = PhotoErrors(views, rois, data.backgrounds, context)
     worth = visible_worth(gaussians, data.images, context)
@@ -155,17 +152,11 @@ class PhotoErrors:
         self._views, self._rois = views, rois
         self._backgrounds, self._context = backgrounds, context
         self._whole = frozenset(evenly_spaced(range(len(views.images)), WHOLE))
-        self._seeing = [
-            evenly_spaced(
-                [
-                    k
-                    for k, image in enumerate(views.images)
-                    if roi.projected_area(image.camera, image.world_to_camera) > 0
-                ],
-                EACH,
-            )
-            for roi in rois
-        ]
+        self._seeing = []
+        for roi in rois:
+            areas = [roi.projected_area(i.camera, i.world_to_camera) for i in views.images]
+            seeing = [k for k, area in enumerate(areas) if area > 0]
+            self._seeing.append(evenly_spaced(seeing, EACH))
 
     def __call__(self, gaussians: Gaussians) -> Iterator[tuple[int, float]]:
         """Photo by photo, the error on the whole, and on the silhouette of each box that it judges.
@@ -201,16 +192,8 @@ class PhotoErrors:
         options: dict[str, Any] = self._views.view(index)._asdict()
         if self._backgrounds is not None:
             options["background"] = self._backgrounds[index]
-        output = rasterize(
-            gaussians.means,
-            gaussians.quats,
-            gaussians.log_scales,
-            gaussians.logit_opacities,
-            gaussians.sh,
-            raw=True,
-            antialiased=gaussians.antialiased,
-            **options,
-        )
+        tensors = gaussians.tensors().values()
+        output = rasterize(*tensors, raw=True, antialiased=gaussians.antialiased, **options)
         squares = (output.image[0] - photo / 255.0).square().mean(dim=-1)
         return squares, torch.ones_like(squares, dtype=torch.bool) if counted is None else counted
 

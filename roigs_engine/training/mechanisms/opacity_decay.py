@@ -68,8 +68,7 @@ class OpacityDecay(Mechanism):
         if not self.one_sided:
             return config
         spread = max(view_spread(views.seen(roi), roi) for roi in views.rois)
-        whole_share = 1 - (1 - 1 / config.of(MaskedSteps).full_every)
-        lower = self.share * whole_share
+        lower = self.share * (1 - (1 - 1 / config.of(MaskedSteps).full_every))
         decided = replace(self, one_sided=0.0)
         if spread < self.one_sided:
             decided = replace(decided, outside_share=min(lower, self.outside_share or lower))
@@ -108,12 +107,7 @@ class _Running(Running):
 
 
 def decay_opacities(logit_opacities: Tensor, share: float | Tensor) -> None:
-    """Lower opacities in place by a share of what they are.
-
-    Args:
-        logit_opacities: (N,).
-        share: one in [0, 1) for all, or (N,).
-    """
+    """Lower (N,) opacities in place by a share of what they are: one in [0, 1), or (N,)."""
     import torch
 
     # logit(d o) = log d - log(1 - d + exp(-x)) for the opacity o = 1 / (1 + exp(-x))
