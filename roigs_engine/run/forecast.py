@@ -77,11 +77,17 @@ class StageForecast:
 
 @dataclass(frozen=True, kw_only=True)
 class Forecast:
-    """What a plan will take."""
+    """What a plan will take.
 
-    stages: Sequence[StageForecast]  # in the order of training
-    evaluation: float  # seconds, of all models
-    device: str  # that trains, for the text
+    Attributes:
+        stages: in the order of training.
+        evaluation: seconds to evaluate all models.
+        device: what trains, for the text.
+    """
+
+    stages: Sequence[StageForecast]
+    evaluation: float
+    device: str
 
     def time_line(self) -> str:
         """One line with the minutes."""
@@ -186,10 +192,7 @@ class Estimator:
 
     def estimate(self, stage: Stage, start: int) -> StageForecast:
         """The estimate of a stage that starts with `start` Gaussians."""
-        inside = np.zeros(len(self._scene.points), dtype=bool)
-        for roi in stage.rois:
-            inside |= roi.contains(self._scene.points)
-        counts = expected_counts(stage, start, float(inside.mean()) if len(inside) else 0.0)
+        counts = expected_counts(stage, start, self._share_in_boxes(stage))
         end, most = counts[-1], max(counts)
         seconds = small = self._line(stage, stage.images, start, most)
         if stage.small_images:
@@ -211,6 +214,13 @@ class Estimator:
         low, high = self._step_seconds(stage, images, few, many)
         slope = (high - low) / (many - few) if many > few else high / max(few, 1)
         return lambda count: low + slope * (count - few)
+
+    def _share_in_boxes(self, stage: Stage) -> float:
+        """Share of the scene's points that lie in the stage's boxes."""
+        inside = np.zeros(len(self._scene.points), dtype=bool)
+        for roi in stage.rois:
+            inside |= roi.contains(self._scene.points)
+        return float(inside.mean()) if len(inside) else 0.0
 
     def _step_seconds(
         self, stage: Stage, images: Sequence[PosedImage], start: int, end: int

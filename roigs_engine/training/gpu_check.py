@@ -174,9 +174,11 @@ def _misstep(optimizer: VisibleAdam, name: str, before: Tensor) -> Tensor:
 
 def draw(made: Scene, backend: str, **options: Any) -> RenderOutput:
     """The scene as training draws it."""
+    means, quats, scales, opacities, sh = (made.model[name] for name in NAMES)
     height, width, _ = made.photo.shape
-    tensors = (made.model[name] for name in NAMES)
-    return rasterize(*tensors, *made.view, width, height, raw=True, backend=backend, **options)
+    view = *made.view, width, height
+    options |= {"raw": True, "backend": backend}
+    return rasterize(means, quats, scales, opacities, sh, *view, **options)
 
 
 def scene(device: torch.device, count: int, size: tuple[int, int]) -> Scene:

@@ -235,7 +235,11 @@ class Trainer:
         """The Gaussians of the optimizer of the model, or of a part; `options` of `rasterize`."""
         p, camera = optimizer.parameters, self._views(self.step).view(view[0])
         return rasterize(
-            *(p[name] for name in NAMES),
+            p["means"],
+            p["quats"],
+            p["log_scales"],
+            p["logit_opacities"],
+            p["sh"],
             **camera._asdict(),
             sh_degree=self.config.degree(self.step),
             raw=True,

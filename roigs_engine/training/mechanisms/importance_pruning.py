@@ -192,8 +192,16 @@ class PhotoErrors:
         options: dict[str, Any] = self._views.view(index)._asdict()
         if self._backgrounds is not None:
             options["background"] = self._backgrounds[index]
-        tensors = gaussians.tensors().values()
-        output = rasterize(*tensors, raw=True, antialiased=gaussians.antialiased, **options)
+        output = rasterize(
+            gaussians.means,
+            gaussians.quats,
+            gaussians.log_scales,
+            gaussians.logit_opacities,
+            gaussians.sh,
+            raw=True,
+            antialiased=gaussians.antialiased,
+            **options,
+        )
         squares = (output.image[0] - photo / 255.0).square().mean(dim=-1)
         return squares, torch.ones_like(squares, dtype=torch.bool) if counted is None else counted
 
