@@ -130,7 +130,7 @@ def opened(asked: Asked, context: Context, log: EventLog) -> Iterator[tuple[Run,
     Events are written to the folder once it is known that it may be this run's. The preview is
     deleted at the end: the result is there.
     """
-    from ..colmap.undistortion_cache import remove_unused
+    from ..colmap.undistort import remove_unused
     from ..run.definition import define_run
     from ..run.folder import PATIENCE, held, open_folder
     from ..run.manifest import check_version, refuse_other_run

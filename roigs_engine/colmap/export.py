@@ -13,7 +13,7 @@ from ..errors import ConfigError
 from ..formats.files import atomic_write, write_json
 from ..formats.scene_transform import read_transforms, transform_among, transform_file
 from ..formats.transforms import scale_of
-from ..model.scene import Float64, PosedImage, SfmScene
+from ..model.scene import Float64, SfmScene
 from .inspect import inspect_scene
 
 SCENE = "scene.json"
@@ -50,19 +50,19 @@ def write_export(
     del record["rois"]
     record["frame"] = frame
     record["placement"] = None if transform is None else transform.tolist()
-    write_json(folder / SCENE, {**record, "images": [_image_record(i) for i in scene.images]})
+    record["images"] = [
+        {
+            "name": image.name,
+            "path": str(image.path.absolute()),
+            **asdict(image.camera),
+            "world_to_camera": image.world_to_camera.tolist(),
+            "distorted": image.distorted,
+        }
+        for image in scene.images
+    ]
+    write_json(folder / SCENE, record)
     files = {"scene": SCENE, **{name: f"{name}.npy" for name in arrays}}
     return {name: str(folder / file) for name, file in files.items()}
-
-
-def _image_record(image: PosedImage) -> dict[str, object]:
-    return {
-        "name": image.name,
-        "path": str(image.path.absolute()),
-        **asdict(image.camera),
-        "world_to_camera": image.world_to_camera.tolist(),
-        "distorted": image.distorted,
-    }
 
 
 def stored_transform(folder: Path, scene: SfmScene) -> Float64:

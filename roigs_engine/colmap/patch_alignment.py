@@ -137,8 +137,7 @@ def _inverse(matrices: Float64) -> Float64:
     """The inverses of (N, 2, 2); numpy's own takes 30 times as long."""
     (a, b), (c, d) = matrices.transpose(1, 2, 0)
     adjugate = np.array([[d, -b], [-c, a]]) / (a * d - b * c)
-    inverse: Float64 = adjugate.transpose(2, 0, 1)
-    return inverse
+    return np.asarray(adjugate.transpose(2, 0, 1))
 
 
 def _slopes(references: Grey) -> Grey:
@@ -149,8 +148,7 @@ def _slopes(references: Grey) -> Grey:
     x, y = GRID
     slopes = np.stack([right, down, right * x, right * y, down * x, down * y], axis=2)
     mean = (slopes * WEIGHTS[None, :, None]).sum(axis=1, keepdims=True)
-    centred: Grey = slopes - mean
-    return centred
+    return np.asarray(slopes - mean)
 
 
 Grey = NDArray[np.float32]

@@ -28,9 +28,9 @@ from .undistort import (
     has_pycolmap,
     plan_undistortion,
     undistort_again,
+    undistort_all,
     without_distortion,
 )
-from .undistortion_cache import undistort_all
 
 MISSING = "missing on disk"
 UNPOSED = "without a pose"

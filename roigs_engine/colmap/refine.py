@@ -27,14 +27,7 @@ from ..context import QUIET, Context
 from ..errors import SceneError
 from ..model.scene import Float64
 from ..photos.files import find_photos
-from .adjustment import (
-    FEWEST_LEFT_OUT,
-    LONG_TRACK,
-    adjust,
-    median_error,
-    to_leave_out,
-    with_fuller_cameras,
-)
+from . import adjustment
 from .library import pycolmap_module
 from .model_files import HINT_DAMAGED, read_model
 from .refine_by_matches import MatchedFit, fit_to_matches, photo_paths
@@ -124,10 +117,10 @@ def refine_cameras(
 
 def _by_tracks(colmap: Any, scene: Any, model: Path, context: Context) -> tuple[Any, Refinement]:
     """The scene with the cameras that fit the tracks best, the new ones or the old."""
-    started, left_out = time.monotonic(), to_leave_out(scene)
-    if len(left_out) < FEWEST_LEFT_OUT:
+    started, left_out = time.monotonic(), adjustment.to_leave_out(scene)
+    if len(left_out) < adjustment.FEWEST_LEFT_OUT:
         raise SceneError(
-            f"{model} has too few points that {LONG_TRACK} or more photos observe.",
+            f"{model} has too few points that {adjustment.LONG_TRACK} or more photos observe.",
             "Export the model with its observations, or take more photos.",
         )
     # The model as it is has seen the left-out observations: adjust it without them to compare.
@@ -135,13 +128,13 @@ def _by_tracks(colmap: Any, scene: Any, model: Path, context: Context) -> tuple[
     for image, keypoint, _ in left_out:
         old.delete_observation(image, keypoint)
         new.delete_observation(image, keypoint)
-    adjust(colmap, old, "TRIVIAL", LOSS_SCALE)
-    before = median_error(old, left_out)
+    adjustment.adjust(colmap, old, "TRIVIAL", LOSS_SCALE)
+    before = adjustment.median_error(old, left_out)
     context.progress("refine cameras", 1, 2, started)
     context.check_cancelled()
-    cameras = with_fuller_cameras(colmap, new)
-    adjust(colmap, new, "CAUCHY", LOSS_SCALE)
-    after = median_error(new, left_out)
+    cameras = adjustment.with_fuller_cameras(colmap, new)
+    adjustment.adjust(colmap, new, "CAUCHY", LOSS_SCALE)
+    after = adjustment.median_error(new, left_out)
     context.progress("refine cameras", 2, 2, started)
     context.check_cancelled()
     done = Refinement(before=before, after=after, left_out=len(left_out), cameras=cameras)

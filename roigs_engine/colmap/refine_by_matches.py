@@ -14,18 +14,7 @@ from ..context import Context
 from ..formats.text import counted, first_of
 from ..photos.files import PhotoFolder
 from ..photos.headers import PhotoError, photo_size
-from .adjustment import (
-    FEWEST_LEFT_OUT,
-    FULLEST,
-    Observation,
-    adjust,
-    has_rigs,
-    is_sound,
-    median_error,
-    to_leave_out,
-    with_fuller_cameras,
-    with_own_cameras,
-)
+from . import adjustment
 from .records import same_shape
 from .track_matching import Matches, Views, match_tracks
 
@@ -64,7 +53,7 @@ class MatchedFit:
     @property
     def enough(self) -> bool:
         """Whether there were enough matches to judge by."""
-        return self.left_out >= FEWEST_LEFT_OUT
+        return self.left_out >= adjustment.FEWEST_LEFT_OUT
 
 
 def photo_paths(
@@ -111,7 +100,7 @@ def fit_to_matches(
     matches = match_tracks(scene, photos, context)
     tracked = colmap.Reconstruction(scene)
     anchors = _track(colmap, tracked, scene, matches)
-    left_out = to_leave_out(tracked, anchors)
+    left_out = adjustment.to_leave_out(tracked, anchors)
     fit = MatchedFit(
         before=math.nan,
         after=math.nan,
@@ -124,23 +113,25 @@ def fit_to_matches(
     for image, keypoint, _ in left_out:
         tracked.delete_observation(image, keypoint)
     trial = colmap.Reconstruction(tracked)
-    adjust(colmap, trial, "CAUCHY", LOSS_SCALE, points_only=True)
-    before = best = median_error(trial, left_out)
+    adjustment.adjust(colmap, trial, "CAUCHY", LOSS_SCALE, points_only=True)
+    before = best = adjustment.median_error(trial, left_out)
     found, taken = tracked, []
     for change in CHANGES:
         context.check_cancelled()
-        if change == FOCAL_LENGTHS and has_rigs(scene):
+        if change == FOCAL_LENGTHS and adjustment.has_rigs(scene):
             continue
         trial = colmap.Reconstruction(found)
-        if change == DISTORTION and not with_fuller_cameras(colmap, trial, FULLEST):
+        if change == DISTORTION and not adjustment.with_fuller_cameras(
+            colmap, trial, adjustment.FULLEST
+        ):
             continue
         if change == FOCAL_LENGTHS:
             ids, counts = Views(scene).ids, np.bincount(matches.view)
             often = {ids[view] for view in np.flatnonzero(counts >= MANY)}
-            trial = with_own_cameras(colmap, trial, often)
-        adjust(colmap, trial, "CAUCHY", LOSS_SCALE, distortion=change != FOCAL_LENGTHS)
-        error = median_error(trial, left_out)
-        if not all(map(is_sound, trial.cameras.values())):
+            trial = adjustment.with_own_cameras(colmap, trial, often)
+        adjustment.adjust(colmap, trial, "CAUCHY", LOSS_SCALE, distortion=change != FOCAL_LENGTHS)
+        error = adjustment.median_error(trial, left_out)
+        if not all(map(adjustment.is_sound, trial.cameras.values())):
             continue
         if error < best * (1 if change == POSES else CLEARLY):
             best, found = error, trial
@@ -152,8 +143,8 @@ def fit_to_matches(
 def _moved(colmap: Any, scene: Any, fitted: Any) -> Any:
     """The scene with another's cameras and poses, and its points where they then fit."""
     own = {key for key, image in fitted.images.items() if image.camera_id not in scene.cameras}
-    moved = with_own_cameras(colmap, scene, own) if own else colmap.Reconstruction(scene)
-    rigs = has_rigs(scene)
+    moved = adjustment.with_own_cameras(colmap, scene, own) if own else colmap.Reconstruction(scene)
+    rigs = adjustment.has_rigs(scene)
     for key, image in fitted.images.items():
         camera = moved.cameras[moved.images[key].camera_id]
         camera.model, camera.params = image.camera.model, image.camera.params
@@ -167,7 +158,7 @@ def _moved(colmap: Any, scene: Any, fitted: Any) -> Any:
         for key, frame in moved.frames.items():
             if fitted.frames[key].has_pose:
                 frame.rig_from_world = fitted.frames[key].rig_from_world
-    adjust(colmap, moved, "CAUCHY", KEYPOINT_SCALE, points_only=True)
+    adjustment.adjust(colmap, moved, "CAUCHY", KEYPOINT_SCALE, points_only=True)
     return moved
 
 
@@ -179,7 +170,7 @@ def _track(colmap: Any, target: Any, scene: Any, matches: Matches) -> set[tuple[
     views = Views(scene)
     target.delete_all_points2D_and_points3D()
     keypoints: list[list[Any]] = [[] for _ in views.ids]
-    tracks: dict[int, list[Observation]] = {}
+    tracks: dict[int, list[adjustment.Observation]] = {}
     anchors = set()
     for row, point in enumerate(matches.point.tolist()):
         view = int(matches.view[row])
@@ -206,7 +197,7 @@ def _keep_keypoints(
     scene: Any,
     image: int,
     keypoints: list[Any],
-    tracks: dict[int, list[Observation]],
+    tracks: dict[int, list[adjustment.Observation]],
     keys: Sequence[int],
 ) -> None:
     """Add the scene's own keypoints of a photo to those of matched points; no point has two."""

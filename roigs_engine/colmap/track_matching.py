@@ -255,8 +255,7 @@ def _steps(views: Views, points: Float64, references: _References, wanted: _Want
             rows = which == view
             own = views.footprints(int(view), points[wanted.point[rows]])
             size[rows] = np.maximum(size[rows], own)
-    steps: Float64 = np.stack([first, np.cross(normal, first)], axis=2) * size[:, None, None]
-    return steps
+    return np.asarray(np.stack([first, np.cross(normal, first)], axis=2) * size[:, None, None])
 
 
 class Views:
@@ -283,14 +282,12 @@ class Views:
         """(N, 3) points -> (N, 2) places in a photo, px; NaN behind the camera."""
         local = points @ self._poses[view, :, :3].T + self._poses[view, :, 3]
         local[local[:, 2] <= 0] = np.nan
-        places: Float64 = np.asarray(self.lenses[view].img_from_cam(local)).reshape(-1, 2)
-        return places
+        return np.asarray(np.asarray(self.lenses[view].img_from_cam(local)).reshape(-1, 2))
 
     def footprints(self, view: int, points: Float64) -> Float64:
         """(N,) what a pixel of the photo covers at each point, world units."""
         depths = points @ self._poses[view, 2, :3] + self._poses[view, 2, 3]
-        size: Float64 = depths / self.focals[view]
-        return size
+        return np.asarray(depths / self.focals[view])
 
     def jacobians(self, view: int, points: Float64, axes: Float64) -> Float64:
         """(N, 2, 2): where two short steps from each point lead in the photo, px, as columns.

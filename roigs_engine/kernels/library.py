@@ -35,7 +35,7 @@ def load() -> ctypes.CDLL:
     """
     folder = _folder_with_libraries()
     library = _opened(build.library_path(folder, _platform(), _choose_isa(folder)))
-    _set_threads(library, None)
+    library.roigs_set_threads(ctypes.c_int(usable_cores()))
     return library
 
 
@@ -47,7 +47,7 @@ def isa() -> str:
 
 def set_threads(count: int | None) -> None:
     """Set the kernels' number of threads; None: all cores that this process may use."""
-    _set_threads(load(), count)
+    load().roigs_set_threads(ctypes.c_int(usable_cores() if count is None else max(1, count)))
 
 
 def threads() -> int:
@@ -130,10 +130,6 @@ def _best_isa(generic_library: Path) -> str:
     library = _opened(generic_library)
     library.roigs_best_isa.restype = ctypes.c_char_p
     return str(library.roigs_best_isa().decode("ascii"))
-
-
-def _set_threads(library: ctypes.CDLL, count: int | None) -> None:
-    library.roigs_set_threads(ctypes.c_int(usable_cores() if count is None else max(1, count)))
 
 
 def _check_age(folder: Path) -> None:

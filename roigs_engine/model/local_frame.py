@@ -72,8 +72,7 @@ class LocalFrame:
 
     def points(self, world: Float64) -> Float64:
         """(N, 3) world positions -> local ones."""
-        local: Float64 = (world - self.origin) * self.scale
-        return local
+        return np.asarray((world - self.origin) * self.scale)
 
     def transform(self, rigid: Float64) -> Float64:
         """(4, 4) rigid transform from the world (`world_to_camera`, `world_to_box`) -> from here.

@@ -46,8 +46,7 @@ def _small(mask: PhotoMask, camera: Camera) -> NDArray[np.uint8]:
     # The mask is of the photo's full size, the camera may be that of a smaller copy.
     rows = np.arange(camera.height) * mask.small.shape[0] // camera.height
     columns = np.arange(camera.width) * mask.small.shape[1] // camera.width
-    small: NDArray[np.uint8] = mask.small[np.ix_(rows, columns)]
-    return small
+    return np.asarray(mask.small[np.ix_(rows, columns)])
 
 
 HALF = 128  # least value of a small mask's pixel that shows the object
@@ -104,5 +103,4 @@ def object_points(
         rows, columns = mask.small.shape
         shown = mask.small[(y * rows).astype(int), (x * columns).astype(int)] >= HALF
         votes[seen] += np.where(shown, 1, -1)
-    found: NDArray[np.bool_] = votes >= 0
-    return found
+    return np.asarray(votes >= 0)

@@ -61,8 +61,7 @@ class OrientedBox(RoiRecord):
     def contains(self, points: Float64) -> NDArray[np.bool_]:
         """(N, 3) world positions -> (N,) whether each lies inside or on the box."""
         within = np.abs(self.to_box(points)) <= 1
-        inside: NDArray[np.bool_] = np.logical_and.reduce(within, axis=1)
-        return inside
+        return np.asarray(np.logical_and.reduce(within, axis=1))
 
     def distance(self, points: Float64) -> Float64:
         """(N, 3) world positions -> (N,) distance of each from the box, 0 inside, world units."""
@@ -75,8 +74,7 @@ class OrientedBox(RoiRecord):
         """(8, 3) world positions; corner k has the sign bits of k."""
         bits = (np.arange(8)[:, None] >> np.arange(3)) & 1
         local = (2 * bits - 1) * self.half_extents
-        corners: Float64 = (local - self.world_to_box[:3, 3]) @ self.world_to_box[:3, :3]
-        return corners
+        return np.asarray((local - self.world_to_box[:3, 3]) @ self.world_to_box[:3, :3])
 
     def silhouette_polygon(self, camera: Camera, world_to_camera: Float64) -> Float64 | None:
         """The projected box as a convex polygon, (M, 2) pixels; None if the camera does not see it.

@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-T = TypeVar("T")
 
-
-def rotation_entries(w: T, x: T, y: T, z: T) -> list[T]:
+def rotation_entries(w: Any, x: Any, y: Any, z: Any) -> list[Any]:
     """The nine entries of the rotation matrix of a unit quaternion wxyz, row by row.
 
     Works for numbers, arrays and tensors.
     """
-    a: Any
-    b: Any
-    c: Any
-    d: Any
-    a, b, c, d = w, x, y, z
     return [
-        1 - 2 * (c * c + d * d), 2 * (b * c - a * d), 2 * (b * d + a * c),
-        2 * (b * c + a * d), 1 - 2 * (b * b + d * d), 2 * (c * d - a * b),
-        2 * (b * d - a * c), 2 * (c * d + a * b), 1 - 2 * (b * b + c * c),
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
     ]  # fmt: skip
 
 

@@ -113,8 +113,7 @@ class PosedImage:
 
     def local(self, points: Float64) -> Float64:
         """World positions (P, 3) -> (P, 3) in the camera's axes."""
-        found: Float64 = points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
-        return found
+        return np.asarray(points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3])
 
     def projected(self, points: Float64) -> tuple[Float64, Float64]:
         """World positions (P, 3) -> pixels (F, 2) and depths (F,) of those before the camera."""

@@ -116,9 +116,32 @@ def find_candidates(scene: SfmScene, roi: OrientedBox, context: Context = QUIET)
 
 
 def check_has_points(scene: SfmScene, roi: OrientedBox) -> None:
-    """Raise RoiError if no point lies in the box."""
-    if not roi.contains(scene.points).any():
-        raise _empty_box(scene, roi)
+    """Raise RoiError if no point lies in the box; names its size and the nearest points."""
+    if roi.contains(scene.points).any():
+        return
+    finite = scene.points[np.isfinite(scene.points).all(axis=1)] if len(scene.points) else None
+    sides = " x ".join(f"{2 * side:.4g}" for side in roi.half_extents)
+    centre = _position(roi.centre)
+    message = f"Box '{roi.name}' contains no sparse point (sides {sides}, centre {centre})."
+    if finite is None or len(finite) == 0:
+        raise RoiError(
+            f"{message} The model has no points at all.",
+            "Export the COLMAP model with its points3D file.",
+        )
+    distance = roi.distance(finite)
+    nearest = np.argsort(distance, kind="stable")[:NEAREST_NAMED]
+    named = "; ".join(f"{distance[i]:.4g} away at {_position(finite[i])}" for i in nearest)
+    size = float(np.linalg.norm(np.ptp(finite, axis=0)))
+    if distance[nearest[0]] > roi.diagonal or roi.diagonal > OTHER_UNITS * size:
+        raise RoiError(
+            f"{message} Nearest points: {named}.",
+            "Move the box onto the object. Is it in the model's units and frame?",
+        )
+    raise RoiError(
+        f"{message} Nearest points: {named}.",
+        f"Move the box onto the object, or enlarge it by {distance[nearest[0]]:.4g} or more on"
+        " that side.",
+    )
 
 
 def visible_images(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> tuple[str, ...]:
@@ -144,27 +167,19 @@ def _by_depth(
     world units, in front of it.
     """
     occluders = points[:: -(-len(points) // MAX_OCCLUDERS) or 1]
-    seen = []
+    last, seen = np.iinfo(np.int64).max, []
     for image in images:
         context.check_cancelled()
-        seen.append(_visible_by_depth(image, targets, occluders, slack))
+        target_cell, target_depth = _cells(image, targets)
+        cell, depth = _cells(image, occluders)
+        cell, depth = cell[cell >= 0], depth[cell >= 0]
+        order = np.lexsort((depth, cell))
+        # An occluder beyond all others stands for those that a cell does not have.
+        cell, depth = np.append(cell[order], last), np.append(depth[order], np.inf)
+        nth = np.minimum(np.searchsorted(cell, target_cell) + OCCLUDERS - 1, len(cell) - 1)
+        hidden = (cell[nth] == target_cell) & (depth[nth] < target_depth - slack)
+        seen.append(np.flatnonzero((target_cell >= 0) & ~hidden).astype(np.int64))
     return seen
-
-
-def _visible_by_depth(
-    image: PosedImage, targets: Float64, occluders: Float64, slack: float
-) -> Int64:
-    """(M,) indices of the `targets` (T, 3) that `occluders` (Q, 3) do not hide from the photo."""
-    target_cell, target_depth = _cells(image, targets)
-    cell, depth = _cells(image, occluders)
-    cell, depth = cell[cell >= 0], depth[cell >= 0]
-    order = np.lexsort((depth, cell))
-    # An occluder beyond all others stands for those that a cell does not have.
-    last = np.iinfo(np.int64).max
-    cell, depth = np.append(cell[order], last), np.append(depth[order], np.inf)
-    nth = np.minimum(np.searchsorted(cell, target_cell) + OCCLUDERS - 1, len(cell) - 1)
-    hidden = (cell[nth] == target_cell) & (depth[nth] < target_depth - slack)
-    return np.flatnonzero((target_cell >= 0) & ~hidden).astype(np.int64)
 
 
 def _cells(image: PosedImage, points: Float64) -> tuple[Int64, Float64]:
@@ -175,33 +190,6 @@ def _cells(image: PosedImage, points: Float64) -> tuple[Int64, Float64]:
     column, row = np.where(inside[:, None], pixels, 0.0).T // size
     cell = np.where(inside, row * (DEPTH_CELLS + 1) + column, -1)
     return cell.astype(np.int64), depth
-
-
-def _empty_box(scene: SfmScene, roi: OrientedBox) -> RoiError:
-    """The error for a box without points; names its size and the nearest points."""
-    finite = scene.points[np.isfinite(scene.points).all(axis=1)] if len(scene.points) else None
-    sides = " x ".join(f"{2 * side:.4g}" for side in roi.half_extents)
-    centre = _position(roi.centre)
-    message = f"Box '{roi.name}' contains no sparse point (sides {sides}, centre {centre})."
-    if finite is None or len(finite) == 0:
-        return RoiError(
-            f"{message} The model has no points at all.",
-            "Export the COLMAP model with its points3D file.",
-        )
-    distance = roi.distance(finite)
-    nearest = np.argsort(distance, kind="stable")[:NEAREST_NAMED]
-    named = "; ".join(f"{distance[i]:.4g} away at {_position(finite[i])}" for i in nearest)
-    size = float(np.linalg.norm(np.ptp(finite, axis=0)))
-    if distance[nearest[0]] > roi.diagonal or roi.diagonal > OTHER_UNITS * size:
-        return RoiError(
-            f"{message} Nearest points: {named}.",
-            "Move the box onto the object. Is it in the model's units and frame?",
-        )
-    return RoiError(
-        f"{message} Nearest points: {named}.",
-        f"Move the box onto the object, or enlarge it by {distance[nearest[0]]:.4g} or more on"
-        " that side.",
-    )
 
 
 def _position(point: Float64) -> str:

@@ -113,20 +113,14 @@ class PhotoCache:
             return
         with self._lock:
             self._forget(index, future)
-            if not self._closed:
-                self._keep(index, pixels)
+            if not self._closed and pixels.nbytes <= self._limit and index not in self._kept:
+                self._kept[index] = pixels
+                self._kept_bytes += pixels.nbytes
+            while self._kept_bytes > self._limit:
+                _, dropped = self._kept.popitem(last=False)
+                self._kept_bytes -= dropped.nbytes
         future.set_result(pixels)
 
     def _forget(self, index: int, future: Future[Pixels]) -> None:
         if self._pending.get(index) is future:
             del self._pending[index]
-
-    def _keep(self, index: int, pixels: Pixels) -> None:
-        """Cache the photo as the most recent one; the caller must have the lock."""
-        if pixels.nbytes > self._limit or index in self._kept:
-            return
-        self._kept[index] = pixels
-        self._kept_bytes += pixels.nbytes
-        while self._kept_bytes > self._limit:
-            _, dropped = self._kept.popitem(last=False)
-            self._kept_bytes -= dropped.nbytes

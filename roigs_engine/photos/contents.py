@@ -82,17 +82,16 @@ class Contents:
         try:
             with in_parallel(look, missing, memory, context, stage) as work:
                 for name, job in work:
-                    found[name] = self._known[name] = job.result()
+                    self._known[name] = job.result()
                     if check and time.monotonic() - last > WRITE_SECONDS:
                         last = time.monotonic()
                         self._write()
         finally:
             if missing and check:
                 self._write()
-        known = {name: content for name, content in found.items() if content is not None}
         if check:
-            _warn_of_tones(known, context)
-        return known
+            _warn_of_tones(self._known, context)
+        return self._known
 
     def _current(self, name: str, path: Path, check: bool) -> Content | None:
         """What is known, if the file is still the same."""

@@ -79,8 +79,7 @@ def averaged(pixels: Pixels, n: int) -> Pixels:
     """(H, W, 3) uint8: the means of squares of `n` x `n` pixels of (n H, n W, 3)."""
     height, width, channels = pixels.shape
     squares = pixels.reshape(height // n, n, width // n, n, channels)
-    means: Pixels = squares.mean(axis=(1, 3), dtype=np.float32).round().astype(np.uint8)
-    return means
+    return np.asarray(squares.mean(axis=(1, 3), dtype=np.float32).round().astype(np.uint8))
 
 
 def _load(image: PosedImage, size: tuple[int, int]) -> Pixels:
@@ -165,8 +164,6 @@ def check_whole(path: Path) -> str:
 
 def _eighth(file: BinaryIO) -> Pixels:
     """A JPEG at an eighth of its size, which takes a sixth of the time."""
-    from PIL import Image
-
     with Image.open(file, formats=("JPEG",)) as photo:
         photo.draft("RGB", (max(1, photo.width // 8), max(1, photo.height // 8)))
         return np.asarray(photo.convert("RGB"))

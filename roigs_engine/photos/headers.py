@@ -70,7 +70,9 @@ def photo_size(path: Path) -> tuple[int, int] | None:
             if start.startswith(PNG):
                 width, height = struct.unpack(">II", start[16:])
             elif start.startswith(b"\xff\xd8"):
-                width, height = _jpeg_size(file)
+                if not any(marker in FRAMES for marker in jpeg_segments(file)):
+                    raise ValueError("a JPEG without a frame header")
+                height, width = struct.unpack(">3xHH", file.read(7))
             else:
                 with open_photo(path) as photo:
                     width, height = photo.size
@@ -131,15 +133,6 @@ def unreadable(path: Path, error: Exception) -> PhotoError:
     return PhotoError(
         f"Cannot read photo {path} ({reason}).", "Restore the file, or remove it from the model."
     )
-
-
-def _jpeg_size(file: BinaryIO) -> tuple[int, int]:
-    """The size in the frame header; ValueError or struct.error if there is none."""
-    for marker in jpeg_segments(file):
-        if marker in FRAMES:
-            height, width = struct.unpack(">3xHH", file.read(7))
-            return width, height
-    raise ValueError("a JPEG without a frame header")
 
 
 def jpeg_segments(file: BinaryIO) -> Iterator[int]:

@@ -70,8 +70,7 @@ def alpha_mask(path: Path) -> Mask:
     """The mask in a photo's alpha channel, at its own size; PhotoError if it cannot be decoded."""
     with open_photo(path) as photo:
         alpha = np.asarray(photo.convert("RGBA").getchannel("A"))
-    opaque: Mask = alpha >= OPAQUE
-    return opaque
+    return np.asarray(alpha >= OPAQUE)
 
 
 def resized(mask: Mask, size: tuple[int, int], least: int = ALL) -> Mask:
@@ -83,8 +82,7 @@ def resized(mask: Mask, size: tuple[int, int], least: int = ALL) -> Mask:
         return mask
     grey = Image.fromarray(np.where(mask, np.uint8(255), np.uint8(0)))
     smaller = np.array(grey.resize(size, Image.Resampling.BOX))
-    enough: Mask = smaller >= least
-    return enough
+    return np.asarray(smaller >= least)
 
 
 def mask_png(mask: Mask) -> bytes:
@@ -173,8 +171,7 @@ def _bright(image: Image.Image) -> Mask:
         deep: Mask = np.asarray(image) > 0
         return deep
     rgba = np.asarray(image.convert("RGBA"))
-    shown: Mask = (rgba[..., :3] > 0).any(axis=2) & (rgba[..., 3] >= OPAQUE)
-    return shown
+    return np.asarray((rgba[..., :3] > 0).any(axis=2) & (rgba[..., 3] >= OPAQUE))
 
 
 def _reason(path: Path, error: Exception) -> str:

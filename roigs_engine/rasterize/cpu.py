@@ -104,29 +104,24 @@ class _Cameras:
         mask = inputs.tile_mask
         # Kept alive: the structures point to it.
         self._tile_mask = None if mask is None else mask.to("cpu", torch.uint8).contiguous()
-        self.structures = _camera_structures(inputs, self._tile_mask)
+        self.structures = []
+        background = inputs.background.tolist()
+        cameras = zip(inputs.viewmats.tolist(), inputs.Ks.tolist(), strict=True)
+        for c, (view, K) in enumerate(cameras):
+            camera = bindings.Camera()
+            camera.world_to_camera[:] = [*view[0], *view[1], *view[2]]
+            # Python's floats are float64: needed here, as differences of large numbers lose digits
+            camera.position[:] = [-sum(view[j][i] * view[j][3] for j in range(3)) for i in range(3)]
+            camera.focal_and_centre[:] = [K[0][0], K[1][1], K[0][2], K[1][2]]
+            camera.background[:] = background
+            inputs.fill(camera, c)
+            camera.window[:] = inputs.window
+            camera.tile_mask = pointer(self._tile_mask)
+            self.structures.append(camera)
 
     def gaussians(self, parameters: list[Tensor]) -> bindings.Gaussians:
         """The kernels' argument of five packed parameters."""
         return bindings.packed_gaussians(parameters, self.inputs.sh_degree, self.inputs.raw)
-
-
-def _camera_structures(inputs: RenderInputs, tile_mask: Tensor | None) -> list[bindings.Camera]:
-    background = inputs.background.tolist()
-    structures = []
-    cameras = zip(inputs.viewmats.tolist(), inputs.Ks.tolist(), strict=True)
-    for c, (view, K) in enumerate(cameras):
-        camera = bindings.Camera()
-        camera.world_to_camera[:] = [*view[0], *view[1], *view[2]]
-        # Python's floats are float64: needed here, as differences of large numbers lose digits
-        camera.position[:] = [-sum(view[j][i] * view[j][3] for j in range(3)) for i in range(3)]
-        camera.focal_and_centre[:] = [K[0][0], K[1][1], K[0][2], K[1][2]]
-        camera.background[:] = background
-        inputs.fill(camera, c)
-        camera.window[:] = inputs.window
-        camera.tile_mask = pointer(tile_mask)
-        structures.append(camera)
-    return structures
 
 
 class _Rasterize(torch.autograd.Function):

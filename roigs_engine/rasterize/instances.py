@@ -45,8 +45,7 @@ class Instance:
         """(4, 4) from the frame that the Gaussians are in to the world."""
         to_world = np.diag([*[1 / self.frame.scale] * 3, 1.0])
         to_world[:3, 3] = self.frame.origin
-        matrix: Float64 = self.matrix @ to_world
-        return matrix
+        return np.asarray(self.matrix @ to_world)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

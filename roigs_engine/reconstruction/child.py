@@ -42,7 +42,16 @@ def run_task(
         EngineError: pycolmap is missing or too old, or cannot be started.
     """
     with open(log, "ab") as messages:
-        child = _started(messages)
+        child = subprocess.Popen(
+            [sys.executable, "-m", WORKER],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=messages,
+            env=child_environment(),
+            # A session of its own, so that Ctrl-C reaches this process alone.
+            start_new_session=True,
+            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
+        )
         try:
             return _result(child, task, log, context, poll)
         finally:
@@ -54,20 +63,6 @@ def run_task(
                         stream.close()
 
 
-def _started(messages: Any) -> subprocess.Popen[bytes]:
-    """The child; a session of its own, so that Ctrl-C reaches this process alone."""
-    new_group = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
-    return subprocess.Popen(
-        [sys.executable, "-m", WORKER],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=messages,
-        env=child_environment(),
-        start_new_session=True,
-        creationflags=new_group,
-    )
-
-
 def _result(
     child: subprocess.Popen[bytes],
     task: dict[str, Any],
@@ -75,9 +70,17 @@ def _result(
     context: Context,
     poll: Callable[[dict[str, Any]], None],
 ) -> Any:
-    assert child.stdin is not None
-    lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-    threading.Thread(target=_read, args=(child, lines), daemon=True).start()
+    assert child.stdin is not None and child.stdout is not None
+    output, lines = child.stdout, queue.SimpleQueue[bytes | None]()
+
+    def read() -> None:
+        """The child's lines, then None."""
+        with suppress(ValueError, OSError):  # closed
+            for line in output:
+                lines.put(line)
+        lines.put(None)
+
+    threading.Thread(target=read, daemon=True).start()
     with suppress(OSError):  # it has ended; said below
         child.stdin.write(json.dumps(task).encode() + b"\n")
         child.stdin.flush()
@@ -114,12 +117,3 @@ def _ended(status: int, log: Path) -> SceneError:
         f"pycolmap ended without a result (exit status {status}).",
         f"Check the free memory, then give the command again. Log: {log}",
     )
-
-
-def _read(child: subprocess.Popen[bytes], lines: queue.SimpleQueue[bytes | None]) -> None:
-    """On a thread: the child's lines, then None."""
-    assert child.stdout is not None
-    with suppress(ValueError, OSError):  # closed
-        for line in child.stdout:
-            lines.put(line)
-    lines.put(None)

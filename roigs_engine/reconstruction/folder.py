@@ -22,7 +22,7 @@ from ..formats.lock import locked
 from ..formats.projects import PHOTO_FOLDERS, RECONSTRUCTION, SPARSE, model_suffix
 from ..photos.files import EXTENSIONS, HEIC, UNREAD, PhotoFolder
 from ..photos.mask_paths import MASKS
-from .photo_checks import Photo, digests_of, unread_in_words
+from .photo_checks import Photo, unread_in_words
 from .settings import Settings
 
 IMAGES, DATABASE, REPORT = PHOTO_FOLDERS[0], "database.db", "reconstruction.md"
@@ -83,7 +83,7 @@ class Folder:
         """
         state = read_record(self._record)
         features = settings.of_features()
-        digests, known = digests_of(photos), state.get("photos", {})
+        digests, known = {photo.name: photo.digest for photo in photos}, state.get("photos", {})
         why = ""
         if self.database.exists():
             if state.get("version") != VERSION or state.get("features") != features:

@@ -81,13 +81,25 @@ def look_at(files: Mapping[str, Path], remembered: Path, context: Context) -> Fo
             f" ({len(unreadable)} unreadable, {len(copies)} copies).",
             "Add photos of the same place from other sides.",
         )
-    photos = _look(kept, files, {name: contents[name].digest for name in kept}, context)
-    return Found(photos=tuple(photos), unreadable=unreadable, copies=copies)
+    sizes = {name: photo_size(files[name]) or (1, 1) for name in kept}
+    memory = max(decoding_bytes(files[name], sizes[name]) for name in kept)
 
+    def look(name: str) -> Photo:
+        path, size = files[name], sizes[name]
+        factor = min(1.0, LOOK_SIDE / max(size))
+        small = max(1, round(size[0] * factor)), max(1, round(size[1] * factor))
+        return Photo(
+            name=name,
+            path=path,
+            digest=contents[name].digest,
+            size=size,
+            device=_device(path),
+            sharpness=fine_detail(decode(path, small).mean(axis=2, dtype=np.float32)),
+        )
 
-def digests_of(photos: Sequence[Photo]) -> dict[str, str]:
-    """Name -> digest."""
-    return {photo.name: photo.digest for photo in photos}
+    with in_parallel(look, kept, memory, context, STAGE) as work:
+        photos = tuple(job.result() for _, job in work)
+    return Found(photos=photos, unreadable=unreadable, copies=copies)
 
 
 def camera_groups(photos: Sequence[Photo], cameras: str) -> list[list[Photo]]:
@@ -97,29 +109,6 @@ def camera_groups(photos: Sequence[Photo], cameras: str) -> list[list[Photo]]:
         own = {"one": "", "each": photo.name, "auto": photo.device}[cameras]
         groups[photo.size, own].append(photo)
     return list(groups.values())
-
-
-def _look(
-    names: Sequence[str], files: Mapping[str, Path], digests: Mapping[str, str], context: Context
-) -> list[Photo]:
-    sizes = {name: photo_size(files[name]) or (1, 1) for name in names}
-    memory = max(decoding_bytes(files[name], sizes[name]) for name in names)
-
-    def look(name: str) -> Photo:
-        path, size = files[name], sizes[name]
-        factor = min(1.0, LOOK_SIDE / max(size))
-        small = max(1, round(size[0] * factor)), max(1, round(size[1] * factor))
-        return Photo(
-            name=name,
-            path=path,
-            digest=digests[name],
-            size=size,
-            device=_device(path),
-            sharpness=fine_detail(decode(path, small).mean(axis=2, dtype=np.float32)),
-        )
-
-    with in_parallel(look, names, memory, context, STAGE) as work:
-        return [job.result() for _, job in work]
 
 
 def _device(path: Path) -> str:

@@ -19,32 +19,13 @@ from ..formats.projects import is_video
 from ..formats.text import json_digest
 from ..machine import machine_memory, usable_cores
 from ..photos.mask_paths import USUAL_MASKS, MaskOptions
-from . import pairs
+from . import database, pairs
 from .child import run_task
 from .convert import converted
-from .database import (
-    Pair,
-    camera_ids,
-    count,
-    feature_counts,
-    largest_features,
-    matched_pairs,
-    pair_kinds,
-    pair_line,
-)
 from .feature_masks import digest_of, write_masks
 from .folder import Folder
 from .mapping import map_models, map_rest
-from .pairs import LARGEST, similarities
-from .photo_checks import (
-    Found,
-    Photo,
-    camera_groups,
-    digests_of,
-    look_at,
-    unread_in_words,
-    warnings_of,
-)
+from .photo_checks import Found, Photo, camera_groups, look_at, unread_in_words, warnings_of
 from .report import NOTHING, Reconstruction, as_markdown, findings, warnings_of_matches
 from .settings import Settings
 from .video import take_frames
@@ -59,8 +40,8 @@ def find_features(
     folder: Folder, photos: Sequence[Photo], settings: Settings, threads: int, context: Context
 ) -> None:
     """Find features of the photos that have none in the database yet; SceneError if it fails."""
-    there = feature_counts(folder.database) if folder.database.exists() else {}
-    cameras = camera_ids(folder.database) if folder.database.exists() else {}
+    there = database.feature_counts(folder.database) if folder.database.exists() else {}
+    cameras = database.camera_ids(folder.database) if folder.database.exists() else {}
     groups = []
     for group in camera_groups(photos, settings.cameras):
         names = [photo.name for photo in group if photo.name not in there]
@@ -93,15 +74,19 @@ def threads_in_memory(photos: Sequence[Photo], max_side: int, threads: int) -> i
 
 
 def match(
-    folder: Folder, wanted: Sequence[Pair], settings: Settings, threads: int, context: Context
+    folder: Folder,
+    wanted: Sequence[database.Pair],
+    settings: Settings,
+    threads: int,
+    context: Context,
 ) -> None:
     """Match the pairs that the database does not have yet; SceneError if it fails."""
-    there = matched_pairs(folder.database)
+    there = database.matched_pairs(folder.database)
     missing = [pair for pair in wanted if pair not in there]
     if not missing:
         return
     listed = folder.work("pairs.txt")
-    write_text(listed, "".join(map(pair_line, missing)), durable=False)
+    write_text(listed, "".join(map(database.pair_line, missing)), durable=False)
     task = {
         "work": "match",
         "database": str(folder.database),
@@ -120,7 +105,7 @@ def _run(
     began = time.monotonic()
 
     def poll(record: dict[str, Any]) -> None:
-        done = min(count(folder.database, table), total)
+        done = min(database.count(folder.database, table), total)
         if done:
             context.progress(stage, done, total, began)
 
@@ -129,17 +114,17 @@ def _run(
 
 def choose_pairs(
     folder: Folder, names: Sequence[str], settings: Settings, context: Context
-) -> list[Pair]:
+) -> list[database.Pair]:
     """The pairs of photos to match first."""
     kind = settings.pairs
     if kind == "auto":
         kind = "all" if len(names) <= pairs.FEW else "similar"
     if kind == "all":
         return pairs.all_pairs(names)
-    described = dict(largest_features(folder.database, LARGEST))
+    described = dict(database.largest_features(folder.database, pairs.LARGEST))
     empty = np.zeros((0, 128), dtype=np.uint8)
     photos = [described.get(name, empty) for name in names]
-    scores = similarities(photos, context, settings.seed)
+    scores = pairs.similarities(photos, context, settings.seed)
     if kind == "ordered":
         near = pairs.in_order(names, pairs.OVERLAP, pairs.JUMPS)
         return pairs.merged(near, pairs.most_similar(names, scores, pairs.LOOPS))
@@ -162,8 +147,8 @@ def solve(
     with _timed(seconds, MATCHING):
         wanted = choose_pairs(folder, names, settings, context)
         match(folder, wanted, settings, threads, context)
-    matched = matched_pairs(folder.database)
-    warnings = warnings_of_matches(names, matched, pair_kinds(folder.database))
+    matched = database.matched_pairs(folder.database)
+    warnings = warnings_of_matches(names, matched, database.pair_kinds(folder.database))
     for text in warnings:
         context.warn(text)
     with _timed(seconds, MAPPING):
@@ -177,8 +162,8 @@ def solve(
             models = map_rest(folder, models, names, task, context)
     return Reconstruction(
         found=found,
-        features=feature_counts(folder.database),
-        matched=matched_pairs(folder.database),
+        features=database.feature_counts(folder.database),
+        matched=database.matched_pairs(folder.database),
         models=models,
         seconds=seconds,
         warnings=warnings,
@@ -233,7 +218,8 @@ def reconstruct(
         place = folder.images if video else source
         hidden = write_masks(found.photos, place, masks, folder, context)
         settings = replace(settings, masks=digest_of(hidden))
-        key = json_digest({"settings": asdict(settings), "photos": digests_of(found.photos)})
+        digests = {photo.name: photo.digest for photo in found.photos}
+        key = json_digest({"settings": asdict(settings), "photos": digests})
         if folder.is_done(key):
             context.info(f"{folder.model} is up to date.")
             return folder.model

@@ -181,36 +181,23 @@ def as_markdown(result: Reconstruction) -> str:
         lines += [f"- {text}" for text in told if text not in _unreliable(result)]
     lines += ["", "| | |", "|---|---|"]
     lines += [f"| photos registered | {len(result.registered)} of {len(result.found.photos)} |"]
-    lines += _metrics(result) if result.models else []
+    if result.models:
+        best, observed = result.models[0], list(result.registered.values())
+        lines += [
+            f"| points | {best.points} |",
+            f"| mean reprojection error | {best.error:.3f} px |",
+            f"| photos per point | {best.track:.1f} |",
+            f"| points per photo | {int(np.median(observed))} (median), {min(observed)} (least) |",
+            f"| models | {', '.join(str(len(model.photos)) for model in result.models)} photos |",
+        ]
     lines += [f"| {step} | {seconds:.0f} s |" for step, seconds in result.seconds.items()]
-    lines += _rest(result) + _weak(result)
-    return "\n".join(map(printable, lines)) + "\n"
-
-
-def _metrics(result: Reconstruction) -> list[str]:
-    best = result.models[0]
-    observed = list(best.photos.values())
-    return [
-        f"| points | {best.points} |",
-        f"| mean reprojection error | {best.error:.3f} px |",
-        f"| photos per point | {best.track:.1f} |",
-        f"| points per photo | {int(np.median(observed))} (median), {min(observed)} (least) |",
-        f"| models | {', '.join(str(len(model.photos)) for model in result.models)} photos |",
-    ]
-
-
-def _rest(result: Reconstruction) -> list[str]:
-    if not result.missing:
-        return []
-    head = ["", "## Not registered", "", "| photo | why |", "|---|---|"]
-    notes = dict.fromkeys(blurred(result.found.photos), "blurred; ")
-    notes |= dict.fromkeys(small(result.found.photos), "small; ")
-    return head + [f"| {n} | {notes.get(n, '')}{reason(result, n)} |" for n in result.missing]
-
-
-def _weak(result: Reconstruction) -> list[str]:
+    if result.missing:
+        notes = dict.fromkeys(blurred(result.found.photos), "blurred; ")
+        notes |= dict.fromkeys(small(result.found.photos), "small; ")
+        lines += ["", "## Not registered", "", "| photo | why |", "|---|---|"]
+        lines += [f"| {n} | {notes.get(n, '')}{reason(result, n)} |" for n in result.missing]
     few = {name: n for name, n in result.registered.items() if n < FEW_POINTS}
-    if not few:
-        return []
-    head = ["", f"## Fewer than {FEW_POINTS} points", "", "| photo | points |", "|---|---|"]
-    return head + [f"| {name} | {few[name]} |" for name in sorted(few, key=lambda n: few[n])]
+    if few:
+        lines += ["", f"## Fewer than {FEW_POINTS} points", "", "| photo | points |", "|---|---|"]
+        lines += [f"| {name} | {few[name]} |" for name in sorted(few, key=lambda n: few[n])]
+    return "\n".join(map(printable, lines)) + "\n"

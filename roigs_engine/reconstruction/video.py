@@ -168,7 +168,9 @@ def take_frames(path: Path, folder: Folder, wanted: int, context: Context) -> di
     """
     video, images = Video(path), own_folder(folder.root, IMAGES)
     seen = _seen(video, folder, context)
-    files = {frame.number: images / file_name(frame.number) for frame in choose(seen, wanted)}
+    files = {
+        frame.number: images / f"frame_{frame.number:06d}.jpg" for frame in choose(seen, wanted)
+    }
     if len(files) < 2:
         raise SceneError(
             f"The picture of {path} hardly moves.", "Film while you walk around the object."
@@ -178,11 +180,6 @@ def take_frames(path: Path, folder: Folder, wanted: int, context: Context) -> di
         _write(video, {number: files[number] for number in missing}, context)
     context.info(f"{len(files)} of {counted(len(seen), 'frame')} are used as photos.")
     return {file.name: file for file in files.values()}
-
-
-def file_name(number: int) -> str:
-    """The photo that a frame becomes."""
-    return f"frame_{number:06d}.jpg"
 
 
 def _seen(video: Video, folder: Folder, context: Context) -> list[Seen]:

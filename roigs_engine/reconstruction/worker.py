@@ -51,8 +51,14 @@ def extract(colmap: Any, task: Task) -> None:
     reader.camera_model = task["camera_model"]
     for group in task["groups"]:
         reader.existing_camera_id = group["camera"]
-        for masks, names in _by_masks(group["names"], task["masks"]):
-            reader.mask_path = masks
+        masks = task["masks"]
+        masked = {name for name in group["names"] if masks and Path(masks, f"{name}.png").is_file()}
+        # pycolmap would leave out photos without a mask: they come by themselves.
+        rest = [name for name in group["names"] if name not in masked]
+        for folder, names in ((masks, sorted(masked)), ("", rest)):
+            if not names:
+                continue
+            reader.mask_path = folder
             colmap.extract_features(
                 task["database"],
                 task["photos"],
@@ -65,13 +71,6 @@ def extract(colmap: Any, task: Task) -> None:
             cameras = camera_ids(Path(task["database"]))
             known = [cameras[name] for name in names if name in cameras]
             reader.existing_camera_id = known[0] if known else reader.existing_camera_id
-
-
-def _by_masks(names: list[str], masks: str) -> list[tuple[str, list[str]]]:
-    """(folder of masks, names): with a mask, and without, which pycolmap would leave out."""
-    masked = [name for name in names if masks and Path(masks, f"{name}.png").is_file()]
-    rest = [name for name in names if name not in set(masked)]
-    return [(folder, part) for folder, part in ((masks, masked), ("", rest)) if part]
 
 
 def match(colmap: Any, task: Task) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..colmap.undistortion_cache import missing_in
+from ..colmap.undistort import missing_in
 from ..context import QUIET, Context
 from ..formats.lock import holder
 from ..formats.run_files import CACHE, LOCK, MANIFEST

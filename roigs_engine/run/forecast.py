@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..colmap.undistortion_cache import PER_PIXEL, missing_in
+from ..colmap.undistort import PER_PIXEL, missing_in
 from ..context import QUIET, Context
 from ..errors import EngineError
 from ..formats.events import Message

@@ -16,6 +16,7 @@ from .config import SelectionConfig
 from .methods import METHODS
 from .request import Request, static_features
 from .result import CameraSelection, format_selection
+from .score import prefix_values
 
 __all__ = [
     "METHODS",
@@ -70,7 +71,7 @@ def select_cameras(
         roi=roi.name,
         method=config.method,
         names=tuple(names[view] for view in picks.order),
-        scores=method.score(candidates, picks.order, context),
+        scores=prefix_values(method.score(candidates, context), picks.order),
         candidates=names,
         flags=flags,
         features=features.to_dict(candidates),

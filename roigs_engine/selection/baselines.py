@@ -61,8 +61,7 @@ def order_static(request: Request) -> Picks:
 def _ranks(values: Float64) -> Float64:
     """(V,) -> (V,) ranks from 1, ascending; equal values share their mean rank."""
     _, index, counts = np.unique(values, return_inverse=True, return_counts=True)
-    ranks: Float64 = (np.cumsum(counts) - (counts - 1) / 2)[index]
-    return ranks
+    return np.asarray((np.cumsum(counts) - (counts - 1) / 2)[index])
 
 
 def order_fvs(request: Request) -> Picks:
@@ -93,4 +92,4 @@ def fill_up(request: Request, order: Sequence[int], flags: tuple[str, ...] = ())
         f"No photo after the first {len(order)} improved the score: the remaining"
         f" {count - len(order)} are the views farthest from those selected."
     )
-    return Picks(order=tuple(full), filled_from=len(order), flags=(*flags, text))
+    return Picks(order=tuple(full), flags=(*flags, text))

@@ -102,8 +102,7 @@ def ground(scene: SfmScene, positions: Float64) -> Float64:
     up, _ = up_direction(poses)
     if not up.any():
         up = _axes(scene.centres())[:, 0]
-    on_ground: Float64 = (positions @ rotation_between(up, np.array([0.0, 0.0, 1.0])).T)[:, :2]
-    return on_ground
+    return np.asarray((positions @ rotation_between(up, np.array([0.0, 0.0, 1.0])).T)[:, :2])
 
 
 def ground_cells(views: Views, count: int) -> tuple[Int64, Int64]:

@@ -27,7 +27,7 @@ from ..model.visibility import Candidates
 from .baselines import fill_up
 from .greedy import lazy_greedy
 from .request import Picks, Request
-from .score import prefix_values, voxel_indices
+from .score import voxel_indices
 
 RESOLUTION_PERCENTILE = 90.0
 DIRECTIONS = 32  # bins of viewing directions
@@ -90,13 +90,6 @@ def order_coverage(request: Request) -> Picks:
     coverage = Coverage(request.candidates, context)
     order = lazy_greedy(views, coverage.gain, coverage.add, request.count, context)
     return fill_up(request, order)
-
-
-def prefix_coverage(
-    candidates: Candidates, order: tuple[int, ...], context: Context = QUIET
-) -> tuple[float, ...]:
-    """F / F(all candidates) after each pick of `order`."""
-    return prefix_values(Coverage(candidates, context), order)
 
 
 def fibonacci_directions(count: int) -> Float64:
@@ -212,5 +205,4 @@ def _leaves(points: Float64) -> list[Int64]:
 
 def _squared(a: Float64, b: Float64) -> Float64:
     """(A, 3), (B, 3) -> (A, B) squared distances."""
-    squares: Float64 = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * a @ b.T
-    return squares
+    return np.asarray((a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * a @ b.T)

@@ -14,7 +14,7 @@ from ..model.scene import SfmScene
 from ..model.visibility import find_candidates
 from .request import static_features
 from .result import CameraSelection
-from .score import prefix_scores
+from .score import DensityOccupancy, prefix_values
 
 METHOD = "manual"
 
@@ -91,7 +91,7 @@ def manual_selection(
     view = {name: index for index, name in enumerate(candidates.names)}
     value, scores = 0.0, []
     seeing = tuple(view[name] for name in names if name in view)
-    values = iter(prefix_scores(candidates, seeing))
+    values = iter(prefix_values(DensityOccupancy(candidates), seeing))
     for name in names:
         value = next(values) if name in view else value
         scores.append(value)

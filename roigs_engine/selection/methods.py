@@ -15,19 +15,19 @@ from functools import partial
 from ..context import Context
 from ..model.visibility import Candidates
 from .baselines import order_fvs, order_random, order_static
-from .coverage import order_coverage, prefix_coverage
+from .coverage import Coverage, order_coverage
 from .gp import order_gp
 from .greedy import order_greedy
 from .request import Picks, Request
-from .score import prefix_scores
+from .score import DensityOccupancy, Score
 
 
 @dataclass(frozen=True)
 class Method:
-    """How a method orders photos, best first, and the score of each prefix of an order."""
+    """How a method orders photos, best first, and the score of a set of them."""
 
     order: Callable[[Request], Picks]
-    score: Callable[[Candidates, tuple[int, ...], Context], tuple[float, ...]] = prefix_scores
+    score: Callable[[Candidates, Context], Score] = DensityOccupancy
 
 
 METHODS = {
@@ -35,7 +35,7 @@ METHODS = {
     "gp6": Method(partial(order_gp, extended=False)),
     "gp9": Method(partial(order_gp, extended=True)),
     "greedy": Method(order_greedy),
-    "coverage": Method(order_coverage, score=prefix_coverage),
+    "coverage": Method(order_coverage, score=Coverage),
     "fvs": Method(order_fvs),
     "random": Method(order_random),
 }

@@ -77,15 +77,7 @@ class Request:
 
 @dataclass(frozen=True, kw_only=True)
 class Picks:
-    """The result of a method: candidate ids, best first.
-
-    Attributes:
-        order: ids, unique.
-        filled_from: position in `order` from which photos are farthest views, since no photo
-            improved the method's score; None: there are none.
-        flags: warnings about degenerate cases.
-    """
+    """The result of a method: unique candidate ids, best first, and warnings about them."""
 
     order: tuple[int, ...]
-    filled_from: int | None = None
     flags: tuple[str, ...] = ()

@@ -32,8 +32,7 @@ def voxel_indices(points: Float64, roi: OrientedBox) -> Int64:
     cells = np.ceil(2 * roi.half_extents / edge - 1e-9).clip(1).astype(np.int64)
     cell = np.clip(np.floor(offset / edge).astype(np.int64), 0, cells - 1)
     flat = np.ravel_multi_index((cell[:, 0], cell[:, 1], cell[:, 2]), tuple(cells.tolist()))
-    numbers: Int64 = np.unique(flat, return_inverse=True)[1].reshape(-1).astype(np.int64)
-    return numbers
+    return np.asarray(np.unique(flat, return_inverse=True)[1].reshape(-1).astype(np.int64))
 
 
 class DensityOccupancy:
@@ -42,7 +41,8 @@ class DensityOccupancy:
     Counts are integers, so equal gains are exactly equal.
     """
 
-    def __init__(self, candidates: Candidates) -> None:
+    def __init__(self, candidates: Candidates, context: Context = QUIET) -> None:
+        """Nothing here takes so long that `context` is asked."""
         voxel = voxel_indices(candidates.points, candidates.roi)
         self._views = len(candidates)
         self._starts = candidates.row_starts()
@@ -109,10 +109,3 @@ def prefix_values(score: Score, order: Sequence[int]) -> tuple[float, ...]:
         score.add(view)
         values.append(score.value)
     return tuple(values)
-
-
-def prefix_scores(
-    candidates: Candidates, order: Sequence[int], context: Context = QUIET
-) -> tuple[float, ...]:
-    """f after each pick of `order`; nothing here takes so long that `context` is asked."""
-    return prefix_values(DensityOccupancy(candidates), order)

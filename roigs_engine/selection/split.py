@@ -51,7 +51,9 @@ def choose_test_views(
             continue
         rest = [name for name in views if name not in chosen]
         missing = math.ceil(len(views) / every) - (len(views) - len(rest))
-        chosen.update(_at_equal_steps(rest, missing))
+        count = max(0, min(missing, len(rest)))
+        # From the middles of `count` equal parts of the list.
+        chosen.update(rest[int((k + 0.5) * len(rest) / count)] for k in range(count))
     for name, views in seen_by.items():
         if chosen.issuperset(views):
             raise SceneError(
@@ -70,12 +72,6 @@ def _by_distance(scene: SfmScene, roi: OrientedBox, context: Context) -> list[st
         if image.name in visible
     }
     return sorted(distance, key=lambda name: (distance[name], name))
-
-
-def _at_equal_steps(names: list[str], count: int) -> list[str]:
-    """`count` of the names, from the middles of `count` equal parts of the list."""
-    count = max(0, min(count, len(names)))
-    return [names[int((k + 0.5) * len(names) / count)] for k in range(count)]
 
 
 def interleaved(orders: Sequence[Sequence[str]]) -> list[str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from roigs_engine.colmap import undistortion_cache
+from roigs_engine.colmap import undistort
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.context import Context
 from roigs_engine.errors import SceneError
@@ -34,7 +34,7 @@ def large(folder: Path, width: int, height: int, count: int = 3) -> Path:
 
 
 def machine(monkeypatch: pytest.MonkeyPatch, memory: int) -> None:
-    for module in (parallel, undistortion_cache):
+    for module in (parallel, undistort):
         monkeypatch.setattr(module, "machine_memory", lambda: memory)
     monkeypatch.setattr(parallel, "usable_cores", lambda: 8)
 
@@ -96,16 +96,15 @@ import sys
 from ast import literal_eval
 from pathlib import Path
 from benchmarks.memory import resident
-from roigs_engine.colmap import undistortion_cache
+from roigs_engine.colmap import undistort
 from roigs_engine.colmap.project import load_colmap
-from roigs_engine.colmap.undistort import UndistortionPlan
 before, planned = [], []
-threads = undistortion_cache._threads
+memory = undistort._memory
 def spy(plans, context):
     planned.append(max(plan.memory() for plan in plans))
     before.append(resident())
-    return threads(plans, context)
-undistortion_cache._threads = spy
+    return memory(plans, context)
+undistort._memory = spy
 load_colmap(sys.argv[1], cache=Path(sys.argv[1], "cache"), **literal_eval(sys.argv[2]))
 print((resident("VmHWM") - before[0]) * 2**20, planned[0])
 """

@@ -28,12 +28,11 @@ from roigs_engine.selection.coverage import (
     fibonacci_directions,
     nearest_direction,
     order_coverage,
-    prefix_coverage,
 )
 from roigs_engine.selection.gp import FEATURE_NAMES, gp_inputs, order_gp
 from roigs_engine.selection.greedy import order_greedy
 from roigs_engine.selection.request import Request, StaticFeatures, static_features
-from roigs_engine.selection.score import DensityOccupancy, voxel_indices
+from roigs_engine.selection.score import DensityOccupancy, prefix_values, voxel_indices
 from tests.poses import look_at
 
 CAMERA = Camera(width=160, height=120, fx=150.0, fy=150.0, cx=80.0, cy=60.0)
@@ -139,8 +138,8 @@ def test_lazy_greedy_takes_the_exact_argmax_at_every_step(seed):
     naive = naive_greedy(
         12, 12, lambda chosen: math.prod(points_and_voxels(candidates, set(chosen)))
     )
-    filled = len(picks.order) if picks.filled_from is None else picks.filled_from
-    assert list(picks.order[:filled]) == naive
+    assert list(picks.order[: len(naive)]) == naive
+    assert bool(picks.flags) == (len(naive) < 12)
     assert sorted(picks.order) == list(range(12))
 
 
@@ -175,7 +174,7 @@ def test_lazy_coverage_equals_naive_greedy(seed):
         state.add(naive[-1])
     picks = order_coverage(wanted(candidates, 12))
     assert list(picks.order[: len(naive)]) == naive
-    assert prefix_coverage(candidates, picks.order)[-1] == pytest.approx(1)
+    assert prefix_values(Coverage(candidates), picks.order)[-1] == pytest.approx(1)
 
 
 def test_every_prefix_of_coverage_is_the_answer_for_fewer_photos():
@@ -206,7 +205,7 @@ def test_coverage_is_the_written_sum():
         return sum(v / np.count_nonzero(voxel == voxel[slot[0]]) for slot, v in held.items())
 
     expected = [total({2}) / total({0, 1, 2, 3}), total({2, 0}) / total({0, 1, 2, 3})]
-    assert prefix_coverage(candidates, (2, 0)) == pytest.approx(expected)
+    assert prefix_values(Coverage(candidates), (2, 0)) == pytest.approx(expected)
 
 
 def test_coverage_prefers_the_sharper_of_two_photos_in_one_direction():
