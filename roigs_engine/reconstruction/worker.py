@@ -51,11 +51,11 @@ def extract(colmap: Any, task: Task) -> None:
     reader.camera_model = task["camera_model"]
     for group in task["groups"]:
         reader.existing_camera_id = group["camera"]
-        masks = task["masks"]
-        masked = {name for name in group["names"] if masks and Path(masks, f"{name}.png").is_file()}
+        given, masks = group["names"], task["masks"]
+        masked = [name for name in given if masks and Path(masks, f"{name}.png").is_file()]
         # pycolmap would leave out photos without a mask: they come by themselves.
-        rest = [name for name in group["names"] if name not in masked]
-        for folder, names in ((masks, sorted(masked)), ("", rest)):
+        rest = [name for name in given if name not in set(masked)]
+        for folder, names in ((masks, masked), ("", rest)):
             if not names:
                 continue
             reader.mask_path = folder
