@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 
@@ -16,7 +16,9 @@ from .stage_list import read_stage_list
 # Files count as the engine's if they are called as it calls them, in a folder of a run.
 _PICTURE = re.compile(r"[0-9a-f]{32}\.png")
 _STAGE = re.compile(r".+-[0-9a-f]{8}(-damaged(-\d+)?)?")
-_OF_A_STAGE = re.compile(r"stage\.json|model\.ply|checkpoint(\.before)?\.bin")
+_OF_A_STAGE = {
+    *(run_files.STAGE, run_files.MODEL, run_files.CHECKPOINT, "checkpoint.before.bin"),
+}
 
 
 def is_run_folder(folder: Path) -> bool:
@@ -34,19 +36,21 @@ def removable(run: Path) -> list[Path]:
     if not is_run_folder(run):
         return []
     cache = run / run_files.CACHE
-    found = _own(cache / run_files.UNDISTORTED, _PICTURE) + _own(cache / run_files.MASKS, _PICTURE)
-    if os.path.isfile(run / run_files.RESULT):
-        found += _own(run, re.compile(re.escape(run_files.PREVIEW)))
+    folders = (cache / run_files.UNDISTORTED, cache / run_files.MASKS)
+    found = [path for folder in folders for path in _own(folder, _PICTURE.fullmatch)]
+    preview = run / run_files.PREVIEW
+    if os.path.isfile(run / run_files.RESULT) and os.path.isfile(preview):
+        found.append(preview)
     if present := {folder.name for folder in read_stage_list(run).values()}:
         for folder in matching(run / run_files.STAGES, "*"):
             if folder.name not in present and _STAGE.fullmatch(folder.name):
-                found += _own(folder, _OF_A_STAGE)
+                found += _own(folder, _OF_A_STAGE.__contains__)
     return [path for path in found if not _is_linked(path, run)]
 
 
-def _own(folder: Path, names: re.Pattern[str]) -> list[Path]:
+def _own(folder: Path, is_own: Callable[[str], object]) -> list[Path]:
     files = matching(folder, "*")
-    return [path for path in files if names.fullmatch(path.name) and os.path.isfile(path)]
+    return [path for path in files if is_own(path.name) and os.path.isfile(path)]
 
 
 def remove(run: Path) -> int:
