@@ -185,11 +185,11 @@ class StoredRun:
         """Remove what the last commit replaces; what stays by accident harms nothing."""
         for path in [*self._safe_find(COMMITS), *self._safe_find(OBJECTS)]:
             if path != self._commit(keep):
-                with suppress(OSError):
+                with suppress(Exception):
                     self._found.rm_file(path)
 
     def _safe_find(self, name: str) -> list[str]:
-        with suppress(OSError):
+        with suppress(Exception):
             return list(map(str, self._found.find(f"{self._place}/{name}")))
         return []
 

@@ -67,6 +67,17 @@ def test_a_store_that_does_not_answer_takes_no_lease_away(
         assert not lease.is_held()
 
 
+def test_a_lease_that_cannot_be_given_back_ends_no_work(
+    store: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def away(*_: Any) -> None:
+        raise RuntimeError("EndpointConnectionError")
+
+    with monkeypatch.context() as broken, Lease(store, PLACE, **PATIENT):
+        broken.setattr(type(store), "rm_file", away)
+    assert store.find(PLACE)  # it expires
+
+
 def test_a_wait_can_be_stopped(store: Any) -> None:
     dead = Lease(store, PLACE, expiry=60, beat=0.1)
     dead.__enter__()
