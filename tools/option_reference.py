@@ -76,9 +76,9 @@ def _table(options: dict[str, Option]) -> Iterator[str]:
 def _flags(option: Option) -> str:
     if option.hidden:
         return ""
-    metavar = option.metavar or option.name.upper()
+    metavar = option.kind.metavar or option.name.upper()
     if not option.flags:
-        return f"`{option.metavar or option.name}`"
+        return f"`{option.kind.metavar or option.name}`"
     taken = "" if isinstance(option.kind, (Flag, Choice)) else f" {metavar}"
     shown = [f"`{flag}{taken}`" for flag in option.flags]
     if isinstance(option.kind, Flag) and option.kind.negatable:

@@ -21,7 +21,7 @@ from ..formats.text import decode_text, json_digest
 from ..requests.declare import options_of, plain
 from ..requests.models import Convert
 from ..requests.runs import Train, TrainAndEvaluate
-from ..requests.values import AUTO, PATH, PLACE, is_url, shown
+from ..requests.values import AUTO, PathName, PlaceName, is_url, shown
 from .inputs import is_photos
 
 DEFAULTS, SCENES = "defaults", "scenes"
@@ -175,8 +175,8 @@ class Table:
                 self._say(where, f"'{key:.60}' is no key of a scene. The keys are: {known}.")
             else:
                 option = self._options[name]
-                if option.kind is PATH and is_url(value):
-                    option = replace(option, kind=PLACE)
+                if isinstance(option.kind, PathName) and is_url(value):
+                    option = replace(option, kind=PlaceName())
                 try:
                     checked = option.checked(value, f"'{key}'")
                 except EngineError as error:

@@ -112,8 +112,8 @@ def _facts(option: Option) -> dict[str, Any]:
     if not option.flags:
         del facts["dest"]
         facts |= {} if option.required else {"nargs": "?"}
-    if option.metavar:
-        facts["metavar"] = option.metavar
+    if option.kind.metavar:
+        facts["metavar"] = option.kind.metavar
     if isinstance(option.kind, Flag):
         negatable = option.kind.negatable
         return facts | {

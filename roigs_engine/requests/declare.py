@@ -39,7 +39,6 @@ class Option:
         required: whether it must be given.
         heading: of its group in the help.
         flags: on the command line, the usual one first; empty: it is given by its place.
-        metavar: what stands for the value in the help.
         repeat: whether it may be given several times; the field is a tuple.
         several: whether several values may follow it; the field is a tuple.
         excludes: options with the same word here exclude one another; one of those whose word ends
@@ -57,7 +56,6 @@ class Option:
     required: bool = False
     heading: str = ""
     flags: tuple[str, ...] | None = None
-    metavar: str | None = None
     repeat: bool = False
     several: bool = False
     excludes: str = ""
@@ -74,7 +72,7 @@ class Option:
     @property
     def usage(self) -> str:
         """Its name for messages: the flag, or what stands for a value that is given by place."""
-        return self.flags[0] if self.flags else self.metavar or self.name
+        return self.flags[0] if self.flags else self.kind.metavar or self.name
 
     def text(self) -> str:
         """The help with the default in it."""
@@ -103,6 +101,11 @@ def option(kind: Kind, text: str, default: Any = None, **facts: Any) -> Any:
         default = MISSING
     declared = Option(kind=kind, help=text, **facts)
     return field(default=default, metadata={OPTION: declared})
+
+
+def argument(kind: Kind, text: str) -> Any:
+    """A field of a request that must be given, on the command line by its place."""
+    return option(kind, text, required=True, flags=())
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from ..formats.run_files import OBJECT_MASKS
 from . import choices
-from .declare import Request, option
-from .values import EITHER, FLAG, NAME, PATH, AutoOr, Choice, Number, integer
+from .declare import Request, argument, option
+from .values import DIR, EITHER, FILE, FLAG, NAME, PATH, AutoOr, Choice, Name, Number, integer
 
 MAX_THREADS = 1024
 MAX_MEGABYTES = 1e9
@@ -20,10 +20,7 @@ class Threads(Request):
     """The threads of the CPU kernels."""
 
     threads: int | None = option(
-        integer(1, MAX_THREADS),
-        "CPU threads (default: as many as there are cores)",
-        metavar="N",
-        decides=False,
+        integer(1, MAX_THREADS), "CPU threads (default: as many as there are cores)", decides=False
     )
 
 
@@ -44,9 +41,7 @@ class Photos(Request, heading="scene"):
     """The folder of the photos."""
 
     images: Path | None = option(
-        PATH,
-        "folder of the photos (default: images, images_2, images_4 or images_8)",
-        metavar="DIR",
+        DIR, "folder of the photos (default: images, images_2, images_4 or images_8)"
     )
 
 
@@ -55,15 +50,11 @@ class PhotoSize(Photos, Threads, heading="scene"):
     """The photos' folder and size."""
 
     downscale: float | None = option(
-        Number(low=1, high=choices.MAX_DOWNSCALE),
-        "divide the photos' size by N",
-        metavar="N",
-        excludes="size",
+        Number(low=1, high=choices.MAX_DOWNSCALE), "divide the photos' size by N", excludes="size"
     )
     max_side: int | None = option(
-        integer(1, choices.MAX_SIDE),
+        integer(1, choices.MAX_SIDE, metavar="PX"),
         "limit the photos' longest side to PX pixels",
-        metavar="PX",
         excludes="size",
         label="Photo Size",
         tooltip="Longest side of the photos in training; larger is sharper and slower",
@@ -75,10 +66,9 @@ class PhotoMasks(Request, heading="scene"):
     """Which parts of the photos are ignored."""
 
     masks: Path | None = option(
-        PATH,
+        DIR,
         "folder of masks, 012.jpg.png for the photo 012.jpg: what is black is ignored"
         " (default: the folder masks beside that of the photos, if there is one)",
-        metavar="DIR",
         excludes="masks",
     )
     no_masks: bool = option(
@@ -91,17 +81,11 @@ class PhotoMasks(Request, heading="scene"):
 class Scene(PhotoSize, PhotoMasks):
     """The scene, and how its photos are read."""
 
-    scene: Path = option(
-        PATH,
-        f"{MODEL}, or an options file (JSON) whose keys are the long names of these options",
-        required=True,
-        flags=(),
+    scene: Path = argument(
+        PATH, f"{MODEL}, or an options file (JSON) whose keys are the long names of these options"
     )
     exclude: tuple[str, ...] = option(
-        NAME,
-        "leave a photo out, by its name in the model; repeatable",
-        repeat=True,
-        metavar="PHOTO",
+        Name("PHOTO"), "leave a photo out, by its name in the model; repeatable", repeat=True
     )
 
 
@@ -116,11 +100,10 @@ class ObjectMasks(Request, heading="masks of objects"):
         False,
     )
     object_masks: Path | None = option(
-        PATH,
+        DIR,
         "folder of such masks for photos without one in masks: DIR/vase/012.jpg.png"
         f" (`train` and `run` use {OBJECT_MASKS} of the run folder, where Blender puts them if"
         " it cannot write beside the photos)",
-        metavar="DIR",
     )
 
 
@@ -128,20 +111,15 @@ class ObjectMasks(Request, heading="masks of objects"):
 class Boxes(Request, heading="boxes"):
     """The boxes."""
 
-    rois: Path | None = option(PATH, "rois.json with the boxes", metavar="FILE")
+    rois: Path | None = option(FILE, "rois.json with the boxes")
     roi: tuple[str, ...] = option(
-        NAME,
+        Name("NAME=x0,y0,z0,x1,y1,z1"),
         "one box by its corners in the COLMAP frame; repeatable. auto (select, train, run):"
         " a box around what most photos show, written to rois.json",
         repeat=True,
-        metavar="NAME=x0,y0,z0,x1,y1,z1",
     )
     only: tuple[str, ...] = option(
-        NAME,
-        "use only the box of this name; repeatable",
-        repeat=True,
-        flags=("--only", "--box"),
-        metavar="NAME",
+        NAME, "use only the box of this name; repeatable", repeat=True, flags=("--only", "--box")
     )
 
 
@@ -156,23 +134,20 @@ class Selection(Request, heading="selection"):
         tooltip="How the photos of each box are selected",
     )
     count: int | None = option(
-        integer(1),
+        integer(1, metavar="K"),
         "number of photos to select for each box",
-        metavar="K",
         label="Photos",
         tooltip="How many photos each box gets; 0: the method decides",
     )
     seed: int | None = option(
         integer(0, choices.MAX_SEED),
         "seed of all random numbers (default: 0)",
-        metavar="N",
         label="Seed",
         tooltip="Seed of all random choices",
     )
     test_every: int | None = option(
         integer(2, zero=True),
         "make every N-th photo that sees a box a test photo; 0: none",
-        metavar="N",
         label="Test Photos",
         tooltip="Hold out one photo in so many to measure quality: 8 is one in eight; 0: none",
     )
@@ -196,9 +171,8 @@ class Training(Request, heading="training"):
         tooltip="Whether boxes are trained together",
     )
     steps_factor: float | None = option(
-        Number(low=0, high=choices.MAX_FACTOR, above=True),
+        Number(low=0, high=choices.MAX_FACTOR, above=True, metavar="F"),
         "multiply the steps of both stages by F",
-        metavar="F",
         label="Steps ×",
         tooltip="Multiplies the preset's steps: fewer are faster, more are finer",
     )
@@ -216,7 +190,7 @@ class Training(Request, heading="training"):
     roi_order: str | None = option(
         Choice(choices.ORDERS), "order of the selected photos", hidden="line"
     )
-    sh_degree: int | None = option(integer(0, 3), "highest SH degree, 0 to 3", metavar="N")
+    sh_degree: int | None = option(integer(0, 3), "highest SH degree, 0 to 3")
     antialiased: bool | None = option(
         EITHER,
         "draw fine Gaussians fainter from afar, not thicker: sharp near and far, but only in"
@@ -240,12 +214,10 @@ class Layout(Request, heading="large scenes, many boxes"):
         AutoOr(low=1, high=choices.MOST_BLOCKS),
         "cut the scene into N blocks that are trained one by one and joined; auto: as many as"
         " this machine's memory needs (default: 1)",
-        metavar="N",
     )
     group: tuple[str, ...] = option(
-        NAME,
+        Name("BOX,BOX"),
         "boxes that are trained together, apart from the others; repeatable; all: all boxes"
         " (default: boxes that share photos)",
         repeat=True,
-        metavar="BOX,BOX",
     )

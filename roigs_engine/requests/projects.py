@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from . import choices
-from .declare import Request, option
+from .declare import Request, argument, option
 from .groups import MODEL, Boxes, ObjectMasks, PhotoMasks, Scene, Selection, Threads
-from .values import FLAG, PATH, Choice, integer
+from .values import DIR, FLAG, PATH, Choice, PathName, integer
 
 MOST_FEATURES, LARGEST_SIDE, MOST_NEIGHBOURS, MOST_FRAMES = 32_768, 8_192, 1_000, 10_000
 FEW_PHOTOS, MANY, USUAL = 40, 8192, 2048  # photos, and their features; more photos have the usual
@@ -19,10 +19,9 @@ class ReconstructionMethod(Request, heading="method"):
     """What decides the result of a reconstruction."""
 
     max_side: int = option(
-        integer(64, LARGEST_SIDE),
+        integer(64, LARGEST_SIDE, metavar="PX"),
         "longest side of photos in which features are found (default: {default})",
         1600,
-        metavar="PX",
         label="Photo Size",
         tooltip="Longest side of the photos in which features are found",
     )
@@ -31,7 +30,6 @@ class ReconstructionMethod(Request, heading="method"):
         f"most features of a photo (default: 0, which is {USUAL}, and {MANY} of up to {FEW_PHOTOS}"
         " photos)",
         0,
-        metavar="N",
     )
     pairs: str = option(
         Choice(choices.PAIRS),
@@ -45,7 +43,6 @@ class ReconstructionMethod(Request, heading="method"):
         integer(1, MOST_NEIGHBOURS),
         "similar photos that each is matched with (default: {default})",
         30,
-        metavar="N",
     )
     cameras: str = option(
         Choice(choices.CAMERAS),
@@ -58,25 +55,23 @@ class ReconstructionMethod(Request, heading="method"):
     camera_model: str = option(
         Choice(choices.CAMERA_MODELS), "COLMAP's lens model (default: {default})", "SIMPLE_RADIAL"
     )
-    seed: int = option(integer(0), "seed of random numbers", 0, metavar="N")
+    seed: int = option(integer(0), "seed of random numbers", 0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reconstruct(PhotoMasks, ReconstructionMethod, Threads):
     """A COLMAP project from a folder of photos, or a video."""
 
-    photos: Path = option(PATH, "folder of the photos, or a video", required=True, flags=())
+    photos: Path = argument(PATH, "folder of the photos, or a video")
     out: Path = option(
-        PATH,
+        PathName("SCENE"),
         "folder of the project: gets images, sparse/0, database.db and reconstruction.md; the same"
         " command resumes",
         required=True,
-        metavar="SCENE",
     )
     frames: int | None = option(
         integer(2, MOST_FRAMES),
         "use about N frames of a video (default: as many as its motion asks for)",
-        metavar="N",
     )
 
 
@@ -98,29 +93,25 @@ class Export(Scene):
         " default: in the COLMAP frame",
         False,
     )
-    out: Path = option(PATH, "folder to write to", required=True, metavar="DIR")
+    out: Path = option(DIR, "folder to write to", required=True)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RefineCameras(Request):
     """Cameras that fit the photos better."""
 
-    scene: Path = option(PATH, MODEL, required=True, flags=())
-    images: Path | None = option(
-        PATH, "folder of the photos (default: the project's)", metavar="DIR"
-    )
+    scene: Path = argument(PATH, MODEL)
+    images: Path | None = option(DIR, "folder of the photos (default: the project's)")
     tracks_only: bool = option(
         FLAG,
         "use the model's keypoints alone, and do not look at the photos: faster, less exact",
         False,
     )
-    out: Path | None = option(
-        PATH, "folder of the new model (default: sparse/refined)", metavar="DIR"
-    )
+    out: Path | None = option(DIR, "folder of the new model (default: sparse/refined)")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Select(Scene, ObjectMasks, Boxes, Selection):
     """The photos that show each box best, in order."""
 
-    out: Path | None = option(PATH, "write ROI.json files there", metavar="DIR")
+    out: Path | None = option(DIR, "write ROI.json files there")

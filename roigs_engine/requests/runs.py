@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from . import choices
-from .declare import Request, option
+from .declare import Request, argument, option
 from .groups import (
     MAX_MEGABYTES,
     Boxes,
@@ -18,7 +18,7 @@ from .groups import (
     Threads,
     Training,
 )
-from .values import FLAG, NAME, PATH, PLACE, Choice, Number, integer
+from .values import DIR, FILE, FLAG, NAME, PATH, Choice, Name, Number, PathName, PlaceName, integer
 
 MAX_SECONDS = 1e9
 MOST_LEVELS, MOST_LEVEL_STEPS = 8, 100_000
@@ -33,17 +33,15 @@ CLUSTER = (
 class Train(Scene, ObjectMasks, Boxes, Selection, Training, Layout, Device):
     """Scene and boxes trained, and one PLY written."""
 
-    run_dir: Path = option(PATH, "folder of the run", required=True, metavar="DIR", decides=False)
+    run_dir: Path = option(DIR, "folder of the run", required=True, decides=False)
     selection: Path | None = option(
-        PATH,
+        DIR,
         "folder of ROI.json files with the photos of each box, as `select --out` writes them;"
         " --method selects the photos of boxes without a file",
-        metavar="DIR",
     )
     levels: int | None = option(
         integer(2, MOST_LEVELS),
         "make the result's levels of detail at the end, as `levels` does: N of them",
-        metavar="N",
     )
     update: bool = option(
         FLAG,
@@ -59,19 +57,17 @@ class Train(Scene, ObjectMasks, Boxes, Selection, Training, Layout, Device):
         decides=False,
     )
     preview_seconds: float = option(
-        Number(low=0, high=MAX_SECONDS),
+        Number(low=0, high=MAX_SECONDS, metavar="S"),
         "write the model in training to preview.ply, at most every S seconds; 0: never",
         0.0,
-        metavar="S",
         decides=False,
     )
     image_cache: float | None = option(
-        Number(low=0, high=MAX_MEGABYTES),
+        Number(low=0, high=MAX_MEGABYTES, metavar="MB"),
         "megabytes of decoded photos to keep in memory (default: a quarter of the memory)",
-        metavar="MB",
         decides=False,
     )
-    cluster: str | None = option(NAME, f"train {CLUSTER}", metavar="ADDRESS", decides=False)
+    cluster: str | None = option(Name("ADDRESS"), f"train {CLUSTER}", decides=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,11 +82,10 @@ class TrainAndEvaluate(Train):
         decides=False,
     )
     part: tuple[str, ...] = option(
-        NAME,
+        Name("PART"),
         "do one part only, as `batch` does, so that several engines can work in one run folder:"
         " 'prepare', then the name of each stage, then 'all' for the rest; repeatable",
         repeat=True,
-        metavar="PART",
         decides=False,
     )
 
@@ -100,46 +95,41 @@ class Evaluate(Scene, ObjectMasks, Boxes, Device):
     """The evaluation table of any PLYs, on test photos."""
 
     model: tuple[str, ...] = option(
-        NAME,
+        Name("NAME=FILE.ply"),
         "a row of the table; gains are relative to the first one; repeatable",
         required=True,
         repeat=True,
-        metavar="NAME=FILE.ply",
     )
     split: Path | None = option(
-        PATH,
+        FILE,
         "split.json of a run (default: that of the run that the models are from)",
-        metavar="FILE",
         excludes="tests",
     )
     test_every: int | None = option(
         integer(2),
         "test on every N-th photo that sees a box, whether or not a model was trained on it",
-        metavar="N",
         excludes="tests",
     )
-    out: Path = option(PATH, "folder to write to", required=True, metavar="DIR")
+    out: Path = option(DIR, "folder to write to", required=True)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Levels(Threads, Device):
     """Levels of detail of a run's result."""
 
-    run: Path = option(PATH, "folder of the run", required=True, flags=())
+    run: Path = argument(PATH, "folder of the run")
     levels: int = option(
         integer(2, MOST_LEVELS),
         "how many, with the whole one; each has half the Gaussians of the one before"
         " (default: {default})",
         5,
-        metavar="N",
     )
     steps: int = option(
         integer(1, MOST_LEVEL_STEPS),
         "steps to train each level of each box for (default: {default})",
         500,
-        metavar="N",
     )
-    scene: Path | None = option(PATH, "COLMAP project of the run, if it was moved", metavar="DIR")
+    scene: Path | None = option(DIR, "COLMAP project of the run, if it was moved")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,36 +137,26 @@ class Batch(Request):
     """The runs of a table of scenes, several at once, here or on a cluster."""
 
     table: Path | None = option(
-        PATH,
-        "TOML file with the scenes and their settings (docs/many.md)",
-        flags=(),
-        metavar="TABLE",
+        PathName("TABLE"), "TOML file with the scenes and their settings (docs/many.md)", flags=()
     )
-    init: Path | None = option(PATH, "write TABLE with the scenes of this folder", metavar="FOLDER")
+    init: Path | None = option(PathName("FOLDER"), "write TABLE with the scenes of this folder")
     run_dir: Path | str | None = option(
-        PLACE,
+        PlaceName("DIR"),
         "folder that gets a run folder for each scene; also an address such as s3://BUCKET/RUNS",
-        metavar="DIR",
     )
     scenes: tuple[str, ...] = option(
-        NAME,
-        "do the scene of this name only; repeatable",
-        repeat=True,
-        flags=("--scene",),
-        metavar="NAME",
+        NAME, "do the scene of this name only; repeatable", repeat=True, flags=("--scene",)
     )
     only: tuple[str, ...] = option(NAME, "no option of a batch", repeat=True, hidden="help")
     jobs: int | None = option(
         integer(1, MOST_JOBS),
         "most parts at a time on this machine (default: one for every two cores)",
-        metavar="N",
     )
-    cluster: str | None = option(NAME, f"do the parts {CLUSTER}", metavar="ADDRESS")
+    cluster: str | None = option(Name("ADDRESS"), f"do the parts {CLUSTER}")
     retries: int = option(
         integer(0, MOST_RETRIES, zero=True),
         "how often a part is tried again if its process is lost (default: {default})",
         RETRIES,
-        metavar="N",
     )
     dry_run: bool = option(
         FLAG, "check the table, print its plan (stages, steps, memory, time), and do nothing", False
@@ -187,7 +167,7 @@ class Batch(Request):
 class Clean(Request):
     """What can be made again, removed from a run folder."""
 
-    run: Path = option(PATH, "folder of the run; its results stay", required=True, flags=())
+    run: Path = argument(PATH, "folder of the run; its results stay")
     dry_run: bool = option(FLAG, "print what would be removed, and remove nothing", False)
 
 

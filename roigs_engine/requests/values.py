@@ -10,7 +10,7 @@ import re
 from argparse import ArgumentTypeError
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 MOST = (1 << 31) - 1  # of counts: a larger one is a typing error
 AUTO = "auto"
@@ -28,6 +28,7 @@ class Number:
     integer: bool = False  # whether it must be an integer
     above: bool = False  # `low` does not belong to the range
     zero: bool = False  # 0 is allowed too, though it is below the range
+    metavar: str = "N"  # what stands for the value in the help
 
     def __call__(self, text: str) -> Any:
         try:
@@ -60,9 +61,9 @@ class Number:
         return f"{'0 or ' if self.zero else ''}{kind} {span} {self.high:,}"
 
 
-def integer(low: int, high: int = MOST, *, zero: bool = False) -> Number:
+def integer(low: int, high: int = MOST, *, zero: bool = False, metavar: str = "N") -> Number:
     """Integers from `low` to `high`, and 0 if `zero`."""
-    return Number(low=low, high=high, integer=True, zero=zero)
+    return Number(low=low, high=high, integer=True, zero=zero, metavar=metavar)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +83,10 @@ class AutoOr(Number):
 
 
 class Name:
-    """Text that is not blank."""
+    """Text that is not blank; `metavar` stands for it in the help, or else the option's name."""
+
+    def __init__(self, metavar: str = "") -> None:
+        self.metavar = metavar
 
     def __call__(self, text: str) -> Any:
         return self.of_json(text)
@@ -116,11 +120,12 @@ class PlaceName(PathName):
         return value
 
 
-@dataclass(frozen=True)
 class Choice(Name):
     """One of several words."""
 
-    words: tuple[str, ...]
+    def __init__(self, words: tuple[str, ...]) -> None:
+        super().__init__()
+        self.words = words
 
     def of_json(self, value: Any) -> Any:
         if super().of_json(value) not in self.words:
@@ -136,6 +141,7 @@ class Flag:
     """
 
     negatable: bool = False
+    metavar: ClassVar[str] = ""
 
     def of_json(self, value: Any) -> bool:
         if not isinstance(value, bool):
@@ -144,7 +150,8 @@ class Flag:
 
 
 Kind = Number | Name | Flag
-NAME, PATH, PLACE, FLAG, EITHER = Name(), PathName(), PlaceName(), Flag(), Flag(negatable=True)
+NAME, FLAG, EITHER = Name("NAME"), Flag(), Flag(negatable=True)
+PATH, DIR, FILE = PathName(), PathName("DIR"), PathName("FILE")
 
 
 def is_url(text: object) -> bool:
