@@ -1,24 +1,23 @@
-"""The CPU backend: the C++ kernels as one differentiable torch function.
+"""The CPU backend: the C++ kernels; kernels/roigs.h has their interface and the order of calls.
 
-Projection, colours, sorting and blending are one function to autograd. Their intermediate results
-stay in a `KernelView` on the C++ side, whose memory is reused in each step. kernels/roigs.h has the
-interface and the order of calls.
+What they compute on the way stays in a `KernelView` on the C++ side, whose memory is reused in each
+step.
 """
 
 from __future__ import annotations
 
 import ctypes
-from functools import partial
+import weakref
 from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
-from ..errors import EngineError, KernelError
+from ..errors import KernelError
 from ..kernels import bindings
 from ..kernels.bindings import pointer
-from .inputs import RenderInputs, RenderOutput, gradient_targets
+from . import kernel_function
+from .inputs import RenderInputs, RenderOutput
 
 _MOST_GAUSSIANS = 2**30  # rows are counted in 32 bits, some beyond the last
 _SMALLER = "Render a smaller image, or fewer or smaller Gaussians."
@@ -68,17 +67,6 @@ class KernelView:
         return int(result or 0)
 
 
-class _Lease:
-    """The views that wait for a backward pass; gives them back if the graph is dropped first."""
-
-    def __init__(self) -> None:
-        self.views: list[KernelView] = []
-
-    def __del__(self) -> None:
-        for view in self.views:
-            view.give_back()
-
-
 def render(inputs: RenderInputs) -> RenderOutput:
     """Render all cameras; see `rasterize`. Raises KernelError."""
     if inputs.means.shape[0] > _MOST_GAUSSIANS:
@@ -86,129 +74,57 @@ def render(inputs: RenderInputs) -> RenderOutput:
             f"rasterize: {inputs.means.shape[0]} Gaussians are too many.",
             f"Render at most {_MOST_GAUSSIANS} at once.",
         )
-    return RenderOutput.of_planar(*_Rasterize.apply(_Cameras(inputs), *inputs.parameters))  # type: ignore[no-untyped-call]
+    return kernel_function.render(inputs, CameraView)
 
 
-class _Cameras:
-    """The cameras of `RenderInputs` in the kernels' form: one of `structures` for each.
+class CameraView:
+    """See `kernel_function.BackendView`; gives its view on the C++ side back when it is dropped."""
 
-    `size` is height and width of the window; `pixel_weights` (C, H, W) are those in it, None: 1.
-    """
-
-    def __init__(self, inputs: RenderInputs) -> None:
-        left, top, right, bottom = inputs.window
-        self.inputs, self.size = inputs, (bottom - top, right - left)
-        self.pixel_weights = None
-        if inputs.pixel_weights is not None:
-            self.pixel_weights = inputs.pixel_weights[:, top:bottom, left:right].contiguous()
-        mask = inputs.tile_mask
-        # Kept alive: the structures point to it.
+    def __init__(
+        self, inputs: RenderInputs, c: int, parameters: list[Tensor], visible: Tensor
+    ) -> None:
+        """Project and bin for camera `c`."""
+        view = KernelView.take()
+        weakref.finalize(self, view.give_back)
+        self._call, mask = view.call, inputs.tile_mask
+        # Kept alive: the structures point to them.
+        self._parameters = parameters
         self._tile_mask = None if mask is None else mask.to("cpu", torch.uint8).contiguous()
-        self.structures = []
-        background = inputs.background.tolist()
-        cameras = zip(inputs.viewmats.tolist(), inputs.Ks.tolist(), strict=True)
-        for c, (view, K) in enumerate(cameras):
-            camera = bindings.Camera()
-            camera.world_to_camera[:] = [*view[0], *view[1], *view[2]]
-            # Python's floats are float64: needed here, as differences of large numbers lose digits
-            camera.position[:] = [-sum(view[j][i] * view[j][3] for j in range(3)) for i in range(3)]
-            camera.focal_and_centre[:] = [K[0][0], K[1][1], K[0][2], K[1][2]]
-            camera.background[:] = background
-            inputs.fill(camera, c)
-            camera.window[:] = inputs.window
-            camera.tile_mask = pointer(self._tile_mask)
-            self.structures.append(camera)
+        self._camera = _camera(inputs, c)
+        self._camera.tile_mask = pointer(self._tile_mask)
+        structure = bindings.packed_gaussians(parameters, inputs.sh_degree, inputs.raw)
+        self._gaussians = ctypes.byref(structure)
+        self._call("roigs_project", self._gaussians, ctypes.byref(self._camera), pointer(visible))
+        self._call("roigs_bin")
 
-    def gaussians(self, parameters: list[Tensor]) -> bindings.Gaussians:
-        """The kernels' argument of five packed parameters."""
-        return bindings.packed_gaussians(parameters, self.inputs.sh_degree, self.inputs.raw)
+    def draw(self, outputs: kernel_function.Outputs) -> None:
+        median = outputs.pop("median", None)
+        addresses = {name: pointer(tensor) for name, tensor in outputs.items()}
+        self._call("roigs_render", ctypes.byref(bindings.Outputs(**addresses)))
+        if median is not None:
+            self._call("roigs_median_depth", addresses["alpha"], pointer(median))
 
+    def blend_backward(self, image: Tensor, gradient: Tensor, grad2d: Tensor) -> None:
+        self._grad2d = pointer(grad2d)
+        self._call("roigs_render_backward", pointer(image), pointer(gradient))
 
-class _Rasterize(torch.autograd.Function):
-    """(cameras, five parameters) -> planar image (C, 3, H, W), and outputs without gradient."""
+    def project_backward(self, targets: list[Tensor | None]) -> None:
+        gradients = bindings.Gradients(*map(pointer, targets))
+        self._call("roigs_project_backward", self._gaussians, ctypes.byref(gradients), self._grad2d)
 
-    @staticmethod
-    def forward(ctx: Any, cameras: _Cameras, *parameters: Tensor) -> tuple[Tensor | None, ...]:
-        inputs = cameras.inputs
-        views, count = len(cameras.structures), parameters[0].shape[0]
-        image = torch.empty(views, 3, *cameras.size, dtype=torch.float32)
-        alpha = torch.empty(views, *cameras.size, dtype=torch.float32)
-        mean = torch.empty_like(alpha) if inputs.with_depth is True else None
-        median = torch.zeros_like(alpha) if inputs.with_depth == "median" else None
-        visible = torch.zeros(views, count, dtype=torch.bool)
-        grad2d = torch.zeros(views, count, dtype=torch.float32)
-        max_weight = torch.zeros(count, dtype=torch.float32) if inputs.with_max_weight else None
-        weight_sum = torch.zeros(count, dtype=torch.float32) if inputs.with_weight_sum else None
-        pixel_weights = cameras.pixel_weights
-
-        ctx.cameras, ctx.lease, ctx.grad2d = cameras, _Lease(), grad2d
-        packed = [p.contiguous() for p in parameters]
-        for c in range(views):
-            view = KernelView.take()
-            _prepare(view, cameras, c, packed, visible[c])
-            outputs = bindings.Outputs(
-                pointer(image[c]),
-                pointer(alpha[c]),
-                None if mean is None else pointer(mean[c]),
-                pointer(max_weight),
-                pointer(weight_sum),
-                None if pixel_weights is None else pointer(pixel_weights[c]),
-            )
-            view.call("roigs_render", ctypes.byref(outputs))
-            if median is not None:
-                view.call("roigs_median_depth", pointer(alpha[c]), pointer(median[c]))
-            if any(ctx.needs_input_grad):
-                ctx.lease.views.append(view)
-            else:
-                view.give_back()
-        ctx.save_for_backward(image, *parameters)
-        depth = median if mean is None else mean
-        statistics = (alpha, visible, grad2d, depth, max_weight, weight_sum)
-        ctx.mark_non_differentiable(*(t for t in statistics if t is not None))
-        ctx.set_materialize_grads(False)
-        return image, *statistics
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *output_gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        image_gradient = output_gradients[0]
-        image, *parameters = ctx.saved_tensors
-        if image_gradient is None:
-            return (None,) * (1 + len(parameters))
-        image_gradient = image_gradient.to(torch.float32).contiguous()  # planar: no copy
-        packed = [p.contiguous() for p in parameters]
-        gaussians = ctypes.byref(ctx.cameras.gaussians(packed))
-        views, ctx.lease.views = ctx.lease.views, []
-        step = ctx.cameras.inputs.backward_step
-        if step is not None and not views:
-            raise EngineError("rasterize: backward() with a step can be called only once.")
-        needed = [step is None and each for each in ctx.needs_input_grad[1:]]
-        targets = gradient_targets(parameters, needed)
-        gradients = bindings.Gradients(*(pointer(buffer) for buffer, _ in targets))
-        for c, gradient in enumerate(image_gradient):
-            if views:
-                view = views[c]
-            else:  # a second backward through the same graph: the first one gave the views back
-                view, visible = KernelView.take(), torch.zeros(len(packed[0]), dtype=torch.bool)
-                _prepare(view, ctx.cameras, c, packed, visible)
-                again, alpha = torch.empty_like(image[c]), torch.empty_like(image[c, 0])
-                outputs = bindings.Outputs(pointer(again), pointer(alpha))
-                view.call("roigs_render", ctypes.byref(outputs))
-            view.call("roigs_render_backward", pointer(image[c]), pointer(gradient))
-            grad2d = pointer(ctx.grad2d[c])
-            if step is None:
-                view.call("roigs_project_backward", gaussians, ctypes.byref(gradients), grad2d)
-            else:
-                kernel = partial(view.call, "roigs_project_backward_adam", gaussians)
-                step.take(lambda adam, kernel=kernel, out=grad2d: kernel(adam, out))
-            view.give_back()
-        return (None, *(buffer if is_fresh else None for buffer, is_fresh in targets))
+    def take_step(self, adam: Any) -> int:
+        return self._call("roigs_project_backward_adam", self._gaussians, adam, self._grad2d)
 
 
-def _prepare(
-    view: KernelView, cameras: _Cameras, c: int, parameters: list[Tensor], visible: Tensor
-) -> None:
-    """Project and bin for camera `c`."""
-    gaussians, camera = cameras.gaussians(parameters), cameras.structures[c]
-    view.call("roigs_project", ctypes.byref(gaussians), ctypes.byref(camera), pointer(visible))
-    view.call("roigs_bin")
+def _camera(inputs: RenderInputs, c: int) -> bindings.Camera:
+    """Camera `c` as the kernels take it, without its tiles' mask."""
+    view, K = inputs.viewmats[c].tolist(), inputs.Ks[c].tolist()
+    camera = bindings.Camera()
+    camera.world_to_camera[:] = [*view[0], *view[1], *view[2]]
+    # Python's floats are float64: needed here, as differences of large numbers lose digits
+    camera.position[:] = [-sum(view[j][i] * view[j][3] for j in range(3)) for i in range(3)]
+    camera.focal_and_centre[:] = [K[0][0], K[1][1], K[0][2], K[1][2]]
+    camera.background[:] = inputs.background.tolist()
+    inputs.fill(camera, c)
+    camera.window[:] = inputs.window
+    return camera

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -44,28 +44,25 @@ class Blur(NamedTuple):
     stored: float
 
 
-class BackwardStep(Protocol):
+@dataclass(frozen=True)
+class BackwardStep:
     """An optimizer step that the backward pass takes instead of returning gradients.
 
     This is all that the rasterizer knows about the optimizer.
+
+    Attributes:
+        tensors: those that the step updates, in the order of `rasterize`'s first five arguments.
+        take: takes the step with a kernel, which gets the address of a `bindings.Adam` and returns
+            the number of rows that it skipped for a NaN or Inf gradient.
+        pair_buffer: for the view's pairs on a GPU, so that nothing waits for it; None: it waits.
     """
 
-    @property
-    def tensors(self) -> tuple[Tensor, ...]:
-        """The tensors that the step updates, in the order of `rasterize`'s first five arguments."""
-
-    @property
-    def pair_buffer(self) -> PairBuffer | None:
-        """For the view's pairs on a GPU, so that nothing waits for it; None: it waits."""
-
-    def take(self, kernel: Callable[[Any], int | Tensor]) -> None:
-        """Take the step with a kernel, which gets the address of a `bindings.Adam`.
-
-        The kernel returns the number of rows that it skipped for a NaN or Inf gradient.
-        """
+    tensors: tuple[Tensor, ...]
+    take: Callable[[Callable[[Any], int | Tensor]], object]
+    pair_buffer: PairBuffer | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class RenderOutput:
     """The output of `rasterize` for C cameras, N Gaussians. Only `image` has a gradient.
 
@@ -83,13 +80,6 @@ class RenderOutput:
     depth: Tensor | None  # (C, H, W)
     max_weight: Tensor | None  # (N,) largest weight of the Gaussian in any pixel
     weight_sum: Tensor | None  # (N,) over all cameras' pixels, each times its `pixel_weights`
-
-    @classmethod
-    def of_planar(cls, image: Tensor, *others: Tensor | None) -> RenderOutput:
-        """From a planar image (C, 3, H, W), what kernels and loss work on, and the other fields."""
-        names = ("alpha", "visible", "grad2d", "depth", "max_weight", "weight_sum")
-        fields: dict[str, Any] = dict(zip(names, others, strict=True))
-        return cls(image=image.permute(0, 2, 3, 1), **fields)
 
     def cut(self, window: tuple[int, int, int, int]) -> RenderOutput:
         """The part of whole images that is in a window; itself, if that is all."""
@@ -124,7 +114,7 @@ class RenderInputs:
     pixel_weights: Tensor | None  # (C, H, W)
     tiles: tuple[int, int, int, int]  # first column, first row, end column, end row
     tile_mask: Tensor | None  # (rows, columns) bool, the active tiles in this rectangle; None: all
-    window: tuple[int, int, int, int]  # px, for the cpu backend: what the images hold
+    window: tuple[int, int, int, int]  # px: what images hold; cuda: all, see `RenderOutput.cut`
     blur: Blur
     backward_step: BackwardStep | None  # None: the backward pass returns gradients
 
@@ -132,6 +122,11 @@ class RenderInputs:
     def means(self) -> Tensor:
         """(N, 3) centres."""
         return self.parameters[0]
+
+    @property
+    def is_trained(self) -> bool:
+        """Whether there may be a backward pass."""
+        return any(parameter.requires_grad for parameter in self.parameters)
 
     def fill(self, camera: bindings.Camera, c: int) -> None:
         """Set what all kernels read of camera `c` on the CPU."""

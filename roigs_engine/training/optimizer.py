@@ -15,17 +15,16 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from ..cuda.bindings import address
-from ..cuda.pair_buffers import PairBuffer
 from ..errors import EngineError
 from ..kernels import bindings
 from ..model.gaussians import Gaussians
+from ..rasterize.inputs import BackwardStep
 from .edits import chosen_rows
 
 BETAS, EPS = (0.9, 0.999), 1e-15  # decay of the two moments; added to the second one's root
@@ -171,9 +170,9 @@ class VisibleAdam:
         return usable and not self.reference
 
     @property
-    def backward_step(self) -> FusedStep | None:
+    def backward_step(self) -> BackwardStep | None:
         """The argument of `rasterize(..., backward_step=...)`; None: call `step` instead."""
-        return FusedStep(self) if self.fused else None
+        return BackwardStep(tuple(self.parameters.values()), self.step_by) if self.fused else None
 
     def _reference_step(self, name: str, visible: Tensor) -> Tensor:
         """The step in plain torch, on all rows with a mask; the tests compare backends with it."""
@@ -286,21 +285,6 @@ class VisibleAdam:
             self.parameters[name] = tensor
         for tensor in parameters.values():
             tensor.grad = None if self.fused else torch.zeros_like(tensor)
-
-
-@dataclass(frozen=True)
-class FusedStep:
-    """The `rasterize.inputs.BackwardStep` of an optimizer."""
-
-    optimizer: VisibleAdam
-    pair_buffer: PairBuffer | None = None
-
-    @property
-    def tensors(self) -> tuple[Tensor, ...]:
-        return tuple(self.optimizer.parameters.values())
-
-    def take(self, kernel: Callable[[Any], int | Tensor]) -> None:
-        self.optimizer.step_by(kernel)
 
 
 def leaves(gaussians: Gaussians) -> Gaussians:

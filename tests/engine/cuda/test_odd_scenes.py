@@ -14,7 +14,8 @@ from torch import Tensor
 from roigs_engine.cuda.pair_buffers import PairBuffer
 from roigs_engine.model.gaussians import NAMES
 from roigs_engine.rasterize import cuda, rasterize
-from roigs_engine.training.optimizer import FusedStep, VisibleAdam
+from roigs_engine.rasterize.inputs import BackwardStep
+from roigs_engine.training.optimizer import VisibleAdam
 from tests.engine.cuda.shim import ShimProgram
 from tests.engine.rasterize_cases import cameras, gaussians, largest_difference, relative_error
 
@@ -100,7 +101,7 @@ def step(
         raw=True,
         with_max_weight=True,
         backend=backend,
-        backward_step=FusedStep(optimizer, buffer),
+        backward_step=BackwardStep(tuple(parameters), optimizer.step_by, buffer),
     )
     weights = torch.randn(drawn.image.shape, generator=torch.Generator().manual_seed(1))
     (drawn.image * weights).sum().backward()

@@ -15,7 +15,7 @@ from roigs_engine.context import Context
 from roigs_engine.cuda import card, pair_buffers
 from roigs_engine.errors import SceneError
 from roigs_engine.model.gaussians import Gaussians
-from roigs_engine.rasterize import cuda
+from roigs_engine.rasterize.cuda import CameraView
 from roigs_engine.run import memory
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.memory import plan_card
@@ -82,10 +82,13 @@ def test_the_plan_is_what_tensors_take(
     monkeypatch.setattr(card, "program", lambda device: program)
     use(monkeypatch, pretended)
     monkeypatch.setattr(pair_buffers, "LEAST_MARGIN", 0)
-    list_tiles = cuda._list
-    monkeypatch.setattr(
-        cuda, "_list", lambda view, may: (pairs.append(view.pairs), list_tiles(view, may))
-    )
+    list_tiles = CameraView.list_tiles
+
+    def listed(view: CameraView, *, may_leave_slots: bool) -> None:
+        pairs.append(view.pairs)
+        list_tiles(view, may_leave_slots=may_leave_slots)
+
+    monkeypatch.setattr(CameraView, "list_tiles", listed)
     images = posed(2, replace(SMALL))
     images = [replace(image, world_to_camera=shifted()) for image in images]
     points = np.random.default_rng(0).normal(size=(count, 3)) * 0.5

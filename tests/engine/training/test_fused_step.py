@@ -12,7 +12,8 @@ from torch import Tensor
 
 from roigs_engine.errors import EngineError
 from roigs_engine.rasterize import RenderOutput
-from roigs_engine.training.optimizer import FusedStep, VisibleAdam
+from roigs_engine.rasterize.inputs import BackwardStep
+from roigs_engine.training.optimizer import VisibleAdam
 from tests.engine.rasterize_cases import NAMES, gaussians
 from tests.engine.training.hidden import SIZE, keeps_what_others_hide, render
 
@@ -118,7 +119,9 @@ def test_a_step_that_cannot_be_taken_is_refused() -> None:
         render(adam(), views=2)
     with pytest.raises(EngineError, match="reference backend"):
         render(adam(), backend="reference")
+    other = adam(dtype=torch.float64)
+    step = BackwardStep(tuple(other.parameters.values()), other.step_by)
     with pytest.raises(EngineError, match="reference backend"):
-        render(other := adam(dtype=torch.float64), backward_step=FusedStep(other))
+        render(other, backward_step=step)
     with pytest.raises(EngineError, match="not the tensors"):
         render(adam(), backward_step=adam().backward_step)

@@ -1,0 +1,119 @@
+"""The compiled backends as one differentiable torch function.
+
+Projection, colours, sorting and blending are one function to autograd; what a backward pass needs
+of its forward pass stays in a `BackendView`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from ..errors import EngineError
+from .inputs import RenderInputs, RenderOutput, gradient_targets
+
+Outputs = dict[str, Tensor | None]
+"""What to draw into: the fields of `bindings.Outputs` for one camera, and `median`, a depth."""
+
+
+class BackendView(Protocol):
+    """The forward pass of one camera, projected and binned, with a backend's kernels."""
+
+    def draw(self, outputs: Outputs) -> None:
+        """Blend into the tensors; they are of the window, and depths are zeros."""
+
+    def blend_backward(self, image: Tensor, gradient: Tensor, grad2d: Tensor) -> None:
+        """Begin the backward pass, once: what `draw` drew and its gradient; writes (N,) grad2d."""
+
+    def project_backward(self, targets: list[Tensor | None]) -> None:
+        """End it: add the five parameters' gradients; None: not needed."""
+
+    def take_step(self, adam: Any) -> int | Tensor:
+        """End it with an optimizer's step, see `BackwardStep`."""
+
+
+Begin = Callable[[RenderInputs, int, list[Tensor], Tensor], BackendView]
+"""Inputs, camera, contiguous parameters, and (N,) bool, where visible Gaussians are written."""
+
+
+def render(inputs: RenderInputs, begin: Begin) -> RenderOutput:
+    """Render all cameras; see `rasterize`. Raises KernelError."""
+    image, *others = _KernelFunction.apply(begin, inputs, *inputs.parameters)  # type: ignore[no-untyped-call]
+    return RenderOutput(image.permute(0, 2, 3, 1), *others)  # planar until here
+
+
+class _KernelFunction(torch.autograd.Function):
+    """Five parameters -> planar image (C, 3, H, W), and outputs without gradient."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, begin: Begin, inputs: RenderInputs, *parameters: Tensor
+    ) -> tuple[Tensor | None, ...]:
+        views, (image, *statistics) = _drawn(begin, inputs, parameters)
+        ctx.begin, ctx.inputs, ctx.views, ctx.grad2d = begin, inputs, views, statistics[2]
+        ctx.save_for_backward(image, *parameters)
+        ctx.mark_non_differentiable(*(t for t in statistics if t is not None))
+        ctx.set_materialize_grads(False)
+        return image, *statistics
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *output_gradients: Tensor | None) -> tuple[Tensor | None, ...]:
+        image, *parameters = ctx.saved_tensors
+        if output_gradients[0] is None:
+            return (None,) * (2 + len(parameters))
+        step, views, ctx.views = ctx.inputs.backward_step, ctx.views, None
+        if views is None:  # a second backward through the same graph: the views are used up
+            if step is not None:
+                raise EngineError("rasterize: backward() with a step can be called only once.")
+            views, _ = _drawn(ctx.begin, ctx.inputs, parameters)
+        gradient = output_gradients[0].to(torch.float32).contiguous()  # planar: no copy
+        needed = [step is None and each for each in ctx.needs_input_grad[2:]]
+        targets = gradient_targets(parameters, needed)
+        buffers = [buffer for buffer, _ in targets]
+        for c, view in enumerate(views):
+            view.blend_backward(image[c], gradient[c], ctx.grad2d[c])
+            if step is None:
+                view.project_backward(buffers)
+            else:
+                step.take(view.take_step)
+        return (None, None, *(buffer if is_fresh else None for buffer, is_fresh in targets))
+
+
+def _drawn(
+    begin: Begin, inputs: RenderInputs, parameters: tuple[Tensor, ...] | list[Tensor]
+) -> tuple[list[BackendView], tuple[Tensor | None, ...]]:
+    """The views, if there will be a backward pass; the image, and the other outputs in order."""
+    cameras, count, device = len(inputs.viewmats), len(parameters[0]), parameters[0].device
+    left, top, right, bottom = inputs.window
+    height, width = bottom - top, right - left
+    image = torch.empty(cameras, 3, height, width, dtype=torch.float32, device=device)
+    alpha = image.new_empty(cameras, height, width)
+    depth = torch.zeros_like(alpha) if inputs.with_depth else None
+    visible = torch.zeros(cameras, count, dtype=torch.bool, device=device)
+    grad2d = image.new_zeros(cameras, count)
+    max_weight = image.new_zeros(count) if inputs.with_max_weight else None
+    weight_sum = image.new_zeros(count) if inputs.with_weight_sum else None
+    weights = inputs.pixel_weights
+    if weights is not None:
+        weights = weights[:, top:bottom, left:right].contiguous()
+    packed, views = [p.detach().contiguous() for p in parameters], []
+    for c in range(cameras):
+        view = begin(inputs, c, packed, visible[c])
+        outputs: Outputs = {
+            "image": image[c],
+            "alpha": alpha[c],
+            "max_weight": max_weight,
+            "weight_sum": weight_sum,
+            "pixel_weights": None if weights is None else weights[c],
+        }
+        if depth is not None:
+            outputs["median" if inputs.with_depth == "median" else "depth"] = depth[c]
+        view.draw(outputs)
+        if inputs.is_trained:
+            views.append(view)
+    return views, (image, alpha, visible, grad2d, depth, max_weight, weight_sum)
