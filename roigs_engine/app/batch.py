@@ -190,8 +190,11 @@ def _execute(
                 context.warn(text)
         reporter.take(scene, part, report)
         if isinstance(report, Outcome) and time.monotonic() - written_at > PAGE_SECONDS:
-            write_page()
             written_at = time.monotonic()
+            try:
+                write_page()
+            except EngineError as error:  # the work goes on
+                context.warn(f"The batch's page is not up to date. {error}")
 
     def write_page() -> None:
         is_there = store.is_there if store else None

@@ -18,7 +18,7 @@ from ..requests.values import is_url
 from ..storage.lease import Lease, LeaseTakenError
 from ..storage.mirror import sign
 from ..storage.quota import make_copy
-from ..storage.urls import file_system, folder_of, refuse_lost, unusable
+from ..storage.urls import file_system, folder_of, refuse_lost
 from .batch_table import Row, Wrong
 
 BATCHES = "batches"
@@ -54,12 +54,9 @@ class Store:
         """Copy here the record of earlier batches, and of each run what that needs."""
         here = self.folder / BATCH
         here.unlink(missing_ok=True)
-        try:
-            make_copy(self.folder)
-            if self._found.exists(f"{self._place}/{BATCH}"):
-                self._found.get_file(f"{self._place}/{BATCH}", str(here))
-        except OSError as error:
-            raise unusable(self.url, error) from error
+        make_copy(self.folder)
+        if self._found.exists(f"{self._place}/{BATCH}"):
+            self._found.get_file(f"{self._place}/{BATCH}", str(here))
         for name in names:
             self.fetch(name)
 
@@ -82,12 +79,9 @@ class Store:
 
     def put(self, *names: str) -> None:
         """Publish files of the batch's folder, by their names."""
-        try:
-            for name in names:
-                if (self.folder / name).is_file():
-                    self._found.put_file(str(self.folder / name), f"{self._place}/{name}")
-        except OSError as error:
-            raise unusable(self.url, error) from error
+        for name in names:
+            if (self.folder / name).is_file():
+                self._found.put_file(str(self.folder / name), f"{self._place}/{name}")
 
 
 class StoredRecord(BatchRecord):

@@ -84,7 +84,7 @@ class BatchRecord:
         try:
             made = self._made(name).get(output.name)
             return made == [list(output.options), self._stamp(output.path)]
-        except OSError:
+        except (EngineError, OSError):
             return False
 
     def add_output(self, name: str, output: Output) -> None:

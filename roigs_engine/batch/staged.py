@@ -5,6 +5,7 @@ The engine itself works in folders of this machine, as ever.
 
 from __future__ import annotations
 
+import errno
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -22,7 +23,7 @@ from ..storage.commits import StoredRun, published_files
 from ..storage.lease import Lease, LeaseTakenError
 from ..storage.mirror import SCENES, mirror
 from ..storage.quota import claim, enforce_quota, keep, limit
-from ..storage.urls import file_system, folder_of
+from ..storage.urls import StoreError, file_system, folder_of
 from .engine_process import DONE, FAILED, LOST, STOPPED, Outcome, run_engine
 from .parts import WHOLE, Part, Staging
 
@@ -73,11 +74,14 @@ def run_part(
         return Outcome(state=LOST, reason="Another engine is at work on it.")
     except Stopped:
         return Outcome(state=STOPPED)
+    except StoreError as error:  # another time may do, unless a disk is full
+        full = getattr(error.__cause__, "errno", None) == errno.ENOSPC
+        return Outcome(state=FAILED if full else LOST, reason=str(error))
     except EngineError as error:
         return Outcome(state=FAILED, reason=str(error))
     except OSError as error:
         return Outcome(state=FAILED, reason=f"{error.strerror or error}.")
-    except Exception as error:  # of a store's package: another machine, or another time, may do
+    except Exception as error:  # else the batch would wait for it for ever
         return Outcome(state=LOST, reason=f"{first_line(error):.200}")
 
 

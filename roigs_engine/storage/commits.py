@@ -24,8 +24,8 @@ from ..errors import RunFolderError
 from ..formats.files import LEFTOVER, own_folder
 from ..formats.names import inner_path
 from ..formats.run_files import CACHE, PREVIEW, UNDISTORTED
-from ..formats.text import json_digest
-from .urls import unusable
+from ..formats.text import json_digest, parse_json
+from .urls import FileSystem, guarded
 
 COMMITS, OBJECTS, LEASES = ".commits", ".objects", ".leases"
 VERSION = 2
@@ -42,7 +42,7 @@ class StoredRun:
         place: of the run folder in it.
     """
 
-    def __init__(self, found: Any, place: str) -> None:
+    def __init__(self, found: FileSystem, place: str) -> None:
         self._found, self._place = found, place
         self._had: dict[str, Entry] = {}
 
@@ -85,39 +85,34 @@ class StoredRun:
             names: only these files; empty: all.
 
         Raises:
-            RunFolderError: something cannot be written or read.
+            StoreError: the store cannot be written or read.
+            OSError: a file here cannot be read.
         """
         only = set(names)
         now = sorted(only or published_files(folder))
         files: dict[str, Entry] = {}
-        try:
-            before = self._commits()
-            others = _entries(commit for commit in before if commit["part"] != part)
-            for name in now:
-                entry = self._put(folder / name, name if last else "")
-                if last or entry["sha"] != others.get(name, {}).get("sha"):
-                    files[name] = entry
-            gone = [] if only else sorted(self._had.keys() - set(now))
-            serial = max((commit["serial"] for commit in before), default=0) + 1
-            body = {"version": VERSION, "serial": serial, "part": part, "files": files}
-            body["gone"] = gone
-            text = json.dumps(body | {"digest": self._digest(body)})
-            self._found.makedirs(f"{self._place}/{COMMITS}", exist_ok=True)
-            self._found.pipe_file(self._commit(part), text.encode())
-        except OSError as error:
-            raise unusable(self._place, error) from error
+        before = self._commits()
+        others = _entries(commit for commit in before if commit["part"] != part)
+        for name in now:
+            entry = self._put(folder / name, name if last else "")
+            if last or entry["sha"] != others.get(name, {}).get("sha"):
+                files[name] = entry
+        gone = [] if only else sorted(self._had.keys() - set(now))
+        serial = max((commit["serial"] for commit in before), default=0) + 1
+        body = {"version": VERSION, "serial": serial, "part": part, "files": files}
+        body["gone"] = gone
+        text = json.dumps(body | {"digest": self._digest(body)})
+        self._found.makedirs(f"{self._place}/{COMMITS}", exist_ok=True)
+        self._found.pipe_file(self._commit(part), text.encode())
         self._had = {k: v for k, v in self._had.items() if k not in gone} | files
         if last:
             self._tidy(keep=part)
 
     def put_beside(self, path: Path, name: str) -> None:
-        """Store a file by a name in the folder of all runs; RunFolderError if that fails."""
+        """Store a file by a name in the folder of all runs; StoreError if that fails."""
         above = self._place.rpartition("/")[0]
-        try:
-            self._found.makedirs(f"{above}/{name}".rpartition("/")[0], exist_ok=True)
-            self._found.put_file(str(path), f"{above}/{name}")
-        except OSError as error:
-            raise unusable(self._place, error) from error
+        self._found.makedirs(f"{above}/{name}".rpartition("/")[0], exist_ok=True)
+        self._found.put_file(str(path), f"{above}/{name}")
 
     def _commit(self, part: str) -> str:
         return f"{self._place}/{COMMITS}/{quote(part, safe='')}.json"
@@ -127,8 +122,8 @@ class StoredRun:
         found = []
         with suppress(FileNotFoundError):
             for path in self._found.find(f"{self._place}/{COMMITS}"):
-                with suppress(OSError, ValueError, TypeError, AttributeError, KeyError):
-                    body = json.loads(self._found.cat_file(path))
+                with suppress(FileNotFoundError, ValueError, TypeError, AttributeError, KeyError):
+                    body = parse_json(self._found.cat_file(path))
                     digest = str(body.pop("digest"))
                     whole = hmac.compare_digest(digest, self._digest(body))
                     if whole and body["version"] == VERSION:
@@ -153,7 +148,7 @@ class StoredRun:
             ):
                 file.seek(0)
                 self._found.makedirs(target.rsplit("/", 1)[0], exist_ok=True)
-                with self._found.open(target, "wb") as out:
+                with guarded(target), self._found.open(target, "wb") as out:
                     shutil.copyfileobj(file, out)
         return {"sha": sha, "size": size, "at": at}
 
@@ -176,8 +171,6 @@ class StoredRun:
             return True
         except FileNotFoundError:
             return False
-        except OSError as error:
-            raise unusable(f"{self._place}/{name}", error) from error
         finally:
             Path(temporary).unlink(missing_ok=True)
 

@@ -15,7 +15,9 @@ import time
 import uuid
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+
+from ..formats.text import parse_json
+from .urls import FileSystem
 
 EXPIRY, BEAT, POLL = 60.0, 10.0, 1.0  # seconds
 CLAIM, HELD = "claim", "held"
@@ -37,7 +39,7 @@ class Lease:
 
     def __init__(
         self,
-        found: Any,
+        found: FileSystem,
         folder: str,
         should_stop: Callable[[], bool] = lambda: False,
         *,
@@ -102,10 +104,10 @@ class Lease:
                 continue
             try:
                 content = bytes(self._found.cat_file(f"{self._folder}/{name}"))
-                state = str(json.loads(content)["state"])
+                state = str(parse_json(content)["state"])
             except FileNotFoundError:
                 continue
-            except (OSError, ValueError, KeyError, TypeError):  # half written
+            except (ValueError, KeyError, TypeError):  # half written
                 content, state = b"", CLAIM
             before, since, changes = self._seen.get(name, (content, now, 0))
             if content != before:

@@ -12,9 +12,8 @@ from ..context import Context
 from ..errors import ConfigError, EngineError
 from ..formats.files import read_json, write_json
 from ..formats.names import inner_path
-from ..formats.text import first_line
 from .quota import alone, claim, enforce_quota, keep, limit
-from .urls import file_system, folder_of
+from .urls import FileSystem, file_system, folder_of, guarded
 
 SCENES, FILES, INDEX, LOCK = "scenes", "files", "index.json", "copy.lock"
 
@@ -22,7 +21,7 @@ SCENES, FILES, INDEX, LOCK = "scenes", "files", "index.json", "copy.lock"
 def mirror(url: str, context: Context) -> Path:
     """A copy of a scene's folder, brought up to date: only files that changed are read.
 
-    ConfigError: there is no such folder, or it cannot be read.
+    ConfigError: there is no such folder. StoreError: it cannot be read.
     """
     found, place = file_system(url)
     limit()
@@ -36,7 +35,8 @@ def mirror(url: str, context: Context) -> Path:
             target = folder / FILES / name
             here = target.stat().st_size if target.is_file() else -1
             if known.get(name) != sign or here != sign[0]:
-                _copy(found, f"{place}/{name}", target, sign[0], url)
+                with guarded(f"{url} ({name})"):
+                    _copy(found, f"{place}/{name}", target, sign[0])
                 known[name] = sign
         for name in known.keys() - files.keys():
             (folder / FILES / name).unlink(missing_ok=True)
@@ -46,12 +46,10 @@ def mirror(url: str, context: Context) -> Path:
     return folder / FILES
 
 
-def _listed(found: Any, place: str, url: str) -> dict[str, list[Any]]:
+def _listed(found: FileSystem, place: str, url: str) -> dict[str, list[Any]]:
     """File below the folder -> its size and what changes with its content."""
-    try:
+    with guarded(url):
         listed = found.find(place, detail=True)
-    except Exception as error:
-        raise _unreadable(url, error) from error
     if not listed:
         raise ConfigError(f"There is nothing at {url}.", "Correct the address.")
     files = {}
@@ -68,7 +66,7 @@ def sign(facts: Mapping[str, Any]) -> list[Any]:
     return [int(facts["size"]), next((str(facts[key]) for key in marks if facts.get(key)), "")]
 
 
-def _copy(found: Any, source: str, target: Path, size: int, url: str) -> None:
+def _copy(found: FileSystem, source: str, target: Path, size: int) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
     number, name = tempfile.mkstemp(dir=target.parent)
     os.close(number)
@@ -77,8 +75,6 @@ def _copy(found: Any, source: str, target: Path, size: int, url: str) -> None:
         if os.path.getsize(name) != size:
             raise OSError("the file changed while it was read")
         os.replace(name, target)
-    except Exception as error:
-        raise _unreadable(f"{url} ({target.name})", error) from error
     finally:
         Path(name).unlink(missing_ok=True)
 
@@ -89,8 +85,3 @@ def _index(folder: Path) -> dict[str, Any]:
     except EngineError:
         return {}
     return found if isinstance(found, dict) else {}
-
-
-def _unreadable(url: str, error: Exception) -> ConfigError:
-    reason = first_line(error)
-    return ConfigError(f"Cannot read {url} ({reason:.100}).", "Is the address right, and allowed?")

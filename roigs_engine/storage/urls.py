@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +26,43 @@ HOME = "ROIGS_CACHE"
 """Environment variable: the folder of this machine's copies."""
 
 
-def unusable(place: str, error: OSError) -> RunFolderError:
-    """The error of a store that cannot be read or written."""
-    return RunFolderError(
-        f"Cannot use {place} ({first_line(error):.100}).", "Is the store there, with space?"
-    )
+READS = ("cat_file", "find", "get_file", "info")
+"""Calls that say by FileNotFoundError that a file is missing."""
+
+
+class StoreError(RunFolderError):
+    """A store cannot be read or written, at least now."""
+
+
+@contextmanager
+def guarded(place: str, *passes: type[Exception]) -> Iterator[None]:
+    """Make a StoreError of any error, as each kind of store has errors of its own."""
+    try:
+        yield
+    except Exception as error:
+        if isinstance(error, (StoreError, *passes)):
+            raise
+        text = f"Cannot use {place:.200} ({first_line(error):.100})."
+        raise StoreError(text, "Is the store there, with space?") from error
+
+
+class FileSystem:
+    """fsspec's file system `found` of an address, whose calls raise StoreError, and nothing else.
+
+    Those of `READS` raise FileNotFoundError for what is missing.
+    """
+
+    def __init__(self, found: Any, url: str) -> None:
+        self._found, self._url = found, url
+
+    def __getattr__(self, name: str) -> Any:
+        method = getattr(self._found, name)
+
+        def call(*given: Any, **options: Any) -> Any:
+            with guarded(self._url, *([FileNotFoundError] if name in READS else [])):
+                return method(*given, **options)
+
+        return call
 
 
 def refuse_lost(url: str) -> None:
@@ -52,7 +86,7 @@ def folder_of(url: str, kind: str) -> Path:
     return home() / kind / name
 
 
-def file_system(url: str) -> tuple[Any, str]:
+def file_system(url: str) -> tuple[FileSystem, str]:
     """The file system of an address, and the place in it without a slash at the end.
 
     ConfigError: fsspec, or the package for such addresses, is missing, or it knows none such.
@@ -80,4 +114,4 @@ def file_system(url: str) -> tuple[Any, str]:
         raise ConfigError(
             f"{url:.200} cannot be used ({reason:.100}).", "Use an address that fsspec knows."
         ) from error
-    return found, str(place).rstrip("/")
+    return FileSystem(found, url), str(place).rstrip("/")

@@ -112,11 +112,12 @@ def all_families() -> dict[str, tuple[Family, int]]:
         masks,
         run_folders,
         scenes,
+        stores,
         texts,
         user_input,
     )
 
-    files = (scenes, command_files, run_folders, user_input, texts, exchange, masks)
+    files = (scenes, command_files, run_folders, user_input, texts, exchange, masks, stores)
     tables = [file.FAMILIES for file in (*files, levels_and_scribbles)]
     return functools.reduce(operator.or_, tables)
 

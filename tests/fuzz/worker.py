@@ -30,7 +30,7 @@ from roigs_engine.errors import EngineError
 from roigs_engine.requests.declare import Request, option
 from roigs_engine.requests.runs import Train
 from roigs_engine.requests.values import PATH
-from tests.fuzz import cases, exchange, run_folders
+from tests.fuzz import cases, exchange, run_folders, stores
 
 MEMORY = 2 << 30  # bytes above what the imported packages take
 SECONDS = 20.0
@@ -106,6 +106,7 @@ COMMANDS |= {
     "claim": _command(Train, claim),
     "decode": _command(Decode, decode),
     "splats": _command(Splats, splats),
+    "store": _command(stores.StoreWork, stores.work_on_store),
 }
 
 
@@ -161,6 +162,8 @@ def main(chosen: list[tuple[str, int]]) -> None:
     complaint("model_bytes", 0)  # loads what is loaded late
     if {"checkpoints", "stage_records"} & {family for family, _ in chosen}:
         run_folders.stopped_runs()  # kept: making them would count against a case's time
+    if any(family.startswith("store_") for family, _ in chosen):
+        stores.published()
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limit = pages * resource.getpagesize() + MEMORY
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))

@@ -13,6 +13,8 @@ from roigs_engine.errors import RunFolderError
 from roigs_engine.formats.names import inner_path
 from roigs_engine.formats.text import json_digest
 from roigs_engine.storage.commits import KEY, VERSION
+from roigs_engine.storage.urls import StoreError
+from tests.engine.commands.command_line import refused
 
 RUNS = "memory://museum/runs"
 COMMIT = "/museum/runs/hall/.commits/scene.json"
@@ -122,3 +124,41 @@ def test_what_a_lost_engine_left_is_gone(folder: Path, memory_store: Any, tmp_pa
     """An empty folder is refused as somebody else's by the next run."""
     stored_run(RUNS, "hall").fetch(folder)
     assert not list(folder.iterdir())
+
+
+@pytest.mark.parametrize("data", [b"[" * 200_000, b'{"a":' * 100_000, b"1" * 5000, b"\xff", b"[]"])
+def test_a_commit_that_is_none_does_not_count(
+    data: bytes, folder: Path, memory_store: Any, tmp_path: Path
+) -> None:
+    stored_run(RUNS, "hall").publish(folder, "scene", last=False)
+    memory_store.pipe(COMMIT.replace("scene", "other"), data)
+    memory_store.pipe(COMMIT.rpartition("/.commits")[0] + "/.leases/scene/0", data)
+    stored_run(RUNS, "hall").fetch(tmp_path / "got")
+    assert (tmp_path / "got" / "selection" / "vase.json").read_bytes() == b"picks"
+
+
+@pytest.mark.parametrize("error", [OSError(5, "Input/output error"), RuntimeError("SlowDown\nx")])
+def test_a_commit_that_cannot_be_read_now_is_not_a_missing_one(
+    error: Exception,
+    folder: Path,
+    memory_store: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    """Else its files would go here, and the work be done again; a batch says it in one line."""
+    run = stored_run(RUNS, "hall")
+    run.publish(folder, "scene", last=False)
+    run.fetch(tmp_path / "got")
+
+    def away(*_: Any, **__: Any) -> None:
+        raise error
+
+    monkeypatch.setattr(type(memory_store), "cat_file", away)
+    with pytest.raises(StoreError, match="Cannot use memory://museum/runs"):
+        run.fetch(tmp_path / "got")
+    assert (tmp_path / "got" / "selection" / "vase.json").exists()
+    table = tmp_path / "museum.toml"
+    table.write_text("[scenes.hall]\nscene = 'hall'\nroi = ['a=0,0,0,1,1,1']\n", encoding="utf-8")
+    (tmp_path / "hall" / "sparse").mkdir(parents=True)
+    assert "Cannot use memory://" in refused(capsys, "batch", table, "--run-dir", RUNS)
