@@ -32,27 +32,11 @@ def reconstruct(request: Reconstruct, context: Context = QUIET) -> Result:
         EngineError: the photos or the folder cannot be used, or a package is missing.
         Stopped: on request; the same request resumes.
     """
-    from ..formats.projects import is_video
     from ..reconstruction import reconstruct as reconstruction  # needs Pillow, others do not
-    from ..reconstruction.settings import Settings
 
     refuse_run_files(request.out)
-    settings = Settings.of(vars(request))
-    masks = mask_options(request)
-    masks.check()
-    if request.frames and not is_video(request.photos):
-        raise ConfigError(f"{request.photos} is no video.", "Leave out --frames.")
     with logged(context) as (context, log):
-        model = reconstruction.reconstruct(
-            request.photos,
-            request.out,
-            settings,
-            request.threads,
-            context,
-            log.open,
-            frames=request.frames or 0,
-            masks=masks,
-        )
+        model = reconstruction.reconstruct(request, mask_options(request), context, log.open)
         files = {"scene": request.out, "report": request.out / "reconstruction.md", "model": model}
         done = Result(files=files).with_places()
         log.outputs = done.outputs

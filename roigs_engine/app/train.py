@@ -15,6 +15,7 @@ from ..formats.files import refuse_linked_folders, remove_leftovers, write_json
 from ..formats.lock import check_held
 from ..formats.text import counted
 from ..requests.declare import settings_of
+from ..requests.projects import Reconstruct
 from ..requests.runs import Train, TrainAndEvaluate
 from .asked import Asked
 from .event_log import EventLog, logged
@@ -178,12 +179,10 @@ def opened(asked: Asked, context: Context, log: EventLog) -> Iterator[tuple[Run,
 def _reconstruct(photos: Path, request: Train, context: Context) -> None:
     """Make the photos the scene's COLMAP project, or resume that; raises as `reconstruct`."""
     from ..reconstruction.reconstruct import reconstruct
-    from ..reconstruction.settings import Settings
 
     context.info(f"{photos} has no COLMAP model; {request.scene} gets one.")
-    masks = mask_options(request)
-    masks.check()
-    reconstruct(photos, request.scene, Settings(), request.threads, context, masks=masks)
+    project = Reconstruct(photos=photos, out=request.scene, threads=request.threads)
+    reconstruct(project, mask_options(request), context)
 
 
 def _evaluate(run: Run, trained: Sequence[EvaluatedModel], context: Context) -> str:

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -15,18 +16,34 @@ from typing import Any
 
 from ..context import Context
 from ..errors import EngineError, SceneError
+from ..formats.events import StageStarted
 from ..machine import child_environment
 
+Record = dict[str, Any]
 POLL_SECONDS = 0.25
 FULL = 16 << 20  # bytes; SQLite may fail with less
 WORKER = f"{__package__}.worker"
 
 
+def run_stage(
+    task: Record, log: Path, stage: str, total: int, done: Callable[[Record], int], context: Context
+) -> Any:
+    """Do a task that is a stage of the reconstruction; raises and returns as `run_task`.
+
+    `done` tells how many of its `total` units are done, by the child's last record.
+    """
+    context.emit(StageStarted(stage=stage, total=total))
+    began = time.monotonic()
+
+    def poll(record: Record) -> None:
+        if count := min(done(record), total):
+            context.progress(stage, count, total, began)
+
+    return run_task(task, log, context, poll)
+
+
 def run_task(
-    task: dict[str, Any],
-    log: Path,
-    context: Context,
-    poll: Callable[[dict[str, Any]], None] = lambda record: None,
+    task: Record, log: Path, context: Context, poll: Callable[[Record], None] = lambda record: None
 ) -> Any:
     """Do a task of `worker` in a child process, and return its result.
 
@@ -65,10 +82,10 @@ def run_task(
 
 def _result(
     child: subprocess.Popen[bytes],
-    task: dict[str, Any],
+    task: Record,
     log: Path,
     context: Context,
-    poll: Callable[[dict[str, Any]], None],
+    poll: Callable[[Record], None],
 ) -> Any:
     assert child.stdin is not None and child.stdout is not None
     output, lines = child.stdout, queue.SimpleQueue[bytes | None]()
@@ -84,7 +101,7 @@ def _result(
     with suppress(OSError):  # it has ended; said below
         child.stdin.write(json.dumps(task).encode() + b"\n")
         child.stdin.flush()
-    last: dict[str, Any] = {}
+    last: Record = {}
     while True:
         context.check_cancelled()
         try:
@@ -94,7 +111,7 @@ def _result(
             continue
         if line is None:
             raise _ended(child.wait(), log)
-        record: dict[str, Any] = {}
+        record: Record = {}
         with suppress(ValueError, TypeError):  # a line that is no record
             record = dict(json.loads(line))
         if "error" in record:

@@ -17,7 +17,7 @@ from ..colmap.camera_masks import HIDDEN, MaskPlan, find_mask
 from ..context import Context
 from ..formats.files import cannot_write, own_folder, read_record, sha256, write_json
 from ..formats.names import inner_path
-from ..formats.text import counted, json_digest, named
+from ..formats.text import counted, named
 from ..photos.headers import PhotoError, photo_size
 from ..photos.mask_images import write_mask
 from ..photos.mask_paths import MaskFiles, MaskOptions
@@ -96,11 +96,6 @@ def write_masks(
     if hidden:
         context.warn(f"{counted(len(hidden), 'photo')} {HIDDEN}: {named(hidden)}.")
     return {name: kept.digest for name, kept in masks.items()}
-
-
-def digest_of(masks: Mapping[str, str]) -> str:
-    """Hash of all masks of `write_masks`; empty: there are none."""
-    return json_digest(dict(masks)) if masks else ""
 
 
 def _plans(

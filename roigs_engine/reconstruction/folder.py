@@ -10,11 +10,12 @@ import filecmp
 import os
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager, suppress
 from functools import cache
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 from ..errors import SceneError
 from ..formats.files import cannot_write, own_folder, read_record, write_json
@@ -23,7 +24,6 @@ from ..formats.projects import PHOTO_FOLDERS, RECONSTRUCTION, SPARSE, model_suff
 from ..photos.files import EXTENSIONS, HEIC, UNREAD, PhotoFolder
 from ..photos.mask_paths import MASKS
 from .photo_checks import Photo, unread_in_words
-from .settings import Settings
 
 IMAGES, DATABASE, REPORT = PHOTO_FOLDERS[0], "database.db", "reconstruction.md"
 WORK = RECONSTRUCTION
@@ -76,13 +76,13 @@ class Folder:
         with locked(self.work(), warn, "--out"):
             yield
 
-    def begin(self, photos: list[Photo], settings: Settings) -> str:
-        """Prepare for these photos and settings; what is of use stays, and the rest begins again.
+    def begin(self, photos: Sequence[Photo], features: Mapping[str, Any]) -> str:
+        """Prepare for these photos; what is of use stays, and the rest begins again.
 
+        `features` are the values that features depend on; if they change, all begins again.
         Returns a sentence on what begins again, and why; empty: nothing, or this is the first time.
         """
         state = read_record(self._record)
-        features = settings.of_features()
         digests, known = {photo.name: photo.digest for photo in photos}, state.get("photos", {})
         why = ""
         if self.database.exists():
@@ -177,7 +177,7 @@ class Folder:
         files = {name: source / name for name in PhotoFolder(source, extensions).others([])}
         return {name: path for name, path in files.items() if not is_own(path.parent)}
 
-    def take_photos(self, photos: list[Photo]) -> None:
+    def take_photos(self, photos: Sequence[Photo]) -> None:
         """Put the photos into `images`: as second names of the files if possible, else as copies.
 
         Raises:

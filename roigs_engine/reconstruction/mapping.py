@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import shutil
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ..context import Context
-from ..formats.events import StageStarted
-from .child import run_task
+from .child import run_stage
 from .folder import Folder
 
-STAGE = "mapping"
+MAPPING = "mapping"
 FEWEST = 3  # photos of a model that is named
 JOINED = 0.5  # of a photo's points in its own model: if it has fewer here, its place is a chance
 Options = dict[str, dict[str, Any]]
@@ -116,14 +114,6 @@ def _map(
     context: Context,
     start: str = "",
 ) -> list[Mapped]:
-    context.emit(StageStarted(stage=STAGE, total=total))
-    began = time.monotonic()
-
-    def poll(record: dict[str, Any]) -> None:
-        done = min(record.get("registered", 0), total)
-        if done:
-            context.progress(STAGE, done, total, began)
-
     task = {
         "work": "map",
         "database": str(folder.database),
@@ -133,4 +123,7 @@ def _map(
         "options": options,
         **settings,
     }
-    return [Mapped(**record) for record in run_task(task, folder.log, context, poll)]
+    found = run_stage(
+        task, folder.log, MAPPING, total, lambda record: record.get("registered", 0), context
+    )
+    return [Mapped(**record) for record in found]

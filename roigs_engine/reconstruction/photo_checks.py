@@ -58,6 +58,8 @@ class Found:
     """Name -> name of the photo with the same bytes, which is used."""
     unread: Mapping[str, int] = field(default_factory=dict)
     """Format, as `.NEF` -> how many photos have it, which were not looked at."""
+    masks: Mapping[str, str] = field(default_factory=dict)
+    """Name -> hash of the photo's mask: features are found only where it is not black."""
 
 
 def look_at(files: Mapping[str, Path], remembered: Path, context: Context) -> Found:
@@ -103,7 +105,7 @@ def look_at(files: Mapping[str, Path], remembered: Path, context: Context) -> Fo
 
 
 def camera_groups(photos: Sequence[Photo], cameras: str) -> list[list[Photo]]:
-    """The photos that share a camera, see `Settings.cameras`; of one size in any case."""
+    """The photos that share a camera, see `Reconstruct.cameras`; of one size in any case."""
     groups: dict[object, list[Photo]] = defaultdict(list)
     for photo in photos:
         own = {"one": "", "each": photo.name, "auto": photo.device}[cameras]

@@ -5,63 +5,71 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..context import Context
-from ..errors import SceneError
-from ..formats.events import Message, StageStarted
+from ..errors import ConfigError, SceneError
+from ..formats.events import Message
 from ..formats.files import write_text
 from ..formats.projects import is_video
 from ..formats.text import json_digest
 from ..machine import machine_memory, usable_cores
-from ..photos.mask_paths import USUAL_MASKS, MaskOptions
+from ..photos.mask_paths import MaskOptions
+from ..requests.declare import options_of
+from ..requests.projects import FEW_PHOTOS, MANY, USUAL, Reconstruct, ReconstructionMethod
 from . import database, pairs
-from .child import run_task
+from .child import run_stage
 from .convert import converted
-from .feature_masks import digest_of, write_masks
+from .feature_masks import write_masks
 from .folder import Folder
-from .mapping import map_models, map_rest
+from .mapping import MAPPING, map_models, map_rest
 from .photo_checks import Found, Photo, camera_groups, look_at, unread_in_words, warnings_of
 from .report import NOTHING, Reconstruction, as_markdown, findings, warnings_of_matches
-from .settings import Settings
 from .video import take_frames
 
-FEATURES, MATCHING, MAPPING = "features", "matching", "mapping"
+FEATURES, MATCHING = "features", "matching"
+OF_FEATURES = ("max_side", "features", "cameras", "camera_model")  # options that decide features
 # Measured bytes that a thread takes: for a pixel of the photo as it is searched, and of its file.
 SEARCHED, DECODED = 320, 8
 REST_PAIRS = 20_000  # most pairs that are tried for photos that were not registered
 
 
-def find_features(
-    folder: Folder, photos: Sequence[Photo], settings: Settings, threads: int, context: Context
-) -> None:
+def find_features(folder: Folder, found: Found, request: Reconstruct, context: Context) -> None:
     """Find features of the photos that have none in the database yet; SceneError if it fails."""
     there = database.feature_counts(folder.database) if folder.database.exists() else {}
     cameras = database.camera_ids(folder.database) if folder.database.exists() else {}
     groups = []
-    for group in camera_groups(photos, settings.cameras):
+    for group in camera_groups(found.photos, request.cameras):
         names = [photo.name for photo in group if photo.name not in there]
         known = [cameras[photo.name] for photo in group if photo.name in cameras]
         if names:
             groups.append({"names": names, "camera": known[0] if known else -1})
     if not groups:
         return
+    total = len(found.photos)
     task = {
         "work": "extract",
         "database": str(folder.database),
         "photos": str(folder.images),
         "groups": groups,
-        "threads": threads_in_memory(photos, settings.max_side, threads),
-        "max_side": settings.max_side,
-        "features": settings.most_features(len(photos)),
-        "camera_model": settings.camera_model,
-        "masks": str(folder.masks) if settings.masks else "",
+        "threads": threads_in_memory(found.photos, request.max_side, threads_of(request)),
+        "max_side": request.max_side,
+        # Few photos overlap little and have few pairs: there, more features find more, and cost
+        # less.
+        "features": request.features or (MANY if total <= FEW_PHOTOS else USUAL),
+        "camera_model": request.camera_model,
+        "masks": str(folder.masks) if found.masks else "",
     }
-    _run(task, folder, FEATURES, "descriptors", len(photos), context)
+    _run(task, folder, FEATURES, "descriptors", total, context)
+
+
+def threads_of(request: Reconstruct) -> int:
+    """The threads of a reconstruction: so many as are asked for, or one for each core."""
+    return request.threads or usable_cores()
 
 
 def threads_in_memory(photos: Sequence[Photo], max_side: int, threads: int) -> int:
@@ -74,26 +82,19 @@ def threads_in_memory(photos: Sequence[Photo], max_side: int, threads: int) -> i
 
 
 def match(
-    folder: Folder,
-    wanted: Sequence[database.Pair],
-    settings: Settings,
-    threads: int,
-    context: Context,
+    folder: Folder, wanted: Sequence[database.Pair], settings: Mapping[str, Any], context: Context
 ) -> None:
-    """Match the pairs that the database does not have yet; SceneError if it fails."""
+    """Match the pairs that the database does not have yet; SceneError if it fails.
+
+    `settings`: `seed` and `threads` of the task.
+    """
     there = database.matched_pairs(folder.database)
     missing = [pair for pair in wanted if pair not in there]
     if not missing:
         return
     listed = folder.work("pairs.txt")
     write_text(listed, "".join(map(database.pair_line, missing)), durable=False)
-    task = {
-        "work": "match",
-        "database": str(folder.database),
-        "pairs": str(listed),
-        "threads": threads,
-        "seed": settings.seed,
-    }
+    task = {"work": "match", "database": str(folder.database), "pairs": str(listed), **settings}
     _run(task, folder, MATCHING, "two_view_geometries", len(there) + len(missing), context)
 
 
@@ -101,22 +102,16 @@ def _run(
     task: dict[str, Any], folder: Folder, stage: str, table: str, total: int, context: Context
 ) -> None:
     """Do a task whose progress is the number of rows of a table."""
-    context.emit(StageStarted(stage=stage, total=total))
-    began = time.monotonic()
-
-    def poll(record: dict[str, Any]) -> None:
-        done = min(database.count(folder.database, table), total)
-        if done:
-            context.progress(stage, done, total, began)
-
-    run_task(task, folder.log, context, poll)
+    run_stage(
+        task, folder.log, stage, total, lambda _: database.count(folder.database, table), context
+    )
 
 
 def choose_pairs(
-    folder: Folder, names: Sequence[str], settings: Settings, context: Context
+    folder: Folder, names: Sequence[str], request: Reconstruct, context: Context
 ) -> list[database.Pair]:
     """The pairs of photos to match first."""
-    kind = settings.pairs
+    kind = request.pairs
     if kind == "auto":
         kind = "all" if len(names) <= pairs.FEW else "similar"
     if kind == "all":
@@ -124,42 +119,40 @@ def choose_pairs(
     described = dict(database.largest_features(folder.database, pairs.LARGEST))
     empty = np.zeros((0, 128), dtype=np.uint8)
     photos = [described.get(name, empty) for name in names]
-    scores = pairs.similarities(photos, context, settings.seed)
+    scores = pairs.similarities(photos, context, request.seed)
     if kind == "ordered":
         near = pairs.in_order(names, pairs.OVERLAP, pairs.JUMPS)
         return pairs.merged(near, pairs.most_similar(names, scores, pairs.LOOPS))
     near = pairs.in_order(names, pairs.OVERLAP)
-    return pairs.merged(pairs.most_similar(names, scores, settings.neighbours), near)
+    return pairs.merged(pairs.most_similar(names, scores, request.neighbours), near)
 
 
-def solve(
-    folder: Folder, found: Found, settings: Settings, threads: int, context: Context
-) -> Reconstruction:
+def solve(folder: Folder, found: Found, request: Reconstruct, context: Context) -> Reconstruction:
     """Features, matches and models of photos that lie in the folder; SceneError if pycolmap fails.
 
     After a stop, the next call resumes.
     """
     names = [photo.name for photo in found.photos]
     seconds: dict[str, float] = {}
-    task = {"seed": settings.seed, "threads": threads}
+    settings = {"seed": request.seed, "threads": threads_of(request)}
     with _timed(seconds, FEATURES):
-        find_features(folder, found.photos, settings, threads, context)
+        find_features(folder, found, request, context)
     with _timed(seconds, MATCHING):
-        wanted = choose_pairs(folder, names, settings, context)
-        match(folder, wanted, settings, threads, context)
+        wanted = choose_pairs(folder, names, request, context)
+        match(folder, wanted, settings, context)
     matched = database.matched_pairs(folder.database)
     warnings = warnings_of_matches(names, matched, database.pair_kinds(folder.database))
     for text in warnings:
         context.warn(text)
     with _timed(seconds, MAPPING):
-        models = map_models(folder, len(names), task, context)
+        models = map_models(folder, len(names), settings, context)
     missing = set(names) - models[0].photos.keys() if models else set()
     if missing:
         with _timed(seconds, MATCHING):
             rest = [pair for pair in pairs.all_pairs(names) if missing & {*pair}]
-            match(folder, rest[:REST_PAIRS], settings, threads, context)
+            match(folder, rest[:REST_PAIRS], settings, context)
         with _timed(seconds, MAPPING):
-            models = map_rest(folder, models, names, task, context)
+            models = map_rest(folder, models, names, settings, context)
     return Reconstruction(
         found=found,
         features=database.feature_counts(folder.database),
@@ -178,54 +171,54 @@ def _timed(seconds: dict[str, float], step: str) -> Iterator[None]:
 
 
 def reconstruct(
-    source: Path,
-    out: Path,
-    settings: Settings,
-    threads: int | None,
+    request: Reconstruct,
+    masks: MaskOptions,
     context: Context,
     ready: Callable[[Path], None] = lambda folder: None,
-    *,
-    frames: int = 0,
-    masks: MaskOptions = USUAL_MASKS,
 ) -> Path:
-    """Reconstruct the photos below the folder `source` as the COLMAP project `out`.
+    """Reconstruct photos or a video as a COLMAP project; what an earlier call has left is resumed.
 
     Args:
-        source: folder of the photos, or a video, whose frames follow one another.
-        out: folder of the project; what an earlier call has left there is resumed.
-        threads: of the CPU; None: all cores.
+        request: what is asked for.
+        masks: which of the photos' masks are used.
+        context: receives progress and warnings.
         ready: called with the folder for a log, once this process may write there.
-        frames: about how many frames of a video to use; 0: as many as its motion asks for.
 
     Returns:
         The folder of the model.
 
     Raises:
+        ConfigError: the options do not fit the photos.
         SceneError: the photos or a mask cannot be used, or `out` has something else.
         RunFolderError: `out` cannot be written, or another engine is at work there.
         EngineError: pycolmap is missing or too old, or PyAV or pillow-heif is missing and needed.
         Stopped: on request; the next call resumes.
     """
-    folder, video = Folder(out), is_video(source)
-    if video and settings.pairs == "auto":
-        settings = replace(settings, pairs="ordered")
+    masks.check()
+    source = request.photos
+    folder, video = Folder(request.out), is_video(source)
+    if request.frames and not video:
+        raise ConfigError(f"{source} is no video.", "Leave out --frames.")
+    if video and request.pairs == "auto":  # frames follow one another
+        request = replace(request, pairs="ordered")
     files = {} if video else folder.photos_of(source)
     with folder.held(context.warn):
         ready(folder.work())
         if video:
-            files = take_frames(source, folder, frames, context)
+            files = take_frames(source, folder, request.frames or 0, context)
         found = _taken(files, {} if video else folder.unread_of(source), folder, context)
         place = folder.images if video else source
-        hidden = write_masks(found.photos, place, masks, folder, context)
-        settings = replace(settings, masks=digest_of(hidden))
-        digests = {photo.name: photo.digest for photo in found.photos}
-        key = json_digest({"settings": asdict(settings), "photos": digests})
+        found = replace(found, masks=write_masks(found.photos, place, masks, folder, context))
+        inputs = {"photos": {p.name: p.digest for p in found.photos}, "masks": dict(found.masks)}
+        method = {key: getattr(request, key) for key in options_of(ReconstructionMethod)}
+        key = json_digest({"method": method, **inputs})
         if folder.is_done(key):
             context.info(f"{folder.model} is up to date.")
             return folder.model
-        if restart := folder.begin(list(found.photos), settings):
+        features = {key: method[key] for key in OF_FEATURES} | {"masks": inputs["masks"]}
+        if restart := folder.begin(found.photos, features):
             context.info(restart)
-        result = solve(folder, found, settings, threads or usable_cores(), context)
+        result = solve(folder, found, request, context)
         write_text(folder.report, as_markdown(result))
         if not result.models:
             hint = f"Take photos that overlap more, from different places. See {folder.report}."
@@ -247,5 +240,5 @@ def _taken(
     found = look_at(files, folder.work("photos.json"), context)
     for text in warnings_of(found):
         context.warn(text)
-    folder.take_photos(list(found.photos))
+    folder.take_photos(found.photos)
     return replace(found, unread=unread)

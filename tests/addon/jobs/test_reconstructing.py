@@ -165,9 +165,9 @@ def test_masks_beside_the_photos_are_used(
 
 
 def test_the_options_are_the_engines(blender: ModuleType, addon: ModuleType) -> None:
-    from roigs_engine.reconstruction.settings import Settings
+    from roigs_engine.requests.projects import ReconstructionMethod
 
-    props, default = blender.context.scene.roigs, Settings()
+    props, default = blender.context.scene.roigs, ReconstructionMethod()
     ours = props.feature_side, props.pairs, props.shared_cameras
     assert ours == (default.max_side, default.pairs, default.cameras)
 

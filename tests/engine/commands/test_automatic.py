@@ -12,6 +12,7 @@ import pytest
 from roigs_engine.cli import main
 from roigs_engine.formats import run_files
 from roigs_engine.model.roi import load_rois
+from roigs_engine.requests.projects import Reconstruct
 from tests.engine.commands.command_line import BOX, refused
 from tests.engine.reconstruction.photo_sets import copy_photos, demo_photos
 from tests.engine.synthetic_colmap import Project, write_project
@@ -85,9 +86,9 @@ def test_what_does_not_go_with_auto_is_one_line(
 def photos(project: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Photos whose reconstruction is the project, at once."""
 
-    def reconstruct(source: Path, out: Path, *rest: object, **named: object) -> Path:
-        shutil.copytree(project.folder, out, dirs_exist_ok=True)
-        return out / "sparse/0"
+    def reconstruct(request: Reconstruct, *rest: object) -> Path:
+        shutil.copytree(project.folder, request.out, dirs_exist_ok=True)
+        return request.out / "sparse/0"
 
     monkeypatch.setattr("roigs_engine.reconstruction.reconstruct.reconstruct", reconstruct)
     shutil.copytree(project.folder / "images", tmp_path / "photos")

@@ -17,18 +17,18 @@ from roigs_engine.colmap.project import load_colmap
 from roigs_engine.context import QUIET
 from roigs_engine.errors import SceneError
 from roigs_engine.photos.decode import decode
+from roigs_engine.photos.mask_paths import MaskOptions
 from roigs_engine.reconstruction.convert import converted
 from roigs_engine.reconstruction.folder import Folder
 from roigs_engine.reconstruction.photo_checks import look_at
 from roigs_engine.reconstruction.reconstruct import find_features, reconstruct
-from roigs_engine.reconstruction.settings import Settings
+from roigs_engine.requests.projects import Reconstruct
 from tests.engine.commands.command_line import refused
 from tests.engine.deep_png import write_png16
 from tests.engine.reconstruction.photo_sets import copy_photos, demo_photos, write_noise
 
 pytest.importorskip("pycolmap")
 
-QUICK = Settings(features=800)
 ORIENTATION = 0x0112
 
 
@@ -69,7 +69,8 @@ def features(folder: Folder, source: Path) -> dict[str, np.ndarray]:
     files = converted(folder.photos_of(source), folder, QUIET)
     found = look_at(files, folder.work("photos.json"), QUIET)
     folder.take_photos(list(found.photos))
-    find_features(folder, found.photos, QUICK, 1, QUIET)
+    request = Reconstruct(photos=source, out=folder.root, features=800, threads=1)
+    find_features(folder, found, request, QUIET)
     with closing(sqlite3.connect(folder.database)) as file:
         query = "SELECT name, rows, cols, data FROM images JOIN keypoints USING (image_id)"
         return {
@@ -196,7 +197,9 @@ def test_photos_of_two_scenes_are_told_apart(tmp_path: Path) -> None:
     for number, path in enumerate(demo_photos("close/clock*.jpg", 6)):
         with Image.open(path) as photo:  # a mirrored place is another place
             ImageOps.mirror(photo).save(tmp_path / f"photos/b{number}.jpg", quality=95)
-    reconstruct(tmp_path / "photos", tmp_path / "scene", Settings(features=3000), 2, QUIET)
+    photos, out = tmp_path / "photos", tmp_path / "scene"
+    request = Reconstruct(photos=photos, out=out, features=3000, threads=2)
+    reconstruct(request, MaskOptions(), QUIET)
     names = {image.name[0] for image in load_colmap(tmp_path / "scene", pixels=False).images}
     assert len(names) == 1
     report = (tmp_path / "scene/reconstruction.md").read_text("utf-8")

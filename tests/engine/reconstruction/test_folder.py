@@ -13,7 +13,6 @@ from roigs_engine.context import QUIET
 from roigs_engine.errors import RunFolderError, SceneError
 from roigs_engine.reconstruction.folder import Folder
 from roigs_engine.reconstruction.photo_checks import Photo, look_at
-from roigs_engine.reconstruction.settings import Settings
 from tests.engine.reconstruction.photo_sets import write_noise
 
 
@@ -98,17 +97,17 @@ def test_another_engine_in_the_folder_is_one_line(tmp_path: Path) -> None:
 
 
 def test_changed_settings_and_photos_begin_again(photos: Path, tmp_path: Path) -> None:
-    folder, settings = Folder(tmp_path / "scene"), Settings()
+    folder, features = Folder(tmp_path / "scene"), {"max_side": 1600, "masks": {"a.png": "1f"}}
     found = looked(folder, photos)
-    assert folder.begin(found, settings) == ""
+    assert folder.begin(found, features) == ""
     folder.database.write_bytes(b"features")
-    assert folder.begin([*found[:2], replace(found[2], name="new.png")], settings)
+    assert folder.begin([*found[:2], replace(found[2], name="new.png")], features)
     assert not folder.database.exists()
-    folder.begin(found[:2], settings)
+    folder.begin(found[:2], features)
     folder.database.write_bytes(b"features")
-    assert folder.begin(found, replace(settings, pairs="all", seed=4)) == ""
+    assert folder.begin(found, features) == ""
     assert folder.database.exists()
-    assert "settings changed" in folder.begin(found, replace(settings, features=99))
+    assert "settings changed" in folder.begin(found, features | {"masks": {}})
     assert not folder.database.exists()
 
 

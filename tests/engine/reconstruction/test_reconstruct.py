@@ -9,6 +9,7 @@ import time
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from roigs_engine.photos.mask_paths import MaskOptions
 from roigs_engine.reconstruction import worker
 from roigs_engine.reconstruction.child import WORKER, run_task
 from roigs_engine.reconstruction.database import feature_counts, matched_pairs
-from roigs_engine.reconstruction.feature_masks import digest_of, write_masks
+from roigs_engine.reconstruction.feature_masks import write_masks
 from roigs_engine.reconstruction.folder import Folder
 from roigs_engine.reconstruction.photo_checks import Photo, look_at
 from roigs_engine.reconstruction.reconstruct import (
@@ -32,15 +33,21 @@ from roigs_engine.reconstruction.reconstruct import (
     reconstruct,
     threads_in_memory,
 )
-from roigs_engine.reconstruction.settings import Settings
+from roigs_engine.requests.projects import Reconstruct
 from tests.engine.commands.command_line import ROOT
 from tests.engine.reconstruction.photo_sets import DEMO, copy_photos, demo_photos, write_noise
 from tests.machine_load import slowness
 
 pytest.importorskip("pycolmap")
 
-QUICK = Settings(features=800)
+QUICK: dict[str, Any] = {"features": 800, "threads": 2}
 NAMES = [f"# wide/übung {number}.jpg" for number in range(6)]
+
+
+def make(photos: Path, out: Path, context: Context = QUIET, **options: Any) -> None:
+    """Reconstruct photos with few features."""
+    request = Reconstruct(photos=photos, out=out, **(QUICK | options))
+    reconstruct(request, MaskOptions(), context)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +56,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("reconstruction")
     copy_photos(folder / "photos", demo_photos("wide/*.jpg", 6), NAMES)
     write_noise(folder / "photos/noise.png")
-    reconstruct(folder / "photos", folder / "scene", QUICK, 2, QUIET)
+    make(folder / "photos", folder / "scene")
     return folder / "scene"
 
 
@@ -104,7 +111,7 @@ def resumed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for stage, seconds in stages.items():
         stopping = Stopping(stage, seconds)
         with pytest.raises(Stopped):
-            reconstruct(folder / "photos", out, QUICK, 1, stopping.context)
+            make(folder / "photos", out, stopping.context, threads=1)
         assert time.monotonic() - stopping.at < 2 * slowness()
         if (out / "database.db").exists():
             found = len(feature_counts(out / "database.db"))
@@ -121,12 +128,12 @@ def test_it_resumes_where_it_was_stopped_and_takes_new_photos(resumed: Path) -> 
         if isinstance(event, StageStarted):
             started.append(event.stage)
 
-    reconstruct(photos, out, QUICK, 2, Context(emit=emit))
+    make(photos, out, Context(emit=emit))
     assert started == ["look at photos", "mapping"]
     assert len(load_colmap(out, pixels=False).images) == 4
     first = matched_pairs(out / "database.db")
     copy_photos(photos, demo_photos("wide/*.jpg", 5)[4:], NAMES[4:5])
-    reconstruct(photos, out, QUICK, 2, QUIET)
+    make(photos, out)
     assert first.items() <= matched_pairs(out / "database.db").items()
     with closing(sqlite3.connect(out / "database.db")) as file:
         assert file.execute("SELECT COUNT(DISTINCT camera_id) FROM images").fetchone() == (1,)
@@ -159,8 +166,8 @@ def test_features_are_not_found_where_a_mask_is_black(tmp_path: Path) -> None:
     found = look_at(folder.photos_of(folder.images), folder.work("photos.json"), QUIET)
     options = MaskOptions(folder=tmp_path / "masks")
     masks = write_masks(found.photos, folder.images, options, folder, QUIET)
-    settings = replace(QUICK, masks=digest_of(masks))
-    find_features(folder, found.photos, settings, 1, QUIET)
+    request = Reconstruct(photos=folder.images, out=folder.root, features=800, threads=1)
+    find_features(folder, replace(found, masks=masks), request, QUIET)
     with closing(sqlite3.connect(folder.database)) as file:
         query = "SELECT name, cols, data, camera_id FROM images JOIN keypoints USING (image_id)"
         rows = {name: rest for name, *rest in file.execute(query)}
@@ -184,16 +191,16 @@ def test_threads_fit_into_memory(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(("kind", "least"), [("all", 21), ("similar", 12), ("ordered", 12)])
 def test_pairs_are_chosen(scene: Path, kind: str, least: int) -> None:
-    settings = replace(QUICK, pairs=kind, neighbours=2)
+    request = Reconstruct(photos=scene, out=scene, pairs=kind, neighbours=2)
     names = sorted(feature_counts(scene / "database.db"))
-    found = choose_pairs(Folder(scene), names, settings, QUIET)
+    found = choose_pairs(Folder(scene), names, request, QUIET)
     assert least <= len(found) <= 21
     assert all((names[k], names[k + 1]) in found for k in range(len(names) - 1))
 
 
 @pytest.mark.slow
 def test_the_demo_is_registered(tmp_path: Path) -> None:
-    reconstruct(DEMO, tmp_path / "scene", Settings(), None, QUIET)
+    make(DEMO, tmp_path / "scene", features=0, threads=None)
     model = load_colmap(tmp_path / "scene", pixels=False)
     assert len(model.images) >= 89
     heights = np.sort(model.points[:, 2])
