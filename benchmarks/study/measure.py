@@ -131,8 +131,8 @@ class Bench:
         if row.kind == EQUAL_TIME:
             longer = replace(run, config=longer_box_stage(run.config, self._time_factor(own, run)))
             coarse = scene_stage(PhotoSets(run, self.context))
-            photos = PhotoSets(longer, self.context)
-            made = strategies.strategy(photos, folder=EQUAL_TIME_FOLDER, coarse=coarse)
+            photos = PhotoSets(longer, self.context, folder=EQUAL_TIME_FOLDER)
+            made = strategies.strategy(photos, coarse=coarse)
             model = replace(made.models[-1], name="Joint, equal time")
             return longer, plan + Plan(models=(model,), selections=made.selections)
         if row.is_ablation:

@@ -16,7 +16,7 @@ from ..formats.clean_up import is_run_folder
 from ..formats.files import write_json
 from ..formats.lock import locked
 from ..formats.run_files import BATCH, BATCH_LOCK, BATCH_OUTPUTS, REPORT_PAGE
-from ..formats.text import counted, in_gb
+from ..formats.text import counted, duration, in_columns, in_gb
 from ..requests.runs import Batch
 from .batch_plan import checked_plans, files_of_run, outputs_of, plan_row
 from .batch_store import Store, StoredRecord, localized
@@ -249,18 +249,9 @@ def _planned(table: Table, rows: Sequence[Row], record: BatchRecord, context: Co
 
 def _plan_text(scenes: Sequence[ScenePlan], seconds: Mapping[Key, float], measured: int) -> str:
     """A row for each scene, and the time on so many machines like this one."""
-    from ..batch.board import duration
     from ..batch.times import makespan
 
     rows = [HEAD, *(_plan_row(scene, seconds) for scene in scenes)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(HEAD))]
-    lines = [
-        "  ".join(
-            cell.ljust(width) if column in (0, 6) else cell.rjust(width)
-            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
     objects = sum(len(scene.objects) for scene in scenes)
     parts = [scene.parts for scene in scenes]
     times = ", ".join(f"{count}: {duration(makespan(parts, seconds, count))}" for count in MACHINES)
@@ -275,7 +266,7 @@ def _plan_text(scenes: Sequence[ScenePlan], seconds: Mapping[Key, float], measur
         notes.append(
             f"Not in it: {counted(len(unknown), 'scene')} of photos without a COLMAP model."
         )
-    return "\n".join([*lines, "", *notes])
+    return "\n".join([*in_columns(rows, left=(0, 6)), "", *notes])
 
 
 def _plan_row(scene: ScenePlan, seconds: Mapping[Key, float]) -> tuple[str, ...]:

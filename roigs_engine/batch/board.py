@@ -10,7 +10,7 @@ from ..context import Context
 from ..errors import Stopped
 from ..formats.events import MAX_NUMBER, Message, Preview, Progress, Record, StageStarted
 from ..formats.events import Board as BoardEvent
-from ..formats.text import counted
+from ..formats.text import counted, duration
 from .engine_process import DONE, FAILED, Outcome
 from .moves import RUNNING, PartState, share
 from .schedule import SceneState
@@ -93,15 +93,6 @@ class Board:
     def _work_done(self) -> float:
         parts = [p for s in self.scenes.values() if not s.reason for p in s.parts.values()]
         return sum(share(part) * part.part.work for part in parts)
-
-
-def duration(seconds: float) -> str:
-    """'40 seconds', '12 minutes', '3.5 hours', '2.1 days'."""
-    if seconds < 90:
-        return counted(max(1, round(seconds)), "second")
-    if seconds < 5400:
-        return f"{seconds / 60:.0f} minutes"
-    return f"{seconds / 3600:.1f} hours" if seconds < 48 * 3600 else f"{seconds / 86400:.1f} days"
 
 
 class Reporter:

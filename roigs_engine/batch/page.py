@@ -15,8 +15,7 @@ from ..errors import EngineError
 from ..evaluation.report_html import STYLE
 from ..formats.files import matching, read_json, write_text
 from ..formats.run_files import CROPS, FINE, REPORT_DATA, REPORT_PAGE, RESULT
-from ..formats.text import counted, printable
-from .board import duration
+from ..formats.text import counted, duration, printable
 from .engine_process import DONE, FAILED
 from .schedule import SceneState
 

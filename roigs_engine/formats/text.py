@@ -7,7 +7,7 @@ import hashlib
 import json
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from typing import Any
 
 # What moves a terminal's cursor, ends a line or turns the order of letters.
@@ -98,6 +98,27 @@ def named(names: Sequence[str], most: int = NAMED) -> str:
 def counted(count: int, noun: str) -> str:
     """'1 photo', '2 photos', '12,345 photos'."""
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
+
+
+def duration(seconds: float) -> str:
+    """'40 seconds', '12 minutes', '3.5 hours', '2.1 days'."""
+    if seconds < 90:
+        return counted(max(1, round(seconds)), "second")
+    if seconds < 5400:
+        return f"{seconds / 60:.0f} minutes"
+    return f"{seconds / 3600:.1f} hours" if seconds < 48 * 3600 else f"{seconds / 86400:.1f} days"
+
+
+def in_columns(rows: Sequence[Sequence[str]], left: Container[int]) -> list[str]:
+    """The rows of a table as lines; the columns `left` are aligned there, the others right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.ljust(width) if column in left else cell.rjust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
 
 
 def in_gb(size: int) -> str:

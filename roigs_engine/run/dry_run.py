@@ -8,7 +8,7 @@ from ..colmap.undistort import missing_in
 from ..context import QUIET, Context
 from ..formats.lock import holder
 from ..formats.run_files import CACHE, LOCK, MANIFEST
-from ..formats.text import counted, in_gb
+from ..formats.text import counted, in_columns, in_gb
 from .definition import Run
 from .forecast import StageForecast, disk_space, forecast
 from .layout import Cell
@@ -39,8 +39,8 @@ def describe_plan(
     memory = run.memory(context)
     plan = plan_run(run, compare, context)
     expected = forecast(run, plan, context)
-    rows = [_row(stage) for stage in expected.stages]
-    lines = [*_head(run, plan, context), "", *_table(rows), ""]
+    table = in_columns([HEAD, *map(_row, expected.stages)], LEFT)
+    lines = [*_head(run, plan, context), "", *table, ""]
     lines += [message.text for message in (*memory.messages(), disk_space(run, expected))]
     return "\n".join([*lines, expected.time_line(), *_folder_notes(run, update=update)])
 
@@ -116,18 +116,6 @@ def _row(expected: StageForecast) -> tuple[str, ...]:
         f"{expected.seconds / 60:.1f}",
         state,
     )
-
-
-def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
-    cells = [HEAD, *rows]
-    widths = [max(len(row[column]) for row in cells) for column in range(len(HEAD))]
-    return [
-        "  ".join(
-            cell.ljust(width) if column in LEFT else cell.rjust(width)
-            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in cells
-    ]
 
 
 def _folder_notes(run: Run, *, update: bool) -> list[str]:

@@ -22,7 +22,7 @@ from ..context import QUIET, Context
 from ..errors import EngineError
 from ..formats.events import Message
 from ..formats.run_files import CACHE
-from ..formats.text import counted, json_digest
+from ..formats.text import counted, duration, json_digest
 from ..kernels import library
 from ..machine import disk_message
 from ..model.gaussians import Gaussians
@@ -93,8 +93,8 @@ class Forecast:
         """One line with the minutes."""
         saved = sum(stage.done for stage in self.stages)
         seconds = sum(stage.seconds for stage in self.stages) - saved + self.evaluation
-        done = f"; {_minutes(saved)} are already done" if saved else ""
-        return f"Time: about {_minutes(seconds)} on this machine ({self.device}){done}."
+        done = f"; {duration(saved)} are already done" if saved else ""
+        return f"Time: about {duration(seconds)} on this machine ({self.device}){done}."
 
 
 def forecast_if_long(run: Run, plan: Plan, context: Context) -> Forecast | None:
@@ -164,12 +164,6 @@ def disk_space(run: Run, expected: Forecast) -> Message:
         needed += PER_STATE * CHECKPOINTS * max(stage.most for stage in missing)
         needed += PER_GAUSSIAN * (sum(ends) + OUTPUTS * max(ends))
     return disk_message(needed, run.folder)
-
-
-def _minutes(seconds: float) -> str:
-    if seconds < 90:
-        return counted(max(1, round(seconds)), "second")
-    return f"{seconds / 60:.0f} minutes" if seconds < 5400 else f"{seconds / 3600:.1f} hours"
 
 
 GROWTH, HALF, SATURATION = 0.4, 100_000, 1.3

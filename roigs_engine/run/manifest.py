@@ -186,10 +186,7 @@ def _changed(one: str, many: str, old: dict[str, Any], new: dict[str, Any]) -> s
 
 
 def _masks(_: str, before: Any, now: Any) -> str:
-    names = _different(_by_name(before), _by_name(now))
-    if len(names) == 1:
-        return f"the mask of {names[0]} changed"
-    return f"the masks of {len(names)} photos changed, the first is {names[0]}"
+    return _changed("mask of", "masks", _by_name(before), _by_name(now))
 
 
 def _object_masks(_: str, before: Any, now: Any) -> str:

@@ -26,6 +26,7 @@ from ..training.mechanisms.warm_restarts import WarmRestarts
 from .config import RunConfig
 
 REFINE_SHARE = 0.2  # of the box stage's steps, for the joint refinement (notebook/paper.md)
+KEPT = ("baseline_densify", "test_every", "evaluate_on", "seed", "blocks")  # in each strategy
 
 
 def paper_recipe() -> RunConfig:
@@ -164,18 +165,14 @@ def in_strategy(config: RunConfig, strategy: str) -> RunConfig:
             scene=with_steps(other.scene, config.scene.steps),
             roi=with_steps(other.roi, config.roi.steps),
         )
-    now = config.roi
-    kept: dict[str, Any] = {"sh_degree": now.sh_degree, "antialiased": now.antialiased}
+    kept: dict[str, Any] = {name: getattr(config, name) for name in KEPT}
+    stages = {"sh_degree": config.roi.sh_degree, "antialiased": config.roi.antialiased}
     return replace(
         other,
-        scene=replace(other.scene, **kept),
-        roi=replace(other.roi, **kept),
+        scene=replace(other.scene, **stages),
+        roi=replace(other.roi, **stages),
         selection=replace(other.selection, seed=config.seed, count=config.selection.count),
-        baseline_densify=config.baseline_densify,
         whole_schedule=False,
-        test_every=config.test_every,
-        evaluate_on=config.evaluate_on,
-        seed=config.seed,
-        blocks=config.blocks,
         groups=config.groups if strategy == "joint" else (),
+        **kept,
     )

@@ -30,15 +30,14 @@ class PhotoSets:
     """The training photos and boxes of a run, or of a cell; subsets of them are made once.
 
     Attributes:
+        folder: of their stages, below the run folder; empty: the run folder itself.
         images: in the scene's order.
         rois: the boxes.
     """
 
-    def __init__(self, run: Run, context: Context = QUIET) -> None:
-        self.run = run
-        self.images = run.train_scene.images
-        self.rois = run.rois
-        self.context = context
+    def __init__(self, run: Run, context: Context = QUIET, *, folder: str = "") -> None:
+        self.run, self.context, self.folder = run, context, folder
+        self.images, self.rois = run.train_scene.images, run.rois
         self._selections: dict[str, CameraSelection] = {}
         self._seen: dict[str, Set[str]] = {}
 
@@ -101,7 +100,7 @@ def make_stage(
     """A stage, with what its mechanisms decide by its photos and boxes.
 
     Args:
-        name, config: of the stage.
+        name, config: of the stage; the folder of `photos` precedes the name.
         photos: of the run, or of a part of it.
         images: to train on.
         rois: boxes to densify in; without, the spacing of views is that around all boxes.
@@ -112,7 +111,7 @@ def make_stage(
     views = PlannedViews(images=images, rois=rois, seen=photos.seen, context=photos.context)
     config = config.planned(views)
     return Stage(
-        name=name,
+        name=f"{photos.folder}/{name}" if photos.folder else name,
         images=images,
         config=config,
         start=start or points_source(run),
@@ -157,13 +156,8 @@ def points_source(run: Run, rows: Int64 | None = None) -> Source:
     return Source(kind=POINTS, digest=digest.hexdigest(), rows=rows)
 
 
-def path_of(folder: str, stage: str) -> str:
-    """The name of a stage in a folder below the run folder; empty: in the run folder itself."""
-    return f"{folder}/{stage}" if folder else stage
-
-
 def trained_on(
-    name: str, photos: PhotoSets, config: TrainConfig, base: Source | None, *, folder: str = ""
+    name: str, photos: PhotoSets, config: TrainConfig, base: Source | None
 ) -> PlannedModel:
     """A model that is trained on in all boxes, cell by cell if the run has cells.
 
@@ -172,14 +166,11 @@ def trained_on(
         photos: of the run.
         config: of the stage for the whole scene.
         base: what it goes on with; None: the sparse points.
-        folder: begins the names of its stages.
     """
     cells = photos.run.layout.cells
     if cells is None:
-        path, images = path_of(folder, name), photos.images
-        stage = make_stage(
-            path, photos, images, config, rois=photos.rois, start=base, order=mixed_order
-        )
+        images, rois = photos.images, photos.rois
+        stage = make_stage(name, photos, images, config, rois=rois, start=base, order=mixed_order)
         return PlannedModel.of_stages(name, stage)
     alone = config.get(CutoutSteps) is not None
     stages = []
@@ -189,7 +180,7 @@ def trained_on(
             continue
         own = photos.of(cell)
         stage = make_stage(
-            path_of(folder, f"{cell.label}-{name}"),
+            f"{cell.label}-{name}",
             own,
             own.images,
             _config(photos, config, cell),
@@ -236,15 +227,15 @@ def joined(name: str, stages: Sequence[Stage], partition: Partition) -> PlannedM
     return PlannedModel(name=name, source=source, stages=inputs)
 
 
-def scene_model(photos: PhotoSets, folder: str = "") -> PlannedModel:
+def scene_model(photos: PhotoSets) -> PlannedModel:
     """The Scene-GS: of one stage, or of one for each block of a scene that is cut."""
     run, name = photos.run, "Scene-GS"
     blocks = run.layout.blocks
     if blocks is None:
-        return PlannedModel.of_stages(name, scene_stage(photos, folder))
+        return PlannedModel.of_stages(name, scene_stage(photos))
     stages = [
         make_stage(
-            path_of(folder, f"{cell.label}-{run_files.SCENE_STAGE}"),
+            f"{cell.label}-{run_files.SCENE_STAGE}",
             photos,
             _images(photos, photos.of(cell).images),
             stage_configs.surroundings_stage(run.config.scene, cell.share),
@@ -255,10 +246,10 @@ def scene_model(photos: PhotoSets, folder: str = "") -> PlannedModel:
     return joined(name, stages, blocks.partition)
 
 
-def scene_stage(photos: PhotoSets, folder: str = "") -> Stage:
+def scene_stage(photos: PhotoSets) -> Stage:
     """The Scene-GS of a scene that is not cut."""
-    name = path_of(folder, run_files.SCENE_STAGE)
-    return make_stage(name, photos, _images(photos, photos.images), photos.run.config.scene)
+    images = _images(photos, photos.images)
+    return make_stage(run_files.SCENE_STAGE, photos, images, photos.run.config.scene)
 
 
 def _images(photos: PhotoSets, images: Sequence[PosedImage]) -> tuple[PosedImage, ...]:

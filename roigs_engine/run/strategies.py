@@ -20,7 +20,6 @@ from .stages import (
     PhotoSets,
     in_order,
     make_stage,
-    path_of,
     scene_model,
     scene_stage,
     seen_part,
@@ -49,41 +48,35 @@ def plan_run(run: Run, compare: Sequence[str] = (), context: Context = QUIET) ->
     for name in STRATEGIES:
         if name in compare and name != run.config.strategy:
             other = replace(run, config=in_strategy(run.config, name))
-            plan += strategy(PhotoSets(other, context), folder=run_files.COMPARED + name)
+            plan += strategy(PhotoSets(other, context, folder=run_files.COMPARED + name))
     return plan + strategy(photos)
 
 
-def strategy(photos: PhotoSets, *, folder: str = "", coarse: Stage | None = None) -> Plan:
-    """The plan of the run's strategy.
-
-    Args:
-        photos: of the run.
-        folder: of its files, below the run folder; begins the names of its stages.
-        coarse: a Scene-GS to start from; None: the run's own.
-    """
-    scene = PlannedModel.of_stages("", coarse) if coarse else scene_model(photos, folder)
+def strategy(photos: PhotoSets, *, coarse: Stage | None = None) -> Plan:
+    """The plan of the run's strategy, from a Scene-GS (`coarse`) or the run's own."""
+    scene = PlannedModel.of_stages("", coarse) if coarse else scene_model(photos)
     make = _joint if photos.run.config.strategy == "joint" else _independent
-    models = make(photos, scene, folder)
+    models = make(photos, scene)
     return Plan(
         models=models,
-        outputs=(Output(folder=folder, model=models[-1], coarse=scene.source),),
-        selections={folder: photos.selections()},
+        outputs=(Output(folder=photos.folder, model=models[-1], coarse=scene.source),),
+        selections={photos.folder: photos.selections()},
     )
 
 
-def _joint(photos: PhotoSets, scene: PlannedModel, folder: str) -> tuple[PlannedModel, ...]:
+def _joint(photos: PhotoSets, scene: PlannedModel) -> tuple[PlannedModel, ...]:
     """One stage for all boxes and all photos, densified in the boxes (ours).
 
     One for each group of boxes and each block, if there are several.
     """
     run = photos.run
     start = scene.source if run.config.roi_init == "scene" else None
-    joint = trained_on(run_files.JOINT_STAGE, photos, run.config.roi, start, folder=folder)
+    joint = trained_on(run_files.JOINT_STAGE, photos, run.config.roi, start)
     models = (replace(scene, name="Scene-GS (joint)"), _after("Joint", scene, joint))
     if not _object_masks(run):
         return models
     config = stage_configs.cutout_stage(run.config)
-    last = trained_on(run_files.CUTOUT_STAGE, photos, config, joint.source, folder=folder)
+    last = trained_on(run_files.CUTOUT_STAGE, photos, config, joint.source)
     return (*models, _after("Joint, cut out", models[-1], last))
 
 
@@ -93,14 +86,14 @@ def _after(name: str, before: PlannedModel, last: PlannedModel) -> PlannedModel:
     return replace(last, name=name, stages=stages, by_roi=before.by_roi)
 
 
-def _independent(photos: PhotoSets, scene: PlannedModel, folder: str) -> tuple[PlannedModel, ...]:
+def _independent(photos: PhotoSets, scene: PlannedModel) -> tuple[PlannedModel, ...]:
     """The paper's strategy: an Object-GS for each box, then composition.
 
     With `refine_share`, a joint refinement follows (ours): it trains the merged model on, so that
     its parts fit together.
     """
     run = photos.run
-    stages = {roi.name: _object_stage(photos, scene.source, roi, folder) for roi in run.rois}
+    stages = {roi.name: _object_stage(photos, scene.source, roi) for roi in run.rois}
     source = Source(
         kind=MERGE,
         base=scene.source,
@@ -117,12 +110,12 @@ def _independent(photos: PhotoSets, scene: PlannedModel, folder: str) -> tuple[P
     ]
     if run.config.refine_steps:
         config = stage_configs.refine_stage(run.config)
-        refined = trained_on(run_files.REFINE_STAGE, photos, config, composed.source, folder=folder)
+        refined = trained_on(run_files.REFINE_STAGE, photos, config, composed.source)
         models.append(_after("Composition, refined", composed, refined))
     return tuple(models)
 
 
-def _object_stage(photos: PhotoSets, scene: Source, roi: OrientedBox, folder: str) -> Stage:
+def _object_stage(photos: PhotoSets, scene: Source, roi: OrientedBox) -> Stage:
     """Object-GS of one box (paper, sec. II-B): its selected photos, densified in the box."""
     run = photos.run
     by_name = {image.name: image for image in photos.images}
@@ -133,7 +126,7 @@ def _object_stage(photos: PhotoSets, scene: Source, roi: OrientedBox, folder: st
     elif run.config.roi_init == "scene":
         start = seen_part(run, scene, images)
     return make_stage(
-        path_of(folder, f"{run_files.OBJECT_STAGE}{roi.name}"),
+        f"{run_files.OBJECT_STAGE}{roi.name}",
         photos,
         images,
         stage_configs.object_stage(run.config),

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from roigs_engine.batch.board import Board, Reporter, duration
+from roigs_engine.batch.board import Board, Reporter
 from roigs_engine.batch.engine_process import DONE, Outcome
 from roigs_engine.batch.page import write_batch_page
 from roigs_engine.batch.record import BatchRecord
@@ -20,6 +20,7 @@ from roigs_engine.commands.console import Console
 from roigs_engine.context import QUIET
 from roigs_engine.errors import RunFolderError
 from roigs_engine.formats.events import parse_event
+from roigs_engine.formats.text import duration
 from tests.engine.batch.parts_of_scenes import Instant, part, scene
 
 STEP = parse_event(

@@ -188,9 +188,9 @@ def test_masks_are_in_the_fingerprints_and_the_manifest(tmp_path: Path, scene: S
     assert "masks" not in runs[0].manifest()
     plain, masked, other = (run.manifest() for run in runs)
     assert manifest_difference(masked, masked) == ""
-    for before, now in ((plain, masked), (masked, other), (other, plain)):
-        said = manifest_difference(before, now)
-        assert said.startswith("the masks of 12 photos changed, the first is ")
+    changes = ((plain, masked, "are new"), (masked, other, "changed"), (other, plain, "are gone"))
+    for before, now, how in changes:
+        assert manifest_difference(before, now).startswith(f"12 masks {how}, the first is ")
 
 
 def test_ignored_pixels_do_not_count_for_budgets(tmp_path: Path, scene: SfmScene) -> None:
