@@ -166,7 +166,10 @@ def in_strategy(config: RunConfig, strategy: str) -> RunConfig:
             roi=with_steps(other.roi, config.roi.steps),
         )
     kept: dict[str, Any] = {name: getattr(config, name) for name in KEPT}
-    stages = {"sh_degree": config.roi.sh_degree, "antialiased": config.roi.antialiased}
+    stages: dict[str, Any] = {
+        "sh_degree": config.roi.sh_degree,
+        "antialiased": config.roi.antialiased,
+    }
     return replace(
         other,
         scene=replace(other.scene, **stages),
