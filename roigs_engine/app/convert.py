@@ -19,7 +19,7 @@ from ..requests.models import Convert
 from .inputs import boxes_of
 from .instances import LIST, read_list
 from .outputs import Result, refuse_inputs, refuse_run_files
-from .run_scene import cameras_of_result, levelled_run, poses_of, scene_of_run, up_in_run
+from .run_scene import cameras_of_result, levelled_run, poses_of_run, up_in_run
 
 if TYPE_CHECKING:
     from ..exchange.arrays import Arrays
@@ -83,7 +83,7 @@ def _single(request: Convert, target: FileFormat, context: Context, *, plain: bo
     before = request.from_up or formats.format_of(request.source).up
     matrix = turn(before, request.up or target.up)
     if target.suffix == PAGE:
-        poses = _page_poses(request, context)
+        poses = _page_poses(request)
     if poses is not None:
         matrix = turn("z", request.up or target.up)
         matrix[:3, :3] = matrix[:3, :3] @ gravity_alignment(poses)
@@ -254,16 +254,13 @@ def _refuse_page_options(request: Convert, *, plain: bool) -> None:
         raise ConfigError("--scene and --from-up both say which way is up.", "Leave out one.")
 
 
-def _page_poses(request: Convert, context: Context) -> Float64 | None:
+def _page_poses(request: Convert) -> Float64 | None:
     """(N, 4, 4) world_to_camera of the scene's photos; None if no scene is known."""
-    from ..colmap.project import load_colmap
+    from ..colmap.project import load_poses
 
-    scene = None
     if request.page_scene is not None:
-        scene = load_colmap(request.page_scene, pixels=False, context=context)
-    elif request.from_up is None:
-        scene = scene_of_run(request.source.absolute().parent)
-    return None if scene is None else poses_of(scene)
+        return load_poses(request.page_scene)
+    return None if request.from_up else poses_of_run(request.source.absolute().parent)
 
 
 def _before(request: Convert, up: str, model: _Model) -> Arrays | None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..context import QUIET, Context
 from ..errors import ConfigError
 from ..formats.files import own_folder, read_json
-from ..formats.run_files import CACHE, CROPS, REPORT, REPORT_DATA, REPORT_PAGE, SPLIT, STAGES
+from ..formats.run_files import CACHE, REPORT, REPORT_DATA, REPORT_PAGE, SPLIT, STAGES
 from ..formats.splat_ply import check_ply
 from ..formats.stage_list import read_stage_list
 from ..formats.text import counted
@@ -20,22 +19,12 @@ from ..requests.choices import PHOTOS, TEST, VALIDATION
 from ..requests.runs import Evaluate
 from ..run.config import RunConfig
 from .inputs import boxes_of, load_scene, mask_options, on_device
-from .outputs import Result, named_files, refuse_inputs, refuse_run_files
+from .outputs import Evaluated, named_files, refuse_inputs, refuse_run_files
 
 if TYPE_CHECKING:
     from ..evaluation.scores import Evaluation
     from ..evaluation.views import EvaluatedModel
     from ..model.roi import OrientedBox
-
-
-@dataclass(frozen=True, kw_only=True)
-class Evaluated(Result):
-    """The report, its page and pictures, and its table as Markdown."""
-
-    report: Path
-    page: Path
-    pictures: Path
-    table: str
 
 
 def evaluate(request: Evaluate, context: Context = QUIET) -> Evaluated:
@@ -83,9 +72,7 @@ def evaluate(request: Evaluate, context: Context = QUIET) -> Evaluated:
         models, scene, test, rois, context=context, baseline=models[0].name, photos=photos
     )
     table = write_evaluation(evaluation, models, scene, rois, request.out, context)
-    report, _, page = reports
-    found = Evaluated(report=report, page=page, pictures=request.out / CROPS, table=table)
-    return found.with_places(table)
+    return Evaluated().with_evaluation(request.out, table)
 
 
 def write_evaluation(

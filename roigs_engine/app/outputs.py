@@ -46,32 +46,34 @@ class Result:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trained(Result):
-    """Where a training's result is.
-
-    Attributes:
-        result: PLY of the scene.
-        rois: folder with a PLY for each box.
-        report, page, pictures: of the evaluation; None: there is none.
-        table: the evaluation, as Markdown.
-    """
+class Evaluated(Result):
+    """An evaluation's report, page and pictures, and its table as Markdown; None: there is none."""
 
     report: Path | None = None
     page: Path | None = None
     pictures: Path | None = None
+    table: str = ""
+
+    def with_evaluation(self, folder: Path, table: str) -> Self:
+        """The result with the evaluation in a folder; the table begins its text."""
+        report, page = folder / run_files.REPORT, folder / run_files.REPORT_PAGE
+        pictures = folder / run_files.CROPS
+        found = replace(self, report=report, page=page, pictures=pictures, table=table)
+        return found.with_places(table)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trained(Evaluated):
+    """Where a training's result is: the scene's PLY, and the folder with a PLY for each box."""
+
     result: Path | None = None
     rois: Path | None = None
-    table: str = ""
 
 
 def result_in(folder: Path, table: str | None) -> Trained:
     """Where everything is in a run folder; `table` is of the evaluation, None: there is none."""
     found = Trained(result=folder / run_files.RESULT, rois=folder / run_files.FINE)
-    if table is None:
-        return found
-    report, page = folder / run_files.REPORT, folder / run_files.REPORT_PAGE
-    found = replace(found, report=report, page=page, pictures=folder / run_files.CROPS, table=table)
-    return found.with_places(table)
+    return found if table is None else found.with_evaluation(folder, table)
 
 
 def refuse_run_files(out: Path | None, *, option: str = "--out") -> None:

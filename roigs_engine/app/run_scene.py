@@ -11,7 +11,7 @@ import numpy as np
 from ..context import QUIET, Context
 from ..errors import ConfigError, EngineError
 from ..exchange.arrays import UP
-from ..formats.files import read_json
+from ..formats.files import read_record
 from ..formats.gravity import gravity_alignment
 from ..formats.run_files import (
     BACKGROUND,
@@ -29,13 +29,14 @@ if TYPE_CHECKING:
     from ..model.scene import Float64, SfmScene
 
 
-def scene_of_run(folder: Path) -> SfmScene | None:
-    """The scene of a run folder, if it is still there."""
-    from ..colmap.project import load_colmap
+def poses_of_run(folder: Path) -> Float64 | None:
+    """(N, 4, 4) world_to_camera of the photos of a run's scene; None: it is not there."""
+    from ..colmap.project import load_poses
 
     for place in _places(folder):
         with suppress(EngineError):
-            return load_colmap(place, pixels=False)
+            poses = load_poses(place)
+            return poses if len(poses) else None
     return None
 
 
@@ -102,8 +103,8 @@ def _run_folder(path: Path) -> Path | None:
 
 def _longest_side(folder: Path) -> int | None:
     """The longest side of the photos that a run was trained on, pixels; None: not known."""
-    with suppress(ConfigError, KeyError, TypeError, ValueError):
-        sizes = read_json(folder / MANIFEST, ConfigError)["sizes"]
+    with suppress(TypeError, ValueError):
+        sizes = read_record(folder / MANIFEST).get("sizes", ())
         side = max(int(side) for size in sizes for side in str(size).split("x"))
         return side if 0 < side <= MAX_SIDE else None
     return None
@@ -111,15 +112,8 @@ def _longest_side(folder: Path) -> int | None:
 
 def _path(folder: Path, option: str) -> Path | None:
     """A path among the settings of a run; None: there is none, or they are damaged."""
-    with suppress(ConfigError, KeyError, TypeError):
-        found = read_json(folder / SETTINGS, ConfigError)[option]
-        return Path(found) if found else None
-    return None
-
-
-def poses_of(scene: SfmScene) -> Float64:
-    """(N, 4, 4) world_to_camera of its photos."""
-    return np.array([image.world_to_camera for image in scene.images])
+    found = read_record(folder / SETTINGS).get(option)
+    return Path(found) if isinstance(found, str) and found else None
 
 
 def up_in_run(path: Path) -> str | None:
@@ -128,18 +122,11 @@ def up_in_run(path: Path) -> str | None:
     None: it is none of a run folder's, or the scene is not there.
     """
     folder = _run_folder(path)
-    if folder is None:
+    poses = poses_of_run(folder) if folder else None
+    if poses is None:
         return None
-    from ..colmap.project import load_poses
-
-    for place in _places(folder):
-        with suppress(EngineError):
-            poses = load_poses(place)
-            if len(poses):
-                up = gravity_alignment(poses)[2]
-                return max(UP, key=lambda axis: float(np.array(UP[axis])[:, 2] @ up))
-            return None
-    return None
+    up = gravity_alignment(poses)[2]
+    return max(UP, key=lambda axis: float(np.array(UP[axis])[:, 2] @ up))
 
 
 def _places(folder: Path) -> list[Path]:

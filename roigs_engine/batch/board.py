@@ -8,8 +8,7 @@ from collections.abc import Mapping
 
 from ..context import Context
 from ..errors import Stopped
-from ..formats.events import MAX_NUMBER, Message, Preview, Progress, Record, StageStarted
-from ..formats.events import Board as BoardEvent
+from ..formats.events import MAX_NUMBER, Board, Message, Preview, Progress, Record, StageStarted
 from ..formats.text import counted, duration
 from .engine_process import DONE, FAILED, Outcome
 from .moves import RUNNING, PartState, share
@@ -19,80 +18,6 @@ ENOUGH = 0.01  # of the work must be done before the time left is told
 MOST_LINES = 12  # of running parts
 BATCH_STAGE = "batch"
 EVERY = 1.0  # seconds between two pictures of the board
-
-
-class Board:
-    """Counts and lines of a batch, of its scenes by name; started at that `time.monotonic()`."""
-
-    def __init__(self, scenes: Mapping[str, SceneState], started: float) -> None:
-        self.scenes, self.started = scenes, started
-        self._before = self._work_done()
-
-    def objects(self, state: str | None = None) -> int:
-        """The number of objects, or of those in scenes of that state."""
-        scenes = (s for s in self.scenes.values() if state in (None, s.state))
-        return sum(len(scene.plan.objects) for scene in scenes)
-
-    def seconds_left(self) -> float:
-        """By the work done since the start; NaN: too little."""
-        whole = sum(scene.plan.work for scene in self.scenes.values() if not scene.reason)
-        done = self._work_done()
-        fresh, elapsed = done - self._before, time.monotonic() - self.started
-        if fresh <= ENOUGH * (whole - self._before) or whole <= 0:
-            return math.nan
-        return max(0.0, whole - done) * elapsed / fresh
-
-    def event(self) -> Progress:
-        """Objects done, of all, for programs."""
-        return Progress(
-            stage=BATCH_STAGE,
-            step=self.objects(DONE),
-            total=self.objects(),
-            loss=math.nan,
-            psnr=math.nan,
-            gaussians=0,
-            seconds_left=min(self.seconds_left(), MAX_NUMBER - 1.0),
-        )
-
-    def head(self) -> str:
-        """One line: objects and time."""
-        failed = self.objects(FAILED)
-        words = [
-            f"{self.objects(DONE)} of {counted(self.objects(), 'object')} done",
-            f"{self.objects(RUNNING)} running",
-            *([f"{failed} failed"] if failed else []),
-        ]
-        left = self.seconds_left()
-        if left > 0:  # files of `outputs` count as no work
-            words.append(f"about {duration(left)} left")
-        return ", ".join(words)
-
-    def lines(self) -> list[str]:
-        """The head, and a line for each running part."""
-        running = [
-            self._line(part)
-            for scene in self.scenes.values()
-            for part in scene.parts.values()
-            if part.state == RUNNING
-        ]
-        more = len(running) - MOST_LINES
-        rest = [f"  and {counted(more, 'more part')}"] if more > 0 else []
-        return [self.head(), *running[:MOST_LINES], *rest]
-
-    def _line(self, state: PartState) -> str:
-        words = [f"  {state.part.label}"]
-        last = state.progress
-        if last.get("stage"):
-            words.append(str(last["stage"]))
-        if last.get("total") and "step" in last:
-            words.append(f"step {last['step']:,} of {last['total']:,}")
-        if "psnr" in last:
-            words.append(f"{last['psnr']:.2f} dB")
-        return "  ".join(words)
-
-    def _work_done(self) -> float:
-        parts = [p for s in self.scenes.values() if not s.reason for p in s.parts.values()]
-        return sum(share(part) * part.part.work for part in parts)
 
 
 class Reporter:
@@ -110,15 +35,15 @@ class Reporter:
     def __init__(
         self, scenes: Mapping[str, SceneState], context: Context, *, alone: bool = False
     ) -> None:
-        self._context, self._alone = context, alone
-        self._board = Board(scenes, time.monotonic())
+        self._scenes, self._context, self._alone = scenes, context, alone
+        self._started, self._before = time.monotonic(), self._work_done()
         self._last = 0.0
         self._warned: set[tuple[str, str]] = set()  # the parts of a scene say the same
 
     def __enter__(self) -> Reporter:
         """Say how far the batch is."""
         if not self._alone:
-            self._context.info(f"{self._board.head()}.")
+            self._context.info(f"{self.head()}.")
         return self
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
@@ -144,15 +69,24 @@ class Reporter:
 
     def _draw(self, *, now: bool = False) -> None:
         if self._context.for_person and (now or time.monotonic() - self._last >= EVERY):
-            self._context.emit(BoardEvent(lines=tuple(self._board.lines())))
+            self._context.emit(Board(lines=tuple(self.lines())))
             self._last = time.monotonic()
 
     def _ended(self, scene: SceneState, outcome: Outcome) -> None:
         if not self._context.for_person:
-            self._context.emit(self._board.event())
+            event = Progress(
+                stage=BATCH_STAGE,
+                step=self.objects(DONE),
+                total=self.objects(),
+                loss=math.nan,
+                psnr=math.nan,
+                gaussians=0,
+                seconds_left=min(self.seconds_left(), MAX_NUMBER - 1.0),
+            )
+            self._context.emit(event)
         elif outcome.state == DONE and scene.state == DONE:
             took = duration(sum(part.seconds for part in scene.parts.values()))
-            self._context.info(f"{scene.plan.name}: done in {took}. {self._board.head()}.")
+            self._context.info(f"{scene.plan.name}: done in {took}. {self.head()}.")
 
     def _pass_on(self, scene: str, report: Record) -> None:
         """An engine's event, its stage named after its scene."""
@@ -168,3 +102,57 @@ class Reporter:
                 emit(Message(text=f"{scene}{report.get('text', '')}"))
             case "preview":
                 emit(Preview(path=str(report.get("path", ""))))
+
+    def objects(self, state: str | None = None) -> int:
+        """The number of objects, or of those in scenes of that state."""
+        scenes = (s for s in self._scenes.values() if state in (None, s.state))
+        return sum(len(scene.plan.objects) for scene in scenes)
+
+    def seconds_left(self) -> float:
+        """By the work done since the start; NaN: too little."""
+        whole = sum(scene.plan.work for scene in self._scenes.values() if not scene.reason)
+        done = self._work_done()
+        fresh, elapsed = done - self._before, time.monotonic() - self._started
+        if fresh <= ENOUGH * (whole - self._before) or whole <= 0:
+            return math.nan
+        return max(0.0, whole - done) * elapsed / fresh
+
+    def head(self) -> str:
+        """One line: objects and time."""
+        failed = self.objects(FAILED)
+        words = [
+            f"{self.objects(DONE)} of {counted(self.objects(), 'object')} done",
+            f"{self.objects(RUNNING)} running",
+            *([f"{failed} failed"] if failed else []),
+        ]
+        left = self.seconds_left()
+        if left > 0:  # files of `outputs` count as no work
+            words.append(f"about {duration(left)} left")
+        return ", ".join(words)
+
+    def lines(self) -> list[str]:
+        """The head, and a line for each running part."""
+        running = [
+            self._line(part)
+            for scene in self._scenes.values()
+            for part in scene.parts.values()
+            if part.state == RUNNING
+        ]
+        more = len(running) - MOST_LINES
+        rest = [f"  and {counted(more, 'more part')}"] if more > 0 else []
+        return [self.head(), *running[:MOST_LINES], *rest]
+
+    def _line(self, state: PartState) -> str:
+        words = [f"  {state.part.label}"]
+        last = state.progress
+        if last.get("stage"):
+            words.append(str(last["stage"]))
+        if last.get("total") and "step" in last:
+            words.append(f"step {last['step']:,} of {last['total']:,}")
+        if "psnr" in last:
+            words.append(f"{last['psnr']:.2f} dB")
+        return "  ".join(words)
+
+    def _work_done(self) -> float:
+        parts = [p for s in self._scenes.values() if not s.reason for p in s.parts.values()]
+        return sum(share(part) * part.part.work for part in parts)

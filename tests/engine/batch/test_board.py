@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from roigs_engine.batch.board import Board, Reporter
+from roigs_engine.batch.board import Reporter
 from roigs_engine.batch.engine_process import DONE, Outcome
 from roigs_engine.batch.page import write_batch_page
 from roigs_engine.batch.record import BatchRecord
@@ -48,27 +48,20 @@ def scheduler() -> Scheduler:
     return made
 
 
-def board_of(scheduler: Scheduler) -> Board:
-    """A batch of 15 s in which one scene was done and half of the other."""
-    board = Board(scheduler.scenes, time.monotonic() - 15)
-    scheduler.scenes["attic"].parts["all"].state = DONE
-    board._before = 0.0
-    return board
-
-
-def reporter(scheduler: Scheduler, *, json_lines: bool) -> Reporter:
-    """What tells a console of such a batch."""
+def reporter(scheduler: Scheduler, *, json_lines: bool = False) -> Reporter:
+    """What tells a console of a batch of 15 s: one scene was done, and half of the other."""
     found = Reporter(scheduler.scenes, Console(json_lines=json_lines).context)
-    found._board = board_of(scheduler)
+    scheduler.scenes["attic"].parts["all"].state = DONE
+    found._started, found._before = time.monotonic() - 15, 0.0
     return found
 
 
 def test_objects_step_psnr_and_time_left(scheduler: Scheduler) -> None:
-    lines = board_of(scheduler).lines()
+    lines = reporter(scheduler).lines()
     assert lines[0] == "1 of 2 objects done, 1 running, about 5 seconds left"
     assert lines[1] == "  hall  joint  step 50 of 100  21.50 dB"
     scheduler.scenes["hall"].parts["all"].state = DONE
-    assert board_of(scheduler).head() == "2 of 2 objects done, 0 running"
+    assert reporter(scheduler).head() == "2 of 2 objects done, 0 running"
     assert [duration(s) for s in (1, 120, 7200, 1e6)] == [
         *("1 second", "2 minutes", "2.0 hours", "11.6 days")
     ]
@@ -120,7 +113,7 @@ def test_the_page_is_safe_text(scheduler: Scheduler, tmp_path: Path) -> None:
     report = {"rois": [{"roi": "attic-box", "rows": [{}, row]}]}
     (run / "report.json").write_text(json.dumps(report), encoding="utf-8")
     (run / "report.html").touch()
-    board_of(scheduler)
+    reporter(scheduler)
     scheduler.scenes["hall"].reason = "<script>alert(1)</script>"
     page = write_batch_page(tmp_path, scheduler.scenes.values()).read_text(encoding="utf-8")
     assert "30.25" in page and "1,234" in page and 'href="attic/report.html"' in page

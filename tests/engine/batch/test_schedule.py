@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from roigs_engine.batch import schedule
-from roigs_engine.batch.board import Board
+from roigs_engine.batch.board import Reporter
 from roigs_engine.batch.engine_process import DONE, FAILED, LOST, STOPPED, Outcome
 from roigs_engine.batch.local import Report
 from roigs_engine.batch.moves import Move
@@ -57,7 +57,7 @@ def test_a_part_that_fails_ends_its_scene_alone() -> None:
     assert made.scenes["wide"].reason == "wide: two: No photo."
     assert made.scenes["wide"].state == FAILED and made.scenes["small"].state == DONE
     assert said == ["wide: two: No photo. The other scenes go on."]
-    assert "1 failed" in Board(made.scenes, 0.0).head()
+    assert "1 failed" in Reporter(made.scenes, QUIET).head()
 
 
 @pytest.mark.parametrize(("losses", "state"), [(2, DONE), (3, FAILED)])

@@ -174,4 +174,4 @@ def test_changed_masks_are_named() -> None:
     before = {"rois": [{"name": "pot"}], "object_masks": {"pot": {"a.jpg": "1", "b.jpg": "1"}}}
     now = {"rois": [{"name": "pot"}], "object_masks": {"pot": {"a.jpg": "2", "b.jpg": "1"}}}
     assert manifest_difference(before, now) == "box 'pot': the mask of a.jpg changed"
-    assert "2 photos" in manifest_difference({}, {"object_masks": before["object_masks"]})
+    assert "2 masks are new" in manifest_difference({}, {"object_masks": before["object_masks"]})
