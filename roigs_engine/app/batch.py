@@ -41,15 +41,11 @@ HEAD = ("scene", "objects", "stages", "steps", "memory", "minutes", "")
 
 @dataclass(frozen=True, kw_only=True)
 class Batched(Result):
-    """Where a batch is: a folder or an address, its page, and why scenes failed.
-
-    Attributes:
-        scenes: number of all scenes.
-    """
+    """Where a batch is: a folder or an address, its page, and why scenes failed."""
 
     runs: str
     report: str
-    scenes: int
+    scenes: int  # number of all scenes
     failed: tuple[str, ...] = ()
 
     @property

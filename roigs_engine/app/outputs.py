@@ -17,15 +17,10 @@ from ..requests.values import shown
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """What a piece of work has made; each field with a path is a file or folder that it wrote.
+    """What a piece of work has made; each field with a path is a file or folder that it wrote."""
 
-    Attributes:
-        files: more of these, by name.
-        text: the command's answer on standard output.
-    """
-
-    files: dict[str, Path] = field(default_factory=dict)
-    text: str = ""
+    files: dict[str, Path] = field(default_factory=dict)  # more of these, by name
+    text: str = ""  # the command's answer on standard output
 
     @property
     def error(self) -> EngineError | None:

@@ -16,24 +16,19 @@ from ..formats.events import Record, parse_event
 from ..machine import child_environment
 
 DONE, STOPPED, FAILED, LOST = "done", "stopped", "failed", "lost"
+"""How a part ends: well; on request; with an error of the engine; its process or machine is gone,
+and it can be tried again."""
 POLL = 0.5
 LAST = 2000  # bytes of standard error that may say why a process ended
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """How a part ended.
+    """How a part ended."""
 
-    Attributes:
-        state: `done`, `stopped` (on request), `failed` (with an error of the engine), or `lost`
-            (the process or its machine is gone; it can be tried again).
-        reason: one line, for `failed` and `lost`.
-        node: where it was; empty: here.
-    """
-
-    state: str
-    reason: str = ""
-    node: str = ""
+    state: str  # a state above
+    reason: str = ""  # one line, for `failed` and `lost`
+    node: str = ""  # where it was; empty: here
 
 
 def run_engine(

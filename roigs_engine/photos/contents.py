@@ -29,21 +29,14 @@ WRITE_SECONDS = 60.0
 
 @dataclass(frozen=True, kw_only=True)
 class Content:
-    """What a photo's file holds.
+    """What a photo's file holds."""
 
-    Attributes:
-        size, modified, changed: of the file: bytes, and two times in ns.
-        digest: hash of its bytes, 32 hexadecimal digits; empty: they cannot be read.
-        whole: whether the photo can be decoded and is complete; None: not known.
-        tone: "black" or "white" if it is nearly that, though it has more than 8 bits a channel.
-    """
-
-    size: int
-    modified: int
+    size: int  # bytes of the file
+    modified: int  # its two times, ns
     changed: int
-    digest: str = ""
-    whole: bool | None = None
-    tone: str = ""
+    digest: str = ""  # hash of its bytes, 32 hexadecimal digits; empty: they cannot be read
+    whole: bool | None = None  # whether the photo can be decoded and is complete; None: not known
+    tone: str = ""  # "black" or "white": nearly that, though it has more than 8 bits a channel
 
 
 UNREAD = Content(size=-1, modified=0, changed=0, whole=False)

@@ -33,23 +33,14 @@ ANYTHING = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".gif"}
 
 @dataclass(frozen=True, kw_only=True)
 class MaskOptions:
-    """Which masks the user wants.
+    """Which masks the user wants."""
 
-    Attributes:
-        folder: of the masks; None: the folder `masks` beside the photos' folder, if it exists.
-        inverted: in mask files, black marks what is used; alpha channels are never inverted.
-        used: False: there are no masks.
-        boxes: names of the boxes whose masks of objects are used, from the folders `masks/BOX`.
-        objects_inverted: black marks the objects.
-        objects: another folder of these masks, for photos that have none in `folder`.
-    """
-
-    folder: Path | None = None
-    inverted: bool = False
-    used: bool = True
-    boxes: tuple[str, ...] = ()
-    objects_inverted: bool = False
-    objects: Path | None = None
+    folder: Path | None = None  # of the masks; None: `masks` beside the photos' folder
+    inverted: bool = False  # in files, black marks what is used; alpha channels are not inverted
+    used: bool = True  # False: there are no masks
+    boxes: tuple[str, ...] = ()  # those whose masks of objects are used, of the folders `masks/BOX`
+    objects_inverted: bool = False  # black marks the objects
+    objects: Path | None = None  # folder of such masks for photos that have none in `folder`
 
     def check(self) -> None:
         """Raise ConfigError if the folder is none."""

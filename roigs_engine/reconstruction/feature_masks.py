@@ -30,17 +30,11 @@ RECORD = "masks.json"
 
 @dataclass(frozen=True, kw_only=True)
 class Kept:
-    """What the record says of a mask in the folder.
+    """What the record says of a mask in the folder."""
 
-    Attributes:
-        digest: hash of all that decides it.
-        sha256: of its file, as it was written.
-        photos: the folder of the photos that it was made for; relative if it is in the project.
-    """
-
-    digest: str
-    sha256: str
-    photos: str
+    digest: str  # hash of all that decides it
+    sha256: str  # of its file, as it was written
+    photos: str  # the folder of the photos that it was made for; relative if it is in the project
 
 
 def write_masks(

@@ -26,19 +26,13 @@ LOW: Options = {"": {"min_num_matches": 10, "multiple_models": False}, "mapper":
 
 @dataclass(frozen=True, kw_only=True)
 class Mapped:
-    """A model that was found.
-
-    Attributes:
-        photos: name -> number of points that the photo observes.
-        error: mean reprojection error, px.
-        track: mean number of photos that observe a point.
-    """
+    """A model that was found."""
 
     folder: str
-    photos: dict[str, int]
+    photos: dict[str, int]  # name -> number of points that the photo observes
     points: int
-    error: float
-    track: float
+    error: float  # mean reprojection error, px
+    track: float  # mean number of photos that observe a point
 
 
 def map_models(

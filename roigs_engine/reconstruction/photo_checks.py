@@ -28,24 +28,14 @@ DEVICE_TAGS, LENS_TAGS = (0x010F, 0x0110), (0x920A, 0xA405, 0xA434)
 
 @dataclass(frozen=True, kw_only=True)
 class Photo:
-    """A photo that can be used.
+    """A photo that can be used."""
 
-    Attributes:
-        name: below the folder, with `/`.
-        path, digest: its file, and the hash of its bytes.
-        size: width and height, px, as in the file: orientation tags are ignored.
-        device: what tells its camera from others: maker, model, focal lengths and lens; "": nothing
-            is known.
-        sharpness: the share of fine detail in the photo's contrast; comparable among photos of one
-            set only.
-    """
-
-    name: str
-    path: Path
-    digest: str
-    size: tuple[int, int]
-    device: str
-    sharpness: float
+    name: str  # below the folder, with `/`
+    path: Path  # its file
+    digest: str  # hash of its bytes
+    size: tuple[int, int]  # width and height, px, as in the file: orientation tags are ignored
+    device: str  # maker, model, focal lengths and lens, which tell cameras apart; "": not known
+    sharpness: float  # share of fine detail in its contrast; comparable within one set of photos
 
 
 @dataclass(frozen=True, kw_only=True)

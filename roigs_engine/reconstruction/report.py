@@ -26,23 +26,14 @@ SHARE = 0.9  # of the photos: if fewer are registered, it is a warning
 
 @dataclass(frozen=True, kw_only=True)
 class Reconstruction:
-    """What a reconstruction found.
+    """What a reconstruction found."""
 
-    Attributes:
-        found: the photos, and those that were left out.
-        features: name -> number of features.
-        matched: two names -> number of verified matches.
-        models: the largest first; that is the result. Empty: no two photos could be registered.
-        seconds: wall-clock of each step.
-        warnings: what the matches tell, see `warnings_of_matches`.
-    """
-
-    found: Found
-    features: Mapping[str, int]
-    matched: Mapping[Pair, int]
-    models: list[Mapped]
-    seconds: Mapping[str, float]
-    warnings: Sequence[str] = ()
+    found: Found  # the photos, and those that were left out
+    features: Mapping[str, int]  # name -> number of features
+    matched: Mapping[Pair, int]  # two names -> number of verified matches
+    models: list[Mapped]  # the result first, the largest; empty: no two photos could be registered
+    seconds: Mapping[str, float]  # wall-clock of each step
+    warnings: Sequence[str] = ()  # what the matches tell, see `warnings_of_matches`
 
     @property
     def missing(self) -> list[str]:

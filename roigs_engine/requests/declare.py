@@ -32,37 +32,26 @@ class Option:
     """All that is known of an option.
 
     Attributes:
-        kind: of its values.
-        help: a phrase; `{default}` stands for the default.
-        name: of the field, and the key in an options file.
-        default: if it is not given.
-        required: whether it must be given.
-        heading: of its group in the help.
-        flags: on the command line, the usual one first; empty: it is given by its place.
-        repeat: whether it may be given several times; the field is a tuple.
-        several: whether several values may follow it; the field is a tuple.
         excludes: options with the same word here exclude one another; one of those whose word ends
             in `!` must be given.
-        decides: whether it decides results, so that a run folder keeps it.
         hidden: `help`: the command line takes it, the help does not show it; `line`: only files and
             Python have it.
-        label, tooltip: its name and description in Blender's panel; empty: it is not there.
     """
 
-    kind: Kind
-    help: str
-    name: str = ""
-    default: Any = None
-    required: bool = False
-    heading: str = ""
-    flags: tuple[str, ...] | None = None
-    repeat: bool = False
-    several: bool = False
+    kind: Kind  # of its values
+    help: str  # a phrase; `{default}` stands for the default
+    name: str = ""  # of the field, and the key in an options file
+    default: Any = None  # if it is not given
+    required: bool = False  # whether it must be given
+    heading: str = ""  # of its group in the help
+    flags: tuple[str, ...] | None = None  # the usual one first; empty: it is given by its place
+    repeat: bool = False  # whether it may be given several times; the field is a tuple
+    several: bool = False  # whether several values may follow it; the field is a tuple
     excludes: str = ""
-    decides: bool = True
+    decides: bool = True  # whether it decides results, so that a run folder keeps it
     hidden: str = ""
-    label: str = ""
-    tooltip: str = ""
+    label: str = ""  # its name in Blender's panel; empty: it is not there
+    tooltip: str = ""  # its description there
 
     @property
     def many(self) -> bool:

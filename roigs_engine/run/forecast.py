@@ -52,19 +52,13 @@ OUTPUTS = 4  # times a model: whole, without boxes, the boxes' Gaussians, a prev
 
 @dataclass(frozen=True, kw_only=True)
 class StageForecast:
-    """What is expected of a whole stage, or known of a finished one.
-
-    Attributes:
-        end, most: number of Gaussians at the end, and the largest before.
-        seconds, step_seconds: of training; of a step at the end.
-        steps_done, is_done: how far it is.
-    """
+    """What is expected of a whole stage, or known of a finished one."""
 
     stage: Stage
-    end: int
-    most: int
-    seconds: float
-    step_seconds: float
+    end: int  # Gaussians at the end
+    most: int  # the most of them before
+    seconds: float  # of training
+    step_seconds: float  # of a step at the end
     steps_done: int = 0
     is_done: bool = False
 
@@ -77,17 +71,11 @@ class StageForecast:
 
 @dataclass(frozen=True, kw_only=True)
 class Forecast:
-    """What a plan will take.
+    """What a plan will take."""
 
-    Attributes:
-        stages: in the order of training.
-        evaluation: seconds to evaluate all models.
-        device: what trains, for the text.
-    """
-
-    stages: Sequence[StageForecast]
-    evaluation: float
-    device: str
+    stages: Sequence[StageForecast]  # in the order of training
+    evaluation: float  # seconds to evaluate all models
+    device: str  # what trains, for the text
 
     def time_line(self) -> str:
         """One line with the minutes."""

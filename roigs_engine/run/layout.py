@@ -38,17 +38,14 @@ class Cell:
     """What one stage trains.
 
     Attributes:
-        label: begins the names of its stages; empty: the whole scene.
-        photos: names of its training photos.
-        points: rows of the sparse points that its photos observe.
         share: of the photos that see a box of its group, those that see its own; of all photos, its
             own, if it has no box or trains a Scene-GS.
     """
 
-    label: str
-    photos: tuple[str, ...]
+    label: str  # begins the names of its stages; empty: the whole scene
+    photos: tuple[str, ...]  # names of its training photos
     rois: tuple[OrientedBox, ...]
-    points: Int64
+    points: Int64  # rows of the sparse points that its photos observe
     share: float = 1.0
 
 
@@ -62,19 +59,12 @@ class Split:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Layout:
-    """The cells of a run.
+    """The cells of a run."""
 
-    Attributes:
-        groups: names of the boxes that are trained together.
-        blocks: the cells of the Scene-GS; None: it is one stage.
-        cells: the cells of the stages after it; None: it is one stage.
-        seen: box -> names of the photos that see it; empty if it was not needed.
-    """
-
-    groups: Groups
-    blocks: Split | None = None
-    cells: Split | None = None
-    seen: Mapping[str, Set[str]] = field(default_factory=dict)
+    groups: Groups  # names of the boxes that are trained together
+    blocks: Split | None = None  # the cells of the Scene-GS; None: it is one stage
+    cells: Split | None = None  # the cells of the stages after it; None: it is one stage
+    seen: Mapping[str, Set[str]] = field(default_factory=dict)  # box -> the photos that see it
 
 
 def lay_out(

@@ -47,20 +47,13 @@ CARD_AHEAD = 3  # photos on the GPU at least: the one in use, and two that are s
 
 @dataclass(frozen=True, kw_only=True)
 class CardPlan:
-    """The expected GPU memory of a run, in bytes.
+    """The expected GPU memory of a run, in bytes."""
 
-    Attributes:
-        free, total: of the GPU, before the training.
-        photos: the photos that are kept there, at most.
-        training: all but photos, on the largest photo, if the model grows to `count` Gaussians.
-        count: that number (not bytes).
-    """
-
-    free: int
-    total: int
-    photos: int
-    training: int
-    count: int
+    free: int  # of the GPU, before the training
+    total: int  # of the GPU
+    photos: int  # the photos that are kept there, at most
+    training: int  # all but photos, on the largest photo, if the model grows to `count` Gaussians
+    count: int  # that number (not bytes)
 
     def messages(self) -> list[Message]:
         """Messages for the user before the run starts."""
@@ -81,29 +74,17 @@ class CardPlan:
 
 @dataclass(frozen=True, kw_only=True)
 class MemoryPlan:
-    """The expected memory of a run, in bytes.
+    """The expected memory of a run, in bytes."""
 
-    Attributes:
-        machine: memory of the machine.
-        photos: all photos of the run, decoded.
-        cache: most bytes of decoded photos that are kept at a time.
-        picture: training on the largest photo.
-        end: the largest number of Gaussians that is expected.
-        count: that number (not bytes).
-        joined: joining and drawing the models of a scene in blocks; 0: it is not cut.
-        blocks: number of blocks; the other numbers are of the one that needs most.
-        card: of the GPU that trains; None: the CPU does.
-    """
-
-    machine: int
-    photos: int
-    cache: int
-    picture: int
-    end: int
-    count: int
-    joined: int = 0
-    blocks: int = 1
-    card: CardPlan | None = None
+    machine: int  # memory of the machine
+    photos: int  # all photos of the run, decoded
+    cache: int  # most bytes of decoded photos that are kept at a time
+    picture: int  # training on the largest photo
+    end: int  # the largest number of Gaussians that is expected
+    count: int  # that number (not bytes)
+    joined: int = 0  # joining and drawing the models of a scene in blocks; 0: it is not cut
+    blocks: int = 1  # number of blocks; the other numbers are of the one that needs most
+    card: CardPlan | None = None  # of the GPU that trains; None: the CPU does
 
     @property
     def total(self) -> int:

@@ -34,26 +34,20 @@ class Source:
             Gaussians in the one box), `merge` (the base, with the content of the k-th box taken
             from input k), `cells` (of each input, what its model owns) or `seen` (the base's
             Gaussians that photos show).
-        base: what `crop`, `merge` and `seen` start from.
-        inputs: stages, without those of the base.
-        rois: boxes, for `crop` and `merge`.
         digest: hash of the sparse points, for `points`; of the partition, for `cells`; for
             `merge`, of the masks of the boxes' objects, which decide what their content is; empty:
             there are none.
-        rows: of the sparse points, for `points`; None: all.
-        partition, images: of the inputs, for `cells`; the photos, for `seen`.
-        share: of the sparse points that these observe; decides nothing, for estimates.
     """
 
     kind: str
-    base: Source | None = None
-    inputs: tuple[Stage, ...] = ()
-    rois: tuple[OrientedBox, ...] = ()
+    base: Source | None = None  # what `crop`, `merge` and `seen` start from
+    inputs: tuple[Stage, ...] = ()  # stages, without those of the base
+    rois: tuple[OrientedBox, ...] = ()  # boxes, for `crop` and `merge`
     digest: str = ""
-    rows: Int64 | None = None
-    partition: Partition | None = None
-    images: tuple[PosedImage, ...] = ()
-    share: float = 1.0
+    rows: Int64 | None = None  # of the sparse points, for `points`; None: all
+    partition: Partition | None = None  # of the inputs, for `cells`
+    images: tuple[PosedImage, ...] = ()  # the photos, for `seen`
+    share: float = 1.0  # of the sparse points that these observe; decides nothing, for estimates
 
     @property
     def stages(self) -> tuple[Stage, ...]:
@@ -74,24 +68,16 @@ class Source:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stage:
-    """One training stage.
+    """One training stage."""
 
-    Attributes:
-        name: unique in the plan, for example `compare-joint/scene`.
-        images: the photos, with cameras of the size used for training.
-        rois: boxes that limit densification and masks.
-        extent: of the scene, world units.
-        seed: for the positions of split Gaussians.
-    """
-
-    name: str
-    images: tuple[PosedImage, ...]
+    name: str  # unique in the plan, for example `compare-joint/scene`
+    images: tuple[PosedImage, ...]  # the photos, with cameras of the size used for training
     config: TrainConfig
     start: Source
     order: PhotoOrder
-    extent: float
-    seed: int
-    rois: tuple[OrientedBox, ...] = ()
+    extent: float  # of the scene, world units
+    seed: int  # for the positions of split Gaussians
+    rois: tuple[OrientedBox, ...] = ()  # boxes that limit densification and masks
 
     @cached_property
     def small_images(self) -> tuple[PosedImage, ...]:
@@ -135,18 +121,12 @@ class Stage:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedModel:
-    """A model to train, one row of the report's tables.
+    """A model to train, one row of the report's tables."""
 
-    Attributes:
-        name: unique among the rows of a box.
-        stages: its stages that all boxes share.
-        by_roi: box -> its own stages.
-    """
-
-    name: str
+    name: str  # unique among the rows of a box
     source: Source
-    stages: tuple[Stage, ...] = ()
-    by_roi: dict[str, tuple[Stage, ...]] = field(default_factory=dict)
+    stages: tuple[Stage, ...] = ()  # its stages that all boxes share
+    by_roi: dict[str, tuple[Stage, ...]] = field(default_factory=dict)  # box -> its own stages
 
     @property
     def rois(self) -> tuple[str, ...] | None:
@@ -169,31 +149,22 @@ class PlannedModel:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Output:
-    """PLY files to write once a model is trained.
+    """PLY files to write once a model is trained."""
 
-    Attributes:
-        folder: below the run folder; empty: the run folder itself.
-        model: the result.
-        coarse: the Scene-GS; its Gaussians in each box are written for comparison.
-    """
-
-    folder: str
-    model: PlannedModel
-    coarse: Source
+    folder: str  # below the run folder; empty: the run folder itself
+    model: PlannedModel  # the result
+    coarse: Source  # the Scene-GS; its Gaussians in each box are written for comparison
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
     """Stages, models and files. Plans can be added.
 
-    Attributes:
-        models: in the order of the tables, the result last.
-        outputs: the files to write.
-        selections: folder below the run folder -> the selected photos of each box there.
+    `selections`: folder below the run folder -> the selected photos of each box there.
     """
 
-    models: tuple[PlannedModel, ...] = ()
-    outputs: tuple[Output, ...] = ()
+    models: tuple[PlannedModel, ...] = ()  # in the order of the tables, the result last
+    outputs: tuple[Output, ...] = ()  # the files to write
     selections: dict[str, tuple[CameraSelection, ...]] = field(default_factory=dict)
 
     def __add__(self, other: Plan) -> Plan:

@@ -56,24 +56,15 @@ class DamagedError(Exception):
 
 @dataclass(frozen=True, kw_only=True)
 class StageRecord:
-    """`stage.json` without its checksum.
-
-    Attributes:
-        seconds: of training, without checkpoints and evaluation.
-        cpu_seconds: the same as CPU time of all threads of the process. Compare this one on a
-            machine that is busy with other programs.
-        gaussians: their number.
-        device: the type of device that it was trained on: `cpu`, `cuda`.
-        model_sha256: of the file with the model, in hexadecimal digits.
-    """
+    """`stage.json` without its checksum."""
 
     fingerprint: str
-    seconds: float
-    cpu_seconds: float
+    seconds: float  # of training, without checkpoints and evaluation
+    cpu_seconds: float  # the same as CPU time of all threads: to compare on a busy machine
     steps: int
-    gaussians: int
-    device: str
-    model_sha256: str
+    gaussians: int  # their number
+    device: str  # the type of device that it was trained on: `cpu`, `cuda`
+    model_sha256: str  # of the file with the model, in hexadecimal digits
 
 
 def read_record(path: Path) -> StageRecord | None:
@@ -110,19 +101,13 @@ def check_model(path: Path, record: StageRecord) -> None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StageResult:
-    """A finished stage.
-
-    Attributes:
-        model_path: the trained model's PLY, in the world's frame.
-        frame: of the model.
-        trained: the model, if this process trained it.
-    """
+    """A finished stage."""
 
     name: str
     record: StageRecord
-    model_path: Path
-    frame: LocalFrame
-    trained: Gaussians | None = field(default=None, repr=False)
+    model_path: Path  # the trained model's PLY, in the world's frame
+    frame: LocalFrame  # of the model
+    trained: Gaussians | None = field(default=None, repr=False)  # the model, if trained here
 
     @cached_property
     def gaussians(self) -> Gaussians:
@@ -136,15 +121,10 @@ class StageResult:
 
 @dataclass(frozen=True, kw_only=True)
 class StageStatus:
-    """How far a stage is.
+    """How far a stage is."""
 
-    Attributes:
-        result: its result; None: it is not finished.
-        step: of its checkpoint, from which it would be resumed; 0: there is none.
-    """
-
-    result: StageResult | None = None
-    step: int = 0
+    result: StageResult | None = None  # its result; None: it is not finished
+    step: int = 0  # of its checkpoint, from which it would be resumed; 0: there is none
 
 
 def folder_of(run: Path, name: str, fingerprint: str) -> Path:
@@ -170,23 +150,15 @@ def folder_of(run: Path, name: str, fingerprint: str) -> Path:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StageFolder:
-    """The folder that a stage is trained in.
+    """The folder that a stage is trained in; its PLYs are in the world's frame."""
 
-    Attributes:
-        name, folder: of the stage (`folder_of`); the name is shown to the user.
-        frame: that the stage is trained in; its PLYs are in the world's.
-        preview: file for the preview of the current Gaussians.
-        preview_seconds: seconds of training between two previews; 0: none.
-        named: photos that no warning names any more, as one has; gets those of this stage.
-    """
-
-    name: str
-    folder: Path
+    name: str  # of the stage, to be shown to the user
+    folder: Path  # `folder_of` the stage
     fingerprint: str
-    frame: LocalFrame = field(default_factory=LocalFrame.world)
-    preview: Path = Path(run_files.PREVIEW)
-    preview_seconds: float = 0.0
-    named: set[str] = field(default_factory=set)
+    frame: LocalFrame = field(default_factory=LocalFrame.world)  # that the stage is trained in
+    preview: Path = Path(run_files.PREVIEW)  # file for the preview of the current Gaussians
+    preview_seconds: float = 0.0  # seconds of training between two previews; 0: none
+    named: set[str] = field(default_factory=set)  # photos that a warning has named; gets more
 
     @property
     def _checkpoint(self) -> Path:
