@@ -73,7 +73,7 @@ def our_step(gaussians: int, photos: SyntheticPhotos) -> Step:
     """A step of the engine."""
     model = trainable(gaussians, photos.photo.device)
     rates = {name: (tensor, 0.0) for name, tensor in model.tensors().items()}
-    optimizer = VisibleAdam(rates, fused=photos.photo.is_cuda)
+    optimizer = VisibleAdam(rates)
     ahead, taken = StepsAhead(photos.photo.device), 0
 
     def step(pose: Tensor) -> None:
@@ -82,8 +82,6 @@ def our_step(gaussians: int, photos: SyntheticPhotos) -> Step:
         backward_step = ahead.backward_step(optimizer, taken, pose.data_ptr())
         output = photos.render(model, pose, backward_step=backward_step)
         photo_loss(output.image, photos.photo).loss.backward()  # type: ignore[no-untyped-call]
-        if backward_step is None:
-            optimizer.step(output.visible[0])
         if ahead.first_void(wait=False):
             raise RuntimeError("The model stays as it is, so its views have as many pairs.")
         taken += 1

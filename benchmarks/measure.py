@@ -87,7 +87,7 @@ class StepBenchmark:
     def __init__(self, gaussians: int, width: int, height: int) -> None:
         self.model = trainable(gaussians)
         parameters = {name: (tensor, 0.0) for name, tensor in self.model.tensors().items()}
-        self.optimizer = VisibleAdam(parameters, fused=True)
+        self.optimizer = VisibleAdam(parameters)
         self.photos = SyntheticPhotos((width, height))
         self.passes = 0
 

@@ -21,10 +21,9 @@ A `mask` is x0, y0, x1, y1 in pixels, end exclusive, or bool (H, W). Only the 16
 touches are active, forward and backward; other pixels get the background. `ActiveTiles` are faster,
 and may have a window: images then hold that part of the picture alone.
 
-Gradients: if an input is a leaf with an allocated `.grad`, the cpu and cuda backends add to that
-buffer and touch only the rows of Gaussians that pixels give a gradient. So the cost of a training
-step does not depend on the others. Otherwise inputs get dense gradients, as in any torch function.
-Cameras and background get none.
+Cameras and background get no gradient. With a `backward_step`, the backward pass touches only the
+rows of Gaussians that pixels give a gradient: the cost of a training step does not depend on the
+others.
 """
 
 from __future__ import annotations

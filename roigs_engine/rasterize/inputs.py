@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
@@ -263,26 +263,3 @@ def background_colour(background: Tensor | None, like: Tensor) -> Tensor:
     if tuple(background.shape) != (3,):
         raise EngineError(f"rasterize: background has shape {tuple(background.shape)}, not (3,).")
     return background.to(dtype=like.dtype, device=like.device)
-
-
-def gradient_targets(
-    parameters: Sequence[Tensor], needed: Sequence[bool]
-) -> list[tuple[Tensor | None, bool]]:
-    """For each parameter the buffer for its gradient, and whether that is new.
-
-    A dense gradient costs as much for an invisible Gaussian as for a visible one: it is zeroed,
-    added to `.grad` and zeroed again by the optimizer. A view shows a small part of the Gaussians,
-    so this would be most of a training step. If a leaf already has a `.grad`, rows are added there
-    and autograd gets no gradient (so hooks on the leaf do not run).
-    """
-    targets: list[tuple[Tensor | None, bool]] = []
-    for parameter, is_needed in zip(parameters, needed, strict=True):
-        grad = parameter.grad if parameter.is_leaf else None
-        if not is_needed:
-            targets.append((None, False))
-        elif grad is not None and grad.dtype == torch.float32 and grad.is_contiguous():
-            targets.append((grad, False))
-        else:
-            new = torch.zeros(parameter.shape, dtype=torch.float32, device=parameter.device)
-            targets.append((new, True))
-    return targets

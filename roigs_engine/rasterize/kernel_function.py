@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ..errors import EngineError
-from .inputs import RenderInputs, RenderOutput, gradient_targets
+from .inputs import RenderInputs, RenderOutput
 
 Outputs = dict[str, Tensor | None]
 """What to draw into: the fields of `bindings.Outputs` for one camera, and `median`, a depth."""
@@ -73,15 +73,17 @@ class _KernelFunction(torch.autograd.Function):
             views, _ = _drawn(ctx.begin, ctx.inputs, parameters)
         gradient = output_gradients[0].to(torch.float32).contiguous()  # planar: no copy
         needed = [step is None and each for each in ctx.needs_input_grad[2:]]
-        targets = gradient_targets(parameters, needed)
-        buffers = [buffer for buffer, _ in targets]
+        targets = [
+            torch.zeros(p.shape, dtype=torch.float32, device=p.device) if each else None
+            for p, each in zip(parameters, needed, strict=True)
+        ]
         for c, view in enumerate(views):
             view.blend_backward(image[c], gradient[c], ctx.grad2d[c])
             if step is None:
-                view.project_backward(buffers)
+                view.project_backward(targets)
             else:
                 step.take(view.take_step)
-        return (None, None, *(buffer if is_fresh else None for buffer, is_fresh in targets))
+        return (None, None, *targets)
 
 
 def _drawn(

@@ -136,7 +136,7 @@ def results(device: torch.device, backend: str) -> dict[str, Tensor]:
     """All that a training step computes of the check's scene, by name."""
     made = scene(device, COUNT, SIZE)
     before = {name: tensor.clone() for name, tensor in made.model.items()}
-    optimizer = VisibleAdam({name: (made.model[name], 1e-3) for name in NAMES}, fused=True)
+    optimizer = VisibleAdam({name: (made.model[name], 1e-3) for name in NAMES})
     output = draw(made, backend, backward_step=optimizer.backward_step)
     width, height = SIZE
     weights = torch.linspace(0, 2, width, device=device).expand(height, width)
@@ -210,7 +210,7 @@ def scene(device: torch.device, count: int, size: tuple[int, int]) -> Scene:
 def step_milliseconds(device: torch.device, backend: str, *, steps: int) -> float:
     """The mean of some steps on a made-up scene, `COUNT_TIMED` Gaussians on `SIZE_TIMED` pixels."""
     made = scene(device, COUNT_TIMED, SIZE_TIMED)
-    optimizer = VisibleAdam({name: (made.model[name], 1e-3) for name in NAMES}, fused=True)
+    optimizer = VisibleAdam({name: (made.model[name], 1e-3) for name in NAMES})
     for _ in range(WARM_UP):
         _step(made, optimizer, backend)
     _wait(device)

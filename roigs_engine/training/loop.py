@@ -88,12 +88,10 @@ class StepsAhead:
         self._buffers = pair_buffers_on(device)
         self._losses: dict[int, Tensor] = {}
 
-    def backward_step(
-        self, optimizer: VisibleAdam, step: int, view: Hashable
-    ) -> BackwardStep | None:
+    def backward_step(self, optimizer: VisibleAdam, step: int, view: Hashable) -> BackwardStep:
         """The optimizer's step for the backward pass; `view` is that of `PairBuffers.buffer`."""
         taken = optimizer.backward_step
-        if taken is None or self._buffers is None:
+        if self._buffers is None:
             return taken
         return replace(taken, pair_buffer=self._buffers.buffer(step, view))
 

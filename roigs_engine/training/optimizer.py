@@ -4,11 +4,9 @@ Two rules make a step's cost depend on what the photo shows and not on the scene
 
 * Rows that are not visible, or whose gradient is zero, as others hide them, keep their value and
   their moments: no decay.
-* There is no dense gradient. With `fused`, the rasterizer's backward pass takes the step itself
+* There is no gradient in memory: the rasterizer's backward pass takes the step itself
   (`VisibleAdam.backward_step`), on all rows to which a pixel hands a gradient, though that of each
-  parameter may be zero. It leaves SH of higher degrees than are drawn as they are. Otherwise each
-  parameter's `.grad` is allocated once, as zeros, the backward pass adds to the rows of visible
-  Gaussians, and `VisibleAdam.step` applies and zeroes these rows.
+  parameter may be zero. It leaves SH of higher degrees than are drawn as they are.
 """
 
 from __future__ import annotations
@@ -45,26 +43,16 @@ class VisibleAdam:
             since reading it would wait for the GPU.
     """
 
-    def __init__(
-        self,
-        parameters: Mapping[str, tuple[Tensor, float | Tensor]],
-        *,
-        fused: bool = False,
-        reference: bool = False,
-    ) -> None:
-        """Start with zero moments; allocate `.grad` of every parameter, unless fused.
+    def __init__(self, parameters: Mapping[str, tuple[Tensor, float | Tensor]]) -> None:
+        """Start with zero moments.
 
         Args:
             parameters: name -> (contiguous leaf tensor, learning rate). The learning rate is one
                 number, or a tensor with one number per element of a row: (48,) for sh (N, 16, 3).
-            fused: the rasterizer's backward pass takes the steps (see the module); ignored where
-                it has no kernels.
-            reference: plain torch takes the steps, as it does where there are no kernels.
 
         Raises:
             EngineError: wrong numbers of rows or learning rates, or wrong strides.
         """
-        self._may_fuse, self.reference = fused, reference
         self.parameters: dict[str, Tensor] = {}
         self.exp_avg: dict[str, Tensor] = {}
         self.exp_avg_sq: dict[str, Tensor] = {}
@@ -93,39 +81,6 @@ class VisibleAdam:
             raise EngineError(f"{name}: {values.numel()} learning rates for {width} columns.")
         values = values.expand(width).to(parameter.device, copy=True)
         self._learning_rates[name] = values.contiguous()
-
-    @torch.no_grad()
-    def step(self, visible: Tensor) -> int | Tensor:
-        """Update the visible rows that have a gradient in any parameter, and zero that gradient.
-
-        Args:
-            visible: (N,) bool. The gradient of all other rows must be zero; it is not touched.
-
-        Returns:
-            The number of rows skipped, and their gradient zeroed, for NaN or Inf.
-        """
-        for name, parameter in self.parameters.items():
-            if visible.shape != parameter.shape[:1] or visible.dtype != torch.bool:
-                raise EngineError(
-                    f"visible is {tuple(visible.shape)} {visible.dtype}; "
-                    f"{name} has {len(parameter)} rows."
-                )
-        on = torch.zeros_like(visible)  # where a gradient is not zero; NaN is not
-        for parameter in self.parameters.values():
-            if parameter.grad is not None:
-                rows = parameter.grad.reshape(len(on), parameter.shape[1:].numel())
-                on |= rows.ne(0).any(dim=1)
-        on &= visible
-        if self._on_kernels and on.device.type == "cpu":
-            kernels = bindings.kernels()
-            return self.step_by(
-                lambda adam: kernels.roigs_adam(len(on), adam, bindings.pointer(on))
-            )
-        self._check_row_rates()
-        self.step_count += 1
-        skipped: int | Tensor = sum(self._reference_step(name, on) for name in self.parameters)
-        self.skipped_rows += skipped
-        return skipped
 
     def step_by(self, kernel: Callable[[Any], int | Tensor]) -> int | Tensor:
         """Take a step with a kernel, which gets a `bindings.Adam*` and returns what `step` does."""
@@ -158,44 +113,9 @@ class VisibleAdam:
             )
 
     @property
-    def fused(self) -> bool:
-        """Whether the backward pass takes the steps; then parameters have no `.grad`."""
-        return self._may_fuse and self._on_kernels
-
-    @property
-    def _on_kernels(self) -> bool:
-        """Whether a kernel takes the steps; all parameters have one dtype and device."""
-        first = next(iter(self.parameters.values()))
-        usable = first.device.type in ("cpu", "cuda") and first.dtype == torch.float32
-        return usable and not self.reference
-
-    @property
-    def backward_step(self) -> BackwardStep | None:
-        """The argument of `rasterize(..., backward_step=...)`; None: call `step` instead."""
-        return BackwardStep(tuple(self.parameters.values()), self.step_by) if self.fused else None
-
-    def _reference_step(self, name: str, visible: Tensor) -> Tensor:
-        """The step in plain torch, on all rows with a mask; the tests compare backends with it."""
-        parameter, gradient = self.parameters[name], self.parameters[name].grad
-        mean, square = self.exp_avg[name], self.exp_avg_sq[name]
-        assert gradient is not None, "the buffer is allocated here"
-        beta1, beta2 = BETAS
-        learning_rates = self._learning_rates[name]
-        finite = gradient.isfinite().reshape(len(gradient), learning_rates.numel()).all(dim=1)
-        row = (-1,) + (1,) * (gradient.dim() - 1)
-        on = (visible & finite).view(row)
-        lr = learning_rates.to(parameter.dtype).view(1, *parameter.shape[1:])
-
-        usable = torch.where(on, gradient, 0)
-        mean.copy_(torch.where(on, beta1 * mean + (1 - beta1) * usable, mean))
-        square.copy_(torch.where(on, beta2 * square + (1 - beta2) * usable**2, square))
-        denominator = (square / (1 - beta2**self.step_count)).sqrt() + EPS
-        if self.row_rates is not None:
-            lr = lr * self.row_rates.to(lr.dtype).view(row)
-        change = lr * mean / (1 - beta1**self.step_count) / denominator
-        parameter.copy_(torch.where(on, parameter - change, parameter))
-        gradient.copy_(torch.where(visible.view(row), 0, gradient))
-        return (visible & ~finite).sum()
+    def backward_step(self) -> BackwardStep:
+        """The argument of `rasterize(..., backward_step=...)`."""
+        return BackwardStep(tuple(self.parameters.values()), self.step_by)
 
     @torch.no_grad()
     def replace(self, parameters: Mapping[str, Tensor], rows: Tensor) -> None:
@@ -221,7 +141,7 @@ class VisibleAdam:
         """An optimizer of copies of these rows, with their moments; `put` takes them back."""
         copies = {name: p.detach()[rows].contiguous() for name, p in self.parameters.items()}
         rates = {name: (copy, self._learning_rates[name]) for name, copy in copies.items()}
-        part = VisibleAdam(rates, fused=self._may_fuse, reference=self.reference)
+        part = type(self)(rates)
         part.step_count = self.step_count
         for name in copies:
             part.exp_avg[name] = self.exp_avg[name][rows].contiguous()
@@ -282,9 +202,7 @@ class VisibleAdam:
             if not tensor.is_leaf or not tensor.is_contiguous():
                 raise EngineError(f"{name} is not a contiguous leaf tensor.")
             tensor.requires_grad_()
-            self.parameters[name] = tensor
-        for tensor in parameters.values():
-            tensor.grad = None if self.fused else torch.zeros_like(tensor)
+            self.parameters[name], tensor.grad = tensor, None
 
 
 def leaves(gaussians: Gaussians) -> Gaussians:

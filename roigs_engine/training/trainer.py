@@ -151,8 +151,6 @@ class Trainer:
             loss_weight = share if loss_weight is None else loss_weight * share
         loss.loss.backward(loss_weight)  # type: ignore[no-untyped-call]
         visible = output.visible[0]
-        if self.optimizer.backward_step is None:
-            self.optimizer.step(visible)
         with torch.no_grad():
             for each in self._running.values():
                 each.observe(visible, output.grad2d[0], output.max_weight)
@@ -286,7 +284,7 @@ class Trainer:
     def _new_optimizer(self) -> VisibleAdam:
         tensors = self._parameters.tensors()
         rates = learning_rates(self.config, self.data.extent, tensors["sh"].shape[1])
-        return VisibleAdam({name: (tensors[name], rates[name]) for name in NAMES}, fused=True)
+        return VisibleAdam({name: (tensors[name], rates[name]) for name in NAMES})
 
     def state_dict(self) -> dict[str, Any]:
         """The complete training state: tensors on the CPU and plain numbers."""

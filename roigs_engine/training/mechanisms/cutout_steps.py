@@ -91,8 +91,6 @@ class _Running(Running):
         )
         weight = number(cutout.loss_weight, target.device)
         loss.loss.backward(weight)  # type: ignore[no-untyped-call]
-        if part.backward_step is None:
-            part.step(output.visible[0])
         training.optimizer.put(part, cutout.rows)
         return cutout.photo, loss.loss.detach()
 

@@ -25,7 +25,8 @@ from roigs_engine.model.ownership import nearest_owner, owners
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.photos.cache import PhotoCache
-from roigs_engine.rasterize import rasterize
+from roigs_engine.rasterize import RenderOutput, rasterize
+from roigs_engine.rasterize.inputs import BackwardStep
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.stage_folder import StageFolder
 from roigs_engine.run.strategies import plan_run
@@ -35,12 +36,12 @@ from roigs_engine.training.checkpoint import save_checkpoint
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.mechanisms.density_control import RunningDensityControl
 from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
-from roigs_engine.training.optimizer import VisibleAdam
 from roigs_engine.training.trainer import Trainer
 from tests.engine import synthetic_scene
 from tests.engine.cuda.short import CONFIG, trained
 from tests.engine.runs import tiny
 from tests.engine.synthetic_scene import BOX, make_scene, stage_data
+from tests.engine.training.adam_from_gradients import AdamFromGradients
 
 
 @pytest.fixture(scope="module")
@@ -53,10 +54,19 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
 
 def without_kernels(patch: pytest.MonkeyPatch) -> None:
     """A training step in plain torch."""
-    for name, function in (("rasterize", rasterize), ("photo_loss", photo_loss)):
-        patch.setattr(trainer, name, partial(function, backend="reference"))
-    plain = lambda parameters, **_: VisibleAdam(parameters, reference=True)  # noqa: E731
-    patch.setattr(trainer, "VisibleAdam", plain)
+
+    def plain(*arguments: Any, backward_step: BackwardStep, **options: Any) -> RenderOutput:
+        output = rasterize(*arguments, backend="reference", **options)
+        optimizer: AdamFromGradients = backward_step.take.__self__  # type: ignore[attr-defined]
+        engine = torch.autograd.Variable._execution_engine  # type: ignore[attr-defined]
+        output.image.register_hook(
+            lambda _: engine.queue_callback(lambda: optimizer.step(output.visible[0]))
+        )
+        return output
+
+    patch.setattr(trainer, "rasterize", plain)
+    patch.setattr(trainer, "photo_loss", partial(photo_loss, backend="reference"))
+    patch.setattr(trainer, "VisibleAdam", partial(AdamFromGradients, reference=True))
 
 
 def weights(trainer: Trainer) -> torch.Tensor:

@@ -6,6 +6,7 @@ With buffers for pairs they have the same bits as without.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 import torch
@@ -14,7 +15,6 @@ from torch import Tensor
 from roigs_engine.cuda.pair_buffers import PairBuffer
 from roigs_engine.model.gaussians import NAMES
 from roigs_engine.rasterize import cuda, rasterize
-from roigs_engine.rasterize.inputs import BackwardStep
 from roigs_engine.training.optimizer import VisibleAdam
 from tests.engine.cuda.shim import ShimProgram
 from tests.engine.rasterize_cases import cameras, gaussians, largest_difference, relative_error
@@ -92,7 +92,7 @@ def step(
     """A training step; what it draws, and the optimizer after it."""
     parameters = [p.clone() for p in model]
     pairs = zip(NAMES, parameters, strict=True)
-    optimizer = VisibleAdam({name: (p, 1e-3) for name, p in pairs}, fused=True)
+    optimizer = VisibleAdam({name: (p, 1e-3) for name, p in pairs})
     views = (camera[:1] for camera in cameras(*size))
     drawn = rasterize(
         *parameters,
@@ -101,7 +101,7 @@ def step(
         raw=True,
         with_max_weight=True,
         backend=backend,
-        backward_step=BackwardStep(tuple(parameters), optimizer.step_by, buffer),
+        backward_step=replace(optimizer.backward_step, pair_buffer=buffer),
     )
     weights = torch.randn(drawn.image.shape, generator=torch.Generator().manual_seed(1))
     (drawn.image * weights).sum().backward()

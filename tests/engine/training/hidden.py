@@ -29,7 +29,7 @@ def keeps_what_others_hide(backend: str) -> None:
         "logit_opacities": torch.tensor([3.0, 3.0, 3.0]),
         "sh": torch.full((3, 1, 3), 0.3),
     }
-    optimizer = VisibleAdam({name: (p, 0.01) for name, p in parameters.items()}, fused=True)
+    optimizer = VisibleAdam({name: (p, 0.01) for name, p in parameters.items()})
     states = []
     for _ in range(2):
         output = render(optimizer, limits=TRAINING_LIMITS, backend=backend)

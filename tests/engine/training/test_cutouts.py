@@ -13,8 +13,8 @@ from roigs_engine.model.scene import PhotoMask, SfmScene
 from roigs_engine.photos.mask_images import load_object_mask, write_mask
 from roigs_engine.training.loss_masks import LossMasks
 from roigs_engine.training.mechanisms.cutout_steps import EVERY, Cutouts
-from roigs_engine.training.optimizer import VisibleAdam
 from tests.engine.synthetic_scene import BOX, make_scene, truth
+from tests.engine.training.adam_from_gradients import AdamFromGradients
 from tests.engine.training.mask_pixels import pixels_of
 
 
@@ -93,9 +93,9 @@ def test_without_an_object_all_steps_are_ordinary(scene: SfmScene) -> None:
 
 
 def test_a_part_of_an_optimizer_takes_the_same_step() -> None:
-    def optimizer() -> VisibleAdam:
+    def optimizer() -> AdamFromGradients:
         tensors = {n: t.clone() for n, t in truth().tensors().items()}
-        return VisibleAdam({n: (t, 0.01) for n, t in tensors.items()}, reference=True)
+        return AdamFromGradients({n: (t, 0.01) for n, t in tensors.items()})
 
     whole, parted = optimizer(), optimizer()
     rows = torch.arange(0, 300, 7)

@@ -6,42 +6,54 @@ test_kernels_property.
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import pytest
 import torch
 from torch import Tensor
 
 from roigs_engine.errors import EngineError
 from roigs_engine.rasterize import RenderOutput
-from roigs_engine.rasterize.inputs import BackwardStep
 from roigs_engine.training.optimizer import VisibleAdam
 from tests.engine.rasterize_cases import NAMES, gaussians
+from tests.engine.training.adam_from_gradients import AdamFromGradients
 from tests.engine.training.hidden import SIZE, keeps_what_others_hide, render
 
+Adam = TypeVar("Adam", bound=VisibleAdam)
 
-def adam(*, fused: bool = True, dtype: torch.dtype = torch.float32) -> VisibleAdam:
+
+def adam(kind: type[Adam] = VisibleAdam, dtype: torch.dtype = torch.float32) -> Adam:
     """Of Gaussians of which every second one is behind the camera."""
     tensors = [p.to(dtype) for p in gaussians(300, raw=True)]
     tensors[0][::2, 2] -= 100.0
     parameters = zip(NAMES, tensors, strict=True)
-    return VisibleAdam({name: (p, 0.01) for name, p in parameters}, fused=fused)
+    return kind({name: (p, 0.01) for name, p in parameters})
 
 
 def after_a_step(
-    *, fused: bool, weights: Tensor, row_rates: Tensor | None = None
+    weights: Tensor, row_rates: Tensor | None = None
 ) -> tuple[VisibleAdam, RenderOutput]:
     """`weights` (H, W, 1) are the gradient of the image."""
-    optimizer = adam(fused=fused)
+    optimizer = adam()
     optimizer.row_rates = row_rates
     output = render(optimizer)
     (output.image * weights).sum().backward()
-    if not fused:
-        optimizer.step(output.visible[0])
     return optimizer, output
+
+
+def after_gradients(weights: Tensor, row_rates: Tensor | None = None) -> AdamFromGradients:
+    """The same by gradients, and a step from these."""
+    optimizer = adam(AdamFromGradients)
+    optimizer.row_rates = row_rates
+    output = render(optimizer, backward_step=None)
+    (output.image * weights).sum().backward()
+    optimizer.step(output.visible[0])
+    return optimizer
 
 
 def test_no_gradient_is_kept_and_rows_out_of_view_stay() -> None:
     start = adam()
-    optimizer, output = after_a_step(fused=True, weights=torch.ones(*SIZE[::-1], 1))
+    optimizer, output = after_a_step(torch.ones(*SIZE[::-1], 1))
     seen = output.visible[0]
     assert seen.any() and not seen[::2].any()
     assert optimizer.step_count == 1
@@ -59,8 +71,8 @@ def test_what_others_hide_keeps_values_and_moments(isa: str) -> None:
 def test_broken_rows_are_skipped_as_by_a_step() -> None:
     weights = torch.ones(*SIZE[::-1], 1)
     weights[20, 30] = torch.inf
-    fused, _ = after_a_step(fused=True, weights=weights)
-    apart, output = after_a_step(fused=False, weights=weights)
+    fused, output = after_a_step(weights)
+    apart = after_gradients(weights)
     visible = int(output.visible.sum())
     assert 0 < fused.skipped_rows == apart.skipped_rows < len(NAMES) * visible
     for name, parameter in fused.parameters.items():
@@ -70,9 +82,9 @@ def test_broken_rows_are_skipped_as_by_a_step() -> None:
 
 def test_rows_learn_as_much_faster_as_in_a_step() -> None:
     weights, rates = torch.ones(*SIZE[::-1], 1), 1.0 + (torch.arange(300) // 3 % 4)
-    fused, output = after_a_step(fused=True, weights=weights, row_rates=rates)
-    apart, _ = after_a_step(fused=False, weights=weights, row_rates=rates)
-    plain, _ = after_a_step(fused=True, weights=weights)
+    fused, output = after_a_step(weights, rates)
+    apart = after_gradients(weights, rates)
+    plain, _ = after_a_step(weights)
     faster = output.visible[0] & (rates > 1)
     for name, parameter in fused.parameters.items():
         assert torch.equal(parameter, apart.parameters[name]), name
@@ -101,12 +113,6 @@ def test_rendering_alone_takes_no_step() -> None:
     assert optimizer.step_count == 0
 
 
-def test_a_backend_that_cannot_fuse_keeps_gradients() -> None:
-    optimizer = adam(dtype=torch.float64)
-    assert not optimizer.fused
-    assert all(parameter.grad is not None for parameter in optimizer.parameters.values())
-
-
 def test_a_second_backward_is_refused() -> None:
     loss = render(adam()).image.sum()
     loss.backward(retain_graph=True)
@@ -119,9 +125,7 @@ def test_a_step_that_cannot_be_taken_is_refused() -> None:
         render(adam(), views=2)
     with pytest.raises(EngineError, match="reference backend"):
         render(adam(), backend="reference")
-    other = adam(dtype=torch.float64)
-    step = BackwardStep(tuple(other.parameters.values()), other.step_by)
     with pytest.raises(EngineError, match="reference backend"):
-        render(other, backward_step=step)
+        render(adam(dtype=torch.float64))
     with pytest.raises(EngineError, match="not the tensors"):
         render(adam(), backward_step=adam().backward_step)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from roigs_engine.errors import EngineError
 from roigs_engine.kernels import library
-from roigs_engine.training.optimizer import VisibleAdam
+from tests.engine.training.adam_from_gradients import AdamFromGradients
 
 SHAPES: dict[str, tuple[int, ...]] = {
     "means": (3,),
@@ -31,7 +31,9 @@ def _threads() -> Iterator[None]:
     library.set_threads(before)
 
 
-def make(count: int, *, backend: str = "cpu", dtype: torch.dtype = torch.float32) -> VisibleAdam:
+def make(
+    count: int, *, backend: str = "cpu", dtype: torch.dtype = torch.float32
+) -> AdamFromGradients:
     generator = torch.Generator().manual_seed(0)
     parameters: dict[str, tuple[Tensor, float | Tensor]] = {}
     for number, (name, shape) in enumerate(SHAPES.items()):
@@ -40,7 +42,7 @@ def make(count: int, *, backend: str = "cpu", dtype: torch.dtype = torch.float32
     rates = torch.full((16, 3), 1e-4)
     rates[0] = 2e-3
     parameters["sh"] = (parameters["sh"][0], rates.flatten())
-    return VisibleAdam(parameters, reference=backend == "reference")
+    return AdamFromGradients(parameters, reference=backend == "reference")
 
 
 def gradients(count: int, seed: int) -> dict[str, Tensor]:
@@ -53,13 +55,13 @@ def gradients(count: int, seed: int) -> dict[str, Tensor]:
     }
 
 
-def give(optimizer: VisibleAdam, given: dict[str, Tensor], visible: Tensor) -> None:
+def give(optimizer: AdamFromGradients, given: dict[str, Tensor], visible: Tensor) -> None:
     for name, parameter in optimizer.parameters.items():
         assert parameter.grad is not None
         parameter.grad[visible] += given[name][visible].to(parameter.dtype)
 
 
-def everything(optimizer: VisibleAdam) -> dict[str, Tensor]:
+def everything(optimizer: AdamFromGradients) -> dict[str, Tensor]:
     """All state by name, copied."""
     state: dict[str, Tensor] = {}
     for name, parameter in optimizer.parameters.items():
@@ -240,7 +242,7 @@ def test_visible_rows_without_a_gradient_stay_as_they_are(backend: str) -> None:
 
 def test_moments_do_not_become_subnormal() -> None:
     parameter = torch.zeros(32, 3)
-    optimizer = VisibleAdam({"means": (parameter, 1e-3)})
+    optimizer = AdamFromGradients({"means": (parameter, 1e-3)})
     assert parameter.grad is not None
     visible = torch.ones(32, dtype=torch.bool)
     parameter.grad.fill_(1e-8)
@@ -299,7 +301,7 @@ def test_zero_moments() -> None:
 def test_steps_are_large_after_moments_were_zeroed() -> None:
     """With gradients of one size, a step is as long as the learning rate; then several times."""
     value = torch.zeros(1, 3)
-    optimizer = VisibleAdam({"means": (value, 1.0)})
+    optimizer = AdamFromGradients({"means": (value, 1.0)})
     lengths = []
     for step in range(3000):
         if step == 1500:
@@ -326,7 +328,7 @@ def test_resumed_is_uninterrupted() -> None:
                 k: {n: t.clone() for n, t in v.items()} if isinstance(v, dict) else v
                 for k, v in whole.state_dict().items()
             }
-    resumed = VisibleAdam({n: (v, 0.0) for n, v in values.items()})
+    resumed = AdamFromGradients({n: (v, 0.0) for n, v in values.items()})
     resumed.load_state_dict(saved)
     for step in (2, 3):
         give(resumed, gradients(count, seed=step), visible)
@@ -347,6 +349,6 @@ def test_errors() -> None:
     with pytest.raises(EngineError, match="fits"):
         make(9).load_state_dict(optimizer.state_dict())
     with pytest.raises(EngineError, match="contiguous leaf"):
-        VisibleAdam({"means": (torch.zeros(3, 8).T, 1.0)})
+        AdamFromGradients({"means": (torch.zeros(3, 8).T, 1.0)})
     with pytest.raises(EngineError, match="numbers of rows"):
-        VisibleAdam({"a": (torch.zeros(3), 1.0), "b": (torch.zeros(4), 1.0)})
+        AdamFromGradients({"a": (torch.zeros(3), 1.0), "b": (torch.zeros(4), 1.0)})
