@@ -14,24 +14,18 @@ render's own values there decide how much SSIM sees of a difference nearby.
 from __future__ import annotations
 
 import ctypes
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from ..cuda import card
 from ..cuda.bindings import PIXELS, Loss, address
 from ..errors import EngineError
 from ..kernels import bindings
 
-WINDOW_RADIUS = 5
-WINDOW_SIGMA = 1.5
-C1 = 0.01**2
-C2 = 0.03**2
-BACKENDS = ("auto", "cpu", "cuda", "reference")
+BACKENDS = ("auto", "cpu", "cuda")
 TILE = 16  # of the CUDA kernel
 
 
@@ -55,7 +49,7 @@ def photo_loss(
     """The training loss; differentiable in `image`.
 
     Args:
-        image: values in [0, 1]. A permuted view of planar (3, H, W) memory is the fastest form:
+        image: float32 in [0, 1]. A permuted view of planar (3, H, W) memory is the fastest form:
             it is not copied, and its gradient has the same form.
         target: the photo, on the image's device.
         ssim_weight: weight of the SSIM term, 0 to 1.
@@ -63,9 +57,8 @@ def photo_loss(
             divided by their sum. The SSIM of a pixel still depends on all pixels around it. If all
             weights are zero, so is the loss.
         counted: the pixels that no mask ignores; None: all.
-        backend: "cpu" (compiled kernel: float32 on the CPU), "cuda" (our kernel: float32 on an
-            NVIDIA GPU), "reference" (plain torch, any dtype and device), or "auto": the first
-            one that supports the arguments.
+        backend: "cpu" (compiled kernel: tensors on the CPU), "cuda" (our kernel: on an NVIDIA
+            GPU), or "auto": that of the image's device.
 
     Raises:
         EngineError: wrong shapes or types, or an unknown backend.
@@ -75,15 +68,11 @@ def photo_loss(
     _check(planes, target, weights, counted)
     if counted is not None:
         planes, target, weights = _without_ignored(planes, target, weights, counted)
-    kind = planes.device.type if planes.dtype == torch.float32 else ""
-    if backend == "auto":
-        backend = kind if kind in ("cpu", "cuda") else "reference"
-    if backend == "reference":
-        return _reference(planes, target, ssim_weight, weights)
+    backend = planes.device.type if backend == "auto" else backend
     if backend not in BACKENDS:
         raise EngineError(f"photo_loss: unknown backend {backend!r}.", f"Use one of {BACKENDS}.")
-    if backend == "cpu" and kind != "cpu":
-        raise EngineError("photo_loss: the cpu backend takes float32 tensors on the CPU only.")
+    if backend == "cpu" and planes.device.type != "cpu":
+        raise EngineError("photo_loss: the cpu backend takes tensors on the CPU only.")
     terms = _terms_on_cpu if backend == "cpu" else _terms_on_gpu
     return LossOutput(*_KernelLoss.apply(planes, target, ssim_weight, weights, terms))  # type: ignore[no-untyped-call]
 
@@ -96,36 +85,6 @@ def _without_ignored(
     zero = image.new_zeros(())
     weights = counted.to(torch.float32) if weights is None else weights * counted
     return torch.where(shown, image, zero), target * shown, weights
-
-
-def ssim_map(image: Tensor, target: Tensor) -> Tensor:
-    """(H, W, 3) twice -> SSIM of every pixel and channel, (H, W, 3); plain torch.
-
-    `target` may be uint8; then it is divided by 255. Any floating dtype and device.
-    """
-    x, t = image.permute(2, 0, 1), _unit_values(target, image.dtype).permute(2, 0, 1)
-    mean_x, mean_t = _filtered(x), _filtered(t)
-    variance_x = _filtered(x * x) - mean_x**2
-    variance_t = _filtered(t * t) - mean_t**2
-    covariance = _filtered(x * t) - mean_x * mean_t
-    luminance = (2 * mean_x * mean_t + C1) / (mean_x**2 + mean_t**2 + C1)
-    structure = (2 * covariance + C2) / (variance_x + variance_t + C2)
-    return (luminance * structure).permute(1, 2, 0)
-
-
-def _reference(
-    image: Tensor, target: Tensor, ssim_weight: float, weights: Tensor | None
-) -> LossOutput:
-    error = (image - _unit_values(target, image.dtype)).abs().mean(dim=-1)
-    difference = 1 - ssim_map(image, target).mean(dim=-1)
-    if weights is None:
-        l1, dissimilarity = error.mean(), difference.mean()
-    else:
-        share = weights.to(image.dtype)
-        share = share / share.sum().clamp(min=torch.finfo(image.dtype).tiny)
-        l1, dissimilarity = (share * error).sum(), (share * difference).sum()
-    loss = (1 - ssim_weight) * l1 + ssim_weight * dissimilarity
-    return LossOutput(loss, l1.detach(), 1 - dissimilarity.detach())
 
 
 class _KernelLoss(torch.autograd.Function):
@@ -196,8 +155,8 @@ def _terms_on_gpu(
 
 def _check(image: Tensor, target: Tensor, weights: Tensor | None, counted: Tensor | None) -> None:
     shape = tuple(image.shape)
-    if image.dim() != 3 or shape[2] != 3 or 0 in shape or not image.is_floating_point():
-        raise EngineError(f"photo_loss: image is {shape} {image.dtype}, not (H, W, 3) floats.")
+    if image.dim() != 3 or shape[2] != 3 or 0 in shape or image.dtype != torch.float32:
+        raise EngineError(f"photo_loss: image is {shape} {image.dtype}, not (H, W, 3) float32.")
     if tuple(target.shape) != shape or target.dtype != torch.uint8:
         raise EngineError(
             f"photo_loss: target is {tuple(target.shape)} {target.dtype}, not {shape} uint8."
@@ -208,24 +167,3 @@ def _check(image: Tensor, target: Tensor, weights: Tensor | None, counted: Tenso
         raise EngineError(
             f"photo_loss: counted is {tuple(counted.shape)} {counted.dtype}, not {shape[:2]} bool."
         )
-
-
-def _unit_values(image: Tensor, dtype: torch.dtype) -> Tensor:
-    return image.to(dtype) / 255 if image.dtype == torch.uint8 else image.to(dtype)
-
-
-def _filtered(planes: Tensor) -> Tensor:
-    """(3, H, W) -> the same size, filtered with the window along columns, then rows."""
-    window = _window(planes.dtype, planes.device)
-    batch = planes[:, None]
-    batch = functional.conv2d(batch, window.view(1, 1, -1, 1), padding=(WINDOW_RADIUS, 0))
-    batch = functional.conv2d(batch, window.view(1, 1, 1, -1), padding=(0, WINDOW_RADIUS))
-    return batch[:, 0]
-
-
-@functools.lru_cache(maxsize=8)
-def _window(dtype: torch.dtype, device: torch.device) -> Tensor:
-    """(11,) Gaussian, sum 1."""
-    offsets = torch.arange(-WINDOW_RADIUS, WINDOW_RADIUS + 1, dtype=torch.float64)
-    window = torch.exp(-(offsets**2) / (2 * WINDOW_SIGMA**2))
-    return (window / window.sum()).to(dtype=dtype, device=device)

@@ -33,7 +33,6 @@ from roigs_engine.run.strategies import plan_run
 from roigs_engine.training import stage_data as stage_data_module
 from roigs_engine.training import trainer
 from roigs_engine.training.checkpoint import save_checkpoint
-from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.mechanisms.density_control import RunningDensityControl
 from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
 from roigs_engine.training.trainer import Trainer
@@ -42,6 +41,7 @@ from tests.engine.cuda.short import CONFIG, trained
 from tests.engine.runs import tiny
 from tests.engine.synthetic_scene import BOX, make_scene, stage_data
 from tests.engine.training.adam_from_gradients import AdamFromGradients
+from tests.engine.training.reference_loss import photo_loss
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,6 @@ from torch import Tensor
 from roigs_engine.model.gaussians import NAMES
 from roigs_engine.rasterize import rasterize
 from roigs_engine.training import trainer
-from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
 from roigs_engine.training.optimizer import VisibleAdam
 from tests.engine.cuda.shim import ShimProgram
@@ -21,6 +20,7 @@ from tests.engine.cuda.short import CONFIG, trained
 from tests.engine.rasterize_cases import cameras, gaussians, relative_error
 from tests.engine.synthetic_scene import make_scene
 from tests.engine.training.hidden import keeps_what_others_hide
+from tests.engine.training.reference_loss import photo_loss
 
 
 def picture(height: int, width: int) -> tuple[Tensor, Tensor, Tensor]:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter1d
 
 from roigs_engine.evaluation import metrics
-from roigs_engine.training.losses import ssim_map
+from tests.engine.training.reference_loss import ssim_map
 
 
 def picture(seed: int = 0, height: int = 40, width: int = 50) -> torch.Tensor:

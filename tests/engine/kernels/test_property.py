@@ -20,10 +20,10 @@ from torch import Tensor
 from roigs_engine.kernels import library
 from roigs_engine.rasterize import RenderOutput, rasterize, reference
 from roigs_engine.rasterize.limits import NO_LIMITS, Limits
-from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.optimizer import VisibleAdam
 from tests.engine.rasterize_cases import NAMES, gradient_errors, largest_difference
 from tests.engine.training.adam_from_gradients import AdamFromGradients
+from tests.engine.training.reference_loss import photo_loss
 
 GRADIENT_TOLERANCE = 1e-4  # relative L2 per parameter group
 IMAGE_TOLERANCE = 1e-3

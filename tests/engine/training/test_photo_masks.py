@@ -20,12 +20,12 @@ from roigs_engine.run.definition import define_run
 from roigs_engine.run.manifest import manifest_difference
 from roigs_engine.run.strategies import plan_run
 from roigs_engine.training.loss_masks import counted_weights, split_mask
-from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.mechanisms.box_density_control import box_budgets
 from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
 from tests.engine.runs import plys, tiny, train
 from tests.engine.settings import without
 from tests.engine.synthetic_scene import BOX, make_scene
+from tests.engine.training.reference_loss import photo_loss
 
 BACKENDS = ["cpu", "reference"]
 
