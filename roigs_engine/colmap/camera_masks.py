@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..context import QUIET, Context
 from ..formats.files import own_folder
 from ..formats.run_files import MASKS
-from ..formats.text import counted, first_of
+from ..formats.text import counted, named
 from ..model.roi import AREA_SIDE
 from ..model.scene import PhotoMask, PosedImage
 from ..photos.headers import content_digest, photo_size
@@ -210,5 +210,5 @@ def mention_masks(used: int, files: MaskFiles, names: list[str], context: Contex
         context.warn(
             f"{counted(len(unknown), 'file')} in {files.folder} or among the photos"
             f" {'is' if len(unknown) == 1 else 'are'} the mask of no photo:"
-            f" {first_of(unknown)}. The mask of 012.jpg is 012.jpg.png."
+            f" {named(unknown)}. The mask of 012.jpg is 012.jpg.png."
         )

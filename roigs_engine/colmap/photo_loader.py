@@ -16,7 +16,7 @@ from ..formats.rois import FAR
 from ..model.rotations import rotation_entries
 from ..model.scene import Float64, PosedImage, SfmScene
 from ..photos.contents import FILE as CONTENTS
-from ..photos.contents import Contents
+from ..photos.contents import read_contents
 from ..photos.files import PhotoFolder
 from ..photos.headers import check_complete, photo_size
 from ..photos.mask_paths import USUAL_MASKS, MaskFiles, MaskOptions
@@ -155,9 +155,8 @@ class PhotoLoader:
 
     def _identify(self, cache: Path | None, context: Context) -> None:
         """Give the photos their digests; skip those that are damaged."""
-        contents = Contents(cache and cache / CONTENTS)
         photos = {image.name: image.path for image in self.posed.values()}
-        found = contents.read(photos, context, check=self._pixels)
+        found = read_contents(photos, cache and cache / CONTENTS, context, check=self._pixels)
         for key, image in list(self.posed.items()):
             content = found[image.name]
             if content.whole is False:
@@ -223,7 +222,7 @@ class PhotoLoader:
 
 def without_damaged(scene: SfmScene, context: Context = QUIET) -> SfmScene:
     """A scene that was loaded without pixels, without its damaged photos; SceneError: all are."""
-    found = Contents().read({image.name: image.path for image in scene.images}, context)
+    found = read_contents({i.name: i.path for i in scene.images}, context=context)
     damaged = tuple(name for name, content in found.items() if not content.whole)
     if len(damaged) == len(scene.images):
         raise SceneError(f"All {len(damaged)} photos are damaged.", "Restore the files.")

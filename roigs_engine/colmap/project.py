@@ -20,7 +20,7 @@ from ..formats.projects import (
     refined_folder,
 )
 from ..formats.rois import FAR
-from ..formats.text import counted, first_of
+from ..formats.text import counted, named
 from ..model.scene import Float64, Int64, SfmScene
 from ..model.scene_checks import without_outliers
 from ..photos.files import PhotoFolder, find_photos
@@ -133,7 +133,7 @@ def _cleaned(scene: SfmScene, context: Context) -> SfmScene:
         context.warn(f"Left out {counted(scene.stray_points, '3D point')} far from all cameras.")
     for reason, names in scene.skipped.items():
         emit = context.info if reason == UNPOSED else context.warn
-        emit(f"Skipped {counted(len(names), 'photo')}, {reason}: {first_of(names)}.")
+        emit(f"Skipped {counted(len(names), 'photo')}, {reason}: {named(names)}.")
     return scene
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..context import Context
-from ..formats.text import counted, first_of
+from ..formats.text import counted, named
 from ..photos.files import PhotoFolder
 from ..photos.headers import PhotoError, photo_size
 from . import adjustment
@@ -74,7 +74,7 @@ def photo_paths(
     if unused:
         context.warn(
             f"{counted(len(unused), 'photo')} not looked at: missing, damaged, or of another shape"
-            f" than the camera ({first_of(unused)})."
+            f" than the camera ({named(unused)})."
         )
     return found
 

@@ -1,17 +1,4 @@
-"""Requests for pictures for compositing (`render-frames`), and the files that answer them.
-
-A request is a JSON file, written in one go (docs/files.md):
-
-    {"camera": {...a camera of a camera path...}, "out": "/tmp/frames/splats0001",
-     "models": [{"ply": "/runs/pot/result.ply", "matrix": [[...4], [...4], [...4], [...4]],
-                 "gains": [1, 1, 1], "density": 1}]}
-
-`matrix` leads from the model's own world to the camera's; any affine one. `gains` multiply red,
-green and blue; `density`, above 0 and at most 1, is how much of the model is there. Both may be
-missing. Relative paths start at the request's folder. The answer is a PNG with sRGB colours and
-transparency, and a TIFF with the depth along the camera's axis in world units. The request is
-deleted when it is answered, or refused with a warning.
-"""
+"""Requests for pictures for compositing, and the files that answer them (docs/files.md)."""
 
 from __future__ import annotations
 

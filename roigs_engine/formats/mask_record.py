@@ -1,16 +1,9 @@
 """Record of the masks that the engine has made from scribbles, and may replace.
 
-Beside the masks of a box lies `made.json` with the SHA-256 of each file as it was written, and a
-hash of what it was made of, by which masks that need not change are kept:
-
-{"masks": {"sub/012.jpg.png": "9f86d0..."}, "inputs": {"sub/012.jpg.png": "2c26b4..."},
- "writing": {}}
-
-While files are being written, "writing" has those that they will be, so that the masks of a killed
-process are known as well. A file that is not in it, or that has been changed since, is a person's:
-it is never replaced.
-
-Masks that cannot be written beside the photos are in the run folder (`run_files.OBJECT_MASKS`).
+`made.json` beside the masks of a box has, by file, the SHA-256 as it was written ("masks"), a hash
+of what it was made of ("inputs"), by which masks that need not change are kept, and what is being
+written ("writing"), so that the masks of a killed process are known as well. Any other file, or one
+that has been changed since, is a person's: it is never replaced.
 """
 
 from __future__ import annotations

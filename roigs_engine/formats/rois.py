@@ -1,8 +1,4 @@
-"""`rois.json`: the boxes, as the engine and the add-on write and read them; numpy only.
-
-{"rois": [{"name": "vase", "min": [x, y, z], "max": [x, y, z]},
-          {"name": "book", "world_to_box": [[...4], ...4], "half_extents": [x, y, z]}]}
-"""
+"""`rois.json` (docs/files.md): boxes, as engine and add-on write and read them; numpy only."""
 
 from __future__ import annotations
 

@@ -1,12 +1,7 @@
 """`roigs_placement.json`: the pose and scale of a project's model in Blender's world; numpy only.
 
-{"placements": [{"matrix": [[...4], [...4], [...4], [...4]],
-                 "cameras": {"IMG_0001.jpg": [x, y, z], ...}}]}
-
-`matrix` leads from the COLMAP frame to the world, which has metres and z up: a rotation, one scale
-and a translation. `cameras` says where photos were taken, in the COLMAP frame. A transform applies
-to the model that has them there: another model of the project, or one that was made again, has
-another frame.
+docs/files.md describes the file. A transform applies to the model whose cameras are where it says:
+another model of the project, or one that was made again, has another frame.
 """
 
 from __future__ import annotations

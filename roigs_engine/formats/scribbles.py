@@ -1,9 +1,4 @@
-"""Scribbles: a person's strokes on photos, from which masks of objects are made; numpy only.
-
-{"scribbles": [{"box": "vase", "photo": "sub/012.jpg", "strokes": [
-    {"kind": "object", "width": 8, "points": [[310.5, 200], [330, 240]]},
-    {"kind": "background", "width": 8, "points": [[250, 180], [250, 300]]}]}]}
-"""
+"""Files of scribbles (docs/files.md): strokes on photos, from which masks of objects are made."""
 
 from __future__ import annotations
 

@@ -83,12 +83,6 @@ def first_line(error: Exception) -> str:
     return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 
-def first_of(names: Sequence[str]) -> str:
-    """'a, b, c, d' of four names; 'a, b, c, …' of more."""
-    shown = names if len(names) <= NAMED else names[: NAMED - 1]
-    return ", ".join(shown) + ("" if len(shown) == len(names) else ", …")
-
-
 def named(names: Sequence[str], most: int = NAMED) -> str:
     """The names, or the first of them and how many more there are."""
     more = f" and {len(names) - most} more" if len(names) > most else ""

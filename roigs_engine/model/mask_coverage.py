@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..context import QUIET, Context
-from ..formats.text import counted, first_of
+from ..formats.text import counted, named
 from .roi import AREA_SIDE, OrientedBox
 from .scene import Camera, Float64, PhotoMask, PosedImage, SfmScene, project
 
@@ -72,7 +72,7 @@ def with_useful_masks(
             context.warn(
                 f"Box '{roi.name}': {counted(len(names), 'mask')} {verb} nothing in the box and"
                 f" {'is' if len(names) == 1 else 'are'} not used:"
-                f" {first_of(names)}. White is the object, black all else."
+                f" {named(names)}. White is the object, black all else."
             )
     images = []
     for image in scene.images:

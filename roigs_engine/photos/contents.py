@@ -16,7 +16,7 @@ from typing import Any
 from ..context import QUIET, Context
 from ..errors import RunFolderError
 from ..formats.files import read_record, write_json
-from ..formats.text import counted, first_of, json_digest
+from ..formats.text import counted, json_digest, named
 from .headers import PhotoError, content_digest, photo_size
 from .parallel import decoding_bytes, in_parallel
 
@@ -43,66 +43,59 @@ UNREAD = Content(size=-1, modified=0, changed=0, whole=False)
 """Of a file that could not be read this time; no file has its stamp."""
 
 
-class Contents:
-    """What is known of the files of photos, by their names in the scene.
+def read_contents(
+    photos: Mapping[str, Path],
+    memory: Path | None = None,
+    context: Context = QUIET,
+    *,
+    check: bool = True,
+) -> dict[str, Content]:
+    """The content of photos (name -> file), by name; reads the files that are not known.
 
-    Attributes:
-        path: where it is remembered; None: nowhere.
+    With `check`, photos are decoded too, and progress is reported; otherwise `whole` may stay
+    unknown, and nothing is remembered. After a stop, what was found until then is remembered.
+
+    `memory`: file in which contents are remembered; a missing or damaged one counts as empty.
     """
+    known = _remembered(memory) if memory else {}
+    found = {n: known[n] for n, path in photos.items() if _is_current(known.get(n), path, check)}
+    missing = [name for name in photos if name not in found]
+    last, stage = time.monotonic(), STAGE if check else ""
+    largest = max((_memory(photos[name]) for name in missing), default=0)
 
-    def __init__(self, path: Path | None = None) -> None:
-        """Read what is remembered; a missing or damaged file counts as nothing."""
-        self.path = path
-        self._known = _remembered(path) if path is not None else {}
+    def look(name: str) -> Content:
+        return _read(photos[name], check, context)
 
-    def read(
-        self, photos: Mapping[str, Path], context: Context = QUIET, *, check: bool = True
-    ) -> dict[str, Content]:
-        """The content of photos (name -> file), by name; reads the files that are not known.
+    try:
+        with in_parallel(look, missing, largest, context, stage) as work:
+            for name, job in work:
+                found[name] = job.result()
+                if check and time.monotonic() - last > WRITE_SECONDS:
+                    last = time.monotonic()
+                    _remember(memory, found)
+    finally:
+        if missing and check:
+            _remember(memory, found)
+    if check:
+        _warn_of_tones(found, context)
+    return found
 
-        With `check`, photos are decoded too, and progress is reported; otherwise `whole` may stay
-        unknown, and nothing is remembered. After a stop, what was found until then is remembered.
-        """
-        found = {name: self._current(name, path, check) for name, path in photos.items()}
-        missing = [name for name, content in found.items() if content is None]
-        self._known = {name: content for name, content in found.items() if content is not None}
-        last, stage = time.monotonic(), STAGE if check else ""
-        memory = max((_memory(photos[name]) for name in missing), default=0)
 
-        def look(name: str) -> Content:
-            return _read(photos[name], check, context)
-
-        try:
-            with in_parallel(look, missing, memory, context, stage) as work:
-                for name, job in work:
-                    self._known[name] = job.result()
-                    if check and time.monotonic() - last > WRITE_SECONDS:
-                        last = time.monotonic()
-                        self._write()
-        finally:
-            if missing and check:
-                self._write()
-        if check:
-            _warn_of_tones(self._known, context)
-        return self._known
-
-    def _current(self, name: str, path: Path, check: bool) -> Content | None:
-        """What is known, if the file is still the same."""
-        known = self._known.get(name)
-        if known is None or (check and known.whole is None):
-            return None
+def _is_current(known: Content | None, path: Path, check: bool) -> bool:
+    """Whether enough is known of a file that is still the same."""
+    if known is not None and not (check and known.whole is None):
         with suppress(OSError):
-            if _stamp(path) == replace(known, digest="", whole=None, tone=""):
-                return known
-        return None
+            return _stamp(path) == replace(known, digest="", whole=None, tone="")
+    return False
 
-    def _write(self) -> None:
-        """Remember it. It only saves time, so a full disk is no reason to stop here."""
-        if self.path is not None:
-            with suppress(RunFolderError):
-                files = {name: asdict(content) for name, content in sorted(self._known.items())}
-                record = {"version": VERSION, "photos": files, CHECKSUM: json_digest(files)}
-                write_json(self.path, record, durable=False)
+
+def _remember(memory: Path | None, found: Mapping[str, Content]) -> None:
+    """Write the contents down. It only saves time, so a full disk is no reason to stop here."""
+    if memory is not None:
+        with suppress(RunFolderError):
+            files = {name: asdict(content) for name, content in sorted(found.items())}
+            record = {"version": VERSION, "photos": files, CHECKSUM: json_digest(files)}
+            write_json(memory, record, durable=False)
 
 
 def _stamp(path: Path) -> Content:
@@ -139,7 +132,7 @@ def _warn_of_tones(found: Mapping[str, Content], context: Context) -> None:
         names = sorted(name for name, content in found.items() if content.tone == tone)
         context.warn(
             f"{counted(len(names), 'photo')} of more than 8 bits a channel read as nearly {tone}:"
-            f" {first_of(names)}. Scale the values to the whole range of the file's type (floats:"
+            f" {named(names)}. Scale the values to the whole range of the file's type (floats:"
             " 0 to 1), or save 8 bits a channel."
         )
 

@@ -1,16 +1,8 @@
 """Paths of the masks of photos: the one rule, for training and for `reconstruct`.
 
-The mask of `sub/012.jpg` is the first of these files that exists, as COLMAP and Brush name them:
-
-    masks/sub/012.jpg.png       masks/sub/012.jpg.mask.png     masks/sub/012.mask.png
-    masks/sub/012.png           images/sub/012.jpg.mask.png    images/sub/012.mask.png
-
-`masks` is the folder beside the photos' folder, or the one that the user names. A photo without
-such a file has its alpha channel, if there is one, as its mask. Before that comes, unless the user
-names a folder, the mask that `reconstruct` has used, which lies in its own folder.
-
-Masks of a box's object have the names of the first two columns, in the folder `masks/BOX`. Those
-that could not be written there are in a run folder (`formats.mask_record.used_mask`).
+docs/files.md (Masks) has the names, which are those of COLMAP and Brush, in their order. Masks of a
+box's object that could not be written beside the photos are in a run folder
+(`formats.mask_record.used_mask`).
 """
 
 from __future__ import annotations

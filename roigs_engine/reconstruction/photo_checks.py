@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..context import Context
 from ..errors import SceneError
 from ..formats.text import counted, named
-from ..photos.contents import Contents
+from ..photos.contents import read_contents
 from ..photos.decode import decode
 from ..photos.headers import open_photo, photo_size
 from ..photos.parallel import decoding_bytes, in_parallel
@@ -57,7 +57,7 @@ def look_at(files: Mapping[str, Path], remembered: Path, context: Context) -> Fo
 
     `remembered`: file that keeps what was found (`photos.contents`).
     """
-    contents = Contents(remembered).read(files, context)
+    contents = read_contents(files, remembered, context)
     whole = [name for name in sorted(files) if contents[name].whole]
     first: dict[str, str] = {}
     copies = {}

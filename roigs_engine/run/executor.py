@@ -25,7 +25,7 @@ from ..training.labels import object_owners
 from ..training.stage_data import SmallPhotos, StageData
 from .definition import Run
 from .plan import CELLS, CROP, MERGE, POINTS, Output, Plan, PlannedModel, Source, Stage
-from .stage_folder import StageFolder, StageResult, StageStatus, folder_of
+from .stage_folder import StageFolder, StageResult, folder_of
 
 
 class Executor:
@@ -126,7 +126,8 @@ class Executor:
             stages={each.name.rpartition("/")[2]: each.record.seconds for each in results},
         )
 
-    def status(self, stage: Stage) -> StageStatus:
+    def status(self, stage: Stage) -> StageResult | int:
+        """How far a stage is: see `StageFolder.peek`."""
         return self._folder(stage).peek()
 
     def list_stages(self, plan: Plan) -> None:

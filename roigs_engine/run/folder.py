@@ -120,7 +120,7 @@ def train_stage(run: Run, plan: Plan, name: str, context: Context) -> None:
         )
     executor = Executor(run, context)
     executor.list_stages(plan)
-    missing = tuple(s for s in _with_inputs(by_name[name]) if executor.status(s).result is None)
+    missing = tuple(s for s in _with_inputs(by_name[name]) if isinstance(executor.status(s), int))
     with stage_held(run.folder, missing or (by_name[name],), context):
         executor.result(by_name[name])
     executor.close()

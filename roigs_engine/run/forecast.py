@@ -89,7 +89,7 @@ def forecast_if_long(run: Run, plan: Plan, context: Context) -> Forecast | None:
     """`forecast`; None if little is left to train, or if it fails: it is only a text."""
     executor = Executor(run, context)
     found = [(stage, executor.status(stage)) for stage in plan.stages]
-    left = sum(stage.config.steps - status.step for stage, status in found if not status.result)
+    left = sum(stage.config.steps - step for stage, step in found if isinstance(step, int))
     with suppress(EngineError, MemoryError, RuntimeError):
         return forecast(run, plan, context) if left >= WORTH_SAYING else None
     return None
@@ -102,11 +102,11 @@ def forecast(run: Run, plan: Plan, context: Context) -> Forecast:
     stages = []
     for stage in plan.stages:
         status = executor.status(stage)
-        if status.result is None:
+        if isinstance(status, int):
             start = expected_start(stage.start, ends, run.train_scene)
-            found = replace(estimator.estimate(stage, start), steps_done=status.step)
+            found = replace(estimator.estimate(stage, start), steps_done=status)
         else:
-            record = status.result.record
+            record = status.record
             found = StageForecast(
                 stage=stage,
                 end=record.gaussians,

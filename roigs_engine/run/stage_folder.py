@@ -119,14 +119,6 @@ class StageResult:
         return replace(self, trained=None)
 
 
-@dataclass(frozen=True, kw_only=True)
-class StageStatus:
-    """How far a stage is."""
-
-    result: StageResult | None = None  # its result; None: it is not finished
-    step: int = 0  # of its checkpoint, from which it would be resumed; 0: there is none
-
-
 def folder_of(run: Path, name: str, fingerprint: str) -> Path:
     """Where a stage is in a run folder: in `stages/NAME-FINGERPRINT`, which need not exist.
 
@@ -164,12 +156,15 @@ class StageFolder:
     def _checkpoint(self) -> Path:
         return self.folder / run_files.CHECKPOINT
 
-    def peek(self) -> StageStatus:
-        """How far the stage is; changes nothing."""
+    def peek(self) -> StageResult | int:
+        """The result of a finished stage, or the step of its checkpoint, 0 if there is none.
+
+        Changes nothing.
+        """
         with suppress(RunFolderError, DamagedError):
             if result := self._verified():
-                return StageStatus(result=result)
-        return StageStatus(step=checkpoint_step(self._checkpoint, self.fingerprint))
+                return result
+        return checkpoint_step(self._checkpoint, self.fingerprint)
 
     def finished(self, context: Context = QUIET) -> StageResult | None:
         """The stage's result if it is finished, or None.

@@ -8,7 +8,7 @@ from pathlib import Path
 from ..context import QUIET, Context
 from ..errors import ConfigError
 from ..formats.files import read_json
-from ..formats.text import counted, first_of
+from ..formats.text import counted, named
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 from ..model.visibility import find_candidates
@@ -70,7 +70,7 @@ def usable_manual(
     ):
         if skipped:
             count = counted(len(skipped), "selected photo")
-            context.warn(f"Skipped {count} of box '{roi}', {reason}: {first_of(skipped)}.")
+            context.warn(f"Skipped {count} of box '{roi}', {reason}: {named(skipped)}.")
     usable = tuple(name for name in names if name in usable_names and name not in test_names)
     if not usable:
         raise ConfigError(

@@ -16,7 +16,7 @@ from roigs_engine.errors import Stopped
 from roigs_engine.formats.events import Event, Message, StageStarted
 from roigs_engine.model.scene import Camera, PosedImage
 from roigs_engine.photos import decode
-from roigs_engine.photos.contents import UNREAD, Contents
+from roigs_engine.photos.contents import UNREAD, read_contents
 from roigs_engine.photos.decode import load_photo
 from roigs_engine.photos.headers import PhotoError
 from roigs_engine.photos.parallel import in_parallel
@@ -50,12 +50,12 @@ def test_each_photo_is_decoded_once(
     photos: dict[str, Path], decoded: list[str], tmp_path: Path
 ) -> None:
     memory = tmp_path / "cache/photos.json"
-    first = Contents(memory).read(photos)
+    first = read_contents(photos, memory)
     assert [content.whole for content in first.values()] == [True] * 4 + [False]
     assert len({content.digest for content in first.values()}) == 5
-    assert Contents(memory).read(photos) == first
+    assert read_contents(photos, memory) == first
     assert sorted(decoded) == sorted(photos)
-    assert Contents().read(photos) == first  # without a memory: again
+    assert read_contents(photos) == first  # without a memory: again
     assert len(decoded) == 10
 
 
@@ -63,7 +63,7 @@ def test_a_touched_photo_keeps_its_digest_and_a_changed_one_does_not(
     photos: dict[str, Path], decoded: list[str], tmp_path: Path
 ) -> None:
     memory = tmp_path / "photos.json"
-    first = Contents(memory).read(photos)
+    first = read_contents(photos, memory)
     decoded.clear()
     os.utime(photos["0.png"], ns=(1, 1))
     status = photos["1.png"].stat()
@@ -71,7 +71,7 @@ def test_a_touched_photo_keeps_its_digest_and_a_changed_one_does_not(
         photos["2.png"].read_bytes().ljust(status.st_size)[: status.st_size]
     )
     os.utime(photos["1.png"], ns=(status.st_atime_ns, status.st_mtime_ns))  # as if unchanged
-    second = Contents(memory).read(photos)
+    second = read_contents(photos, memory)
     assert second["0.png"].digest == first["0.png"].digest
     assert second["1.png"].digest != first["1.png"].digest
     assert sorted(decoded) == ["0.png", "1.png"]
@@ -81,12 +81,12 @@ def test_without_decoding_nothing_is_written(
     photos: dict[str, Path], decoded: list[str], tmp_path: Path
 ) -> None:
     memory = tmp_path / "photos.json"
-    found = Contents(memory).read(photos, check=False)
+    found = read_contents(photos, memory, check=False)
     assert decoded == [] and not memory.exists()
     assert {content.whole for content in found.values()} == {None}
-    checked = Contents(memory).read(photos)
+    checked = read_contents(photos, memory)
     assert {n: c.digest for n, c in checked.items()} == {n: c.digest for n, c in found.items()}
-    assert Contents(memory).read(photos, check=False) == checked
+    assert read_contents(photos, memory, check=False) == checked
 
 
 def test_values_that_do_not_fill_their_type_are_warned_of(
@@ -99,7 +99,7 @@ def test_values_that_do_not_fill_their_type_are_warned_of(
         Image.fromarray(grey * (most // 255)).save(photos[name])
     Image.new("L", (40, 30)).save(photos["2.png"])  # black as it is
     for _ in range(2):
-        Contents(tmp_path / "photos.json").read(photos, Context(emit=heard.append))
+        read_contents(photos, tmp_path / "photos.json", Context(emit=heard.append))
     said = [event.text for event in heard if isinstance(event, Message)]
     assert len(said) == 2 and said[0] == said[1]
     assert "2 photos of more than 8 bits" in said[0] and "nearly black: 0.png, 1.png." in said[0]
@@ -114,16 +114,16 @@ def test_a_damaged_memory_is_made_again(
 ) -> None:
     memory = tmp_path / "photos.json"
     memory.write_text(text)
-    found = Contents(memory).read(photos)
+    found = read_contents(photos, memory)
     assert len(decoded) == 5
-    assert Contents(memory).read(photos) == found and len(decoded) == 5
+    assert read_contents(photos, memory) == found and len(decoded) == 5
 
 
 def test_a_photo_that_cannot_be_read_is_looked_at_again(tmp_path: Path) -> None:
     memory, path = tmp_path / "photos.json", tmp_path / "a.png"
-    assert Contents(memory).read({"a": path}) == {"a": UNREAD}
+    assert read_contents({"a": path}, memory) == {"a": UNREAD}
     Image.new("RGB", (20, 20)).save(path)
-    assert Contents(memory).read({"a": path})["a"].whole
+    assert read_contents({"a": path}, memory)["a"].whole
 
 
 def test_a_disk_that_fails_once_does_not_damage_a_photo(
@@ -135,10 +135,10 @@ def test_a_disk_that_fails_once_does_not_damage_a_photo(
         raise PhotoError("unreadable") from OSError(errno.EIO, "Input/output error")
 
     monkeypatch.setattr(decode, "check_whole", failing)
-    assert Contents(memory).read(photos)["0.png"].whole is False
+    assert read_contents(photos, memory)["0.png"].whole is False
     monkeypatch.setattr(decode, "check_whole", check)
-    assert Contents(memory).read(photos)["0.png"].whole
-    assert Contents(memory).read(photos)["4.png"].whole is False
+    assert read_contents(photos, memory)["0.png"].whole
+    assert read_contents(photos, memory)["4.png"].whole is False
 
 
 def test_after_an_error_no_photo_is_looked_at(tmp_path: Path) -> None:
@@ -169,11 +169,11 @@ def test_a_stop_keeps_what_was_found(
     memory, events = tmp_path / "photos.json", list[Event]()
     context = Context(emit=events.append, should_stop=lambda: len(events) > 2)
     with pytest.raises(Stopped):
-        Contents(memory).read(photos, context)
+        read_contents(photos, memory, context)
     assert isinstance(events[0], StageStarted) and events[0].total == 5
     before = len(decoded)
     assert before >= 2
-    Contents(memory).read(photos)
+    read_contents(photos, memory)
     assert len(decoded) <= 5 + before - 2
 
 
@@ -181,12 +181,12 @@ def test_a_changed_digit_in_the_memory_is_not_believed(
     photos: dict[str, Path], decoded: list[str], tmp_path: Path
 ) -> None:
     memory = tmp_path / "cache/photos.json"
-    first = Contents(memory).read(photos)
+    first = read_contents(photos, memory)
     digest = first["0.png"].digest
     other = ("1" if digest[0] != "1" else "2") + digest[1:]
     for bad in (other, "é"):
         memory.write_text(memory.read_text("utf-8").replace(digest, bad), encoding="utf-8")
-        assert Contents(memory).read(photos) == first
+        assert read_contents(photos, memory) == first
     assert len(decoded) == 3 * len(photos)
 
 
@@ -198,7 +198,7 @@ def test_a_photo_that_changes_while_it_is_used_is_refused(photos: dict[str, Path
         camera=camera,
         world_to_camera=np.eye(4),
         point_indices=np.zeros(0, np.int64),
-        digest=Contents().read(photos)["0.png"].digest,
+        digest=read_contents(photos)["0.png"].digest,
     )
     assert load_photo(image).shape == (30, 40, 3)
     Image.effect_noise((40, 30), 90).save(image.path)
