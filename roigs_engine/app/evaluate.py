@@ -151,16 +151,15 @@ def _split_beside(model: Path) -> Path | None:
 
 def _read_split(path: Path) -> tuple[str, list[str]]:
     """Whether a run is evaluated on test or on validation photos, and their names."""
-    record = read_json(path, ConfigError, "Use a run's split.json.")
+    hint = "Use a run's split.json."
+    record = read_json(path, ConfigError, hint)
     record = record if isinstance(record, dict) else {}
     photos = record.get("evaluate_on", TEST)
     if photos not in PHOTOS:
-        what = f"{path}: 'evaluate_on' is neither {TEST} nor {VALIDATION}."
-        raise ConfigError(what, "Use a run's split.json.")
+        raise ConfigError(f"{path}: 'evaluate_on' is neither {TEST} nor {VALIDATION}.", hint)
     names = record.get(photos)
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        what = f"{path} has no list '{photos}' of photo names."
-        raise ConfigError(what, "Use a run's split.json.")
+        raise ConfigError(f"{path} has no list '{photos}' of photo names.", hint)
     if not names:
         hint = "Use the split.json of a run with test photos, or --test-every."
         raise ConfigError(f"{path} names no {photos} photo.", hint)

@@ -13,6 +13,7 @@ from ..formats.drawable import usable
 from ..formats.files import read_json
 from ..formats.splat_ply import is_antialiased, read_ply
 from ..formats.text import counted
+from ..formats.transforms import numbers
 
 if TYPE_CHECKING:
     from ..model.gaussians import Gaussians
@@ -105,20 +106,17 @@ def _needed(item: Any, name: str, whose: str) -> Any:
 
 def _affine(rows: Any) -> Float64:
     """A matrix of a request; ValueError unless it can be inverted."""
-    matrix = np.array(rows, dtype=float)
-    if matrix.shape != (4, 4) or not (np.abs(matrix) < FAR).all():  # catches NaN too
-        raise ValueError(f"matrix must be 4 x 4 numbers below {FAR:g}")
+    matrix = numbers(rows, (4, 4), "matrix", FAR)
     if (matrix[3] != (0, 0, 0, 1)).any() or np.linalg.matrix_rank(matrix[:3, :3]) < 3:
         raise ValueError("matrix must be affine, and no scale may be zero")
     return matrix
 
 
-def _gains(numbers: Any) -> tuple[float, float, float]:
+def _gains(record: Any) -> tuple[float, float, float]:
     """The gains of a request; ValueError unless pictures can have them."""
-    gains = np.array(numbers, dtype=float)
-    if gains.shape != (3,) or not ((gains >= 0) & (gains <= MOST)).all():  # catches NaN too
-        raise ValueError(f"gains must be three numbers from 0 to {MOST:g}")
-    red, green, blue = gains.tolist()
+    red, green, blue = numbers(record, (3,), "gains").tolist()
+    if not 0 <= min(red, green, blue) <= max(red, green, blue) <= MOST:
+        raise ValueError(f"gains must be from 0 to {MOST:g}")
     return red, green, blue
 
 

@@ -105,7 +105,7 @@ def plan_mask(
 
     `photo`, `digest`: the photo's file, and its hash; for the others, see `MaskPlan`.
     """
-    size = photo_size(photo) or (0, 0)
+    size = photo_size(photo)
     if file is not None:
         try:
             digest = content_digest(file)

@@ -111,7 +111,7 @@ class PhotoLoader:
         if path is None:
             return MISSING
         try:
-            size = photo_size(path) or (camera.width, camera.height)
+            size = photo_size(path)
             check_complete(path)
         except SceneError:
             return UNREADABLE

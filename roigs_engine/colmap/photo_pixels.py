@@ -101,7 +101,7 @@ def photo_pixels(
         lenses = {photo_name(each): record.cameras[each.camera_id] for each in record.images}
     found = {}
     for image in images:
-        size = photo_size(image.path) or (image.camera.width, image.camera.height)
+        size = photo_size(image.path)
         found[image.name] = PhotoPixels(
             name=image.name,
             path=image.path,

@@ -1,9 +1,7 @@
 """Gaussians in the 3DGS PLY layout that every splat viewer reads; numpy only.
 
-Layout (docs/conventions.md): binary little-endian float32 `x y z nx ny nz f_dc_0..2 f_rest_0..44
-opacity scale_0..2 rot_0..3`; `f_rest` channel-major (15 red, 15 green, 15 blue), opacity a logit,
-scales natural logarithms, rotation wxyz. Values go out and come back bit for bit. Centres far from
-the origin, as in map coordinates, are `double x y z`: float32 would be too coarse there.
+docs/conventions.md has the layout. Values go out and come back bit for bit. Centres far from the
+origin, as in map coordinates, are `double x y z`: float32 would be too coarse there.
 
 Gaussians that were trained with anti-aliasing must be drawn with it. A comment says so:
 `SplatRenderMode: mip`, as Brush, gsplat and PlayCanvas's splat-transform have it; Postshot's

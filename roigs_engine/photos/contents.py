@@ -139,7 +139,7 @@ def _warn_of_tones(found: Mapping[str, Content], context: Context) -> None:
 
 def _memory(path: Path) -> int:
     try:
-        return decoding_bytes(path, photo_size(path) or (0, 0))
+        return decoding_bytes(path, photo_size(path))
     except PhotoError:
         return 0
 

@@ -58,7 +58,7 @@ def read_mask(
 
 
 def has_alpha(path: Path) -> bool:
-    """Whether a photo's file has an alpha channel, by its header; False without Pillow."""
+    """Whether a photo's file has an alpha channel, by its header."""
     try:
         with open_photo(path) as photo:
             return photo.has_transparency_data and not photo.mode.startswith("I")

@@ -80,10 +80,7 @@ def _other_run(folder: Path, difference: str) -> RunFolderError:
 def read_manifest(path: Path) -> Any:
     """The manifest of a run folder; RunFolderError if it cannot be read, or is none."""
     hint = "Delete it; finished stages that still fit are kept."
-    try:
-        record = read_json(path)
-    except RunFolderError as error:
-        raise RunFolderError(error.message, hint) from error
+    record = read_json(path, hint=hint)
     if not isinstance(record, dict):
         raise RunFolderError(f"{path} is no manifest of a run.", hint)
     return record

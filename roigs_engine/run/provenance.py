@@ -84,10 +84,7 @@ def _earlier(path: Path) -> list[Any]:
     if not path.exists():
         return []
     hint = "Delete it, or choose another folder."
-    try:
-        record = read_json(path)
-    except RunFolderError as error:
-        raise RunFolderError(error.message, hint) from error
+    record = read_json(path, hint=hint)
     if not isinstance(record, dict) or not isinstance(record.get("entries"), list):
         raise RunFolderError(f"{path} is not a provenance file.", hint)
     return list(record["entries"])
