@@ -340,9 +340,9 @@ def missing_in(cache: Path, images: Iterable[PosedImage]) -> list[PosedImage]:
 
 
 def remove_unused(cache: Path, images: Iterable[PosedImage]) -> None:
-    """Delete the undistorted photos in `cache` that `images` do not use."""
+    """Delete the undistorted photos in `cache` that `images` do not use; other files stay."""
     used = {image.path.name for image in images}
-    for path in own_folder(cache, UNDISTORTED).glob("*.png"):
+    for path in own_folder(cache, UNDISTORTED).glob("[0-9a-f]" * 32 + ".png"):
         if path.name not in used:
             with suppress(OSError):
                 path.unlink()

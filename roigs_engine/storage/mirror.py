@@ -10,7 +10,7 @@ from typing import Any
 
 from ..context import Context
 from ..errors import ConfigError, EngineError
-from ..formats.files import read_json, write_json
+from ..formats.files import own_folder, read_json, write_json
 from ..formats.names import inner_path
 from .quota import alone, claim, enforce_quota, keep, limit
 from .urls import FileSystem, file_system, folder_of, guarded
@@ -32,14 +32,14 @@ def mirror(url: str, context: Context) -> Path:
         known = _index(folder)
         for name, sign in files.items():
             context.check_cancelled()
-            target = folder / FILES / name
+            target = own_folder(folder, FILES, *Path(name).parts[:-1]) / Path(name).name
             here = target.stat().st_size if target.is_file() else -1
             if known.get(name) != sign or here != sign[0]:
                 with guarded(f"{url} ({name})"):
                     _copy(found, f"{place}/{name}", target, sign[0])
                 known[name] = sign
-        for name in known.keys() - files.keys():
-            (folder / FILES / name).unlink(missing_ok=True)
+        for name in filter(inner_path, known.keys() - files.keys()):
+            own_folder(folder, FILES, name).unlink(missing_ok=True)
         write_json(folder / INDEX, {name: known[name] for name in files})
         keep(folder)
     enforce_quota(context)

@@ -18,7 +18,7 @@ from pathlib import Path
 from ..context import QUIET, Context
 from ..errors import ConfigError, RunFolderError
 from ..formats.clean_up import disk_size
-from ..formats.files import is_link
+from ..formats.files import is_link, matching
 from ..formats.lock import holder, locked
 from ..formats.run_files import BATCH_LOCK
 from .urls import home
@@ -83,7 +83,10 @@ def enforce_quota(context: Context = QUIET) -> None:
                 removed.mkdir(exist_ok=True)
                 with suppress(OSError):  # on Windows, a file of it is open
                     folder.rename(removed / uuid.uuid4().hex)
-    shutil.rmtree(removed, ignore_errors=True)
+    for folder in matching(removed, "[0-9a-f]" * 32):
+        shutil.rmtree(folder, ignore_errors=True)
+    with suppress(OSError):  # it has files of others
+        removed.rmdir()
 
 
 def _copy_of(folder: Path) -> Path:

@@ -33,6 +33,7 @@ class Case(list[str]):
     Attributes:
         statuses: the exit statuses that are right.
         names: one of these must be in the line of an error; none: any line will do.
+        keeps: files of the user's in the case's folder that stay as they are.
     """
 
     def __init__(
@@ -41,9 +42,10 @@ class Case(list[str]):
         *,
         statuses: tuple[int, ...] = (0, 2),
         names: tuple[str, ...] = (),
+        keeps: tuple[str, ...] = (),
     ) -> None:
         super().__init__(command)
-        self.statuses, self.names = statuses, names
+        self.statuses, self.names, self.keeps = statuses, names, keeps
 
 
 def write(path: Path, data: bytes | str) -> Path:
@@ -110,6 +112,7 @@ def all_families() -> dict[str, tuple[Family, int]]:
         exchange,
         levels_and_scribbles,
         masks,
+        names,
         run_folders,
         scenes,
         stores,
@@ -117,7 +120,7 @@ def all_families() -> dict[str, tuple[Family, int]]:
         user_input,
     )
 
-    files = (scenes, command_files, run_folders, user_input, texts, exchange, masks, stores)
+    files = (scenes, command_files, run_folders, user_input, texts, exchange, masks, stores, names)
     tables = [file.FAMILIES for file in (*files, levels_and_scribbles)]
     return functools.reduce(operator.or_, tables)
 

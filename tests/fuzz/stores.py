@@ -83,7 +83,8 @@ def work_on_store(request: Any, context: Context) -> Result:
     plan = json.loads(request.plan.read_bytes())
     home, calls = request.plan.parent.parent / "out", plan["calls"]
     whole = dict(run_files())
-    with a_machine(home / "copies"):
+    full = {"ROIGS_CACHE_GB": plan.get("gigabytes", "50")}
+    with a_machine(home / "copies"), mock.patch.dict(os.environ, full):
         if plan["work"] == "fetch":
             stored_run(plan["url"], RUN).fetch(home / "got")
             return Result()

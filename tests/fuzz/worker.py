@@ -14,9 +14,11 @@ import json
 import os
 import re
 import resource
+import stat
 import sys
 import tempfile
 import traceback
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -116,6 +118,7 @@ def complaint(family: str, number: int) -> str:
         folder = Path(name) / "a" / "b" / "case"
         (folder / "in").mkdir(parents=True)
         command = cases.make(family, number, folder)
+        before = contents(folder, command.keeps)
         out, err = io.StringIO(), io.StringIO()
         status: object
         try:
@@ -135,7 +138,23 @@ def complaint(family: str, number: int) -> str:
             return f"{command}: control characters\n{out.getvalue()!r}\n{said!r}"
         if "Warning:" in said or "Traceback" in said:
             return f"{command}: a warning of Python's\n{said}"
+        after = contents(folder, before)
+        if changed := [path for path in after if after[path] != before.get(path)]:
+            return f"{command}: files of the user's were changed: {changed[:9]}"
         return unfinished(Path(name), folder) or str(status)
+
+
+def contents(folder: Path, names: Iterable[str]) -> dict[str, bytes | None]:
+    """Each file of the input, and those of these names, with its bytes; None: it is gone."""
+    found = {str(p.relative_to(folder)) for p in (folder / "in").rglob("*") if is_file(p)}
+    paths = {name: folder / name for name in sorted({*found, *names})}
+    return {name: path.read_bytes() if is_file(path) else None for name, path in paths.items()}
+
+
+def is_file(path: Path) -> bool:
+    """Whether it is a readable file, reached through no link."""
+    linked = path.is_symlink() or not os.access(path, os.R_OK)
+    return not linked and stat.S_ISREG(os.lstat(path).st_mode)
 
 
 def unfinished(root: Path, folder: Path) -> str:
@@ -162,7 +181,7 @@ def main(chosen: list[tuple[str, int]]) -> None:
     complaint("model_bytes", 0)  # loads what is loaded late
     if {"checkpoints", "stage_records"} & {family for family, _ in chosen}:
         run_folders.stopped_runs()  # kept: making them would count against a case's time
-    if any(family.startswith("store_") for family, _ in chosen):
+    if {"store_commits", "store_outages", "clean", "caches"} & {family for family, _ in chosen}:
         stores.published()
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limit = pages * resource.getpagesize() + MEMORY

@@ -236,3 +236,12 @@ def test_masks_have_no_overshoot() -> None:
     made = undistort.undistorted_pixels(step, lens, sharp=False)
     assert made.max() == 200
     assert undistort.undistorted_pixels(step, lens).max() > 200
+
+
+def test_files_of_others_among_the_undistorted_photos_stay(tmp_path: Path) -> None:
+    folder = tmp_path / "undistorted"
+    folder.mkdir()
+    for name in ("holiday.png", f"{1:032x}.png"):
+        (folder / name).write_bytes(b"mine")
+    undistort.remove_unused(tmp_path, [])
+    assert [path.name for path in folder.iterdir()] == ["holiday.png"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 import pytest
 
 from roigs_engine.context import QUIET
-from roigs_engine.errors import ConfigError
+from roigs_engine.errors import ConfigError, RunFolderError
 from roigs_engine.formats.lock import locked
 from roigs_engine.formats.run_files import BATCH_LOCK
 from roigs_engine.requests.values import is_url
@@ -119,3 +120,39 @@ def test_folders_of_the_user_stay_in_whatever_folder_the_copies_are(
     enforce_quota()
     assert all((home / name / "photo.jpg").exists() for name in names)
     assert (mine / f"{3:020x}" / "photo.jpg").exists()
+
+
+def test_an_index_that_others_wrote_deletes_nothing_elsewhere(store: Any, tmp_path: Path) -> None:
+    folder = mirror(URL.format("hall"), QUIET)
+    mine = tmp_path / "mine.txt"
+    mine.write_bytes(b"mine")
+    index = json.loads((folder.parent / "index.json").read_text(encoding="utf-8"))
+    names = (str(mine), os.path.relpath(mine, folder), "..\\..\\mine.txt", "a\0b", "")
+    index |= {name: [4, ""] for name in names}
+    (folder.parent / "index.json").write_text(json.dumps(index), encoding="utf-8")
+    mirror(URL.format("hall"), QUIET)
+    assert mine.exists()
+
+
+def test_copies_are_not_written_through_links(store: Any, tmp_path: Path) -> None:
+    folder = mirror(URL.format("hall"), QUIET)
+    (tmp_path / "mine").mkdir()
+    for path in (folder / "images").iterdir():
+        path.unlink()
+    (folder / "images").rmdir()
+    (folder / "images").symlink_to(tmp_path / "mine")
+    with pytest.raises(RunFolderError, match="is a link"):
+        mirror(URL.format("hall"), QUIET)
+    assert not list((tmp_path / "mine").iterdir())
+
+
+def test_files_of_others_beside_removed_copies_stay(
+    store: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROIGS_CACHE_GB", "0")
+    home = mirror(URL.format("hall"), QUIET).parents[2]
+    for name in (f"{REMOVED}/mine/a.jpg", f"{REMOVED}/{5:032x}/a.jpg"):
+        (home / name).parent.mkdir(parents=True)
+        (home / name).write_bytes(b"mine")
+    enforce_quota()
+    assert [path.name for path in (home / REMOVED).iterdir()] == ["mine"]
