@@ -9,6 +9,11 @@ setup.py runs it where neither numpy nor torch is there.
 
 from __future__ import annotations
 
+import sys
+
+if __name__ == "__main__" and not sys.flags.safe_path:
+    del sys.path[0]  # `-m` puts the working folder there, which may be a stranger's
+
 import argparse
 import getpass
 import hashlib
@@ -17,7 +22,6 @@ import os
 import platform
 import shutil
 import subprocess
-import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -32,18 +33,24 @@ def mirror(url: str, context: Context) -> Path:
         known = _index(folder)
         for name, sign in files.items():
             context.check_cancelled()
-            target = own_folder(folder, FILES, *Path(name).parts[:-1]) / Path(name).name
+            target = _target(folder, name)
             here = target.stat().st_size if target.is_file() else -1
             if known.get(name) != sign or here != sign[0]:
                 with guarded(f"{url} ({name})"):
                     _copy(found, f"{place}/{name}", target, sign[0])
                 known[name] = sign
         for name in filter(inner_path, known.keys() - files.keys()):
-            own_folder(folder, FILES, name).unlink(missing_ok=True)
+            with suppress(EngineError, OSError):
+                _target(folder, name).unlink()
         write_json(folder / INDEX, {name: known[name] for name in files})
         keep(folder)
     enforce_quota(context)
     return folder / FILES
+
+
+def _target(folder: Path, name: str) -> Path:
+    """Where the copy of a file is; RunFolderError: through a link."""
+    return own_folder(folder, FILES, *Path(name).parts[:-1]) / Path(name).name
 
 
 def _listed(found: FileSystem, place: str, url: str) -> dict[str, list[Any]]:

@@ -118,9 +118,21 @@ def all_families() -> dict[str, tuple[Family, int]]:
         stores,
         texts,
         user_input,
+        working_folders,
     )
 
-    files = (scenes, command_files, run_folders, user_input, texts, exchange, masks, stores, names)
+    files = (
+        scenes,
+        command_files,
+        run_folders,
+        user_input,
+        texts,
+        exchange,
+        masks,
+        stores,
+        names,
+        working_folders,
+    )
     tables = [file.FAMILIES for file in (*files, levels_and_scribbles)]
     return functools.reduce(operator.or_, tables)
 
