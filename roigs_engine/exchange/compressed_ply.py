@@ -12,7 +12,7 @@ import numpy as np
 from ..formats.files import write_bytes
 from ..formats.splat_ply import ANTIALIASED
 from .arrays import Arrays, unit_quats
-from .libraries import damaged, package, reading
+from .libraries import package
 
 TITLE = "compressed PLY"
 CHUNK = 256  # Gaussians that share their bounds
@@ -43,8 +43,7 @@ def read(path: Path) -> Arrays:
     """See `FileFormat`."""
     gsply: Any = package("gsply", TITLE)
     _check(path)
-    with reading(path, TITLE):
-        return arrays_of(gsply.plyread(path))
+    return arrays_of(gsply.plyread(path))
 
 
 def arrays_of(data: Any) -> Arrays:
@@ -69,27 +68,27 @@ def _check(path: Path) -> None:
         size = os.fstat(file.fileno()).st_size
     end = re.search(rb"\nend_header\r?\n", head)
     if not head.startswith(b"ply") or end is None:
-        raise damaged(path, TITLE, "no header")
+        raise ValueError("no header")
     counts, bytes_of, element = {}, {}, ""
     for line in head[: end.start()].decode("ascii", "replace").splitlines():
         words = line.split()
         if words[:1] == ["element"] and len(words) == 3:
             element = words[1]
             if not re.fullmatch("[0-9]{1,12}", words[2]) or element in counts:
-                raise damaged(path, TITLE, f"'{line:.40}'")
+                raise ValueError(f"'{line:.40}'")
             counts[element], bytes_of[element] = int(words[2]), 0
         elif words[:1] == ["property"] and element:
             if len(words) != 3:
-                raise damaged(path, TITLE, f"'{line:.40}'")
+                raise ValueError(f"'{line:.40}'")
             bytes_of[element] += {"float": 4, "uint": 4, "uchar": 1}.get(words[1], 1 << 40)
     if not {"chunk", "vertex"} <= counts.keys() <= BYTES.keys():
-        raise damaged(path, TITLE, "its elements are not those of a compressed PLY")
+        raise ValueError("its elements are not those of a compressed PLY")
     if any(bytes_of[name] not in BYTES[name] for name in counts):
-        raise damaged(path, TITLE, "its properties are not those of a compressed PLY")
+        raise ValueError("its properties are not those of a compressed PLY")
     if -(-counts["vertex"] // CHUNK) != counts["chunk"]:
-        raise damaged(path, TITLE, "its chunks do not belong to its Gaussians")
+        raise ValueError("its chunks do not belong to its Gaussians")
     if counts.get("sh", counts["vertex"]) != counts["vertex"]:
-        raise damaged(path, TITLE, "its colours do not belong to its Gaussians")
+        raise ValueError("its colours do not belong to its Gaussians")
     wanted = sum(counts[name] * bytes_of[name] for name in counts)
     if size - end.end() < wanted:
-        raise damaged(path, TITLE, f"it has {size - end.end()} of {wanted} bytes")
+        raise ValueError(f"it has {size - end.end()} of {wanted} bytes")

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -16,7 +15,7 @@ from ..formats import splat_ply
 from ..formats.drawable import usable
 from ..formats.files import regular, remove_leftovers_of
 from .arrays import Arrays, Check, extent, flaw, nothing
-from .libraries import HINT, damaged
+from .libraries import HINT, reading
 
 FAR = 1e4
 """So many times its size away from the origin, float32 shows a model's Gaussians moved."""
@@ -30,10 +29,9 @@ class FileFormat:
     """A format.
 
     Its module has `write(path, arrays)`, which returns how many Gaussians it has written, and
-    `read(path)`. Both raise ConfigError where the format cannot hold the model, EngineError if a
-    package is missing, RunFolderError if the file is damaged or cannot be written, and OSError if
-    it cannot be read. A module that `keeps_antialiased` has `is_antialiased` if it reads, and its
-    `write` takes `antialiased`.
+    `read(path)`, any error of which means a damaged file. Both raise ConfigError where the format
+    cannot hold the model, and EngineError if a package is missing. A module that
+    `keeps_antialiased` has `is_antialiased` if it reads, and its `write` takes `antialiased`.
     """
 
     title: str  # what people call it
@@ -117,10 +115,10 @@ def read(path: Path) -> Arrays:
     if not form.module:
         return splat_ply.read_ply(path)
     reader: Callable[[Path], Arrays] = import_module(f".{form.module}", __package__).read
-    with _opened(path):
+    with reading(path, form.title):
         found = reader(path)
-    if problem := flaw(found):
-        raise damaged(path, form.title, problem)
+        if problem := flaw(found):
+            raise ValueError(problem)
     arrays = usable(found)
     if not len(arrays["means"]):
         raise RunFolderError(f"{path} has no Gaussians that can be drawn.", HINT)
@@ -135,7 +133,7 @@ def is_antialiased(path: Path) -> bool:
     if form.suffix.endswith(".ply"):  # both kinds say it alike
         return splat_ply.is_antialiased(path)
     said: Callable[[Path], bool] = import_module(f".{form.module}", __package__).is_antialiased
-    with _opened(path):
+    with reading(path, form.title):
         return said(path)
 
 
@@ -159,20 +157,6 @@ def _readable(path: Path) -> FileFormat:
     if not form.reads:
         raise ConfigError(f"{form.title} files cannot be read.", "Give one of another format.")
     return form
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[None]:
-    """Wrap a module that reads `path`: errors of the file system become one line."""
-    try:
-        # Libraries would wait for a pipe, and have their own errors for a missing file.
-        with open(path, "rb", opener=regular):
-            pass
-        yield
-    except OSError as error:
-        raise RunFolderError(
-            f"Cannot read {path} ({error.strerror or error}).", "Check the file and its rights."
-        ) from error
 
 
 def _is_compressed(path: Path) -> bool:

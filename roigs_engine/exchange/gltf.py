@@ -18,7 +18,7 @@ from ..formats.files import write_bytes
 from ..model.gaussians import SH_C0
 from ..model.scene import Float64
 from .arrays import Arrays, logits, opacities, unit_quats
-from .libraries import damaged, package, reading
+from .libraries import package
 from .transform import moved
 
 TITLE = "glTF"
@@ -90,35 +90,34 @@ def _columns(arrays: Arrays) -> dict[str, NDArray[Any]]:
 def read(path: Path) -> Arrays:
     """See `FileFormat`: the Gaussians of a GLB with one such primitive, where its node has them."""
     record, blob = _parts(path)
-    with reading(path, TITLE):
-        found = [
-            (number, primitive["attributes"], primitive["extensions"][NAME].get("extensions", {}))
-            for number, mesh in enumerate(record.get("meshes", []))
-            for primitive in mesh["primitives"]
-            if NAME in primitive.get("extensions", {})
-        ]
-        if len(found) != 1:
-            raise damaged(path, TITLE, f"{len(found)} primitives with {NAME}, not one")
-        ((mesh, at, inner),) = found
-        for name in inner:  # others may be ignored
-            if "compression" in name:
-                raise damaged(path, TITLE, f"its Gaussians are packed by {name}")
+    found = [
+        (number, primitive["attributes"], primitive["extensions"][NAME].get("extensions", {}))
+        for number, mesh in enumerate(record.get("meshes", []))
+        for primitive in mesh["primitives"]
+        if NAME in primitive.get("extensions", {})
+    ]
+    if len(found) != 1:
+        raise ValueError(f"{len(found)} primitives with {NAME}, not one")
+    ((mesh, at, inner),) = found
+    for name in inner:  # others may be ignored
+        if "compression" in name:
+            raise ValueError(f"its Gaussians are packed by {name}")
 
-        def get(name: str) -> NDArray[np.float32]:
-            if name not in at:
-                raise ValueError(f"no attribute {name}")
-            return _values(record, blob, int(at[name]))
+    def get(name: str) -> NDArray[np.float32]:
+        if name not in at:
+            raise ValueError(f"no attribute {name}")
+        return _values(record, blob, int(at[name]))
 
-        there = next((k for k, name in enumerate(SH_NAMES) if name not in at), len(SH_NAMES))
-        bands = max((k for k in (1, 4, 9, 16) if k <= there), default=1)
-        arrays = {
-            "means": get("POSITION"),
-            "quats": np.roll(get(f"{NAME}:ROTATION"), 1, axis=1),
-            "log_scales": np.log(np.maximum(get(f"{NAME}:SCALE"), 1e-30)),
-            "logit_opacities": logits(get(f"{NAME}:OPACITY").reshape(-1)),
-            "sh": np.stack([get(name) for name in SH_NAMES[:bands]], axis=1),
-        }
-        return moved(arrays, _transform(record, mesh))
+    there = next((k for k, name in enumerate(SH_NAMES) if name not in at), len(SH_NAMES))
+    bands = max((k for k in (1, 4, 9, 16) if k <= there), default=1)
+    arrays = {
+        "means": get("POSITION"),
+        "quats": np.roll(get(f"{NAME}:ROTATION"), 1, axis=1),
+        "log_scales": np.log(np.maximum(get(f"{NAME}:SCALE"), 1e-30)),
+        "logit_opacities": logits(get(f"{NAME}:OPACITY").reshape(-1)),
+        "sh": np.stack([get(name) for name in SH_NAMES[:bands]], axis=1),
+    }
+    return moved(arrays, _transform(record, mesh))
 
 
 def _transform(record: dict[str, Any], mesh: int) -> Float64:
@@ -155,16 +154,15 @@ def _node_matrix(node: dict[str, Any]) -> Float64:
 def _parts(path: Path) -> tuple[dict[str, Any], bytes]:
     """The JSON and the binary part of a GLB."""
     raw = path.read_bytes()
-    with reading(path, TITLE):
-        magic, version, _, size, kind = struct.unpack_from("<5I", raw)
-        if (magic, version, kind) != (MAGIC, VERSION, JSON) or size > MOST_JSON:
-            raise ValueError("no GLB 2.0")
-        record = json.loads(raw[20 : 20 + size])
-        length, kind = struct.unpack_from("<2I", raw, 20 + size)
-        blob = raw[28 + size : 28 + size + length]
-        if kind != BIN or len(blob) != length or not isinstance(record, dict):
-            raise ValueError("no binary part")
-        return record, blob
+    magic, version, _, size, kind = struct.unpack_from("<5I", raw)
+    if (magic, version, kind) != (MAGIC, VERSION, JSON) or size > MOST_JSON:
+        raise ValueError("no GLB 2.0")
+    record = json.loads(raw[20 : 20 + size])
+    length, kind = struct.unpack_from("<2I", raw, 20 + size)
+    blob = raw[28 + size : 28 + size + length]
+    if kind != BIN or len(blob) != length or not isinstance(record, dict):
+        raise ValueError("no binary part")
+    return record, blob
 
 
 def _values(record: dict[str, Any], blob: bytes, number: int) -> NDArray[np.float32]:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import EngineError, RunFolderError
+from ..formats.files import regular
 from ..formats.text import in_gb
 from ..machine import is_memory_full
 
@@ -45,25 +46,27 @@ def package(module: str, purpose: str, name: str = "") -> Any:
         ) from error
 
 
-def damaged(path: Path, title: str, why: object) -> RunFolderError:
-    """The error of a file that is not what its name says."""
-    text = " ".join(str(why).split())[:120]
-    return RunFolderError(f"{path} is not a whole {title} file ({text}).", HINT)
-
-
 @contextmanager
 def reading(path: Path, title: str) -> Iterator[None]:
-    """Wrap a library that reads: whatever it raises becomes a RunFolderError: the file is damaged.
+    """Wrap what reads a file: whatever it raises becomes a RunFolderError in one line.
 
-    An EngineError, an error of the file system or one of memory stays as it is.
+    An EngineError or an error of memory stays as it is.
     """
     try:
+        # Libraries would wait for a pipe, and have their own errors for a missing file.
+        with open(path, "rb", opener=regular):
+            pass
         with np.errstate(all="ignore"):  # what is not finite is left out later
             yield
-    except (EngineError, OSError, MemoryError, KeyboardInterrupt):
+    except (EngineError, MemoryError):
         raise
+    except OSError as error:
+        raise RunFolderError(
+            f"Cannot read {path} ({error.strerror or error}).", "Check the file and its rights."
+        ) from error
     except Exception as error:  # of struct, zlib, json, numpy, and of the libraries themselves
-        raise damaged(path, title, _words(error)) from error
+        text = " ".join(_words(error).split())[:120]
+        raise RunFolderError(f"{path} is not a whole {title} file ({text}).", HINT) from error
 
 
 def _words(error: Exception) -> str:
@@ -75,10 +78,10 @@ def _words(error: Exception) -> str:
     return type(error).__name__
 
 
-def refuse_bomb(path: Path, title: str, unpacked: int) -> None:
-    """Raise RunFolderError if a file would unpack to far more bytes than files of Gaussians do."""
+def refuse_bomb(path: Path, unpacked: int) -> None:
+    """Raise ValueError if a file would unpack to far more bytes than files of Gaussians do."""
     if unpacked > SMALL and unpacked > MOST_RATIO * path.stat().st_size:
-        raise damaged(path, title, f"it would unpack to {in_gb(unpacked)}")
+        raise ValueError(f"it would unpack to {in_gb(unpacked)}")
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from ..formats.files import atomic_write
 from ..model.scene import Float64
 from .arrays import Arrays, Check, Float32, extent, in_morton_order, nothing, opacities, unit_quats
 from .compressed_ply import arrays_of
-from .libraries import package, reading, refuse_bomb
+from .libraries import package, refuse_bomb
 
 TITLE = "SOG"
 CODES = 256  # numbers that a codebook has
@@ -256,23 +256,22 @@ def read(path: Path) -> Arrays:
     gsply: Any = package("gsply", TITLE)
     package("imagecodecs", TITLE)  # gsply needs it
     _check(path)
-    with reading(path, TITLE):
-        return arrays_of(gsply.sogread(path))
+    return arrays_of(gsply.sogread(path))
 
 
 def is_antialiased(path: Path) -> bool:
     """Whether a file says that its Gaussians are drawn with anti-aliasing."""
-    with reading(path, TITLE), zipfile.ZipFile(path) as packed, packed.open(META) as file:
+    with zipfile.ZipFile(path) as packed, packed.open(META) as file:
         return bool(json.loads(file.read(MOST_META)).get("model") == ANTIALIASED)
 
 
 def _check(path: Path) -> None:
     """Compare what `meta.json` promises with the pictures: gsply trusts it."""
-    with reading(path, TITLE), zipfile.ZipFile(path) as packed:
+    with zipfile.ZipFile(path) as packed:
         sizes = {entry.filename: entry.file_size for entry in packed.infolist()}
         if len(sizes) < len(packed.infolist()) or sizes.get(META, 0) > MOST_META:
             raise ValueError("two entries of one name, or a meta.json of another kind")
-        refuse_bomb(path, TITLE, sum(sizes.values()))
+        refuse_bomb(path, sum(sizes.values()))
         meta = json.loads(packed.read(META))
         parts = [meta[name] for name in ("means", "scales", "quats", "sh0")]
         count = meta["count"] if "version" in meta else meta["means"]["shape"][0]
@@ -281,7 +280,7 @@ def _check(path: Path) -> None:
         names = [name for part in parts for name in part["files"]]
         if "shN" in meta:
             names.append(meta["shN"]["files"][1])
-        refuse_bomb(path, TITLE, 4 * count * len(names))
+        refuse_bomb(path, 4 * count * len(names))
         for name in names:
             if not count <= _pixels(packed, name) <= 4 * count + (1 << 16):
                 raise ValueError(f"{name} does not belong to {count} Gaussians")

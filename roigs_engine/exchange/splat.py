@@ -9,7 +9,6 @@ import numpy as np
 from ..formats.files import write_bytes
 from ..model.gaussians import SH_C0
 from .arrays import Arrays, Float32, logits, opacities, unit_quats
-from .libraries import damaged
 
 ROW = np.dtype(
     [("mean", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("rotation", "u1", 4)]
@@ -36,15 +35,13 @@ def read(path: Path) -> Arrays:
     """See `FileFormat`."""
     data = path.read_bytes()
     if len(data) % ROW.itemsize:
-        raise damaged(path, ".splat", f"{len(data)} bytes are no multiple of {ROW.itemsize}")
+        raise ValueError(f"{len(data)} bytes are no multiple of {ROW.itemsize}")
     rows = np.frombuffer(data, ROW)
     colours: Float32 = rows["colour"].astype(np.float32) / np.float32(255)
-    with np.errstate(all="ignore"):  # what is not finite is left out later
-        log_scales = np.log(np.maximum(rows["scale"], LEAST))
     return {
         "means": rows["mean"],
         "quats": (rows["rotation"].astype(np.float32) - 128) / 128,
-        "log_scales": log_scales,
+        "log_scales": np.log(np.maximum(rows["scale"], LEAST)),
         "logit_opacities": logits(colours[:, 3]),
         "sh": ((colours[:, None, :3] - 0.5) / SH_C0).astype(np.float32),
     }

@@ -18,7 +18,7 @@ from ..formats.drawable import FLAT
 from ..formats.files import write_bytes
 from .arrays import Arrays, Check, Float32, in_morton_order, nothing, unit_quats
 from .compressed_ply import arrays_of
-from .libraries import damaged, package, reading, refuse_bomb, scratch
+from .libraries import package, refuse_bomb, scratch
 
 TITLE = "SPZ"
 MAGIC, GZIP = 0x5053474E, b"\x1f\x8b"
@@ -127,18 +127,16 @@ def read(path: Path) -> Arrays:
     """See `FileFormat`."""
     spz: Any = package("gsply.spz", TITLE)
     _check(path)
-    with reading(path, TITLE):
-        return arrays_of(spz.read_spz(path))
+    return arrays_of(spz.read_spz(path))
 
 
 def is_antialiased(path: Path) -> bool:
     """Whether a file's header says that its Gaussians are drawn with anti-aliasing."""
     with open(path, "rb") as file:
         head = file.read(HEAD)
-    with reading(path, TITLE):
-        if head[:2] == GZIP:
-            head = zlib.decompressobj(wbits=31).decompress(head, FLAGS + 1)
-        return bool(head[FLAGS] & ANTIALIASED)
+    if head[:2] == GZIP:
+        head = zlib.decompressobj(wbits=31).decompress(head, FLAGS + 1)
+    return bool(head[FLAGS] & ANTIALIASED)
 
 
 def _check(path: Path) -> None:
@@ -148,49 +146,46 @@ def _check(path: Path) -> None:
         _check_gzip(path, raw)
         return
     if len(raw) < 32:
-        raise damaged(path, TITLE, "no header")
+        raise ValueError("no header")
     magic, version, count, degree, _, _, streams, table = struct.unpack_from("<IIIBBBBI", raw)
     if magic != MAGIC or version != 4 or degree not in SH_ROWS or not 5 <= streams <= 6:
-        raise damaged(path, TITLE, "its header is not that of SPZ")
+        raise ValueError("its header is not that of SPZ")
     if not 0 < count <= MOST or table < 32 or table + 16 * streams > len(raw):
-        raise damaged(path, TITLE, "its header promises more than it has")
+        raise ValueError("its header promises more than it has")
     sizes = struct.unpack_from(f"<{2 * streams}Q", raw, table)
     widths = (9, 1, 3, 3, 4, 3 * SH_ROWS[degree])[:streams]
     if [count * width for width in widths] != list(sizes[1::2]):
-        raise damaged(path, TITLE, "its parts do not belong to its Gaussians")
+        raise ValueError("its parts do not belong to its Gaussians")
     start = table + 16 * streams
     if start + sum(sizes[::2]) > len(raw):
-        raise damaged(path, TITLE, "it is truncated")
-    refuse_bomb(path, TITLE, sum(sizes[1::2]))
+        raise ValueError("it is truncated")
+    refuse_bomb(path, sum(sizes[1::2]))
     zstd: Any = package("zstandard", "SPZ of version 4")
     for packed, unpacked in zip(sizes[::2], sizes[1::2], strict=True):
-        with reading(path, TITLE):
-            # What a stream says of itself is what is allocated for it.
-            said = zstd.get_frame_parameters(raw[start : start + packed]).content_size
-            if said not in (0, unpacked, zstd.CONTENTSIZE_UNKNOWN):
-                raise ValueError("a part has another size than its header says")
+        # What a stream says of itself is what is allocated for it.
+        said = zstd.get_frame_parameters(raw[start : start + packed]).content_size
+        if said not in (0, unpacked, zstd.CONTENTSIZE_UNKNOWN):
+            raise ValueError("a part has another size than its header says")
         start += packed
 
 
 def _check_gzip(path: Path, raw: bytes) -> None:
     unpacker = zlib.decompressobj(wbits=31)
-    with reading(path, TITLE):
-        head = unpacker.decompress(raw, 16)
-        magic, version, count, degree, *_ = struct.unpack("<IIIBBBB", head)
+    head = unpacker.decompress(raw, 16)
+    magic, version, count, degree, *_ = struct.unpack("<IIIBBBB", head)
     if magic != MAGIC or version not in (1, 2, 3) or degree not in SH_ROWS:
-        raise damaged(path, TITLE, "its header is not that of SPZ")
+        raise ValueError("its header is not that of SPZ")
     if not 0 < count <= MOST:
-        raise damaged(path, TITLE, f"{count} Gaussians")
-    refuse_bomb(path, TITLE, count * 16)
+        raise ValueError(f"{count} Gaussians")
+    refuse_bomb(path, count * 16)
     width = 16 + 3 * SH_ROWS[degree] + (4 if version == 3 else 3)
     wanted, there = count * (width - (3 if version == 1 else 0)), 0
-    with reading(path, TITLE):
-        while there <= wanted and not unpacker.eof:
-            part = unpacker.decompress(unpacker.unconsumed_tail, 1 << 20)
-            if not part:
-                break
-            there += len(part)
+    while there <= wanted and not unpacker.eof:
+        part = unpacker.decompress(unpacker.unconsumed_tail, 1 << 20)
+        if not part:
+            break
+        there += len(part)
     if there != wanted or not unpacker.eof:
-        raise damaged(path, TITLE, f"it has {there} of {wanted} bytes")
+        raise ValueError(f"it has {there} of {wanted} bytes")
     if unpacker.unused_data:  # gsply would unpack it too, whatever its size
-        raise damaged(path, TITLE, "something follows its end")
+        raise ValueError("something follows its end")

@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import EngineError
 from ..formats.files import write_bytes
 from .arrays import Arrays, logits, opacities, turn, unit_quats
-from .libraries import damaged, package, reading, scratch
+from .libraries import package, scratch
 from .transform import moved
 
 TITLE = "OpenUSD"
@@ -72,36 +72,35 @@ def write(path: Path, arrays: Arrays) -> int:
 def read(path: Path) -> Arrays:
     """See `FileFormat`: the Gaussians of a stage with one such prim, where it has them, y up."""
     usd, geom, *_ = _modules()
-    with reading(path, TITLE):
-        layer, others = _alone(path)
-        stage = usd.Stage.Open(layer, usd.Stage.LoadNone)
-        prims = [prim for prim in stage.Traverse() if prim.GetTypeName() == KIND]
-        if others and not prims:
-            raise EngineError(
-                f"{path} has its Gaussians in other files, which are not opened.",
-                "Make one file of them: usdcat --flatten IN --out OUT.",
-            )
-        if len(prims) != 1:
-            raise damaged(path, TITLE, f"{len(prims)} prims of Gaussians, not one")
+    layer, others = _alone(path)
+    stage = usd.Stage.Open(layer, usd.Stage.LoadNone)
+    prims = [prim for prim in stage.Traverse() if prim.GetTypeName() == KIND]
+    if others and not prims:
+        raise EngineError(
+            f"{path} has its Gaussians in other files, which are not opened.",
+            "Make one file of them: usdcat --flatten IN --out OUT.",
+        )
+    if len(prims) != 1:
+        raise ValueError(f"{len(prims)} prims of Gaussians, not one")
 
-        def get(name: str) -> Any:
-            return prims[0].GetAttribute(name).Get()
+    def get(name: str) -> Any:
+        return prims[0].GetAttribute(name).Get()
 
-        means = np.array(get("positions"), np.float32)
-        bands = (int(get("radiance:sphericalHarmonicsDegree")) + 1) ** 2
-        sh = np.array(get("radiance:sphericalHarmonicsCoefficients"), np.float32)
-        quats = [(q.GetReal(), *q.GetImaginary()) for q in get("orientations")]
-        arrays = {
-            "means": means,
-            "quats": np.array(quats, np.float32).reshape(-1, 4),
-            "log_scales": np.log(np.maximum(np.array(get("scales"), np.float32), 1e-30)),
-            "logit_opacities": logits(np.array(get("opacities"), np.float32)),
-            "sh": sh.reshape(len(means), bands, 3),
-        }
-        # OpenUSD multiplies rows with matrices.
-        place = np.array(geom.Xformable(prims[0]).ComputeLocalToWorldTransform(0.0)).T
-        up = str(geom.GetStageUpAxis(stage)).lower()
-        return moved(arrays, turn(up, "y") @ place)
+    means = np.array(get("positions"), np.float32)
+    bands = (int(get("radiance:sphericalHarmonicsDegree")) + 1) ** 2
+    sh = np.array(get("radiance:sphericalHarmonicsCoefficients"), np.float32)
+    quats = [(q.GetReal(), *q.GetImaginary()) for q in get("orientations")]
+    arrays = {
+        "means": means,
+        "quats": np.array(quats, np.float32).reshape(-1, 4),
+        "log_scales": np.log(np.maximum(np.array(get("scales"), np.float32), 1e-30)),
+        "logit_opacities": logits(np.array(get("opacities"), np.float32)),
+        "sh": sh.reshape(len(means), bands, 3),
+    }
+    # OpenUSD multiplies rows with matrices.
+    place = np.array(geom.Xformable(prims[0]).ComputeLocalToWorldTransform(0.0)).T
+    up = str(geom.GetStageUpAxis(stage)).lower()
+    return moved(arrays, turn(up, "y") @ place)
 
 
 def _alone(path: Path) -> tuple[Any, bool]:
@@ -112,7 +111,7 @@ def _alone(path: Path) -> tuple[Any, bool]:
     sdf = package("pxr.Sdf", TITLE, "usd-core")
     layer = sdf.Layer.OpenAsAnonymous(os.fspath(path))
     if layer is None:
-        raise damaged(path, TITLE, "there is no layer in it")
+        raise ValueError("there is no layer in it")
     others = bool(layer.subLayerPaths)
     layer.subLayerPaths.clear()
 
