@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
+import time
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ import pytest
 from roigs_engine.cli import main
 from roigs_engine.formats import run_files
 from roigs_engine.formats.splat_ply import read_ply
+from tests.engine.batch.clusters import engines
 from tests.engine.batches import contents, table_of
 from tests.engine.commands.command_line import refused, start
 from tests.engine.commands.forked_engines import forked_engines
@@ -142,6 +145,32 @@ def test_a_stop_and_a_scene_that_fails(
     assert (run / "attic" / run_files.RESULT).read_bytes() == b"somebody's"
     page = (run / run_files.REPORT_PAGE).read_text(encoding="utf-8")
     assert "failed: attic: " in page and "2 of 3 objects done" in page
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends signals")
+def test_a_second_interrupt_ends_a_batch_and_its_engines_at_once(
+    scans: Path, tmp_path: Path
+) -> None:
+    """As after a kill, which `batch/test_kills.py` resumes."""
+    table, run = table_of(tmp_path, scans), tmp_path / "run"
+    long = table.read_text(encoding="utf-8").replace("steps-factor = 0.003", "steps-factor = 5")
+    table.write_text(long, encoding="utf-8")
+    with start("batch", table, "--run-dir", run, "--jobs", "2", "--events") as engine:
+        assert engine.stdout is not None and engine.stderr is not None
+        for line in engine.stdout:
+            if json.loads(line)["event"] == "stagestarted":
+                break
+        engine.send_signal(signal.SIGINT)
+        time.sleep(0.05)  # two signals of one moment are one
+        began = time.monotonic()
+        engine.send_signal(signal.SIGINT)
+        assert engine.wait(60) == 130
+        assert time.monotonic() - began < 10
+        assert "Traceback" not in engine.stderr.read()
+    until = time.monotonic() + 60
+    while engines(run) and time.monotonic() < until:
+        time.sleep(0.1)
+    assert not engines(run)
 
 
 def test_a_changed_box_redoes_what_depends_on_it(

@@ -45,6 +45,15 @@ def test_the_command_line(left: Path, tmp_path: Path) -> None:
     assert not left.exists()
 
 
+def test_the_build_of_the_kernels(left: Path, tmp_path: Path) -> None:
+    (tmp_path / "photos" / "roigs_engine.py").unlink()
+    words = [sys.executable, "-m", "roigs_engine.kernels.build", "--help"]
+    found = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(words, capture_output=True, env=found, check=False)
+    assert done.returncode == 0, done.stderr
+    assert not left.exists()
+
+
 def test_engines_of_a_batch(left: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(["", ".", str(ROOT)]))
     words = ["inspect", str(tmp_path / "scene")]

@@ -66,6 +66,30 @@ def test_new_content_appears_at_the_end_only(tmp_path: Path) -> None:
     assert names(tmp_path) == ["a.bin"]
 
 
+def test_the_one_before_is_on_the_disk_before_the_new_one_has_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So a power cut costs a checkpoint at most, though the new one is not waited for."""
+    path, before, order = tmp_path / "checkpoint", tmp_path / "before", list[str]()
+    path.write_bytes(b"one")
+    inode, sync, rename = path.stat().st_ino, os.fsync, os.replace
+
+    def synced(number: int) -> None:
+        order.append("synced" if os.fstat(number).st_ino == inode else "other")
+        sync(number)
+
+    def renamed(source: Path, target: Path) -> None:
+        order.append(target.name)
+        rename(source, target)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(os, "replace", renamed)
+    with atomic_write(path, durable=False, before=before) as file:
+        file.write(b"two")
+    assert order == ["synced", "before", "checkpoint"]
+    assert (before.read_bytes(), path.read_bytes()) == (b"one", b"two")
+
+
 def test_unwritable_place_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
     with pytest.raises(RunFolderError) as caught:
