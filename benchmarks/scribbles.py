@@ -12,6 +12,7 @@ real scene that were drawn by hand, masks are made of these photos too, and comp
 from __future__ import annotations
 
 import argparse
+import json
 import tempfile
 import time
 from collections.abc import Sequence
@@ -30,7 +31,6 @@ from roigs_engine.formats.scribbles import (
     Scribble,
     Stroke,
     read_scribbles,
-    scribbles_document,
 )
 from roigs_engine.masking.box_masks import masked_photos
 from roigs_engine.model.roi import OrientedBox, load_rois
@@ -120,6 +120,22 @@ def overlay(photo: Path, mask: Mask, truth: Mask, file: Path) -> None:
     pixels[mask != truth] = (255, 255, 0)
     file.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(pixels.astype(np.uint8)).save(file)
+
+
+def scribbles_document(scribbles: Sequence[Scribble]) -> str:
+    """The text of a file of scribbles."""
+    records = [
+        {
+            "box": scribble.box,
+            "photo": scribble.photo,
+            "strokes": [
+                {"kind": s.kind, "width": s.width, "points": np.round(s.points, 2).tolist()}
+                for s in scribble.strokes
+            ],
+        }
+        for scribble in scribbles
+    ]
+    return json.dumps({"scribbles": records}, ensure_ascii=False) + "\n"
 
 
 def measure(args: argparse.Namespace, roi: OrientedBox, seed: int, out: Path) -> list[str]:

@@ -74,10 +74,6 @@ class Row:
 class Table:
     """A table file.
 
-    Args:
-        path: the file.
-        folder: of the batch.
-
     Attributes:
         path: the file.
         rows: its scenes, those without a wrong line.
@@ -85,7 +81,10 @@ class Table:
     """
 
     def __init__(self, path: Path, folder: Path) -> None:
-        """Read the file; ConfigError: it cannot be read, is not TOML, or has no scene."""
+        """Read the file of a batch in `folder`.
+
+        ConfigError: it cannot be read, is not TOML, or has no scene.
+        """
         self.path, self._batch = path, folder
         self.rows: list[Row] = []
         self.wrong: list[Wrong] = []

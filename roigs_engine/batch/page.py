@@ -12,10 +12,10 @@ from typing import Any
 from urllib.parse import quote
 
 from ..errors import EngineError
-from ..evaluation.report_html import STYLE
+from ..evaluation.report_html import html_text, whole_page
 from ..formats.files import matching, read_json, write_text
 from ..formats.run_files import CROPS, FINE, REPORT_DATA, REPORT_PAGE, RESULT
-from ..formats.text import counted, duration, printable
+from ..formats.text import counted, duration
 from .engine_process import DONE, FAILED
 from .schedule import SceneState
 
@@ -49,24 +49,10 @@ def _page(folder: Path, scenes: Sequence[SceneState], is_there: IsThere) -> str:
     done, failed = states.count(DONE), states.count(FAILED)
     title = f"{done} of {counted(len(states), 'object')} done"
     title += f", {failed} failed" if failed else ""
-    policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-    heads = "".join(f"<th>{_text(column)}</th>" for column in COLUMNS)
-    parts = [
-        "<!DOCTYPE html>",
-        '<html lang="en">',
-        '<meta charset="utf-8">',
-        '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
-        f"<title>{_text(title)}</title>",
-        f"<style>{STYLE}\n{CLEAR}</style>",
-        f"<h1>{_text(title)}</h1>",
-        f'<div class="wide"><table><tr>{heads}</tr>',
-        *(row for scene in scenes for row in _rows(folder / scene.plan.name, scene, is_there)),
-        "</table></div>",
-        "</html>",
-        "",
-    ]
-    return "\n".join(parts)
+    heads = "".join(f"<th>{html_text(column)}</th>" for column in COLUMNS)
+    rows = (row for scene in scenes for row in _rows(folder / scene.plan.name, scene, is_there))
+    table = (f'<div class="wide"><table><tr>{heads}</tr>', *rows, "</table></div>")
+    return whole_page(title, table, style=f"\n{CLEAR}")
 
 
 def _rows(run: Path, scene: SceneState, is_there: IsThere) -> Iterator[str]:
@@ -76,19 +62,19 @@ def _rows(run: Path, scene: SceneState, is_there: IsThere) -> Iterator[str]:
         scores = found.get(box, {})
         cells = [
             _thumbnail(run / CROPS / box) if done else "",
-            _text(name),
-            _text(box),
-            _text(scene.state),
+            html_text(name),
+            html_text(box),
+            html_text(scene.state),
             _number(scores.get("roi_psnr"), "{:.2f}"),
             _number(scores.get("roi_ssim"), "{:.3f}"),
             _number(scores.get("gaussians_in_box"), "{:,}"),
-            _text(duration(scores["seconds"])) if _is_number(scores.get("seconds")) else "",
+            html_text(duration(scores["seconds"])) if _is_number(scores.get("seconds")) else "",
             _links(name, box, is_there) if done else "",
         ]
         rest = ""
         if scene.state == FAILED:  # its reason has the space of the numbers that it lacks
             wide = f'<td class="failed" colspan="{len(cells) - 3}">'
-            cells, rest = cells[:3], f"{wide}failed: {_text(scene.reason)}</td>"
+            cells, rest = cells[:3], f"{wide}failed: {html_text(scene.reason)}</td>"
         yield "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + f"{rest}</tr>"
 
 
@@ -140,8 +126,4 @@ def _is_number(value: Any) -> bool:
 
 
 def _number(value: Any, form: str) -> str:
-    return _text(form.format(value)) if _is_number(value) else ""
-
-
-def _text(text: str) -> str:
-    return html.escape(printable(" ".join(text.split())))
+    return html_text(form.format(value)) if _is_number(value) else ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import html
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from ..formats.files import write_text
@@ -58,57 +58,62 @@ def format_html(evaluation: Evaluation, pictures: Sequence[Comparison]) -> str:
     """The page: for each box its tables, PSNR against seconds, sliders and notes."""
     title = f"Evaluation on {counted(len(evaluation.test_views), f'{evaluation.photos} photo')}"
     allowed = base64.b64encode(hashlib.sha256(SCRIPT.encode()).digest()).decode()
-    policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
-    policy += f"script-src 'sha256-{allowed}'"
-    parts = [
+    parts: list[str] = []
+    for scores in evaluation.rois:
+        of_box = [item for item in pictures if item.roi == scores.roi]
+        parts += _box(scores, evaluation, of_box)
+    parts.append(f"<script>{SCRIPT}</script>")
+    return whole_page(title, parts, policy=f"; script-src 'sha256-{allowed}'")
+
+
+def whole_page(title: str, parts: Iterable[str], *, style: str = "", policy: str = "") -> str:
+    """A page of these parts that uses no network; `style` and `policy` add to the usual ones."""
+    policy = f"default-src 'none'; img-src data:; style-src 'unsafe-inline'{policy}"
+    head = [
         "<!DOCTYPE html>",
         '<html lang="en">',
         '<meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
-        f"<title>{_text(title)}</title>",
-        f"<style>{STYLE}</style>",
-        f"<h1>{_text(title)}</h1>",
+        f"<title>{html_text(title)}</title>",
+        f"<style>{STYLE}{style}</style>",
+        f"<h1>{html_text(title)}</h1>",
     ]
-    for scores in evaluation.rois:
-        of_box = [item for item in pictures if item.roi == scores.roi]
-        parts += _box(scores, evaluation, of_box)
-    parts += [f"<script>{SCRIPT}</script>", "</html>", ""]
-    return "\n".join(parts)
+    return "\n".join([*head, *parts, "</html>", ""])
 
 
-def _text(text: str) -> str:
+def html_text(text: str) -> str:
     """One line that is text alone in HTML, attributes included."""
     return html.escape(printable(" ".join(text.split())))
 
 
 def _box(scores: RoiScores, evaluation: Evaluation, pictures: Sequence[Comparison]) -> list[str]:
     rows = scores.rows
-    parts = [f"<h2>{_text(scores.roi)}</h2>", *_table(rows, shown_columns(rows))]
+    parts = [f"<h2>{html_text(scores.roi)}</h2>", *_table(rows, shown_columns(rows))]
     if pictures:
         parts += ['<div class="pictures">', *(_figure(item) for item in pictures), "</div>"]
     parts += _plot(rows)
     columns = [column for column in PHOTO_COLUMNS if has_number(rows, column)]
     if columns:
         parts += ["<h3>Near and far, and single photos</h3>", *_table(rows, columns)]
-    notes = (f"<li>{_text(note)}</li>" for note in box_notes(scores, evaluation))
+    notes = (f"<li>{html_text(note)}</li>" for note in box_notes(scores, evaluation))
     return [*parts, "<ul>", *notes, "</ul>"]
 
 
 def _table(rows: Sequence[ModelScore], columns: Sequence[Column]) -> list[str]:
-    heads = "".join(f"<th>{_text(name)}</th>" for name in ("Method", *(c[0] for c in columns)))
+    heads = "".join(f"<th>{html_text(name)}</th>" for name in ("Method", *(c[0] for c in columns)))
     filled = [cells(rows, key, form, best) for _, key, form, best in columns]
     lines = [f'<div class="wide"><table><tr>{heads}</tr>']
     for index, row in enumerate(rows):
         line = "".join(f"<td>{_cell(column[index])}</td>" for column in filled)
-        lines.append(f"<tr><td>{_text(row.model)}</td>{line}</tr>")
+        lines.append(f"<tr><td>{html_text(row.model)}</td>{line}</tr>")
     return [*lines, "</table></div>"]
 
 
 def _cell(text: str) -> str:
     """A number; the best is bold, as Markdown has it."""
     bare = text.removeprefix("**").removesuffix("**")
-    return _text(bare) if bare == text else f"<strong>{_text(bare)}</strong>"
+    return html_text(bare) if bare == text else f"<strong>{html_text(bare)}</strong>"
 
 
 def _figure(item: Comparison) -> str:
@@ -124,19 +129,19 @@ def _figure(item: Comparison) -> str:
         f'<figure><div class="slider" style="width:{width}px;aspect-ratio:{width}/{height}">'
         f"{_image(left, width, height)}{_image(right, width, height)}"
         f'<input type="range" min="0" max="100" value="50" aria-label="{sides}"></div>'
-        f"<figcaption>{sides}<br>{_text(item.view)} ({_text(item.label)})</figcaption>"
+        f"<figcaption>{sides}<br>{html_text(item.view)} ({html_text(item.label)})</figcaption>"
         f"{reference}</figure>"
     )
 
 
 def _named(shown: Shown) -> str:
-    return _text(shown.name if shown.psnr is None else f"{shown.name}: {shown.psnr:.2f} dB")
+    return html_text(shown.name if shown.psnr is None else f"{shown.name}: {shown.psnr:.2f} dB")
 
 
 def _image(shown: Shown, width: int, height: int) -> str:
     data = base64.b64encode(shown.jpeg).decode()
     source = f"data:image/jpeg;base64,{data}"
-    return f'<img alt="{_text(shown.name)}" width="{width}" height="{height}" src="{source}">'
+    return f'<img alt="{html_text(shown.name)}" width="{width}" height="{height}" src="{source}">'
 
 
 WIDTH, HEIGHT = 640, 280
@@ -172,5 +177,5 @@ def _plot(rows: Sequence[ModelScore]) -> list[str]:
         x = LEFT + wide * seconds / longest
         y = TOP + tall * (high - psnr) / (high - low)
         lines.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5" fill="#ffa000"/>')
-        lines.append(f'<text x="{x + 9:.1f}" y="{y + 4:.1f}">{_text(name)}</text>')
+        lines.append(f'<text x="{x + 9:.1f}" y="{y + 4:.1f}">{html_text(name)}</text>')
     return [*lines, "</svg>"]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -58,22 +56,6 @@ def read_scribbles(path: Path) -> list[Scribble]:
             f"{path} has two scribbles for one box and photo.", "Put all strokes into one."
         )
     return found
-
-
-def scribbles_document(scribbles: Sequence[Scribble]) -> str:
-    """The text of a file of scribbles."""
-    records = [
-        {
-            "box": scribble.box,
-            "photo": scribble.photo,
-            "strokes": [
-                {"kind": s.kind, "width": s.width, "points": np.round(s.points, 2).tolist()}
-                for s in scribble.strokes
-            ],
-        }
-        for scribble in scribbles
-    ]
-    return json.dumps({"scribbles": records}, ensure_ascii=False) + "\n"
 
 
 def _scribble(record: Any) -> Scribble:

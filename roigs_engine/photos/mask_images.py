@@ -1,9 +1,7 @@
 """Mask images of photos: which pixels count, and which are ignored; which show an object.
 
-A mask is (H, W) bool, True where a pixel counts. In a file, black is ignored and all else counts,
-as in COLMAP; so is what the file itself leaves transparent. Of an alpha channel, what is more than
-half transparent is ignored. A pixel of a resampled mask is ignored if it covers any that is. A
-pixel of a resampled mask of an object shows the object if half of it does.
+A mask is (H, W) bool, True where a pixel counts. docs/files.md (Masks) says what files may hold,
+and what becomes of a pixel of a resampled mask.
 """
 
 from __future__ import annotations

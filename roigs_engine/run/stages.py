@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Sequence, Set
 from copy import copy
+from dataclasses import replace
 
 from ..context import QUIET, Context
 from ..errors import SceneError
@@ -84,9 +85,6 @@ class PhotoSets:
         return tuple(image for image in self.images if image.name in names)
 
 
-Order = Callable[[PhotoSets, Sequence[PosedImage], TrainConfig], PhotoOrder]
-
-
 def make_stage(
     name: str,
     photos: PhotoSets,
@@ -95,7 +93,7 @@ def make_stage(
     *,
     rois: Sequence[OrientedBox] = (),
     start: Source | None = None,
-    order: Order | None = None,
+    order: str = "shuffled",
 ) -> Stage:
     """A stage, with what its mechanisms decide by its photos and boxes.
 
@@ -105,7 +103,8 @@ def make_stage(
         images: to train on.
         rois: boxes to densify in; without, the spacing of views is that around all boxes.
         start: what it starts from; None: the sparse points.
-        order: of its photos; None: `shuffled_order`.
+        order: `shuffled`: all photos equally often; `ordered`: as given (paper, sec. III-A);
+            `mixed`: selected photos more often than others.
     """
     run = photos.run
     views = PlannedViews(images=images, rois=rois, seen=photos.seen, context=photos.context)
@@ -115,32 +114,23 @@ def make_stage(
         images=images,
         config=config,
         start=start or points_source(run),
-        order=(order or shuffled_order)(photos, images, config),
+        order=_order(order, photos, images, config),
         rois=tuple(rois),
         extent=run.extent,
         seed=run.config.seed,
     )
 
 
-def shuffled_order(
-    photos: PhotoSets, images: Sequence[PosedImage], config: TrainConfig
+def _order(
+    kind: str, photos: PhotoSets, images: Sequence[PosedImage], config: TrainConfig
 ) -> PhotoOrder:
-    """All photos equally often, in random order."""
-    return PhotoOrder(kind="shuffled", count=len(images), seed=photos.run.config.seed)
-
-
-def in_order(photos: PhotoSets, images: Sequence[PosedImage], config: TrainConfig) -> PhotoOrder:
-    """The photos in the order given (paper, sec. III-A)."""
-    return PhotoOrder(kind="ordered", count=len(images))
-
-
-def mixed_order(photos: PhotoSets, images: Sequence[PosedImage], config: TrainConfig) -> PhotoOrder:
-    """Selected photos more often than others."""
+    """An order of a stage's photos: see `make_stage`."""
+    order = PhotoOrder(kind=kind, count=len(images), seed=photos.run.config.seed)
+    if kind != "mixed":
+        return order
     selected, masks = photos.selected(), config.get(MaskedSteps)
-    return PhotoOrder(
-        kind="mixed",
-        count=len(images),
-        seed=photos.run.config.seed,
+    return replace(
+        order,
         selected=tuple(row for row, image in enumerate(images) if image.name in selected),
         drawn=masks.seeing if masks else tuple(range(len(images))),
         share=photos.run.config.selected_share,
@@ -170,7 +160,7 @@ def trained_on(
     cells = photos.run.layout.cells
     if cells is None:
         images, rois = photos.images, photos.rois
-        stage = make_stage(name, photos, images, config, rois=rois, start=base, order=mixed_order)
+        stage = make_stage(name, photos, images, config, rois=rois, start=base, order="mixed")
         return PlannedModel.of_stages(name, stage)
     alone = config.get(CutoutSteps) is not None
     stages = []
@@ -186,7 +176,7 @@ def trained_on(
             _config(photos, config, cell),
             rois=cell.rois,
             start=_start(photos.run, base, cell, own.images),
-            order=mixed_order if cell.rois else None,
+            order="mixed" if cell.rois else "shuffled",
         )
         stages.append(stage)
     return joined(name, stages, cells.partition)

@@ -18,12 +18,10 @@ from .plan import CROP, MERGE, Output, Plan, PlannedModel, Source, Stage, result
 from .presets import in_strategy
 from .stages import (
     PhotoSets,
-    in_order,
     make_stage,
     scene_model,
     scene_stage,
     seen_part,
-    shuffled_order,
     trained_on,
 )
 
@@ -132,7 +130,7 @@ def _object_stage(photos: PhotoSets, scene: Source, roi: OrientedBox) -> Stage:
         stage_configs.object_stage(run.config),
         rois=(roi,),
         start=start,
-        order=in_order if run.config.roi_order == "ordered" else shuffled_order,
+        order=run.config.roi_order,
     )
 
 
