@@ -46,7 +46,7 @@ STEPS, REPEATS = 500_000, 5  # a few milliseconds in all
 def peak_libraries() -> Iterator[dict[str, Path]]:
     """Compiles peak.cpp: instruction set -> library, as long as the context lasts."""
     with tempfile.TemporaryDirectory(prefix="roigs-peak-") as folder:
-        yield build.build_other([SOURCE], Path(folder))
+        yield build.compile_all([SOURCE], Path(folder), build.native_platform())
 
 
 def peak_gflops(library: Path) -> float:

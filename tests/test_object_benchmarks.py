@@ -17,7 +17,7 @@ from roigs_engine.model.roi import OrientedBox
 from roigs_engine.photos.mask_images import write_mask
 from tools.window import scribble as window
 
-BOX = OrientedBox.axis_aligned("pot", [-1, -1, -1], [1, 1, 1])
+BOX = OrientedBox.between("pot", [-1, -1, -1], [1, 1, 1])
 
 
 def strokes_file(path: Path, *photos: str) -> Path:

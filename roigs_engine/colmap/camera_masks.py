@@ -25,7 +25,7 @@ from ..model.scene import PhotoMask, PosedImage
 from ..photos.headers import content_digest, photo_size
 from ..photos.mask_paths import MaskFiles, MaskOptions
 from ..photos.parallel import decoding_bytes, in_parallel
-from .undistort import UndistortionPlan, temporary_folder, undistorted_pixels
+from .undistort import UndistortionPlan, temporary_folder, undistorted_mask
 
 if TYPE_CHECKING:
     from ..photos.mask_images import Mask
@@ -79,9 +79,8 @@ class MaskPlan:
             mask = masks.read_mask(self.file, self.size, inverted=self.inverted, hint=hint)
         if self.undistortion is not None:
             lens = self.undistortion.source
-            grey = np.where(masks.resized(mask, (lens.width, lens.height), least), 255, 0)
-            bitmap = np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
-            mask = undistorted_pixels(bitmap, lens, sharp=False)[..., 0] >= least
+            mask = masks.resized(mask, (lens.width, lens.height), least)
+            mask = undistorted_mask(mask, lens, least)
         return masks.resized(mask, self.target, least)
 
     def kept(self, path: Path, *, write: bool) -> Mask:

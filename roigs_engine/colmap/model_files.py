@@ -11,7 +11,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,41 +46,35 @@ def read_model(folder: Path, context: Context = QUIET) -> Model:
     Raises:
         SceneError: a file is missing, unreadable or damaged.
     """
-    suffix, files = _format(folder)
+    suffix = _suffix(folder)
+    read_cameras, _, read_points = _READERS[suffix]
     points3d = folder / f"points3D{suffix}"
     if not points3d.is_file():
         raise SceneError(f"{folder} has no {points3d.name}.", "Export the 3D points as well.")
-    cameras = _read(folder / f"cameras{suffix}", files.cameras)
+    cameras = _read(folder / f"cameras{suffix}", read_cameras)
     images = read_images(folder, context)
     # Normally the photos list what they observe; else the points' tracks are read.
     tracks = not any((image.point_ids >= 0).any() for image in images)
-    points = _read(points3d, lambda data: files.points(data, tracks, context))
+    points = _read(points3d, lambda data: read_points(data, tracks, context))
     return Model(cameras, images, *points)
 
 
 def read_images(folder: Path, context: Context = QUIET) -> list[ModelImage]:
     """The photos of the model in `folder`, from their own file alone. Raises as `read_model`."""
-    suffix, files = _format(folder)
-    return _read(folder / f"images{suffix}", lambda data: files.images(data, context))
+    suffix = _suffix(folder)
+    _, read, _ = _READERS[suffix]
+    return _read(folder / f"images{suffix}", lambda data: read(data, context))
 
 
-class _Format(NamedTuple):
-    """The readers of one of COLMAP's formats; errors about damaged data are those of `_read`."""
-
-    cameras: Callable[[bytes], dict[int, ModelCamera]]
-    images: Callable[[bytes, Context], list[ModelImage]]
-    points: Callable[[bytes, bool, Context], Points]
-
-
-def _format(folder: Path) -> tuple[str, _Format]:
-    """The end of the names of a model's files, and their readers."""
+def _suffix(folder: Path) -> str:
+    """The end of the names of a model's files, a key of `_READERS`."""
     suffix = model_suffix(folder)
     if suffix is None:
         raise SceneError(
             f"{folder} has no COLMAP model.",
             "It needs cameras, images and points3D, all .bin or all .txt.",
         )
-    return suffix, _FORMATS[suffix]
+    return suffix
 
 
 def count_images(folder: Path) -> int:
@@ -265,7 +259,8 @@ def _text_points(data: bytes, tracks: bool, context: Context) -> Points:
     return ids, table[:, :3].copy(), colors, rows.astype(np.int64), viewers
 
 
-_FORMATS = {
-    ".bin": _Format(_binary_cameras, _binary_images, _binary_points),
-    ".txt": _Format(_text_cameras, _text_images, _text_points),
+# By suffix; errors about damaged data are those of `_read`.
+_READERS = {
+    ".bin": (_binary_cameras, _binary_images, _binary_points),
+    ".txt": (_text_cameras, _text_images, _text_points),
 }

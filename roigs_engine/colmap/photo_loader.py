@@ -21,7 +21,7 @@ from ..photos.files import PhotoFolder
 from ..photos.headers import check_complete, photo_size
 from ..photos.mask_paths import USUAL_MASKS, MaskFiles, MaskOptions
 from .camera_masks import HIDDEN, MaskPlan, find_mask, make_masks, mention_masks, plan_object_masks
-from .records import NO_IDS, Model, ModelCamera, ModelImage, same_shape
+from .records import Model, ModelCamera, ModelImage, same_shape
 from .undistort import (
     UndistortionPlan,
     as_pinhole,
@@ -134,7 +134,6 @@ class PhotoLoader:
             path=path,
             camera=target,
             world_to_camera=pose,
-            point_indices=NO_IDS,
             distorted=pinhole is None,
         )
         return ""

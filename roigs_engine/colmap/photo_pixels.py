@@ -18,7 +18,7 @@ from ..photos.headers import photo_size
 from .model_files import read_model
 from .photo_loader import photo_name
 from .records import ModelCamera
-from .undistort import resized_lens, undistorted_pixels, undistorted_places
+from .undistort import resized_lens, undistorted_mask, undistorted_pixels, undistorted_places
 
 Mask = NDArray[np.bool_]
 ROWS = 256  # of a photo that are looked up at a time
@@ -63,12 +63,10 @@ class PhotoPixels:
 
     def of_file(self, mask: Mask) -> Mask:
         """The file's mask (height, width) at the camera's size, (H, W)."""
-        from ..photos.mask_images import resized
+        from ..photos.mask_images import HALF, resized
 
         if self.lens is not None:
-            grey = np.where(resized(mask, self.size), np.uint8(255), np.uint8(0))
-            rgb = np.repeat(grey[..., None], 3, axis=2)
-            mask = undistorted_pixels(rgb, self.lens, sharp=False)[..., 0] > 127
+            mask = undistorted_mask(resized(mask, self.size), self.lens, HALF)
         return resized(mask, (self.camera.width, self.camera.height))
 
     def in_file(self, mask: Mask) -> Mask:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -161,7 +161,13 @@ def _write(scene: Any, out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}-") as folder:
             scene.write(folder)
-            _check_written(scene, Path(folder), out)
+            # pycolmap does not say when a disk is full
+            counts = (scene.num_reg_images(), scene.num_points3D())
+            if _counts(Path(folder)) != counts:
+                raise SceneError(
+                    f"Cannot write {out}: its files came out too short.",
+                    "Free some space on the disk.",
+                )
             for path in Path(folder).iterdir():
                 path.replace(out / path.name)
     except (OSError, ValueError, RuntimeError) as error:
@@ -169,17 +175,12 @@ def _write(scene: Any, out: Path) -> None:
         raise SceneError(f"Cannot write {out} ({reason}).", "Give another --out.") from error
 
 
-def _check_written(scene: Any, folder: Path, out: Path) -> None:
-    """Raise SceneError unless the files are whole: pycolmap does not say when a disk is full."""
-    try:
-        written = read_model(folder)
-    except SceneError:
-        written = None
-    counts = (scene.num_reg_images(), scene.num_points3D())
-    if written is None or (len(written.images), len(written.point_ids)) != counts:
-        raise SceneError(
-            f"Cannot write {out}: its files came out too short.", "Free some space on the disk."
-        )
+def _counts(model: Path) -> tuple[int, int] | None:
+    """The numbers of photos and points of a model; None if it is damaged."""
+    with suppress(SceneError):
+        written = read_model(model)
+        return len(written.images), len(written.point_ids)
+    return None
 
 
 def _carry_back(colmap: Any, scene: Any, positions: dict[int, Float64]) -> None:

@@ -179,10 +179,19 @@ def _track(colmap: Any, target: Any, scene: Any, matches: Matches) -> set[tuple[
         tracks.setdefault(point, []).append((*place, point))
         if matches.reference[row]:
             anchors.add(place)
-    keys = sorted(scene.point3D_ids())
-    few = [view for view, own in enumerate(keypoints) if len(own) < FEW]
-    for view in few:
-        _keep_keypoints(colmap, scene, views.ids[view], keypoints[view], tracks, keys)
+    row_of = {key: row for row, key in enumerate(sorted(scene.point3D_ids()))}
+    for image, own in zip(views.ids, keypoints, strict=True):
+        if len(own) >= FEW:
+            continue
+        # Its own keypoints of matched points stay beside the matches; no point has two.
+        for keypoint in scene.images[image].points2D:
+            if not keypoint.has_point3D():
+                continue
+            point = row_of[keypoint.point3D_id]
+            track = tracks.get(point, [])
+            if track and all(other != image for other, _, _ in track):
+                track.append((image, len(own), point))
+                own.append(colmap.Point2D(keypoint.xy))
     for view, own in enumerate(keypoints):
         target.images[views.ids[view]].points2D = colmap.Point2DList(own)
     for point, track in sorted(tracks.items()):
@@ -190,23 +199,3 @@ def _track(colmap: Any, target: Any, scene: Any, matches: Matches) -> set[tuple[
             elements = [colmap.TrackElement(image, keypoint) for image, keypoint, _ in track]
             target.add_point3D(matches.points[point], colmap.Track(elements))
     return anchors
-
-
-def _keep_keypoints(
-    colmap: Any,
-    scene: Any,
-    image: int,
-    keypoints: list[Any],
-    tracks: dict[int, list[adjustment.Observation]],
-    keys: Sequence[int],
-) -> None:
-    """Add the scene's own keypoints of a photo to those of matched points; no point has two."""
-    row_of = {key: row for row, key in enumerate(keys)}
-    for keypoint in scene.images[image].points2D:
-        if not keypoint.has_point3D():
-            continue
-        point = row_of[keypoint.point3D_id]
-        track = tracks.get(point, [])
-        if track and all(other != image for other, _, _ in track):
-            track.append((image, len(keypoints), point))
-            keypoints.append(colmap.Point2D(keypoint.xy))

@@ -169,6 +169,13 @@ def undistort(plan: UndistortionPlan, path: Path) -> None:
         result.save(file, format="PNG", compress_level=1)
 
 
+def undistorted_mask(mask: NDArray[np.bool_], camera: ModelCamera, least: int) -> NDArray[np.bool_]:
+    """As `undistorted_pixels`, for (H, W): pixels of which at least `least` of 255 are in it."""
+    grey = np.where(mask, np.uint8(255), np.uint8(0))
+    rgb = np.repeat(grey[..., None], 3, axis=2)
+    return np.asarray(undistorted_pixels(rgb, camera, sharp=False)[..., 0] >= least)
+
+
 def undistorted_pixels(
     pixels: NDArray[np.uint8], camera: ModelCamera, *, sharp: bool = True
 ) -> NDArray[np.uint8]:

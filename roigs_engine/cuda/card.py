@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import functools
 from contextlib import suppress
-from typing import Protocol
 
 import torch
 
@@ -14,14 +13,7 @@ from ..errors import KernelError
 from . import compiler, driver
 
 
-class Program(Protocol):
-    """Kernels that can be launched."""
-
-    def launch(self, kernel: str, blocks: int, threads: int, argument: ctypes.Structure) -> None:
-        """Start a kernel with its argument, after what runs on the device's current stream."""
-
-
-class CardProgram:
+class Program:
     """The kernels in a card's memory."""
 
     def __init__(self, device: torch.device, code: bytes) -> None:
@@ -34,6 +26,7 @@ class CardProgram:
         self._kernels = self._driver.load(code, compiler.KERNELS)
 
     def launch(self, kernel: str, blocks: int, threads: int, argument: ctypes.Structure) -> None:
+        """Start a kernel with its argument, after what runs on the device's current stream."""
         self._driver.enter(self._context)  # autograd's threads have none of their own
         stream = torch.cuda.current_stream(self._device).cuda_stream
         self._driver.launch(self._kernels[kernel], (blocks, threads), stream, argument)
@@ -49,7 +42,7 @@ def program(device: torch.device) -> Program:
     driver.load().check_version(nvrtc.version)
     target = compiler.architecture(device, nvrtc)
     try:
-        return CardProgram(device, compiler.machine_code(nvrtc, target))
+        return Program(device, compiler.machine_code(nvrtc, target))
     except KernelError:
         with suppress(OSError):
             compiler.cached(nvrtc, target).unlink()  # were it damaged, it would fail each time

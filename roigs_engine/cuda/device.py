@@ -76,7 +76,7 @@ def card_memory(device: torch.device) -> tuple[int, int]:
 
 
 @contextmanager
-def explain_out_of_memory(doing: Callable[[], str], advice: Callable[[], str]) -> Iterator[None]:
+def explain_out_of_memory(doing: Callable[[], str], advice: str) -> Iterator[None]:
     """Turn torch's out-of-memory error into a GpuMemoryError.
 
     `doing` describes the work with its numbers; `advice` says what to change.
@@ -85,7 +85,7 @@ def explain_out_of_memory(doing: Callable[[], str], advice: Callable[[], str]) -
         yield
     except torch.OutOfMemoryError as error:
         message = f"The GPU memory is full{_used()}: {doing()}."
-        raise GpuMemoryError(message, advice()) from error
+        raise GpuMemoryError(message, advice) from error
 
 
 def smaller_side(width: int, height: int) -> int:

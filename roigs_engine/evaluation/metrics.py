@@ -48,7 +48,7 @@ def corrected_error(image: Tensor, target: Tensor, mask: Tensor) -> float:
 def ssim(
     image: Tensor,
     photo: Tensor,  # (H, W, 3) uint8
-    mask: Tensor | None = None,
+    mask: Tensor,
     counted: Tensor | None = None,  # (H, W) bool
 ) -> float:
     """Structural similarity (Wang et al. 2004): 11 x 11 Gaussian window, sigma 1.5.
@@ -58,9 +58,6 @@ def ssim(
     for an empty mask. `counted` are the pixels that the photo's own mask does not ignore; the
     others are as in `photo_loss`, and must not be in `mask`.
     """
-    mask = counted if mask is None else mask
-    if mask is None:
-        return float(photo_loss(image, photo).ssim)
     box = bounding_box(mask, margin=SSIM_RADIUS)
     if box is None:
         return math.nan

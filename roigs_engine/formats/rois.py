@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,7 @@ class RoiRecord:
         _check_box(self.name, self.world_to_box, self.half_extents)
 
     @classmethod
-    def between(cls, name: str, low: Any, high: Any) -> RoiRecord:
+    def between(cls, name: str, low: Any, high: Any) -> Self:
         """The box between two corners, (3,) each, along the axes of the COLMAP frame."""
         low_, high_ = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
         transform = np.eye(4)

@@ -134,25 +134,11 @@ def build(
         return paths
     # before compiling: an edit meanwhile makes the result count as old
     keys = f"{source_key()}\n{interface_key()}"
-    command, is_zig = _compiler_command(compiler, name)
     with tempfile.TemporaryDirectory(prefix="roigs-build-") as scratch:
-        built = _compile_all(_sources("*.cpp"), Path(scratch), name, command, is_zig)
+        built = compile_all(_sources("*.cpp"), Path(scratch), name, compiler)
         for isa, temporary in built.items():
             _install(temporary, library_path(folder, name, isa), keys)
     return paths
-
-
-def build_other(
-    sources: Sequence[Path], folder: Path, *, compiler: str = "auto"
-) -> dict[str, Path]:
-    """Compiles sources other than the kernels into `folder`, for this platform, as kernels are.
-
-    Returns instruction set -> library. The benchmarks measure the processor with these. Raises
-    `BuildError`.
-    """
-    name = native_platform()
-    command, is_zig = _compiler_command(compiler, name)
-    return _compile_all(sources, folder, name, command, is_zig)
 
 
 def _sources(*patterns: str) -> list[Path]:
@@ -190,10 +176,14 @@ def _compiler_command(compiler: str, target: str) -> tuple[list[str], bool]:
     raise BuildError("No C++ compiler found: run `pip install ziglang`, or set CXX.")
 
 
-def _compile_all(
-    sources: Sequence[Path], scratch: Path, target: str, command: list[str], is_zig: bool
+def compile_all(
+    sources: Sequence[Path], folder: Path, target: str, compiler: str = "auto"
 ) -> dict[str, Path]:
-    """Compiles and links all instruction sets in parallel; returns their temporary paths."""
+    """Compiles sources for a platform, in parallel: instruction set -> library in `folder`.
+
+    Raises `BuildError`. Benchmarks measure the processor with sources of their own.
+    """
+    command, is_zig = _compiler_command(compiler, target)
     spec = PLATFORMS[target]
     environment = dict(os.environ)
     if is_zig:
@@ -218,13 +208,13 @@ def _compile_all(
             flags = _isa_flags(isa, spec.isas[isa], is_zig)
             objects[isa] = []
             for source in sources:
-                output = scratch / f"{source.stem}_{isa}.o"
+                output = folder / f"{source.stem}_{isa}.o"
                 objects[isa].append(output)
                 arguments = [*common, *flags, "-c", str(source), "-o", str(output)]
                 jobs.append(workers.submit(_run, arguments, environment))
         for job in jobs:
             job.result()
-        libraries = {isa: library_path(scratch, target, isa) for isa in spec.isas}
+        libraries = {isa: library_path(folder, target, isa) for isa in spec.isas}
         for isa, library in libraries.items():
             library.parent.mkdir(exist_ok=True)
             # A macOS library holds its name: without this, that of the scratch folder's file.

@@ -272,7 +272,6 @@ def _image(view: View, number: int) -> PosedImage:
         path=Path(),  # its pixels are drawn
         camera=camera,
         world_to_camera=pose,
-        point_indices=np.zeros(0, dtype=np.int64),
     )
 
 

@@ -9,7 +9,7 @@ before black and before white, so that a level learns what lets light through as
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +22,7 @@ from ..context import QUIET, Context
 from ..errors import RunFolderError
 from ..formats import run_files
 from ..formats.files import matching, read_json
-from ..formats.levels import Ladder, rate_in_view, read_ladders, shown_levels
+from ..formats.levels import rate_in_view, read_ladders, shown_levels
 from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
 from ..model.operations import faded
@@ -172,9 +172,6 @@ class TeacherPictures:
     def __getitem__(self, index: int) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
         return self._pictures[index]
 
-    def __iter__(self) -> Iterator[np.ndarray[tuple[int, ...], np.dtype[np.uint8]]]:
-        return iter(self._pictures)
-
     def prefetch(self, indices: Sequence[int]) -> None:
         """Nothing: all are there."""
 
@@ -238,19 +235,12 @@ class LevelledResult:
         """The Gaussians that a view needs, in the frame."""
         parts = []
         for ladder in self._ladders:
-            for ply, density in self.shown(ladder, camera, world_to_camera):
-                part = self._part(ply)
+            rate = rate_of(ladder.probes, (camera, world_to_camera))
+            for level, density in shown_levels(ladder, rate, self._quality):
+                part = self._part(level.ply)
                 logits = faded(part.logit_opacities, density)
                 parts.append(replace(part, logit_opacities=logits))
         return Gaussians.concatenate(parts)
-
-    def shown(
-        self, ladder: Ladder, camera: Camera, world_to_camera: Float64
-    ) -> list[tuple[str, float]]:
-        """The files of a part that a view needs, and their densities."""
-        rate = rate_of(ladder.probes, (camera, world_to_camera))
-        levels = shown_levels(ladder, rate, self._quality)
-        return [(level.ply, density) for level, density in levels]
 
     def _part(self, ply: str) -> Gaussians:
         if ply not in self._read:

@@ -16,7 +16,7 @@ from ..model.roi import OrientedBox
 from ..rasterize.limits import PICTURE_LIMITS
 from ..rasterize.view import rasterize_view
 from ..training.labels import MaskedView, mask_votes, object_rows
-from .propagation import Prior, eroded
+from .propagation import Knowledge, Prior, eroded
 from .views import ON_BACKGROUND, ON_OBJECT, Mask, View
 
 Votes = tuple[Tensor, Tensor]
@@ -24,7 +24,7 @@ EDGE = 0.03  # width of a mask's outline, in the object's size
 HEARD = 1.0  # least sum of votes, in pixels, that says something of a Gaussian
 
 
-class GaussianVotes:
+class GaussianVotes(Knowledge):
     """The Gaussians of a box, with the votes of each photo for and against them."""
 
     def __init__(
@@ -43,14 +43,10 @@ class GaussianVotes:
         return not bool(self._owned.any())
 
     def learn_strokes(self, view: View) -> None:
-        """Count what the strokes on a photo say; other pixels say nothing."""
         self._count(view, view.seeds == ON_OBJECT, view.seeds == ON_BACKGROUND, 1.0)
 
     def learn(self, view: View, mask: Mask, weight: float = 1.0) -> None:
-        """Count a photo's mask, in place of what the photo has said before.
-
-        Pixels at its outline say nothing: they show a little of Gaussians on the far side.
-        """
+        # Pixels at its outline say nothing: they show a little of Gaussians on the far side.
         edge = max(2.0, EDGE * math.sqrt(mask.sum()))
         self._count(view, eroded(mask, edge), eroded(~mask, edge), weight)
 
@@ -63,7 +59,6 @@ class GaussianVotes:
         self._votes[view.name] = (votes[0], votes[1])
 
     def prior(self, view: View, *, without: bool = True) -> Prior:
-        """What the photos say of this one; `without`: without its own votes."""
         yes, no = self._sum(view.name if without else None)
         known = self._owned & (yes + no > 0)
         rows = object_rows(self._model, (yes, no), self._owned)

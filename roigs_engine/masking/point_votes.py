@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from ..model.roi import OrientedBox
 from ..model.scene import Float64, SfmScene, project
-from .propagation import Prior, eroded
+from .propagation import Knowledge, Prior, eroded
 from .views import FREE, ON_OBJECT, Mask, View
 
 Numbers = NDArray[np.float64]
@@ -24,7 +24,7 @@ TRUST, UNKNOWN = 0.5, 0.4  # see `Prior`: between points, nothing is sure
 EVERY = 7  # every n-th pixel of strokes counts as a point
 
 
-class PointVotes:
+class PointVotes(Knowledge):
     """The sparse points of a box with the votes of each photo, and the photos' colours."""
 
     def __init__(self, scene: SfmScene, roi: OrientedBox) -> None:
@@ -47,7 +47,6 @@ class PointVotes:
         """Nothing: strokes are points of their own photo, see `prior`."""
 
     def learn(self, view: View, mask: Mask, weight: float = 1.0) -> None:
-        """Count a photo's mask, in place of what the photo has said before."""
         said = np.zeros(mask.shape)
         said[eroded(mask, EDGE)] = weight
         said[eroded(~mask, EDGE)] = -weight
@@ -62,7 +61,6 @@ class PointVotes:
         )
 
     def prior(self, view: View, *, without: bool = True) -> Prior:
-        """What the photos say of this one; `without`: without its own votes."""
         others = [name for name in self._votes if not (without and name == view.name)]
         votes = sum((self._votes[name] for name in others), np.zeros(len(self._points)))
         places, labels = self._labelled(view, votes)

@@ -102,8 +102,6 @@ class Gaussians:
         cls,
         points: Float64,  # (P, 3)
         colors: NDArray[np.uint8],  # (P, 3) uint8
-        *,
-        sh_degree: int = 3,
     ) -> Gaussians:
         """The start of training: one Gaussian per sparse point (3DGS, Kerbl et al. 2023, sec. 5.1).
 
@@ -117,7 +115,7 @@ class Gaussians:
         if neighbours > 1:
             spacing = np.sqrt((distances[:, 1:] ** 2).mean(axis=1))
         log_scales = np.log(np.maximum(spacing, 1e-7))
-        sh = np.zeros((count, (sh_degree + 1) ** 2, 3), dtype=np.float32)
+        sh = np.zeros((count, 16, 3), dtype=np.float32)
         sh[:, 0] = (colors / 255.0 - 0.5) / SH_C0
         quats = np.zeros((count, 4), dtype=np.float32)
         quats[:, 0] = 1.0

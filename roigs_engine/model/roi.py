@@ -25,18 +25,6 @@ AREA_SIDE = 256  # longer side of the thumbnail for measuring a silhouette's are
 class OrientedBox(RoiRecord):
     """A box of `rois.json` with its geometry: |world_to_box . p| <= half_extents, per axis."""
 
-    @classmethod
-    def from_record(cls, record: RoiRecord) -> OrientedBox:
-        """The box of a file's record."""
-        return cls(
-            name=record.name, world_to_box=record.world_to_box, half_extents=record.half_extents
-        )
-
-    @classmethod
-    def axis_aligned(cls, name: str, low: Any, high: Any) -> OrientedBox:
-        """The box between the corners `low` and `high`, both (3,), in world units."""
-        return cls.from_record(RoiRecord.between(name, low, high))
-
     @property
     def centre(self) -> Float64:
         """(3,) centre in the world."""
@@ -127,12 +115,12 @@ class OrientedBox(RoiRecord):
 
 def roi_from_dict(record: Any) -> OrientedBox:
     """A box from a record of `rois.json`; RoiError if it is malformed."""
-    return OrientedBox.from_record(roi_record(record))
+    return OrientedBox(**vars(roi_record(record)))
 
 
 def load_rois(path: Path) -> list[OrientedBox]:
     """All boxes of a `rois.json`; RoiError if the file cannot be used."""
-    return [OrientedBox.from_record(record) for record in read_rois(path)]
+    return [OrientedBox(**vars(record)) for record in read_rois(path)]
 
 
 def parse_roi(text: str) -> OrientedBox:

@@ -97,7 +97,7 @@ class PosedImage:
     path: Path
     camera: Camera
     world_to_camera: Float64
-    point_indices: Int64
+    point_indices: Int64 = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     digest: str = ""
     file_digest: str = ""
     remake: Callable[[], None] | None = None
@@ -114,13 +114,6 @@ class PosedImage:
     def local(self, points: Float64) -> Float64:
         """World positions (P, 3) -> (P, 3) in the camera's axes."""
         return np.asarray(points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3])
-
-    def projected(self, points: Float64) -> tuple[Float64, Float64]:
-        """World positions (P, 3) -> pixels (F, 2) and depths (F,) of those before the camera."""
-        camera, local = self.camera, self.local(points)
-        front = local[local[:, 2] > 0]
-        focal, centre = (camera.fx, camera.fy), (camera.cx, camera.cy)
-        return front[:, :2] / front[:, 2:] * focal + centre, front[:, 2]
 
     @property
     def decoded_bytes(self) -> int:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from .ownership import nearest_owner
 from .roi import OrientedBox
-from .scene import ONE_POSITION, Float64, PosedImage, SfmScene, reaches
+from .scene import ONE_POSITION, Float64, PosedImage, SfmScene, project, reaches
 
 STRAY = "with a camera far from all others"
 OUTLIER_REACH = 10.0  # a camera farther than this (see `scene.reaches`) is suspect
@@ -56,12 +56,12 @@ def _shows_its_points(image: PosedImage, points: Float64) -> bool:
     """Whether the points that a photo observes project into it, and not all to one spot."""
     if len(image.point_indices) < FEW_POINTS:
         return False
-    camera = image.camera
-    pixels, _ = image.projected(points[image.point_indices])
-    inside = pixels[((pixels >= 0) & (pixels <= (camera.width, camera.height))).all(axis=1)]
-    if 2 * len(inside) < len(image.point_indices):
+    observed = points[image.point_indices]
+    pixels, _, seen = project(observed, image.camera, image.world_to_camera)
+    if 2 * seen.sum() < len(observed):
         return False
-    return bool(np.linalg.norm(inside.std(axis=0)) >= LEAST_EXTENT * camera.width)
+    spread = np.linalg.norm(pixels[seen].std(axis=0))
+    return bool(spread >= LEAST_EXTENT * image.camera.width)
 
 
 def _without_far_points(scene: SfmScene) -> SfmScene:

@@ -42,10 +42,7 @@ def render_view(
     width, height = camera.width, camera.height
     with explain_out_of_memory(
         lambda: f"rendering {len(gaussians):,} Gaussians at {width}x{height}",
-        lambda: (
-            f"Render smaller images (--max-side {smaller_side(width, height)}),"
-            " or use --device cpu."
-        ),
+        f"Render smaller images (--max-side {smaller_side(width, height)}), or use --device cpu.",
     ):
         output = rasterize_view(
             gaussians,

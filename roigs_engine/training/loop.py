@@ -67,14 +67,12 @@ def explained_full_memory(
         step, gaussians = now()
         return f"step {step}, {gaussians:,} Gaussians, photos of up to {width}x{height}"
 
-    def advice() -> str:
-        return (
-            "Close other programs that use the GPU, or train with smaller photos"
-            f" (--max-side {smaller_side(width, height)}) or fewer Gaussians (a smaller"
-            " --preset). --device cpu resumes from the last checkpoint."
-        )
-
-    return explain_out_of_memory(doing, advice)
+    return explain_out_of_memory(
+        doing,
+        "Close other programs that use the GPU, or train with smaller photos"
+        f" (--max-side {smaller_side(width, height)}) or fewer Gaussians (a smaller"
+        " --preset). --device cpu resumes from the last checkpoint.",
+    )
 
 
 class StepsAhead:

@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 
 from ..errors import TrainingError
-from ..formats.events import Progress
 from ..formats.text import counted
 
 PSNR_EVERY = 50  # steps
@@ -63,20 +62,6 @@ class TrainingMetrics:
         is_first = self.psnr != self.psnr
         self.psnr = psnr if is_first else 0.7 * self.psnr + 0.3 * psnr
         self._error = None
-
-    def progress(
-        self, stage: str, step: int, total: int, gaussians: int, seconds_left: float
-    ) -> Progress:
-        """The event that shows them; waits for the device."""
-        return Progress(
-            stage=stage,
-            step=step,
-            total=total,
-            loss=float(self.loss),
-            psnr=self.psnr,
-            gaussians=gaussians,
-            seconds_left=seconds_left,
-        )
 
     def take_back(self, loss: Tensor) -> None:
         """The running loss is this one again: the steps since are done anew."""

@@ -181,12 +181,7 @@ class VisibleAdam:
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Continue from a `state_dict`; copies tensors. Raises EngineError if it does not fit."""
-        for key in ("exp_avg", "exp_avg_sq"):
-            for name, parameter in self.parameters.items():
-                saved = state[key].get(name)
-                if saved is None or saved.shape != parameter.shape:
-                    raise EngineError(f"The optimizer state has no {key} that fits {name}.")
+        """Continue from a `state_dict` that fits (`checkpoint.check_state`); copies tensors."""
         self.step_count, self.skipped_rows = int(state["step_count"]), int(state["skipped_rows"])
         for name, parameter in self.parameters.items():
             for key, moments in (("exp_avg", self.exp_avg), ("exp_avg_sq", self.exp_avg_sq)):

@@ -15,6 +15,7 @@ from torch import Tensor
 from ..context import QUIET, Context
 from ..cuda.device import CPU, number, on_device
 from ..errors import Stopped
+from ..formats.events import Progress
 from ..machine import release_freed_memory
 from ..model.gaussians import NAMES, Gaussians
 from ..rasterize import RenderOutput, rasterize
@@ -51,7 +52,8 @@ class Trainer:
         self.seconds = 0.0
         self.cpu_seconds = 0.0  # of the whole process, all its threads
         gaussians = replace(gaussians.to(data.device), antialiased=config.antialiased)
-        self._parameters = leaves(gaussians.rows(morton_order(gaussians.means)))
+        # the current model; its tensors belong to the trainer
+        self.gaussians = leaves(gaussians.rows(morton_order(gaussians.means)))
         self.optimizer = self._new_optimizer()
         self.health = Health([image.name for image in data.images])
         small = data.small if config.has_small else None
@@ -62,11 +64,6 @@ class Trainer:
         self._steps_before = 0  # of the optimizer, in front of this step
         acting = [each for each in config.mechanisms if each.acts(config)]
         self._running = {each.name: each.begin(config, self) for each in acting}
-
-    @property
-    def gaussians(self) -> Gaussians:
-        """The current model; its tensors belong to the trainer."""
-        return self._parameters
 
     def run(
         self,
@@ -84,7 +81,7 @@ class Trainer:
             callbacks: called between steps to write checkpoints and previews.
         """
         explained = explained_full_memory(
-            self.data.images, lambda: (self.step, len(self._parameters))
+            self.data.images, lambda: (self.step, len(self.gaussians))
         )
         with one_torch_thread(), explained:
             return self._run(context, stage, callbacks)
@@ -107,8 +104,17 @@ class Trainer:
                 reported = now
                 done = max(self.step - first, 1)
                 left = (now - started) / done * (self.config.steps - self.step)
-                where = stage, self.step, self.config.steps, len(self._parameters)
-                context.emit(self._metrics.progress(*where, left))
+                context.emit(
+                    Progress(
+                        stage=stage,
+                        step=self.step,
+                        total=self.config.steps,
+                        loss=float(self._metrics.loss),
+                        psnr=self._metrics.psnr,
+                        gaussians=len(self.gaussians),
+                        seconds_left=left,
+                    )
+                )
             for callback in callbacks:
                 # Writing files does not count as training time.
                 started += callback.call_if_due(self.seconds)
@@ -202,7 +208,7 @@ class Trainer:
     def check(self) -> None:
         """Raise TrainingError if a loss, a gradient or a parameter is NaN or Inf."""
         self._taken_back(wait=True)
-        self.health.check(self.step, self._parameters.tensors(), self.optimizer.skipped_rows)
+        self.health.check(self.step, self.gaussians.tensors(), self.optimizer.skipped_rows)
 
     def _views(self, step: int) -> PhotoViews:
         """The photos in the size that a step uses."""
@@ -261,7 +267,7 @@ class Trainer:
         if bool(found.any()):
             self._steps_before = -1  # from here on, half of the state may have
             kept = (~found).nonzero()[:, 0]
-            self.apply(unchanged(self._parameters).keep(kept))
+            self.apply(unchanged(self.gaussians).keep(kept))
             self._steps_before = self.optimizer.step_count
         self.seconds += time.perf_counter() - began
         self.cpu_seconds += time.process_time() - cpu_began
@@ -269,20 +275,20 @@ class Trainer:
 
     def apply(self, edit: Edit) -> None:
         if edit.rows is not None:
-            self._ahead.grow(len(self._parameters), len(edit.rows))
-            self._parameters = leaves(edit.gaussians)
-            self.optimizer.replace(self._parameters.tensors(), edit.rows)
+            self._ahead.grow(len(self.gaussians), len(edit.rows))
+            self.gaussians = leaves(edit.gaussians)
+            self.optimizer.replace(self.gaussians.tensors(), edit.rows)
             for each in self._running.values():
-                each.follow(edit.rows, self._parameters)
+                each.follow(edit.rows, self.gaussians)
             release_freed_memory()
         if edit.opacity_cap is not None:
             logit = float(np.log(edit.opacity_cap / (1 - edit.opacity_cap)))
             with torch.no_grad():
-                self._parameters.logit_opacities.clamp_(max=logit)
+                self.gaussians.logit_opacities.clamp_(max=logit)
             self.optimizer.zero_moments("logit_opacities")
 
     def _new_optimizer(self) -> VisibleAdam:
-        tensors = self._parameters.tensors()
+        tensors = self.gaussians.tensors()
         rates = learning_rates(self.config, self.data.extent, tensors["sh"].shape[1])
         return VisibleAdam({name: (tensors[name], rates[name]) for name in NAMES})
 
@@ -295,7 +301,7 @@ class Trainer:
             "cpu_seconds": self.cpu_seconds,
             "loss": float(self._metrics.loss),
             "psnr": self._metrics.psnr,
-            "parameters": {n: t.detach() for n, t in self._parameters.tensors().items()},
+            "parameters": {n: t.detach() for n, t in self.gaussians.tensors().items()},
             "optimizer": self.optimizer.state_dict(),
             "mechanisms": {name: each.state_dict() for name, each in self._running.items()},
         }
@@ -308,7 +314,7 @@ class Trainer:
         self.cpu_seconds = float(state["cpu_seconds"])
         self._metrics.loss.fill_(float(state["loss"]))
         self._metrics.psnr = float(state["psnr"])
-        self._parameters = leaves(self._parameters.with_tensors(state["parameters"]))
+        self.gaussians = leaves(self.gaussians.with_tensors(state["parameters"]))
         self.optimizer = self._new_optimizer()
         self.optimizer.load_state_dict(state["optimizer"])
         for name, each in self._running.items():

@@ -94,7 +94,7 @@ def train(
     return train_run(run, compare, context, update=update, preview_seconds=preview_seconds)
 
 
-SECOND = OrientedBox.axis_aligned("second", [-0.2, -0.2, -0.2], [0.5, 0.5, 0.5])
+SECOND = OrientedBox.between("second", [-0.2, -0.2, -0.2], [0.5, 0.5, 0.5])
 
 
 def production(strategy: str = "joint", **changes: object) -> RunConfig:

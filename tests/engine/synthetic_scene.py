@@ -22,7 +22,7 @@ from roigs_engine.training.stage_data import SmallPhotos, StageData
 from tests.poses import look_at
 
 CAMERA = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
-BOX = OrientedBox.axis_aligned("thing", [-0.6, -0.6, -0.6], [0.6, 0.6, 0.6])
+BOX = OrientedBox.between("thing", [-0.6, -0.6, -0.6], [0.6, 0.6, 0.6])
 
 
 def truth(count: int = 300, seed: int = 0) -> Gaussians:

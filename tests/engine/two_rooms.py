@@ -13,7 +13,7 @@ from tests.engine.synthetic_scene import make_scene
 
 APART = 12.0  # of the rooms' middles, along x; each shell has a radius of 2.5
 BOXES = tuple(
-    OrientedBox.axis_aligned(name, [x - 0.6, -0.6, -0.6], [x + 0.6, 0.6, 0.6])
+    OrientedBox.between(name, [x - 0.6, -0.6, -0.6], [x + 0.6, 0.6, 0.6])
     for name, x in (("east", 0.0), ("west", APART))
 )
 

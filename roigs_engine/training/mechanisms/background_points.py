@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...context import QUIET, Context
-from ...model.scene import Float64, PosedImage
+from ...model.scene import Float64, PosedImage, project
 from ..config import Mechanism, limited
 
 if TYPE_CHECKING:
@@ -101,9 +101,8 @@ def _side(image: PosedImage, cells: int) -> float:
 
 def _projected(points: Float64, image: PosedImage) -> tuple[Float64, Float64]:
     """(P, 3) -> pixels (S, 2) and depths (S,) of the points that lie in the photo."""
-    pixels, depths = image.projected(points)
-    inside = ((pixels >= 0) & (pixels < (image.camera.width, image.camera.height))).all(axis=1)
-    return pixels[inside], depths[inside]
+    pixels, depths, seen = project(points, image.camera, image.world_to_camera)
+    return pixels[seen], depths[seen]
 
 
 def _empty_cells(

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from ...model.gaussians import Gaussians
     from ..running import Training
-    from ..stage_data import PhotoViews, StageData
+    from ..stage_data import PhotoViews
     from ..state_reader import StateReader
 
 WHOLE, EACH = 16, 8  # photos that are asked: of all, and of those that see a box
@@ -82,31 +82,14 @@ class _Running(Running):
             return True
 
         def search() -> Tensor:
-            data = training.data
+            data, model = training.data, training.gaussians
             rois = data.rois if self._by_box else ()
-            views, model = training.photos, training.gaussians
-            return unimportant_gaussians(model, data, views, self._growth, rois, context)
+            errors = PhotoErrors(training.photos, rois, data.backgrounds, context)
+            worth = visible_worth(model, data.images, context)
+            return least_important(worth, lambda kept: errors(model.rows(kept)), self._growth)
 
         self.done = training.prune(context, "Gaussians that the photos hardly show", search)
         return self.done
-
-
-def unimportant_gaussians(
-    gaussians: Gaussians,
-    data: StageData,
-    views: PhotoViews,
-    growth: float,
-    rois: Sequence[OrientedBox] = (),
-    context: Context = QUIET,
-) -> Tensor:
-    """(N,) bool: the Gaussians that a stage's photos do not miss.
-
-    `views` are its photos in the size to judge by; `growth` is the largest mean growth of their
-    errors, as a share of them; `rois` are boxes that are judged apart.
-    """
-    errors = PhotoErrors(views, rois, data.backgrounds, context)
-    worth = visible_worth(gaussians, data.images, context)
-    return least_important(worth, lambda kept: errors(gaussians.rows(kept)), growth)
 
 
 def visible_worth(

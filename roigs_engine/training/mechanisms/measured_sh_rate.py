@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ...context import QUIET, Context
 from ...model.roi import OrientedBox
-from ...model.scene import Float64, PosedImage
+from ...model.scene import Float64, PosedImage, project
 from ..config import Mechanism, TrainConfig
 
 if TYPE_CHECKING:
@@ -125,22 +125,19 @@ def _sightings(
     for index, image in enumerate(images):
         context.check_cancelled()
         own = image.point_indices[wanted[image.point_indices]]
-        camera, pose = image.camera, image.world_to_camera
-        local = points[own] @ pose[:3, :3].T + pose[:3, 3]
-        with np.errstate(all="ignore"):  # behind the camera, or at it
-            x = np.floor(local[:, 0] / local[:, 2] * camera.fx + camera.cx)
-            y = np.floor(local[:, 1] / local[:, 2] * camera.fy + camera.cy)
-        inside = (x >= RADIUS) & (x < camera.width - RADIUS) & (local[:, 2] > 0)
-        inside &= (y >= RADIUS) & (y < camera.height - RADIUS)
+        camera = image.camera
+        pixels, depths, inside = project(points[own], camera, image.world_to_camera)
+        pixels, size = np.floor(pixels), np.array([camera.width, camera.height])
+        inside &= ((pixels >= RADIUS) & (pixels < size - RADIUS)).all(axis=1)
         if not inside.any():
             continue
-        own, local = own[inside], local[inside]
-        across = x[inside].astype(np.int64)[:, None, None] + offsets[None, None, :]
-        down = y[inside].astype(np.int64)[:, None, None] + offsets[None, :, None]
+        own, depths = own[inside], depths[inside]
+        x, y = pixels[inside].astype(np.int64).T[..., None, None]
+        across, down = x + offsets[None, None, :], y + offsets[None, :, None]
         patches = np.asarray(photos[index])[down, across].astype(np.float64)
         rays = image.centre - points[own]
         rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
-        row = [own, patches[..., :3].mean(axis=(1, 2)), rays, camera.fx / local[:, 2]]
+        row = [own, patches[..., :3].mean(axis=(1, 2)), rays, camera.fx / depths]
         counted = (patches[..., 3:] == 255).all(axis=(1, 2, 3))  # a mask's pixels, if it has one
         rows.append(np.column_stack(row)[counted])
     found = np.concatenate(rows) if rows else np.zeros((0, 8))

@@ -23,9 +23,9 @@ def test_figures_of_a_scene_and_its_boxes(tmp_path: Path) -> None:
     (tmp_path / "images/7.png").unlink()
     scene = load_colmap(tmp_path)
     boxes = [
-        OrientedBox.axis_aligned("middle", [-0.2] * 3, [0.2] * 3),
-        OrientedBox.axis_aligned("far", [5, 5, 5], [6, 6, 6]),
-        OrientedBox.axis_aligned("all", [-9] * 3, [9] * 3),
+        OrientedBox.between("middle", [-0.2] * 3, [0.2] * 3),
+        OrientedBox.between("far", [5, 5, 5], [6, 6, 6]),
+        OrientedBox.between("all", [-9] * 3, [9] * 3),
     ]
     report = inspect_scene(scene, boxes)
     assert json.loads(json.dumps(report)) == report
@@ -48,7 +48,7 @@ def test_figures_of_a_scene_and_its_boxes(tmp_path: Path) -> None:
 def test_without_tracks_silhouettes_decide(tmp_path: Path) -> None:
     write_project(tmp_path, tracks=False)
     scene = load_colmap(tmp_path)
-    box = OrientedBox.axis_aligned("box", [-0.3] * 3, [0.3] * 3)
+    box = OrientedBox.between("box", [-0.3] * 3, [0.3] * 3)
     report = inspect_scene(scene, [box])
     assert not report["has_tracks"] and report["rois"][0]["photos"] == 3
     assert "does not store" in format_inspection(report)

@@ -24,7 +24,7 @@ from roigs_engine.photos.mask_paths import MaskOptions
 from tests.engine.synthetic_colmap import camera, write_project
 
 NAMES = ("sub/a.png", "b.png", "c.png")
-BOX = OrientedBox.axis_aligned("thing", [-0.5, -0.5, -0.5], [0.5, 0.5, 0.5])
+BOX = OrientedBox.between("thing", [-0.5, -0.5, -0.5], [0.5, 0.5, 0.5])
 VASE = MaskOptions(boxes=("thing", "other"))
 
 

@@ -141,7 +141,7 @@ def test_a_step_reads_nothing_back(scene: SfmScene, monkeypatch: pytest.MonkeyPa
     steps = Trainer(start, stage_data(scene), config)
     steps.train_step()
     # The reference rasterizer does read back: a rendering made before stands in for it.
-    image = steps._parameters.means.sum() * 0 + torch.rand(1, 48, 64, 3)
+    image = steps.gaussians.means.sum() * 0 + torch.rand(1, 48, 64, 3)
     count = len(start)
     output = SimpleNamespace(
         image=image, visible=torch.ones(1, count) > 0, grad2d=torch.rand(1, count), max_weight=None

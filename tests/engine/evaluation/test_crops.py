@@ -112,14 +112,14 @@ def test_first_panel_holds_the_photo_s_pixels(
 
 
 def test_window_is_the_silhouette_with_a_margin() -> None:
-    box = OrientedBox.axis_aligned("a", [-0.5, -0.5, 5], [0.5, 0.5, 5.1])
+    box = OrientedBox.between("a", [-0.5, -0.5, 5], [0.5, 0.5, 5.1])
     mask = box.silhouette(CAMERA, np.eye(4))
     rows, columns = crop_window(box, CAMERA, np.eye(4))
     ys, xs = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     margin = round(0.1 * max(len(ys), len(xs)))
     assert (rows.start, rows.stop) == (ys[0] - margin, ys[-1] + 1 + margin)
     assert (columns.start, columns.stop) == (xs[0] - margin, xs[-1] + 1 + margin)
-    away = OrientedBox.axis_aligned("b", [-1, -1, -9], [1, 1, -8])
+    away = OrientedBox.between("b", [-1, -1, -9], [1, 1, -8])
     assert crop_window(away, CAMERA, np.eye(4)) == (slice(0, 60), slice(0, 80))
 
 

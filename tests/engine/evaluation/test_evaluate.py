@@ -33,7 +33,7 @@ from roigs_engine.rasterize import view as view_module
 from tests.engine.evaluation.tables import cells
 from tests.engine.synthetic_scene import BOX, make_scene, truth
 
-FAR = OrientedBox.axis_aligned("far | corner", [2.0, -0.4, -0.4], [2.8, 0.4, 0.4])
+FAR = OrientedBox.between("far | corner", [2.0, -0.4, -0.4], [2.8, 0.4, 0.4])
 TEST = ("001.png", "004.png", "006.png")
 
 
@@ -205,7 +205,7 @@ def test_every_view_is_rendered_once_per_model(
 
 
 def small_box(half: float, name: str = "small") -> OrientedBox:
-    return OrientedBox.axis_aligned(name, [-half] * 3, [half] * 3)
+    return OrientedBox.between(name, [-half] * 3, [half] * 3)
 
 
 def test_views_with_few_pixels_are_left_out(scene: SfmScene) -> None:
@@ -244,7 +244,7 @@ def test_camera_inside_takes_the_whole_image(scene: SfmScene) -> None:
 
 
 def test_a_box_that_no_test_photo_shows(scene: SfmScene) -> None:
-    away = OrientedBox.axis_aligned("away", [0, 0, 50], [1, 1, 51])
+    away = OrientedBox.between("away", [0, 0, 50], [1, 1, 51])
     model, events = EvaluatedModel(name="m", gaussians=truth(), seconds=0.0), []
     result = evaluate([model], scene, TEST, [away], context=Context(emit=events.append))
     row = result.rois[0].rows[0]

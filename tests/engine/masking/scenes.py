@@ -18,7 +18,7 @@ from roigs_engine.rasterize.view import render_view
 from tests.poses import look_at
 
 CAMERA = Camera(width=160, height=120, fx=150.0, fy=150.0, cx=80.0, cy=60.0)
-BOX = OrientedBox.axis_aligned("ball", [-0.5, -0.5, -0.56], [0.5, 0.5, 0.5])
+BOX = OrientedBox.between("ball", [-0.5, -0.5, -0.56], [0.5, 0.5, 0.5])
 COUNT = 6
 
 

@@ -129,7 +129,7 @@ def test_a_resized_camera_sees_the_same_share_of_the_image(
 def test_a_silhouette_holds_the_pixels_whose_centres_it_covers() -> None:
     camera = Camera(width=40, height=30, fx=10.0, fy=10.0, cx=20.0, cy=15.0)
     # The near face, at z = 1, spans columns 10.4 to 25.6 and rows 12.6 to 16.4.
-    box = OrientedBox.axis_aligned("b", [-0.96, -0.24, 1.0], [0.56, 0.14, 1.5])
+    box = OrientedBox.between("b", [-0.96, -0.24, 1.0], [0.56, 0.14, 1.5])
     rows, columns = np.nonzero(box.silhouette(camera, np.eye(4)))
     assert (columns.min(), columns.max()) == (10, 25)
     assert (rows.min(), rows.max()) == (13, 15)

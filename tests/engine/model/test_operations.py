@@ -84,7 +84,7 @@ def test_inputs_stay_as_they_are() -> None:
 
 def test_fewer_bands_are_filled_with_zeros() -> None:
     rng = np.random.default_rng(0)
-    roi = OrientedBox.axis_aligned("all", [-3, -3, -3], [3, 3, 3])
+    roi = OrientedBox.between("all", [-3, -3, -3], [3, 3, 3])
     scene, model = cloud(rng, 10, -1), cloud(rng, 12, 0, bands=4)
     result = merge(scene, [(roi, model)])
     assert result.sh.shape == (12, 16, 3)
@@ -96,7 +96,7 @@ def test_no_box_and_no_gaussian() -> None:
     rng = np.random.default_rng(0)
     scene, empty = cloud(rng, 10, -1), cloud(rng, 0, 0)
     assert merge(scene, []).means.equal(scene.means)
-    roi = OrientedBox.axis_aligned("all", [-3, -3, -3], [3, 3, 3])
+    roi = OrientedBox.between("all", [-3, -3, -3], [3, 3, 3])
     assert len(merge(scene, [(roi, empty)])) == 0
 
 

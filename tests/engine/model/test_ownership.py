@@ -13,7 +13,7 @@ from tests.engine.synthetic_scene import truth
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(-1, 1, (400, 3))
-BOX = OrientedBox.axis_aligned("vase", [-0.2, -0.2, -0.2], [0.3, 0.3, 0.3])
+BOX = OrientedBox.between("vase", [-0.2, -0.2, -0.2], [0.3, 0.3, 0.3])
 
 
 def halves(box_owner: int = 1) -> Partition:

@@ -148,7 +148,7 @@ def test_silhouette_holds_every_projected_point_of_the_box(seed: int) -> None:
 
 def test_corners_behind_the_camera_are_clipped() -> None:
     # A long corridor that reaches from behind the camera, beside it, to far in front.
-    box = OrientedBox.axis_aligned("corridor", [0.5, -1, -20], [3, 1, 30])
+    box = OrientedBox.between("corridor", [0.5, -1, -20], [3, 1, 30])
     pose = np.eye(4)
     assert not box.camera_inside(pose)
     mask = box.silhouette(CAMERA, pose)
@@ -158,14 +158,14 @@ def test_corners_behind_the_camera_are_clipped() -> None:
 
 
 def test_box_behind_the_camera_has_no_silhouette() -> None:
-    box = OrientedBox.axis_aligned("behind", [-1, -1, -5], [1, 1, -3])
+    box = OrientedBox.between("behind", [-1, -1, -5], [1, 1, -3])
     assert not box.silhouette(CAMERA, np.eye(4)).any()
     assert box.silhouette_polygon(CAMERA, np.eye(4)) is None
     assert box.projected_area(CAMERA, np.eye(4)) == 0
 
 
 def test_camera_inside_sees_the_whole_image() -> None:
-    box = OrientedBox.axis_aligned("room", [-1, -1, -1], [1, 1, 1])
+    box = OrientedBox.between("room", [-1, -1, -1], [1, 1, 1])
     assert box.camera_inside(np.eye(4))
     assert box.projected_area(CAMERA, np.eye(4)) == 1
 
@@ -173,7 +173,7 @@ def test_camera_inside_sees_the_whole_image() -> None:
 def test_silhouette_goes_by_pixel_centres() -> None:
     camera = Camera(width=8, height=6, fx=10.0, fy=10.0, cx=0.0, cy=0.0)
     # Its front face, at depth 10, spans pixels 2.4..5.6 by 1.6..3.4; the back face lies within.
-    box = OrientedBox.axis_aligned("flat", [2.4, 1.6, 10], [5.6, 3.4, 10.0001])
+    box = OrientedBox.between("flat", [2.4, 1.6, 10], [5.6, 3.4, 10.0001])
     # Centres inside: x at 2.5, 3.5, 4.5, 5.5 and y at 2.5 alone.
     mask = box.silhouette(camera, np.eye(4))
     assert mask.sum() == 4
@@ -243,7 +243,7 @@ def test_a_silhouette_takes_little_more_than_its_pixels() -> None:
     camera = Camera(width=6000, height=4000, fx=5000.0, fy=5000.0, cx=3000.0, cy=2000.0)
     pose = np.eye(4)
     pose[2, 3] = 4.0
-    box = OrientedBox.axis_aligned("box", [-1, -1, -1], [1, 1, 1])
+    box = OrientedBox.between("box", [-1, -1, -1], [1, 1, 1])
     tracemalloc.start()
     mask = box.silhouette(camera, pose)
     peak = tracemalloc.get_traced_memory()[1]

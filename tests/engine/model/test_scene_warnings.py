@@ -29,7 +29,7 @@ def test_a_sound_scene_needs_none(scene: SfmScene) -> None:
 
 
 def test_a_box_inside_another(scene: SfmScene) -> None:
-    inner = OrientedBox.axis_aligned("inner", [-0.3] * 3, [0.3] * 3)
+    inner = OrientedBox.between("inner", [-0.3] * 3, [0.3] * 3)
     points = np.array([[0.1, 0.1, 0.1], [0.5, 0.5, 0.5]])
     both = replace(scene, points=points)
     (line,) = scene_warnings(both, [inner, BOX])
@@ -38,7 +38,7 @@ def test_a_box_inside_another(scene: SfmScene) -> None:
 
 
 def test_a_run_says_so(scene: SfmScene, tmp_path: Path) -> None:
-    inner = OrientedBox.axis_aligned("inner", [-0.55] * 3, [0.55] * 3)
+    inner = OrientedBox.between("inner", [-0.55] * 3, [0.55] * 3)
     heard: list[Event] = []
     opened(tmp_path, scene, [inner, BOX], tiny("joint"), context=Context(emit=heard.append))
     texts = [e.text for e in heard if isinstance(e, Message) and e.level == "warning"]

@@ -46,8 +46,8 @@ def exact_scene() -> SfmScene:
 def boxes() -> list[OrientedBox]:
     """Two boxes that the same photos see."""
     return [
-        OrientedBox.axis_aligned("vase", [-2.25, -1, -1], [-0.75, 1, 1]),
-        OrientedBox.axis_aligned("tin", [0.75, -1, -1], [2.25, 1, 1]),
+        OrientedBox.between("vase", [-2.25, -1, -1], [-0.75, 1, 1]),
+        OrientedBox.between("tin", [0.75, -1, -1], [2.25, 1, 1]),
     ]
 
 

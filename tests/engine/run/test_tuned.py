@@ -31,7 +31,7 @@ from tests.engine.runs import tiny, train, train_run
 from tests.engine.synthetic_scene import BOX, make_scene
 
 TUNED = ("full-scene-tuned", "full-object-tuned")
-SECOND = OrientedBox.axis_aligned("second", [-0.2, -0.2, -0.2], [0.5, 0.5, 0.5])
+SECOND = OrientedBox.between("second", [-0.2, -0.2, -0.2], [0.5, 0.5, 0.5])
 # What fits any scene.
 USED = (
     *(SpacedShRate, MeasuredShRate, DensityControl, WarmRestarts, ModelAveraging),

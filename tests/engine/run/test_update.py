@@ -32,7 +32,7 @@ from tests.engine.runs import (
 )
 from tests.engine.synthetic_scene import BOX, make_scene
 
-MOVED = OrientedBox.axis_aligned("thing", [-0.4, -0.6, -0.6], [0.7, 0.6, 0.6])
+MOVED = OrientedBox.between("thing", [-0.4, -0.6, -0.6], [0.7, 0.6, 0.6])
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ from tests.engine.runs import opened, tiny
 from tests.engine.synthetic_colmap import write_project
 from tests.engine.synthetic_scene import BOX, make_scene
 
-SECOND = OrientedBox.axis_aligned("second", [-0.2, -0.2, -0.2], [0.5, 0.5, 0.5])
+SECOND = OrientedBox.between("second", [-0.2, -0.2, -0.2], [0.5, 0.5, 0.5])
 COMPARED = ("full-scene", "full-object", "independent")
 
 

@@ -60,7 +60,7 @@ def test_wrong_groups_are_refused(texts: list[str], problem: str) -> None:
 
 
 def test_the_nearest_box_decides() -> None:
-    one, two = (OrientedBox.axis_aligned(str(x), [x - 1, -1, -1], [x + 1, 1, 1]) for x in (0, 9))
+    one, two = (OrientedBox.between(str(x), [x - 1, -1, -1], [x + 1, 1, 1]) for x in (0, 9))
     places = np.array([[0, 0, 0], [1, 5, 0], [4.4, 0, 0], [4.6, 0, 0], [9, 0, 3.0]])
     assert nearest_group(places, [[one], [two]]).tolist() == [0, 0, 0, 1, 1]
     assert nearest_group(places, [[one, two]]).tolist() == [0] * 5

@@ -36,7 +36,7 @@ from roigs_engine.selection.score import DensityOccupancy, prefix_values, voxel_
 from tests.poses import look_at
 
 CAMERA = Camera(width=160, height=120, fx=150.0, fy=150.0, cx=80.0, cy=60.0)
-BOX = OrientedBox.axis_aligned("box", [-1, -0.5, -1], [1, 0.5, 1])
+BOX = OrientedBox.between("box", [-1, -0.5, -1], [1, 0.5, 1])
 UP = (0.1, 0.2, 1.0)  # no camera looks along it
 seeds = st.integers(0, 10_000)
 
@@ -233,7 +233,7 @@ def test_coverage_prefers_the_sharper_of_two_photos_in_one_direction():
 def test_a_grazing_photo_counts_less_on_a_surface():
     rng = np.random.default_rng(0)
     points = np.column_stack([rng.uniform(-0.5, 0.5, (60, 2)), np.zeros(60)])
-    box = OrientedBox.axis_aligned("table", [-0.5, -0.5, -0.1], [0.5, 0.5, 0.1])
+    box = OrientedBox.between("table", [-0.5, -0.5, -0.1], [0.5, 0.5, 0.1])
     above, beside = np.array([0.0, 0.01, 5.0]), np.array([5.0, 0.01, 1.0])
     images = tuple(
         PosedImage(

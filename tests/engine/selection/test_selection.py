@@ -26,7 +26,7 @@ from roigs_engine.selection import (
 from tests.poses import look_at
 
 CAMERA = Camera(width=160, height=120, fx=150.0, fy=150.0, cx=80.0, cy=60.0)
-BOX = OrientedBox.axis_aligned("cube", [-1, -1, -1], [1, 1, 1])
+BOX = OrientedBox.between("cube", [-1, -1, -1], [1, 1, 1])
 
 
 def photo(name: str, centre, target=(0.0, 0.0, 0.0), sees=(), camera: Camera = CAMERA):
@@ -193,7 +193,7 @@ def test_a_camera_inside_the_box_counts_as_full_view(method):
 
 def test_a_box_without_points_says_where_the_points_are():
     scene = ring_scene()
-    box = OrientedBox.axis_aligned("lamp", [10, -1, -1], [14, 1, 1])
+    box = OrientedBox.between("lamp", [10, -1, -1], [14, 1, 1])
     with pytest.raises(RoiError) as caught:
         select_cameras(scene, box, SelectionConfig())
     message = str(caught.value)

@@ -20,9 +20,7 @@ CAMERA = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
 
 def box(index: int) -> OrientedBox:
     """A box about point `index` of `scene_of`."""
-    return OrientedBox.axis_aligned(
-        f"box {index}", [10 * index - 1, -1, -1], [10 * index + 1, 1, 1]
-    )
+    return OrientedBox.between(f"box {index}", [10 * index - 1, -1, -1], [10 * index + 1, 1, 1])
 
 
 def scene_of(seen: list[set[int]], distances: list[float] | None = None) -> SfmScene:

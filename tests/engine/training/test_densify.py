@@ -22,7 +22,7 @@ from roigs_engine.training.mechanisms.density_control import DensityControl, Run
 from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
 from roigs_engine.training.stage_data import StageData
 
-BOX = OrientedBox.axis_aligned("box", [-1, -1, -1], [1, 1, 1])
+BOX = OrientedBox.between("box", [-1, -1, -1], [1, 1, 1])
 IN_BOXES, EVERYWHERE = BoxDensityControl(), DensityControl()
 
 normalized = torch.nn.functional.normalize
@@ -160,8 +160,8 @@ def test_budget_keeps_the_largest_gradients(room: int) -> None:
 
 def test_each_box_has_its_own_budget() -> None:
     gaussians = model(400)
-    left = OrientedBox.axis_aligned("left", [-2, -2, -2], [0, 2, 2])
-    right = OrientedBox.axis_aligned("right", [0, -2, -2], [2, 2, 2])
+    left = OrientedBox.between("left", [-2, -2, -2], [0, 2, 2])
+    right = OrientedBox.between("right", [0, -2, -2], [2, 2, 2])
     held = [int(gaussians.in_box(box).sum()) for box in (left, right)]
     budgets = held[0] + 3, held[1] + 8
     chosen = control(IN_BOXES, stats(torch.ones(400)), [left, right], budgets).densify_mask(
@@ -183,7 +183,7 @@ def test_outside_the_boxes_another_threshold_may_densify_without_budgets() -> No
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
 def test_outside_the_boxes_thresholds_rise_with_the_distance(scale: float) -> None:
-    box = OrientedBox.axis_aligned("box", [-scale] * 3, [scale] * 3)
+    box = OrientedBox.between("box", [-scale] * 3, [scale] * 3)
     away = 2 * box.diagonal * np.array([1e-6, 0.25, 0.5, 1, 3])
     means = torch.zeros(6, 3)
     means[1:, 0] = torch.from_numpy(-scale - away)
@@ -191,7 +191,7 @@ def test_outside_the_boxes_thresholds_rise_with_the_distance(scale: float) -> No
     thresholds = torch.tensor([1e-4, 2e-4, 3.5e-4, 5e-4, 8e-4, 8e-4])
     config = replace(IN_BOXES, grad_threshold=1e-4, outside_threshold=8e-4, near_threshold=2e-4)
     there = [-scale - away[-1], 0, 0]  # a second box, around the farthest of them
-    second = OrientedBox.axis_aligned("second", np.subtract(there, scale), np.add(there, scale))
+    second = OrientedBox.between("second", np.subtract(there, scale), np.add(there, scale))
     beside = torch.cat([thresholds[:-1], torch.tensor([1e-4])])
     for boxes, expected in (([box], thresholds), ([second, box], beside), ([box, second], beside)):
         for factor in (0.98, 1.02):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -174,8 +175,8 @@ def test_errors_are_those_of_the_photos(scene: SfmScene) -> None:
     """On all pixels of some photos, and on each box's in some photos that see it."""
     some = replace(scene, images=scene.images[: min(WHOLE, EACH)])
     data, model = stage_data(some), model_of(scene)
-    small = OrientedBox.axis_aligned("small", [-0.1, -0.1, -0.1], [0.1, 0.1, 0.1])
-    behind = OrientedBox.axis_aligned("behind", [1e4, 0, 0], [1e4 + 1, 1, 1])
+    small = OrientedBox.between("small", [-0.1, -0.1, -0.1], [0.1, 0.1, 0.1])
+    behind = OrientedBox.between("behind", [1e4, 0, 0], [1e4 + 1, 1, 1])
     squares: list[list[float]] = [[], [], []]
     for index, image in enumerate(some.images):
         drawn = rasterize_view(model, image.camera, image.world_to_camera).image[0]
@@ -198,7 +199,7 @@ def test_a_box_that_few_photos_show_is_judged(scene: SfmScene) -> None:
     beside = np.linalg.inv(pose) @ [40.0, 0.0, 10.0, 1.0]  # out of the first photo's sight
     there = np.linalg.inv(images[31].world_to_camera) @ [0.0, 0.0, 0.3, 1.0]
     for place, errors in ((beside, 1), (there, 2)):
-        box = OrientedBox.axis_aligned("box", place[:3] - 0.02, place[:3] + 0.02)
+        box = OrientedBox.between("box", place[:3] - 0.02, place[:3] + 0.02)
         seen = [box.projected_area(i.camera, i.world_to_camera) > 0 for i in images]
         assert sum(seen) == errors - 1
         data = replace(stage_data(scene), images=images, photos=PhotoCache(images))
@@ -294,11 +295,12 @@ def test_photos_of_full_size_judge(
 ) -> None:
     widths: list[int] = []
 
-    def asked(model: Gaussians, data: StageData, views: PhotoViews, *_: object) -> Tensor:
-        widths.append(views.view(0).width)
-        return torch.zeros(len(model), dtype=torch.bool)
+    class Asked(PhotoErrors):
+        def __init__(self, views: PhotoViews, *options: Any) -> None:
+            super().__init__(views, *options)
+            widths.append(views.view(0).width)
 
-    monkeypatch.setattr(importance_pruning, "unimportant_gaussians", asked)
+    monkeypatch.setattr(importance_pruning, "PhotoErrors", Asked)
     masks = (MaskedSteps(full_every=full_every),) if full_every > 1 else ()
     config = CONFIG.using(*masks, CoarseToFine(until=small_until))
     data = replace(stage_data(scene), small=small_photos(scene), rois=[BOX])

@@ -23,7 +23,7 @@ from roigs_engine.training.mechanisms.surroundings_rate import SurroundingsRate
 from tests.engine.training.mask_pixels import pixels_of
 
 CAMERA = Camera(width=150, height=100, fx=100.0, fy=100.0, cx=75.0, cy=50.0)
-BOX = OrientedBox.axis_aligned("thing", (-0.3, -0.2, 3.7), (0.3, 0.2, 4.3))
+BOX = OrientedBox.between("thing", (-0.3, -0.2, 3.7), (0.3, 0.2, 4.3))
 
 
 def photo(pose: np.ndarray | None = None) -> PosedImage:

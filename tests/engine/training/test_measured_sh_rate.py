@@ -31,7 +31,7 @@ SIZE, COUNT = 300, 17
 CAMERA = Camera(width=SIZE, height=SIZE, fx=200.0, fy=200.0, cx=150.0, cy=150.0)
 GRID = np.stack(np.meshgrid(np.linspace(-1, 1, 12), np.linspace(-1, 1, 12)), axis=-1).reshape(-1, 2)
 POINTS = np.column_stack([np.zeros(len(GRID)), GRID])
-BOX = OrientedBox.axis_aligned("thing", [-1, -2, -2], [1, 2, 2])
+BOX = OrientedBox.between("thing", [-1, -2, -2], [1, 2, 2])
 Pixels = NDArray[np.uint8]
 Colour = Callable[[float], NDArray[np.float64]]
 """Angle of a photo -> brightness of each point in it."""
@@ -115,11 +115,11 @@ def test_without_any_change_and_with_few_points_nothing_is_known() -> None:
 def test_points_in_the_boxes_decide_if_they_are_enough() -> None:
     left, random = POINTS[:, 1] < 0, noise()
     images, photos = scene(lambda angle: np.where(left, shine(angle), random(angle)))
-    box = OrientedBox.axis_aligned("left", [-1, -2, -2], [1, 0, 2])
+    box = OrientedBox.between("left", [-1, -2, -2], [1, 0, 2])
     inside = predicted_share(images, photos, POINTS, [box])
     all_ = predicted_share(images, photos, POINTS, [])
     assert inside is not None and inside > 0.9 and all_ is not None and all_ < 0.8
-    few = OrientedBox.axis_aligned("few", [-1, -2, -2], [1, -0.9, 2])
+    few = OrientedBox.between("few", [-1, -2, -2], [1, -0.9, 2])
     assert predicted_share(images, photos, POINTS, [few]) == all_
 
 

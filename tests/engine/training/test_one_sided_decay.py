@@ -17,7 +17,7 @@ from roigs_engine.training.mechanisms.opacity_decay import OpacityDecay, view_sp
 from tests.engine.settings import without
 from tests.poses import look_at
 
-BOX = OrientedBox.axis_aligned("thing", [1, 1, 1], [3, 3, 3])
+BOX = OrientedBox.between("thing", [1, 1, 1], [3, 3, 3])
 
 
 def arc(degrees: float, elevation: float = 30.0, radius: float = 5.0) -> list[PosedImage]:

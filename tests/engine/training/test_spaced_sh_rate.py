@@ -15,7 +15,7 @@ from roigs_engine.training.config import PlannedViews, TrainConfig
 from roigs_engine.training.mechanisms.spaced_sh_rate import SpacedShRate, view_spacing
 from tests.poses import look_at
 
-BOX = OrientedBox.axis_aligned("thing", [1, 1, 1], [3, 3, 3])
+BOX = OrientedBox.between("thing", [1, 1, 1], [3, 3, 3])
 
 
 def ring(degrees: float, count: int, radius: float = 5.0) -> list[PosedImage]:

@@ -119,7 +119,7 @@ def test_of_fewer_photos_all_must_show_it() -> None:
 
 
 def test_every_box_counts() -> None:
-    near = OrientedBox.axis_aligned("near", eye(0) * 2.9 - 0.2, eye(0) * 2.9 + 0.2)
+    near = OrientedBox.between("near", eye(0) * 2.9 - 0.2, eye(0) * 2.9 + 0.2)
     model = balls(eye(0) * 2.8)
     one_sees_it = [SIDE[0], *ring(20)[4:6]]
     assert kept(model, 3, one_sees_it) == [False]
