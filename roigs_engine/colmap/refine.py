@@ -1,14 +1,9 @@
 """Refinement of the cameras of a COLMAP model by its tracks, then by its photos.
 
-COLMAP's usual camera, SIMPLE_RADIAL, has one focal length and one distortion parameter: too few
-for many lenses. Its poses then lean to make up for the rest, by half a pixel and more, and no model
-can be sharp in all photos. So the cameras get OPENCV's eight parameters, and a bundle adjustment
-(Triggs et al. 2000) with a loss that ignores wrong matches (Cauchy's) finds cameras, poses and
-points again. Of every third point, one observation is left out. The result is kept only if it fits
-these better than the old cameras, adjusted without them with COLMAP's own loss.
-
-Then the photos are looked at: each point is found in them to a few hundredths of a pixel, also
-where no keypoint was, and the cameras are fitted to that (`refine_by_matches`).
+Cameras get OPENCV's eight parameters, and a bundle adjustment (Triggs et al. 2000) with Cauchy's
+loss. The result is kept only if it fits left-out observations better than the old cameras, adjusted
+without them with COLMAP's own loss. Then cameras are fitted to points that are found in the photos
+(`refine_by_matches`). docs/method.md, "Cameras", has the reasons.
 """
 
 from __future__ import annotations

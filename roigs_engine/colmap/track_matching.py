@@ -1,9 +1,7 @@
 """Matching of tracks: where photos show the points of a model, to a few hundredths of a pixel.
 
-A detector finds a keypoint in each photo on its own, a third of a pixel off and more. Here one
-photo of each point is its reference: what it shows around its keypoint is looked for in the others,
-also in photos where the detector found nothing there. A close-up then has many times as many
-observations, and they agree.
+One photo of each point is its reference, which is looked for in the others, also where the detector
+found nothing (docs/method.md, "Cameras").
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
 """Buffers for the (Gaussian, tile) pairs of a view, sized without waiting for the GPU.
 
-How many pairs a view has decides how much memory its lists take, and only the GPU knows it. To read
-the number is to wait until the GPU has counted. So a training step takes a buffer for as many pairs
-as its view had the last time, and some more; the GPU compares. If the buffer is too small, this
-view and all after it are *void*: they draw nothing and change nothing. The CPU hears of it some
-steps later, and does the void steps again with large enough buffers: the result is the same as if
-it had waited.
+Only the GPU knows how many pairs a view has. If a step's buffer is too small, this view and all
+after it are *void*: they draw nothing and change nothing. The CPU hears of it some steps later, and
+does the void steps again with large enough buffers (docs/cuda.md).
 """
 
 from __future__ import annotations

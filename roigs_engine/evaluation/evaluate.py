@@ -1,10 +1,7 @@
 """Comparison of renders with test photos: the paper's table for every box, and more columns.
 
-There are two masks (docs/method.md, evaluation), the same for every row of a box. The first is the
-silhouette of the box, which is the paper's mask. The second is the object: the silhouette's pixels
-whose expected depth lies inside the box, in the model with the best score on the silhouette or in
-a named model. A third one is what a photo's mask shows as the box's object, if there is one. PSNR
-is computed per view and then averaged. Renders are clamped to [0, 1] but not rounded to 8 bits.
+docs/method.md, "Evaluation", has the masks, the same for every row of a box. PSNR is computed per
+view and then averaged. Renders are clamped to [0, 1] but not rounded to 8 bits.
 """
 
 from __future__ import annotations

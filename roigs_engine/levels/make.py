@@ -1,10 +1,6 @@
 """The levels of a run's result: trained, measured, and written with `levels.json`.
 
-A level has the Gaussians that contribute most, trained to look like the whole part from afar. The
-truth is the whole part drawn without aliasing, alone. A level does from where it is at least as
-near to that as the whole part itself is when it is drawn as viewers draw it, one sample per pixel,
-or so near that nobody sees a difference: the whole part may be nearly right itself. From there on
-it looks no worse and costs less.
+docs/method.md, "Levels of detail", says what a level is trained on, and where it begins.
 """
 
 from __future__ import annotations

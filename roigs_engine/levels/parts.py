@@ -1,9 +1,8 @@
 """The parts of a result (each box, and the surroundings), drawn small or in levels of detail.
 
-Drawn small, a model is wrong: each Gaussian is widened to a pixel's size at least, so thin ones
-grow and dense ones cover what is behind them. So what a level learns from is drawn with several
-samples per pixel, about as finely as the photos show the part, and averaged. It is drawn alone,
-before black and before white, so that a level learns what lets light through as well.
+Drawn small, with one sample per pixel, each Gaussian is widened to a pixel's size at least: thin
+ones grow, and dense ones cover what is behind them. So what a level learns from is drawn with
+several samples, averaged.
 """
 
 from __future__ import annotations

@@ -1,26 +1,7 @@
 """Floaters: Gaussians that hang in the air, which photos cannot judge (ours).
 
-Three rules find them:
-
-*Multi-view consistency.* If only one or two photos show a Gaussian, it can lie anywhere along their
-rays without an error in these photos. Close to a camera it hides the object in all views between
-the photos. So a Gaussian nearer than the boxes, or in the air before the scene, is kept only if
-enough photos show it. Farther away it is background, which few photos may show. A Gaussian that no
-photo shows is useless in a box; elsewhere a new view may show it.
-
-*Views between the photos.* With few photos, a background Gaussian can grow large beside all of
-them: they hardly show it, so nothing limits it, and it covers every view between them. So cameras
-are put between neighbouring photos and beside each of them, and a Gaussian goes if one of them sees
-much more of it than any photo does. Something real could fill such a view if the camera stood close
-to it. The limits exclude that. A surface at distance d from the photos fills at most
-(d / (d / 4))^2 = 16 times as much of a view from a quarter of the distance; cameras nearer than
-that to the scene's points are not used.
-
-*Among the cameras.* With few photos, a Gaussian can hang near a camera and outside its frame, as a
-faint blot in photos from far away. The views between the photos miss it unless one looks just that
-way, so here is a rule without views. Nothing real hangs there: it would be nearer to a camera than
-half the distance to the scene's points. And a camera that turned to it would see it large, but no
-photo within four times that distance does: it fills less than 1 / 4^2 as much of any photo.
+Three rules find them, with their reasons in docs/method.md: "Multi-view consistency", "Views
+between the photos", "In the air among the cameras".
 """
 
 from __future__ import annotations
@@ -43,7 +24,8 @@ from .photo_order import evenly_spaced
 
 SIDE = 256  # pixels; shares of a view need no more
 NEAREST = 0.25  # least distance of a view from the scene, in distances of the photos near it
-MORE = NEAREST**-2  # how much more of a view than of any photo is too much
+MORE = NEAREST**-2
+"""How much more of a view than of any photo is too much: no surface fills more, however near."""
 LEAST = 1e-3  # share of a view that is worth a look
 FAINT = 1 / 255  # of a pixel's light: less is not shown
 POINTS = 10  # so many points nearer than a distance mean that the scene is there, not a stray

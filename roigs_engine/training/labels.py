@@ -1,10 +1,8 @@
 """Object labels of Gaussians, by the votes of an object's masks on some photos.
 
-Each pixel of a masked photo votes with the weight alpha x T that it blends a Gaussian with: for the
-object where the mask shows it, else against, unless the photo's own mask ignores the pixel. A
-Gaussian belongs to the object if the votes for it are more: this is the optimum in closed form of
-fitting binary labels to the masks (FlashSplat, Shen et al. 2024). A Gaussian that no masked photo
-shows goes with those around it.
+A Gaussian belongs to the object if the votes for it are more: this is the optimum in closed form
+of fitting binary labels to the masks (FlashSplat, Shen et al. 2024; docs/method.md, "Objects by
+masks").
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
 """Loss masks: the pixels of a photo that a step trains on, the boxes' silhouettes and a rim.
 
-In a photo with a mask of a box's object, the object takes the place of the box's silhouette. Photos
-may have masks of their own (`photos.mask_images`): what these ignore is trained on by no stage.
-
-The Scene-GS has already trained the background. Most steps of the box stage skip it: they are
-faster, and their gradients go into the boxes (ours, docs/method.md; in the paper, the loss is on
-the entire image, sec. II-B). Masks consist of whole 16x16 tiles, the rasterizer's unit of work.
+In a photo with a mask of a box's object, the object takes the place of the box's silhouette. Masks
+are whole 16x16 tiles, the rasterizer's unit of work (ours, docs/method.md, "Masks"; the paper's
+loss is on the entire image, sec. II-B). What a photo's own mask ignores, no stage trains.
 """
 
 from __future__ import annotations

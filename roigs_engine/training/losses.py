@@ -3,12 +3,9 @@
     L = (1 - w) L1 + w (1 - SSIM),  w = 0.2                (Kerbl et al. 2023, eq. 7)
 
 Images are (H, W, 3) sRGB values in [0, 1], photos (H, W, 3) uint8. SSIM (Wang et al. 2004) has an
-11 x 11 Gaussian window of sigma 1.5, zeros around the image, C1 = 0.01^2 and C2 = 0.03^2.
-
-A pixel that a mask ignores is as one beyond the image: zero in both pictures, and without weight.
-So neither term depends on what render or photo show there, also through the windows of pixels
-nearby, and its gradient is exactly zero. To fill the hole with the render instead would let the
-render's own values there decide how much SSIM sees of a difference nearby.
+11 x 11 Gaussian window of sigma 1.5, zeros around the image, C1 = 0.01^2 and C2 = 0.03^2. A pixel
+that a mask ignores is as one beyond the image: zero in both pictures, and without weight
+(docs/method.md, "Ignored pixels").
 """
 
 from __future__ import annotations

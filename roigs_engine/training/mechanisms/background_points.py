@@ -1,12 +1,6 @@
 """Background initialisation: Gaussians where photos show no sparse point (ours).
 
-What is plain has no sparse points: a wall, a table, the sky. Training starts from the points, so
-such a place is a hole through which black shows, until Gaussians grow into it, or huge ones paint
-it that reach behind the camera and are left out of pictures (`rasterize.limits`). Few photos have
-many such places, and training may end before these are filled. So it starts with a few large
-Gaussians there: a photo is cut into square cells, and one without a point in it or next to it gets
-a Gaussian in its colour, as far away as the farthest of the points around it in the photo. Black
-needs none: the background is black. What a photo gets counts as points for those after it.
+docs/method.md, "A backdrop", says how and why.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Steps on the boxes' objects alone: what is left of an object without the rest of its scene.
 
 Fog before an object colours its pixels, and the object learns to make up for it: alone, its colours
-are wrong. Gaussians on its edge reach over it. So most steps of the stage `cutout` draw one
-object alone, on a random colour, and compare it with a photo where the photo shows the object.
-Where a mask shows something else, the object must not be seen, unless something is in front of it.
+are wrong. Gaussians on its edge reach over it. Where a mask shows something else, the object must
+not be seen, unless something is in front of it.
 """
 
 from __future__ import annotations
@@ -41,8 +40,7 @@ LEAST = 64  # pixels of an object, below which a photo is not used for it
 class CutoutSteps(Mechanism):
     """Most steps draw one object alone, on a random colour, and compare it with a photo.
 
-    What is left of an object without the rest of its scene so looks right. The
-    stage must not add or remove Gaussians.
+    The stage must not add or remove Gaussians.
 
     Earns: objects alone, on all else, are +0.17, +0.39 and +0.82 dB nearer to their photos; whole
         photos lose 0.2 dB (demo, 640 px, vase, tin and clock, one seed; docs/measurements.md).

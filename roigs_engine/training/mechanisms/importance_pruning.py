@@ -1,10 +1,6 @@
 """Importance pruning: Gaussians that the photos hardly show go when densification ends (ours).
 
-Densification leaves many Gaussians behind others, or nearly transparent; some scenes have twice as
-many as they need. When it ends, the least important are removed, as many as the photos do not miss:
-their squared error may grow by a share, which the steps that follow make up for. Nothing else says
-how many there are: that differs from scene to scene (notebook/densification.md).
-
+The least important go, as many as the photos do not miss (docs/method.md, "Faint Gaussians").
 Photos are judged one by one, and a smaller error counts as the same one. Otherwise a photo that fog
 covers would decide: without the fog its error falls to a fraction, and most Gaussians could go.
 """

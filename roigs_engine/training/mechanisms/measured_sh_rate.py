@@ -1,11 +1,7 @@
 """SH learning rate by measured view dependence of colours (ours).
 
-A point has another colour in each photo that observes it: because light and camera change with the
-view, which SH can learn, and because of noise, texture and neighbours, which they cannot. If it is
-the view, photos from similar directions agree better than others. So the variance between nearest
-neighbours is compared with that between all photos: the ratio of nugget and sill of a variogram
-(Matheron 1963). Where neighbours do not agree better, SH that learn fast learn the noise of single
-photos: they are wrong in between, most of all close up (docs/method.md, view dependence).
+It is one minus the ratio of nugget and sill of a variogram (Matheron 1963; docs/method.md, "View
+dependence").
 """
 
 from __future__ import annotations
