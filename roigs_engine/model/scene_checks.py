@@ -112,20 +112,15 @@ def few_photos(roi: str, count: int, *, points: int = 1, tests: int = 0) -> list
     kind, others = kind_of_photos(count, tests)
     if points == 0:
         return [f"No point lies in box '{roi}': move it onto the object, or enlarge it."]
-    match count:
-        case 0:
-            return [f"No photo sees box '{roi}': move or enlarge it, or add photos of it."]
-        case 1:
-            return [
-                f"Only one {kind} sees box '{roi}'{others}: that is too few to reconstruct an"
-                " object."
-            ]
-        case _ if count < FEW:
-            return [
-                f"Only {count} {kind}s see box '{roi}'{others}: it will look right only from"
-                " their directions. Add photos of it."
-            ]
-    return []
+    if count == 0:
+        return [f"No photo sees box '{roi}': move or enlarge it, or add photos of it."]
+    if count >= FEW:
+        return []
+    who = f"one {kind} sees" if count == 1 else f"{count} {kind}s see"
+    meaning = "that is too few to reconstruct an object."
+    if count > 1:
+        meaning = "it will look right only from their directions. Add photos of it."
+    return [f"Only {who} box '{roi}'{others}: {meaning}"]
 
 
 def kind_of_photos(count: int, tests: int) -> tuple[str, str]:

@@ -119,11 +119,11 @@ def check_has_points(scene: SfmScene, roi: OrientedBox) -> None:
     """Raise RoiError if no point lies in the box; names its size and the nearest points."""
     if roi.contains(scene.points).any():
         return
-    finite = scene.points[np.isfinite(scene.points).all(axis=1)] if len(scene.points) else None
+    finite = scene.points[np.isfinite(scene.points).all(axis=1)]
     sides = " x ".join(f"{2 * side:.4g}" for side in roi.half_extents)
     centre = _position(roi.centre)
     message = f"Box '{roi.name}' contains no sparse point (sides {sides}, centre {centre})."
-    if finite is None or len(finite) == 0:
+    if len(finite) == 0:
         raise RoiError(
             f"{message} The model has no points at all.",
             "Export the COLMAP model with its points3D file.",
@@ -133,15 +133,10 @@ def check_has_points(scene: SfmScene, roi: OrientedBox) -> None:
     named = "; ".join(f"{distance[i]:.4g} away at {_position(finite[i])}" for i in nearest)
     size = float(np.linalg.norm(np.ptp(finite, axis=0)))
     if distance[nearest[0]] > roi.diagonal or roi.diagonal > OTHER_UNITS * size:
-        raise RoiError(
-            f"{message} Nearest points: {named}.",
-            "Move the box onto the object. Is it in the model's units and frame?",
-        )
-    raise RoiError(
-        f"{message} Nearest points: {named}.",
-        f"Move the box onto the object, or enlarge it by {distance[nearest[0]]:.4g} or more on"
-        " that side.",
-    )
+        hint = ". Is it in the model's units and frame?"
+    else:
+        hint = f", or enlarge it by {distance[nearest[0]]:.4g} or more on that side."
+    raise RoiError(f"{message} Nearest points: {named}.", f"Move the box onto the object{hint}")
 
 
 def visible_images(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> tuple[str, ...]:

@@ -211,19 +211,15 @@ def step_milliseconds(device: torch.device, backend: str, *, steps: int) -> floa
     """The mean of some steps on a made-up scene, `COUNT_TIMED` Gaussians on `SIZE_TIMED` pixels."""
     made = scene(device, COUNT_TIMED, SIZE_TIMED)
     optimizer = VisibleAdam({name: (made.model[name], 1e-3) for name in NAMES})
-    for _ in range(WARM_UP):
-        _step(made, optimizer, backend)
-    _wait(device)
-    started = time.perf_counter()
-    for _ in range(steps):
-        _step(made, optimizer, backend)
+    started = 0.0
+    for step in range(WARM_UP + steps):
+        if step == WARM_UP:
+            _wait(device)
+            started = time.perf_counter()
+        output = draw(made, backend, backward_step=optimizer.backward_step)
+        photo_loss(output.image, made.photo, backend=backend).loss.backward()  # type: ignore[no-untyped-call]
     _wait(device)
     return 1000 * (time.perf_counter() - started) / steps
-
-
-def _step(made: Scene, optimizer: VisibleAdam, backend: str) -> None:
-    output = draw(made, backend, backward_step=optimizer.backward_step)
-    photo_loss(output.image, made.photo, backend=backend).loss.backward()  # type: ignore[no-untyped-call]
 
 
 def _wait(device: torch.device) -> None:
