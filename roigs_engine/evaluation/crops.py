@@ -1,9 +1,7 @@
 """Crops of boxes on test photos, the photo beside the models: image files, and the report's page.
 
 For each box there are up to four photos: those with the largest, the median and the least gain of
-the result over the baseline, so that the choice is fair, and the nearest one. Files:
-`crops/ROI/PHOTO.png`, and `crops/ROI/overview.png`, the whole median photo with the box drawn into
-it.
+the result over the baseline, so that the choice is fair, and the nearest one.
 """
 
 from __future__ import annotations

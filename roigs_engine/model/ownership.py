@@ -1,13 +1,9 @@
 """Ownership of positions and Gaussians: by boxes, and by the models of a scene trained in cells.
 
 A box owns the positions inside it. Where boxes overlap, the box with the nearest centre is the
-owner, with distances in units of each box's half extents.
-
-A scene that several models share is partitioned by its sparse points: each belongs to one model,
-and a position belongs to that of most of the sparse points nearest to it. So every position has
-exactly one owner, on surfaces and in the air, and the border between two models runs where the
-points say, not along an endless plane. A position inside a box belongs to the box's model: no
-border cuts a box.
+owner, with distances in units of each box's half extents. A scene that several models share is
+partitioned by its sparse points, so every position has exactly one owner (docs/method.md, "Blocks
+and groups").
 """
 
 from __future__ import annotations

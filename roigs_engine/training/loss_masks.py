@@ -72,9 +72,8 @@ class LossMasks:
         device: that trains.
         view_weighting: exponent w of the per-view weighting. A mask with the share s of its photo
             has the loss weight s (m / s)^w, where m is the geometric mean share. 0: a pixel weighs
-            as much as in a whole photo, so close-ups, which show a box on many pixels, outweigh
-            the others. 1: all masks weigh the same. Above, smaller ones weigh more, up to
-            `MOST_WEIGHT` times as much.
+            as much as in a whole photo. 1: all masks weigh the same. Above, smaller ones weigh
+            more, up to `MOST_WEIGHT` times as much.
     """
 
     def __init__(

@@ -30,12 +30,9 @@ EXPONENT = 0.5  # of a budget, to the number of pixels
 class BoxDensityControl(DensityControl):
     """Density control with thresholds, sizes and budgets of the boxes.
 
-    A box with few pixels in the photos must not get so many Gaussians that it overfits these
-    pixels. A box that fills the photos must not make the model larger than Full Scene. The budget
-    grows with the square root of the number of pixels that show the box: twice as wide photos
-    double it, and so do four times as many photos, since photos overlap. Factor and root are
-    empirical (notebook/steps_and_budgets.md). The paper has no budget, and adds none outside the
-    boxes.
+    Budgets grow with the square root of the number of pixels that show a box (docs/method.md,
+    "Gaussian budget"). Factor and root are empirical (notebook/steps_and_budgets.md). The paper has
+    no budget, and adds none outside the boxes.
 
     Earns: +0.21 dB in the silhouettes and +0.53 dB in images by densifying outside the boxes,
         too, with 18 % more Gaussians; +0.08 dB (marginal) by the lower threshold near them, with

@@ -31,13 +31,9 @@ DECAY_EVERY = 10  # steps between two decays at the least, or Adam could not kee
 class OpacityDecay(Mechanism):
     """Each time the photos have gone round, all Gaussians lose a little opacity.
 
-    A photo that shows a Gaussian gives it back what it lost. What is behind others, what one photo
-    in many shows before the rest, and what no photo shows gets less back than it loses and fades,
-    so that few photos leave less in the air.
-
-    Decay takes away what only some directions of view do not see through. Photos from one side have
-    no other directions. There, decay gains little, and outside the boxes it fades plain
-    surroundings: one step in three can give back what they lose (ours).
+    A photo that shows a Gaussian gives it back what it lost; what no photo needs fades, so that few
+    photos leave less in the air (docs/method.md, "Opacity decay"). Of photos from one side, decay
+    gains little, and fades plain surroundings (`one_sided`; ours).
 
     Earns: +0.10 dB in the silhouettes, +0.20 dB in images. Draft, six boxes of kumamon, flowerpot
         and the demo, two seeds (notebook/leave_one_out.md). `one_sided`: +0.28 dB in the

@@ -20,10 +20,9 @@ EXPONENT = 3.0
 class SpacedShRate(Mechanism):
     """Lowers `lr_shN`, to 3DGS's at the least, where photos stand far apart around a box.
 
-    SH of degree 3 vary within about 60 degrees. If the photos are close together, a high SH
-    learning rate compensates for a short schedule. If they are far apart, no photo constrains the
-    SH between them, and the same learning rate overfits the photos. Limit and exponent are
-    empirical (notebook/few_photos.md). The paper keeps 3DGS's learning rate.
+    SH of degree 3 vary within about 60 degrees. If the photos are far apart, none constrains the SH
+    between them. Limit and exponent are empirical (notebook/few_photos.md). The paper keeps 3DGS's
+    learning rate.
 
     Earns: 0.00 dB with all photos, which are close together (six boxes, two seeds;
         notebook/leave_one_out.md). With 20 photos of the demo, 3DGS's rate has +0.74, +0.67 and
