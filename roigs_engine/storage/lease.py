@@ -50,6 +50,7 @@ class Lease:
         self._expiry, self._beat = expiry, beat
         self._name, self._count = uuid.uuid4().hex, 0
         self._ended, self._lost = threading.Event(), False
+        self._beats = threading.Thread(target=self._keep, daemon=True)
         self._seen: dict[str, tuple[bytes, float, int]] = {}  # content, since when, changes
 
     def is_held(self) -> bool:
@@ -71,11 +72,12 @@ class Lease:
         except BaseException:
             self._remove(self._name)
             raise
-        threading.Thread(target=self._keep, daemon=True).start()
+        self._beats.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._ended.set()
+        self._beats.join(self._expiry)  # else a heartbeat may write it again after its removal
         self._remove(self._name)
 
     def _try(self) -> bool:

@@ -28,9 +28,9 @@ from tests.engine.synthetic_colmap import write_project
 from tests.fuzz.failing_store import ERRORS, MOMENTS, Fault, failing
 
 BATCHES, SEED = 50, 5
-FAILS, KILLED = 0.01, 0.25  # shares of all calls and of all engines
-MOST_TRIES = 12
-LEASES = {"expiry": 2.0, "beat": 0.2}  # seconds
+FAILS, KILLED = 0.005, 0.25  # shares of all calls and of all engines
+MOST_TRIES = 20
+LEASES = {"expiry": 4.0, "beat": 1.0}  # seconds
 TABLE = """\
 [scenes.hall]
 scene = "scan"

@@ -67,6 +67,25 @@ def test_a_store_that_does_not_answer_takes_no_lease_away(
         assert not lease.is_held()
 
 
+def test_a_heartbeat_does_not_bring_a_lease_back(
+    store: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It may be under way when the lease is given back; the next engine would wait for its end."""
+    beating, write = threading.Event(), type(store).pipe_file
+
+    def slow(*given: Any, **more: Any) -> None:
+        if threading.current_thread() is not threading.main_thread():
+            beating.set()
+            time.sleep(0.3)
+        write(*given, **more)
+
+    monkeypatch.setattr(type(store), "pipe_file", slow)
+    with Lease(store, PLACE, **PATIENT):
+        assert beating.wait(20)
+    time.sleep(0.5)
+    assert not store.find(PLACE)
+
+
 def test_a_lease_that_cannot_be_given_back_ends_no_work(
     store: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
