@@ -134,7 +134,7 @@ def signed(body: Any) -> Any:
 
 def commits(dice: random.Random, folder: Path) -> Case:
     """Commits of any content, whose digest is right, with objects and leases of any content."""
-    files, store = dict(published()), folder / "in" / "runs"
+    files, store = dict(published()), folder / "out" / "runs"
     for name in [name for name in files if "/.commits/" in name]:
         body = json.loads(files[name])
         entry = next(iter(body["files"].values()))
