@@ -147,16 +147,21 @@ def plan_object_masks(
 
     A file that is also a photo's mask, in a folder of that name, is none. Raises as `plan_mask`.
     """
-    taken = {files.find(image.name) for image in images.values()} if options.used else set()
-    inverted, plans = options.objects_inverted, {}
-    for box in options.boxes:
-        find = files.of_object(box, options.objects)
-        for key, image in images.items():
-            file = find(image.name)
-            if file is not None and file not in taken:
-                plans[key, box] = plan_mask(
-                    image.path, image.file_digest, file, inverted=inverted, of_object=True
-                )
+    found = {
+        (key, box): file
+        for box in options.boxes
+        for find in [files.of_object(box, options.objects)]
+        for key, image in images.items()
+        if (file := find(image.name)) is not None
+    }
+    used = options.used and bool(found)  # looking for these takes a while
+    taken = {files.find(image.name) for image in images.values()} if used else set()
+    plans = {}
+    for (key, box), file in found.items():
+        if file not in taken:
+            photo, digest = images[key].path, images[key].file_digest
+            inverted = options.objects_inverted
+            plans[key, box] = plan_mask(photo, digest, file, inverted=inverted, of_object=True)
     return plans
 
 

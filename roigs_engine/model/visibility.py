@@ -7,8 +7,9 @@ compared with that of the sparse points in front of them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from ..context import QUIET, Context
 from ..errors import RoiError
 from ..formats.text import counted
 from .roi import OrientedBox
-from .scene import Float64, Int64, PosedImage, SfmScene, project
+from .scene import Float64, Int64, PosedImage, SfmScene
 
 NEAREST_NAMED = 3  # points in the error about an empty box
 OTHER_UNITS = 3.0  # a box this many times as large as all points is in other units
@@ -27,6 +28,9 @@ DEPTH_CELLS = 64
 OCCLUDERS = 2
 DEPTH_SLACK = 0.1
 MAX_OCCLUDERS = 100_000  # scene points in the depth test
+# Of a box: beyond these, only every second, third ... of its points counts.
+MAX_POINTS, MAX_OBSERVATIONS = 100_000, 20_000_000
+MAX_PROJECTED = 400_000_000  # occluders x photos: the same for the depth test
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,6 +72,20 @@ class Candidates:
         """(V, 3) unit viewing directions in the world."""
         return np.array([image.forward for image in self.images]).reshape(-1, 3)
 
+    def thinned(self) -> Candidates:
+        """The same photos with at most `MAX_POINTS` points and about `MAX_OBSERVATIONS`."""
+        share = len(self.points) / MAX_POINTS, len(self.obs_view) / MAX_OBSERVATIONS
+        step = math.ceil(max(share))
+        if step == 1:
+            return self
+        kept = self.obs_point % step == 0
+        return replace(
+            self,
+            points=self.points[::step],
+            obs_view=self.obs_view[kept],
+            obs_point=self.obs_point[kept] // step,
+        )
+
     def row_starts(self) -> Int64:
         """(V + 1,): photo v has the observations row_starts[v] to row_starts[v + 1]."""
         return np.searchsorted(self.obs_view, np.arange(len(self) + 1)).astype(np.int64)
@@ -84,12 +102,15 @@ def observations(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) ->
         found = [position[image.point_indices] for image in images]
         seen = [np.unique(points[points >= 0]) for points in found]
     else:
+        step = max(1, math.ceil(len(rows) * len(images) / MAX_OBSERVATIONS))
+        rows = rows[::step]
         seen = _by_depth(
             images, scene.points[rows], scene.points, DEPTH_SLACK * roi.diagonal, context
         )
+        some = f", one in {step} of those in the box," if step > 1 else ""
         flags = (
-            "The model stores no tracks: the sparse points are projected to estimate which photos"
-            " see the box.",
+            f"The model stores no tracks: the sparse points{some} are projected to estimate which"
+            " photos see the box.",
         )
     kept = [index for index, points in enumerate(seen) if len(points)]
     return Candidates(
@@ -161,30 +182,38 @@ def _by_depth(
     sparse points of its cell (`DEPTH_CELLS` cells along the longer side) are more than `slack`, in
     world units, in front of it.
     """
-    occluders = points[:: -(-len(points) // MAX_OCCLUDERS) or 1]
-    last, seen = np.iinfo(np.int64).max, []
+    most = min(MAX_OCCLUDERS, max(1, MAX_PROJECTED // max(1, len(images))))
+    occluders = np.ascontiguousarray(points[:: -(-len(points) // most) or 1].T)
+    places, last, seen = np.ascontiguousarray(targets.T), np.iinfo(np.int64).max, []
+    looked_at = np.zeros((DEPTH_CELLS + 1) ** 2, dtype=bool)  # cells that have a target
     for image in images:
         context.check_cancelled()
-        target_cell, target_depth = _cells(image, targets)
-        cell, depth = _cells(image, occluders)
-        cell, depth = cell[cell >= 0], depth[cell >= 0]
+        rows, target_cell, target_depth = _cells(image, places)
+        looked_at[target_cell] = True
+        _, cell, depth = _cells(image, occluders)
+        kept = looked_at[cell]
+        looked_at[target_cell] = False
+        cell, depth = cell[kept], depth[kept]
         order = np.lexsort((depth, cell))
         # An occluder beyond all others stands for those that a cell does not have.
         cell, depth = np.append(cell[order], last), np.append(depth[order], np.inf)
         nth = np.minimum(np.searchsorted(cell, target_cell) + OCCLUDERS - 1, len(cell) - 1)
         hidden = (cell[nth] == target_cell) & (depth[nth] < target_depth - slack)
-        seen.append(np.flatnonzero((target_cell >= 0) & ~hidden).astype(np.int64))
+        seen.append(rows[~hidden])
     return seen
 
 
-def _cells(image: PosedImage, points: Float64) -> tuple[Int64, Float64]:
-    """(N, 3) world positions -> (N,) cell of the depth grid, -1 outside the image; (N,) depth."""
-    camera = image.camera
-    pixels, depth, inside = project(points, camera, image.world_to_camera)
+def _cells(image: PosedImage, points: Float64) -> tuple[Int64, Int64, Float64]:
+    """(3, N) world positions -> those in the image: rows, cells of the depth grid, depths."""
+    camera, pose = image.camera, image.world_to_camera
+    x, y, depth = pose[:3, :3] @ points + pose[:3, 3:]
+    with np.errstate(all="ignore"):  # at and behind the camera
+        x, y = x / depth * camera.fx + camera.cx, y / depth * camera.fy + camera.cy
+    within = (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
+    rows = np.flatnonzero(within & (depth > 0))
     size = max(camera.width, camera.height) / DEPTH_CELLS
-    column, row = np.where(inside[:, None], pixels, 0.0).T // size
-    cell = np.where(inside, row * (DEPTH_CELLS + 1) + column, -1)
-    return cell.astype(np.int64), depth
+    cell = (y[rows] // size) * (DEPTH_CELLS + 1) + x[rows] // size
+    return rows, cell.astype(np.int64), depth[rows]
 
 
 def _position(point: Float64) -> str:

@@ -52,6 +52,10 @@ class PhotoFolder:
         self.keep = keep
 
     @cached_property
+    def _exists(self) -> bool:
+        return self.folder.is_dir()
+
+    @cached_property
     def _files(self) -> dict[str, Path]:
         """Name on disk (with `/`) -> path, of every photo below the folder, except hidden ones."""
         files = {}
@@ -78,6 +82,8 @@ class PhotoFolder:
         If no file has exactly that name, the name may differ in case, in the kind of slash and in
         the Unicode form of accents. Names that lead out of the folder are not found.
         """
+        if not self._exists:
+            return None
         for spelling in dict.fromkeys((name, name.replace("\\", "/"))):
             parts = PurePosixPath(spelling)
             if parts.is_absolute() or ".." in parts.parts or "\0" in spelling:

@@ -48,10 +48,11 @@ def select_cameras(
     """
     candidates = find_candidates(scene, roi, context)
     features = static_features(candidates, context)
+    scored = candidates.thinned()
     method = METHODS[config.method]
     picks = method.order(
         Request(
-            candidates=candidates,
+            candidates=scored,
             features=features,
             count=config.resolved_count(len(candidates)),
             seed=config.seed,
@@ -71,7 +72,7 @@ def select_cameras(
         roi=roi.name,
         method=config.method,
         names=tuple(names[view] for view in picks.order),
-        scores=prefix_values(method.score(candidates, context), picks.order),
+        scores=prefix_values(picks.score or method.score(scored, context), picks.order),
         candidates=names,
         flags=flags,
         features=features.to_dict(candidates),

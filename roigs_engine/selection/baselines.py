@@ -9,6 +9,7 @@ import numpy as np
 from ..model.scene import Float64
 from ..model.visibility import Candidates
 from .request import Picks, Request
+from .score import Score
 
 # Weight of log distance against the unit direction: a factor of 2 in distance counts as much as an
 # angle of about 10 degrees.
@@ -78,18 +79,21 @@ def order_random(request: Request) -> Picks:
     return Picks(order=tuple(order[: request.count].tolist()))
 
 
-def fill_up(request: Request, order: Sequence[int], flags: tuple[str, ...] = ()) -> Picks:
+def fill_up(
+    request: Request, order: Sequence[int], score: Score, flags: tuple[str, ...] = ()
+) -> Picks:
     """The first photos of `order`, extended with farthest views if it is too short.
 
     For methods that maximise a score, when no photo improves the score any more.
     """
+    score.clear()
     candidates, count = request.candidates, request.count
     if len(order) >= count:
-        return Picks(order=tuple(order[:count]), flags=flags)
+        return Picks(order=tuple(order[:count]), flags=flags, score=score)
     start = list(order) or [most_keypoints(candidates)]
     full = farthest_first(view_positions(candidates), start, count)
     text = (
         f"No photo after the first {len(order)} improved the score: the remaining"
         f" {count - len(order)} are the views farthest from those selected."
     )
-    return Picks(order=tuple(full), flags=(*flags, text))
+    return Picks(order=tuple(full), flags=(*flags, text), score=score)

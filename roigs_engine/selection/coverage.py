@@ -17,6 +17,8 @@ estimated from the neighbouring points if these lie on a surface; otherwise cos(
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,6 +41,7 @@ FLATNESS = 0.5
 # error.
 MIN_COSINE = 0.2
 ROWS = 1 << 16  # observations that are compared with all directions at once
+PART = 1 << 21  # observations whose rays are in memory at once
 
 
 class Coverage:
@@ -46,11 +49,17 @@ class Coverage:
 
     def __init__(self, candidates: Candidates, context: Context = QUIET) -> None:
         self._starts = candidates.row_starts()
-        view, point = candidates.obs_view, candidates.obs_point
-        ray = candidates.centres()[view] - candidates.points[point]  # (N, 3) point to camera
-        length = np.linalg.norm(ray, axis=1)
-        ray /= np.maximum(length, np.finfo(float).tiny)[:, None]
-        density = _pixel_density(candidates) * _cosines(candidates, ray, context)
+        point = candidates.obs_point
+        normals, known = _normals(candidates, context)
+        directions = fibonacci_directions(DIRECTIONS)
+        density = _pixel_density(candidates)
+        slot = np.empty(len(point), dtype=np.int64)
+        for part, rays in _rays(candidates):
+            context.check_cancelled()
+            of = point[part]
+            cosine = np.einsum("ni,ni->n", rays, normals[of])
+            density[part] *= np.where(known[of], np.clip(cosine, MIN_COSINE, 1.0), 1.0)
+            slot[part] = of * DIRECTIONS + nearest_direction(rays, directions)
         best = np.percentile(density, RESOLUTION_PERCENTILE) if len(density) else 0.0
         share = np.minimum(1.0, density / best) if best > 0 else np.zeros(len(density))
         voxel = voxel_indices(candidates.points, candidates.roi)
@@ -58,14 +67,17 @@ class Coverage:
         shown = object_points(candidates.points, candidates.roi, candidates.images)
         if shown.any():
             weight[~shown] = 0.0
-        directions = fibonacci_directions(DIRECTIONS)
-        slot = point * DIRECTIONS + nearest_direction(ray, directions)
-        slots, self._slot = np.unique(slot, return_inverse=True)
+        used = np.bincount(slot, minlength=len(weight) * DIRECTIONS) > 0
+        self._slot = (np.cumsum(used) - 1)[slot]  # (N,) among the slots that are used
         self._worth = weight[point] * share  # (N,)
-        self._held = np.zeros(len(slots))
-        full = np.zeros(len(slots))
-        np.maximum.at(full, self._slot, self._worth)
-        self._full = float(full.sum())
+        self._held = np.zeros(int(used.sum()))
+        np.maximum.at(self._held, self._slot, self._worth)
+        self._full = float(self._held.sum())
+        self.clear()
+
+    def clear(self) -> None:
+        """Make S empty."""
+        self._held[:] = 0.0
 
     @property
     def value(self) -> float:
@@ -89,7 +101,7 @@ def order_coverage(request: Request) -> Picks:
     views, context = list(range(len(request.candidates))), request.context
     coverage = Coverage(request.candidates, context)
     order = lazy_greedy(views, coverage.gain, coverage.add, request.count, context)
-    return fill_up(request, order)
+    return fill_up(request, order, coverage)
 
 
 def fibonacci_directions(count: int) -> Float64:
@@ -121,17 +133,17 @@ def _pixel_density(candidates: Candidates) -> Float64:
     return density
 
 
-def _cosines(candidates: Candidates, rays: Float64, context: Context) -> Float64:
-    """(N,) cos(theta) of each observation, at least `MIN_COSINE`; 1 if the normal is unknown."""
-    normals, known = _normals(candidates, rays, context)
-    point = candidates.obs_point
-    cosine = np.einsum("ni,ni->n", rays, normals[point])
-    return np.where(known[point], np.clip(cosine, MIN_COSINE, 1.0), 1.0)
+def _rays(candidates: Candidates) -> Iterator[tuple[slice, Float64]]:
+    """Parts of the observations, each with its (N, 3) unit vectors from point to camera."""
+    centres = candidates.centres()
+    for start in range(0, len(candidates.obs_view), PART):
+        part = slice(start, start + PART)
+        rays = centres[candidates.obs_view[part]] - candidates.points[candidates.obs_point[part]]
+        rays /= np.maximum(np.linalg.norm(rays, axis=1), np.finfo(float).tiny)[:, None]
+        yield part, rays
 
 
-def _normals(
-    candidates: Candidates, rays: Float64, context: Context
-) -> tuple[Float64, NDArray[np.bool_]]:
+def _normals(candidates: Candidates, context: Context) -> tuple[Float64, NDArray[np.bool_]]:
     """(P, 3) unit normals by PCA, towards the observers; (P,) whether each is known."""
     points = candidates.points
     total = len(points)
@@ -145,7 +157,8 @@ def _normals(
     deviation = np.sqrt(np.maximum(values, 0.0))
     known = (deviation[:, 1] > 0) & (deviation[:, 0] < FLATNESS * deviation[:, 1])
     observers = np.zeros((total, 3))
-    np.add.at(observers, candidates.obs_point, rays)
+    for part, rays in _rays(candidates):
+        np.add.at(observers, candidates.obs_point[part], rays)
     away = np.einsum("pi,pi->p", normals, observers) < 0
     return np.where(away[:, None], -normals, normals), known
 

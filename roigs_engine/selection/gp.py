@@ -120,9 +120,9 @@ def order_gp(request: Request, *, extended: bool) -> Picks:
         gains.append(float(score.gains()[view]))
         score.add(view)
     if not names:
-        return fill_up(request, seeds, flags)
+        return fill_up(request, seeds, score, flags)
     order = _loop(Surrogate(inputs, request.seed), score, seeds, gains, request)
-    return fill_up(request, order, flags)
+    return fill_up(request, order, score, flags)
 
 
 def _loop(

@@ -53,6 +53,8 @@ def order_greedy(request: Request) -> Picks:
     # log f of the empty set is -Inf: the first photo is picked outside the lazy loop.
     first = int(np.argmax(score.gains()))
     score.add(first)
+    if not score.product:
+        return fill_up(request, [first], score)
     others = [view for view in range(len(request.candidates)) if view != first]
 
     def log_gain(view: int) -> float:
@@ -60,4 +62,4 @@ def order_greedy(request: Request) -> Picks:
 
     count, context = request.count - 1, request.context
     order = [first, *lazy_greedy(others, log_gain, score.add, count, context)]
-    return fill_up(request, order)
+    return fill_up(request, order, score)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from ..context import QUIET, Context
 from ..formats.text import counted, named
 from ..model.scene import Float64
 from ..model.visibility import Candidates
+from .score import Score
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,7 +78,14 @@ class Request:
 
 @dataclass(frozen=True, kw_only=True)
 class Picks:
-    """The result of a method: unique candidate ids, best first, and warnings about them."""
+    """The result of a method.
+
+    Attributes:
+        order: unique candidate ids, best first.
+        flags: warnings about them.
+        score: the method's score of an empty set, if the method has made one.
+    """
 
     order: tuple[int, ...]
     flags: tuple[str, ...] = ()
+    score: Score | None = field(default=None, compare=False, repr=False)

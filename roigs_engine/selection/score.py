@@ -35,6 +35,33 @@ def voxel_indices(points: Float64, roi: OrientedBox) -> Int64:
     return np.asarray(np.unique(flat, return_inverse=True)[1].reshape(-1).astype(np.int64))
 
 
+class _Unseen:
+    """The things (points, voxels) that no photo of a growing set S shows yet.
+
+    All additions together take as long as there are pairs of a photo and a thing that it shows.
+    """
+
+    def __init__(self, view: Int64, thing: Int64, views: int, things: int) -> None:
+        """Pairs (N,) of a photo and a thing, each once, ascending by photo."""
+        self._thing, self._view_of = thing, view[np.argsort(thing, kind="stable")]
+        self._starts = np.searchsorted(view, np.arange(views + 1))
+        self._viewers = np.concatenate([[0], np.cumsum(np.bincount(thing, minlength=things))])
+        self.clear()
+
+    def clear(self) -> None:
+        """Make S empty."""
+        self.gains = np.diff(self._starts)  # (V,) number of things that each photo adds
+        self.seen = np.zeros(len(self._viewers) - 1, dtype=bool)  # (T,)
+
+    def add(self, view: int) -> None:
+        """Add a photo to S."""
+        things = self._thing[self._starts[view] : self._starts[view + 1]]
+        new = things[~self.seen[things]]
+        self.seen[new] = True
+        for start, end in zip(self._viewers[new], self._viewers[new + 1], strict=True):
+            self.gains[self._view_of[start:end]] -= 1
+
+
 class DensityOccupancy:
     """f(S) of a growing set S of photos, and the gain of each photo.
 
@@ -43,55 +70,48 @@ class DensityOccupancy:
 
     def __init__(self, candidates: Candidates, context: Context = QUIET) -> None:
         """Nothing here takes so long that `context` is asked."""
+        view, point = candidates.obs_view, candidates.obs_point
         voxel = voxel_indices(candidates.points, candidates.roi)
-        self._views = len(candidates)
-        self._starts = candidates.row_starts()
-        self._view, self._point = candidates.obs_view, candidates.obs_point
         voxels = int(voxel.max()) + 1
-        pairs = np.unique(self._view * voxels + voxel[self._point])
-        self._voxel_view, self._view_voxel = pairs // voxels, pairs % voxels
-        self._voxel_starts = np.searchsorted(self._voxel_view, np.arange(self._views + 1))
-        self._new_point = np.ones(len(candidates.points), dtype=bool)
-        self._new_voxel = np.ones(voxels, dtype=bool)
-        self._points = self._voxels = 0
+        pairs = np.unique(view * voxels + voxel[point])
+        self._points = _Unseen(view, point, len(candidates), len(candidates.points))
+        self._voxels = _Unseen(pairs // voxels, pairs % voxels, len(candidates), voxels)
+        self.clear()
+
+    def clear(self) -> None:
+        """Make S empty."""
+        self._points.clear()
+        self._voxels.clear()
+        self._counts = 0, 0  # seen points and voxels
 
     @property
     def product(self) -> int:
         """Seen points x seen voxels of S: f(S) times a constant, exact."""
-        return self._points * self._voxels
+        return self._counts[0] * self._counts[1]
 
     @property
     def value(self) -> float:
         """f(S), 0 to 1."""
-        return self.product / (len(self._new_point) * len(self._new_voxel))
+        return self.product / (len(self._points.seen) * len(self._voxels.seen))
 
     def product_with(self, view: int) -> int:
         """`product` of S and that photo."""
-        points = self._point[self._starts[view] : self._starts[view + 1]]
-        voxels = self._view_voxel[self._voxel_starts[view] : self._voxel_starts[view + 1]]
-        added_points = int(np.count_nonzero(self._new_point[points]))
-        added_voxels = int(np.count_nonzero(self._new_voxel[voxels]))
-        return (self._points + added_points) * (self._voxels + added_voxels)
+        points, voxels = self._counts
+        return int((points + self._points.gains[view]) * (voxels + self._voxels.gains[view]))
 
     def gains(self) -> Float64:
         """(V,) f(S + v) - f(S) for every photo v (0 for those in S)."""
-        points = np.bincount(
-            self._view, weights=self._new_point[self._point], minlength=self._views
-        )
-        voxels = np.bincount(
-            self._voxel_view, weights=self._new_voxel[self._view_voxel], minlength=self._views
-        )
-        products = (self._points + points) * (self._voxels + voxels)  # integers, exact in float64
-        return (products - self.product) / (len(self._new_point) * len(self._new_voxel))
+        points, voxels = self._counts
+        products = (points + self._points.gains) * (voxels + self._voxels.gains)
+        return (products - self.product) / (len(self._points.seen) * len(self._voxels.seen))
 
     def add(self, view: int) -> None:
         """Add a photo to S."""
-        points = self._point[self._starts[view] : self._starts[view + 1]]
-        self._points += int(np.count_nonzero(self._new_point[points]))
-        self._new_point[points] = False
-        voxels = self._view_voxel[self._voxel_starts[view] : self._voxel_starts[view + 1]]
-        self._voxels += int(np.count_nonzero(self._new_voxel[voxels]))
-        self._new_voxel[voxels] = False
+        points, voxels = self._counts
+        new = int(self._points.gains[view]), int(self._voxels.gains[view])
+        self._counts = points + new[0], voxels + new[1]
+        self._points.add(view)
+        self._voxels.add(view)
 
 
 class Score(Protocol):
@@ -100,6 +120,7 @@ class Score(Protocol):
     @property
     def value(self) -> float: ...
     def add(self, view: int) -> None: ...
+    def clear(self) -> None: ...
 
 
 def prefix_values(score: Score, order: Sequence[int]) -> tuple[float, ...]:
