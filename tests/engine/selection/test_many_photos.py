@@ -13,7 +13,7 @@ from roigs_engine.selection import METHODS, SelectionConfig, select_cameras
 from roigs_engine.selection.coverage import Coverage
 from roigs_engine.selection.methods import Method
 
-BOX = OrientedBox.axis_aligned("box", [-1, -1, -1], [1, 1, 1])
+BOX = OrientedBox.between("box", [-1, -1, -1], [1, 1, 1])
 CAMERA = Camera(width=160, height=120, fx=150.0, fy=150.0, cx=80.0, cy=60.0)
 
 
