@@ -6,6 +6,7 @@ Exit status: 0 done; 2 an `EngineError`, wrong options included (one line on sta
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Sequence
 
@@ -35,6 +36,7 @@ def main(argv: Sequence[str] | None = None, stop: StopRequest | None = None) -> 
         context.check_cancelled()
         if command.torch:
             check_address_space(name, MIN_TORCH, MIN_TORCH_CORE)
+            os.getcwd()  # without one, torch's libraries end the process
         result = command.run(request, context, console.print)
         if result.text:
             console.print(result.text)
@@ -76,6 +78,9 @@ def _failure(error: Exception, name: str) -> Failed | None:
     """What is said of an error; None: it is a fault of the program."""
     from .app.event_log import failure
 
+    if isinstance(error, FileNotFoundError) and error.filename is None:  # of `os.getcwd`
+        text = "The working folder was deleted."
+        return Failed(message=text, hint="Change to another one.")
     if isinstance(error, ModuleNotFoundError) and not (error.name or "").startswith(__package__):
         text = f"`{name}` needs {error.name}, which is not installed in {sys.executable}."
         return Failed(message=text, hint="Install it there, or use another Python.")

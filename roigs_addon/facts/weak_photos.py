@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import bpy
@@ -10,7 +9,7 @@ import numpy as np
 
 from ..properties import scene_props
 from ..scene import exclusions
-from ..shared import projects
+from ..shared import projects, text
 
 _found: dict[str, list[str]] = {}
 
@@ -28,7 +27,7 @@ def _weak(folder: Path) -> list[str]:
     """Those of an exported model; none if it is not there, or knows nothing of observations."""
     try:
         starts = np.load(folder / "observed_starts.npy")
-        images = json.loads((folder / "scene.json").read_text("utf-8"))["images"]
+        images = text.parse_json((folder / "scene.json").read_bytes())["images"]
         points = np.diff(starts).tolist()
         counts = {str(i["name"]): int(n) for i, n in zip(images, points, strict=True)}
     except (OSError, ValueError, KeyError, TypeError):

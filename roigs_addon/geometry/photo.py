@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ..shared import text as texts
 from .frames import Intrinsics, Matrix
 
 
@@ -67,6 +68,6 @@ class Photo:
     def from_json(cls, text: str) -> Photo | None:
         """The photo of a record, or None if the record is not valid."""
         try:
-            return cls.from_dict(json.loads(text))
+            return cls.from_dict(texts.parse_json(text.encode()))
         except (ValueError, KeyError, TypeError):
             return None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from ..geometry.frames import camera_matrix
 from ..geometry.photo import Photo
 from ..geometry.rounding import rounding
 from ..properties import object_props, scene_props
-from ..shared import gravity
+from ..shared import gravity, text
 from . import cameras, clouds, lookup, placement, start_cube
 
 ROOT_NAME = "COLMAP"
@@ -217,7 +216,7 @@ def _read(folder: Path) -> tuple[dict[str, Any], NDArray[np.float32], NDArray[np
 
 def _read_record(folder: Path) -> dict[str, Any]:
     """The description of an exported model; OSError, ValueError, KeyError or TypeError if none."""
-    record: dict[str, Any] = json.loads((folder / "scene.json").read_text(encoding="utf-8"))
+    record: dict[str, Any] = text.parse_json((folder / "scene.json").read_bytes())
     record["images"]
     return record
 

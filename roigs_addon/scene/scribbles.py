@@ -8,7 +8,7 @@ from typing import Any
 import bpy
 
 from ..properties import object_props
-from ..shared import scribbles
+from ..shared import scribbles, text
 
 OBJECT, BACKGROUND = scribbles.OBJECT, scribbles.BACKGROUND
 
@@ -17,7 +17,7 @@ def strokes(roi: bpy.types.Object, photo: str) -> list[dict[str, Any]]:
     """The strokes on a photo, as a file of scribbles has them; oldest first."""
     item = object_props(roi).scribbles.get(photo)
     try:
-        found = json.loads(item.strokes) if item is not None else []
+        found = text.parse_json(item.strokes.encode()) if item is not None else []
     except ValueError:
         return []
     return found if isinstance(found, list) else []

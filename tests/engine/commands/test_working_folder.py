@@ -45,6 +45,38 @@ def test_the_command_line(left: Path, tmp_path: Path) -> None:
     assert not left.exists()
 
 
+@pytest.mark.skipif(os.name == "nt", reason="Windows keeps the working folder of a program")
+@pytest.mark.parametrize(
+    "words", [["convert", "a.ply", "b.ply"], ["inspect", "s"], ["levels", "r"]]
+)
+def test_a_deleted_working_folder_is_one_line(words: list[str], tmp_path: Path) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    done = subprocess.run(
+        ["sh", "-c", 'rmdir "$0" && exec "$@"', gone, sys.executable, "-m", "roigs_engine", *words],
+        cwd=gone,
+        capture_output=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        check=False,
+        text=True,
+    )
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stderr.startswith("error: ")
+
+
+@pytest.mark.parametrize("words", [["inspect"], ["select", "--roi", "a=-1,-1,-1,1,1,1"]])
+def test_warnings_of_libraries_end_no_command(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_project(tmp_path / "scene", names=["1.png", "2.png"])
+    monkeypatch.setenv("PYTHONWARNINGS", "error")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    words = [sys.executable, "-m", "roigs_engine", *words, str(tmp_path / "scene")]
+    done = subprocess.run(words, capture_output=True, check=False, text=True)
+    assert done.returncode == 0, done.stderr
+
+
 def test_the_build_of_the_kernels(left: Path, tmp_path: Path) -> None:
     (tmp_path / "photos" / "roigs_engine.py").unlink()
     words = [sys.executable, "-m", "roigs_engine.kernels.build", "--help"]
