@@ -43,9 +43,7 @@ from tests.engine.settings import adjusted
 from tests.engine.synthetic_colmap import camera, write_project
 
 CONTEXT = multiprocessing.get_context("forkserver" if os.name == "posix" else "spawn")
-CONTEXT.set_forkserver_preload(
-    [__name__, "roigs_engine.run.folder", "roigs_engine.evaluation.crops"]
-)
+CONTEXT.set_forkserver_preload([__name__, "tests.preloaded"])
 KILLED = 9  # the exit status of a process of `killed_everywhere`
 CHANGES = ("os.rename", "os.mkdir", "os.rmdir", "os.remove", "os.link", "os.truncate")
 """What Python calls changes of names in its audit events; `os.replace` is a renaming, too."""

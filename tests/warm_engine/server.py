@@ -18,15 +18,6 @@ import sys
 from contextlib import suppress
 from importlib import import_module
 
-PRELOADED = [
-    "torch",
-    "roigs_engine.cli",
-    *(f"roigs_engine.app.{name}" for name in ("convert", "evaluate", "objects", "render")),
-    *(f"roigs_engine.app.{name}" for name in ("scenes", "train", "upkeep")),
-    "roigs_engine.evaluation.crops",
-    "roigs_engine.run.folder",
-]
-
 
 class Server:
     """The commands that run, each with the connection of its client and a descriptor of it."""
@@ -99,8 +90,7 @@ class Server:
 def main() -> None:
     """Serve; in a forked command, be that."""
     del sys.path[0]  # this script's folder
-    for name in PRELOADED:
-        import_module(name)
+    import_module("tests.preloaded")
     server = Server(sys.argv[1])
     os.write(1, b"ready\n")
     arguments = server.serve()

@@ -19,9 +19,7 @@ from roigs_engine.batch import engine_process
 
 CAN_FORK = os.name == "posix"
 CONTEXT: Any = multiprocessing.get_context("forkserver" if CAN_FORK else "spawn")
-CONTEXT.set_forkserver_preload(
-    [__name__, "roigs_engine.run.folder", "roigs_engine.evaluation.crops"]
-)
+CONTEXT.set_forkserver_preload([__name__, "tests.preloaded"])
 
 
 class ForkedEngine:

@@ -1,0 +1,24 @@
+"""What a process imports before engines are forked from it: all that a training needs.
+
+An engine that imports them by itself takes longer for that than for a tiny scene.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from importlib import import_module
+
+MODULES = (
+    *("torch", "sklearn.gaussian_process", "flip_evaluator", "PIL.Image"),
+    *("roigs_engine.cli", "roigs_engine.run.folder", "roigs_engine.evaluation.crops"),
+    *(f"roigs_engine.app.{name}" for name in ("convert", "evaluate", "objects", "render")),
+    *(f"roigs_engine.app.{name}" for name in ("scenes", "train", "upkeep")),
+)
+
+for _name in MODULES:
+    with suppress(ImportError):  # an optional package
+        import_module(_name)
+with suppress(ImportError):
+    from PIL import Image
+
+    Image.init()  # its readers of formats, too
