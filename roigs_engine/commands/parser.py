@@ -7,6 +7,7 @@ option for one value cannot be given twice: argparse would silently drop the fir
 from __future__ import annotations
 
 import argparse
+import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -55,6 +56,7 @@ class Parser(argparse.ArgumentParser):
         return text
 
 
+@functools.cache
 def build_parser() -> tuple[Parser, dict[str, Parser]]:
     """The main parser, and the parser of each command by name."""
     parser = Parser(

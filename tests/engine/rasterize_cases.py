@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pickle
 from typing import Any
 
 import torch
@@ -124,7 +123,7 @@ def differentiate(
     **options: Any,
 ) -> tuple[RenderOutput, list[Tensor]]:
     """A rendering, and the parameters' gradients of a random linear function of its image."""
-    key = pickle.dumps((dtype, parameters, views, intrinsics, width, height, options))
+    key = _content((dtype, parameters, views, intrinsics, width, height, options))
     if backend == "reference" and key in _REFERENCES:  # slow, and asked for by each test of a case
         return _REFERENCES[key]
     leaves = [p.to(dtype, copy=True).requires_grad_() for p in parameters]
@@ -138,7 +137,16 @@ def differentiate(
     return result
 
 
-_REFERENCES: dict[bytes, tuple[RenderOutput, list[Tensor]]] = {}
+_REFERENCES: dict[str, tuple[RenderOutput, list[Tensor]]] = {}
+
+
+def _content(value: Any) -> str:
+    """Equal for equal values; tensors by their bytes (pickles of equal ones differ)."""
+    if isinstance(value, Tensor):
+        return f"{value.dtype}{tuple(value.shape)}{value.detach().contiguous().numpy().tobytes()!r}"
+    if isinstance(value, dict):
+        return repr({name: _content(item) for name, item in value.items()})
+    return repr([_content(item) for item in value] if isinstance(value, list | tuple) else value)
 
 
 def gradient_errors(gradients: list[Tensor], truth: list[Tensor]) -> dict[str, float]:

@@ -97,7 +97,7 @@ def test_killed_drivers_engines_and_machines(
 ) -> None:
     run = tmp_path / "run"
     options = ("batch", table, "--run-dir", run, "--cluster", cluster.address, "--events")
-    with start(*options) as batch:  # the driver is killed
+    with start(*options, cold=True) as batch:  # the driver is killed
         for event in events(batch):
             if event["event"] == "progress":
                 batch.kill()
@@ -289,6 +289,7 @@ def test_no_cluster_is_one_line(
     assert "is no address" in refused(capsys, *run)
 
 
+@pytest.mark.slow
 def test_one_run_is_as_here(cluster: Any, table: Path, tmp_path: Path) -> None:
     scene, folders = tmp_path / "hall", (tmp_path / "there", tmp_path / "here")
     options = ["run", scene, "--roi", BOX, "--steps-factor", 0.005, "--test-every", 4]
@@ -307,6 +308,7 @@ def test_one_run_is_as_here(cluster: Any, table: Path, tmp_path: Path) -> None:
         assert engine.returncode == 2
 
 
+@pytest.mark.slow
 def test_a_head_that_is_killed_is_one_line(cluster: Any, table: Path, tmp_path: Path) -> None:
     """Last: it ends the cluster. `test_kills.py` goes on with another one."""
     text = table.read_text(encoding="utf-8")  # longer than it takes to see that the head is gone

@@ -10,15 +10,22 @@ import pytest
 
 import roigs_engine
 from roigs_engine.cli import main
+from tests import warm_engine
 
 ROOT = Path(roigs_engine.__file__).resolve().parent.parent
 BOX = "thing=-0.5,-0.5,-0.5,0.5,0.5,0.5"
 EMPTY = "nothing=30,30,30,31,31,31"  # no points in it
 
 
-def start(*arguments: object) -> subprocess.Popen[str]:
-    """The command line as a process of its own, its input open."""
-    command = [sys.executable, "-m", "roigs_engine", *map(str, arguments)]
+def start(*arguments: object, cold: bool = False) -> subprocess.Popen[str]:
+    """The command line as a process of its own, its input open.
+
+    Args:
+        arguments: of the command line.
+        cold: a new Python, as users start it; else it is forked (`tests.warm_engine`).
+    """
+    new = [sys.executable, "-m", "roigs_engine", *map(str, arguments)]
+    command = new if cold else warm_engine.command(arguments)
     pipe = subprocess.PIPE
     return subprocess.Popen(
         command,
@@ -31,9 +38,9 @@ def start(*arguments: object) -> subprocess.Popen[str]:
     )
 
 
-def python(*arguments: object) -> subprocess.CompletedProcess[str]:
+def python(*arguments: object, cold: bool = False) -> subprocess.CompletedProcess[str]:
     """The command line as a process of its own, to its end; its input stays open until then."""
-    with start(*arguments) as process:
+    with start(*arguments, cold=cold) as process:
         assert process.stdout is not None and process.stderr is not None
         out, err = process.stdout.read(), process.stderr.read()
         return subprocess.CompletedProcess(process.args, process.wait(120), out, err)

@@ -50,11 +50,12 @@ def test_a_failure_is_an_event(project: Project) -> None:
     assert "Traceback" not in result.stderr
 
 
-def train(project: Project, folder: Path, *options: object) -> subprocess.Popen[str]:
+def train(project: Project, folder: Path, *, cold: bool = False) -> subprocess.Popen[str]:
     """A training run in its first stage, with a preview every moment."""
     process = start(
         *("train", project.folder, "--roi", BOX, "--run-dir", folder, "--test-every", 3),
-        *("--events", "--threads", 1, "--preview-seconds", 0.01, *options),
+        *("--events", "--threads", 1, "--preview-seconds", 0.01),
+        cold=cold,
     )
     assert process.stdout is not None
     for line in process.stdout:
@@ -118,7 +119,7 @@ def test_a_second_engine_is_refused(
     project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "run"
-    process = train(project, folder)
+    process = train(project, folder, cold=True)
     lock = json.loads((folder / "run.lock").read_text(encoding="utf-8"))
     assert lock["pid"] == process.pid
     second = ("train", project.folder, "--roi", BOX, "--run-dir", folder, "--test-every", 3)

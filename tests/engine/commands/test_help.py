@@ -37,10 +37,10 @@ def test_examples_in_the_help_are_accepted(command: str) -> None:
 
 
 def test_help_lists_the_commands_and_version_is_the_packages() -> None:
-    shown = python("--help")
+    shown = python("--help", cold=True)
     assert shown.returncode == 0
     assert all(f"\n    {command}" in shown.stdout for command in COMMANDS)
-    assert python("--version").stdout.strip() == roigs_engine.__version__
+    assert python("--version", cold=True).stdout.strip() == roigs_engine.__version__
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/commands.md", "docs/files.md"])

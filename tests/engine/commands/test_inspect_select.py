@@ -120,6 +120,6 @@ def test_names_that_cannot_be_printed(
     shutil.copy(os.path.join(photos, b"0.png"), os.path.join(photos, b"caf\xe9.png"))
     monkeypatch.setenv("PYTHONIOENCODING", encoding)
     for options in ([], ["--json"], ["--events"]):
-        result = python("inspect", tmp_path / "scene", *options)
+        result = python("inspect", tmp_path / "scene", *options, cold=True)
         assert result.returncode == 0 and "Traceback" not in result.stderr
         assert "caf\\udce9.png" in result.stdout + result.stderr

@@ -45,7 +45,7 @@ def fine(result: subprocess.CompletedProcess[str]) -> bool:
 
 @pytest.mark.parametrize("options", [[], ["--json"], ["--events"], ["--help"]])
 def test_a_reader_that_goes_away(project: Project, options: list[str]) -> None:
-    process = start("inspect", project.folder, *options)
+    process = start("inspect", project.folder, *options, cold=True)
     assert process.stdout is not None and process.stderr is not None
     process.stdout.close()
     said = process.stderr.read()
@@ -229,7 +229,7 @@ def test_names_in_a_locale_without_letters(
     ):
         monkeypatch.setenv(name, value)
     box = BOX.replace("thing", "väse 模")
-    result = python("select", project.folder, "--roi", box, "--out", tmp_path / "ä", "--events")
+    result = python("select", project.folder, "--roi", box, "--out", tmp_path / "ä", "--events", cold=True)
     assert result.returncode == 0, result.stderr
     path = tmp_path / "ä" / "väse 模.json"
     assert path.exists()

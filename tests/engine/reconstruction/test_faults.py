@@ -31,7 +31,7 @@ def test_killed_in_each_phase_it_resumes(photos: Path, tmp_path: Path) -> None:
     out, known = tmp_path / "scene", 0
     words = ("reconstruct", photos, "--out", out, "--features", 2000, "--events", "--threads", 1)
     for stage in ("look at photos", "features", "matching", "mapping"):
-        with start(*words) as process:
+        with start(*words, cold=True) as process:
             assert process.stdout is not None
             for line in process.stdout:
                 record = json.loads(line)
