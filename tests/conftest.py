@@ -10,6 +10,11 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 
+# Where cores are shared, threads wait for each other longer than small arrays take. This is what
+# torch and BLAS would use unasked; the kernels' threads are the engine's `--threads`.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
 # In a checkout whose folder is named 'tests', that name is the top folder's, to pytest.
 if "tests.tests" in sys.modules:
     sys.modules["tests"] = sys.modules["tests.tests"]

@@ -10,10 +10,14 @@ import pytest
 from roigs_engine.cuda import compiler
 from roigs_engine.errors import KernelError
 
-ARCHITECTURES = (75, 80, 86, 89, 90, 100, 120)
+OLDEST, NEWEST = 75, 120
+BETWEEN = (80, 86, 89, 90, 100)
 
 
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize(
+    "architecture",
+    [OLDEST, NEWEST, *(pytest.param(each, marks=pytest.mark.slow) for each in BETWEEN)],
+)
 def test_every_kernel_compiles(architecture: int) -> None:
     if not compiler.libraries():
         pytest.skip("NVRTC is not installed: pip install nvidia-cuda-nvrtc")

@@ -2,41 +2,46 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from roigs_engine.cli import main
 from roigs_engine.errors import EngineError
 from roigs_engine.exchange import formats
 from roigs_engine.exchange.libraries import scratch
 from tests.engine.exchange.format_cases import arrays, needed
 from tests.engine.other_process import in_the_middle
 
-SMALL = """\
-import resource, sys
-from roigs_engine.cli import main
-resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
-sys.exit(main(["convert", *sys.argv[1:]]))
-"""
 SUFFIXES = (".glb", ".spz", ".usda", ".usdc", ".usdz", ".html")
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="limits the size of files as Unix does")
+@pytest.fixture
+def small_disk() -> Iterator[None]:
+    """No file of this process may be longer than 20,000 bytes."""
+    resource = pytest.importorskip("resource", reason="limits the size of files as Unix does")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_full_disk_is_one_line(suffix: str, tmp_path: Path) -> None:
+def test_a_full_disk_is_one_line(
+    suffix: str, tmp_path: Path, request: pytest.FixtureRequest, capfd: pytest.CaptureFixture[str]
+) -> None:
     needed(formats.format_of(tmp_path / f"a{suffix}"))
     source, out = tmp_path / "in.ply", tmp_path / "out" / f"a{suffix}"
     formats.write(source, arrays(4000))
     out.parent.mkdir()
     out.write_bytes(b"before")
-    command = [sys.executable, "-c", SMALL, str(source), str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 2 and done.stderr.startswith("error: ")
-    assert done.stderr.count("\n") == 1, done.stderr
-    assert "Free some space" in done.stderr
+    request.getfixturevalue("small_disk")
+    status, said = main(["convert", str(source), str(out)]), capfd.readouterr().err
+    assert status == 2 and said.startswith("error: ")
+    assert said.count("\n") == 1, said
+    assert "Free some space" in said
     assert [path.name for path in out.parent.iterdir()] == [out.name]
     assert out.read_bytes() == b"before"
 
