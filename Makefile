@@ -34,7 +34,7 @@ BUILD_KERNELS = $(BIN)/python roigs_engine/kernels/build.py > /dev/null
 # Compiles only what is older than its sources.
 UPDATE_KERNELS = @$(BIN)/python -m roigs_engine.kernels.build > /dev/null
 
-.PHONY: demo test test-long test-blender format kernels extension clean
+.PHONY: demo test types suite test-long test-blender format kernels extension clean
 
 demo: $(VENV)/installed
 	$(UPDATE_KERNELS)
@@ -44,7 +44,13 @@ test: $(VENV)/installed-dev
 	$(UPDATE_KERNELS)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	@$(MAKE) --no-print-directory --jobs 2 types suite
+
+# mypy has one process; a core would be idle beside it.
+types:
 	$(BIN)/mypy
+
+suite:
 	$(BIN)/python -m pytest $(PARALLEL)
 
 test-long: $(VENV)/installed-dev
