@@ -165,7 +165,7 @@ def test_a_stopped_training_resumes_to_the_same_bytes(
     from roigs_addon.jobs import current
 
     bpy, run = blender, tmp_path / "run"
-    scene = ready(bpy, project, run, factor=0.5)
+    scene = ready(bpy, project, run, factor=0.2)
     job = start_training(engine, scene)
     state = current.state()
     while job.poll() and not (state.stage in ("scene", "joint") and state.step > 5):
