@@ -121,6 +121,6 @@ def test_no_engine_outlives_a_killed_blender(engine, project: Path, tmp_path: Pa
         said.extend(resumed.events())
         return any("resumes at" in str(event) for event in said)
 
-    assert until(says_so, 60)
+    assert until(says_so, 240)
     resumed.stop()
     assert resumed.wait(60) and resumed.result().stopped
