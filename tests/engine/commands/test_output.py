@@ -229,7 +229,8 @@ def test_names_in_a_locale_without_letters(
     ):
         monkeypatch.setenv(name, value)
     box = BOX.replace("thing", "väse 模")
-    result = python("select", project.folder, "--roi", box, "--out", tmp_path / "ä", "--events", cold=True)
+    words = ("select", project.folder, "--roi", box, "--out", tmp_path / "ä", "--events")
+    result = python(*words, cold=True)
     assert result.returncode == 0, result.stderr
     path = tmp_path / "ä" / "väse 模.json"
     assert path.exists()
