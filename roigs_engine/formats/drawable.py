@@ -33,7 +33,7 @@ def drawable(arrays: Mapping[str, Floats]) -> NDArray[np.bool_]:
         # NaN is not below any number.
         inside = (values if name == "log_scales" else np.abs(values)) < most
         good &= inside.all(axis=tuple(range(1, values.ndim)))
-    with np.errstate(over="ignore"):  # of numbers that were too large above
+    with np.errstate(over="ignore", invalid="ignore"):  # of numbers that were refused above
         # The length, and not the numbers: in float32, that of tiny ones is 0 too.
         good &= np.linalg.norm(arrays["quats"], axis=1) > 0
     return good

@@ -38,11 +38,19 @@ def inner_path(name: object) -> PurePosixPath | None:
 
     By the rules of POSIX and of Windows at once, whose paths may begin with a drive.
     """
-    if not isinstance(name, str) or "\0" in name:
+    if not isinstance(name, str) or "\0" in name or not _is_encodable(name):
         return None
     path, windows = PurePosixPath(name), PureWindowsPath(name)
     leads_out = path.is_absolute() or windows.drive or windows.root or ".." in windows.parts
     return None if leads_out or not path.parts else path
+
+
+def _is_encodable(name: str) -> bool:
+    """Whether a file system can have the name: half of a surrogate pair is in none."""
+    try:
+        return bool(name.encode("utf-8", "surrogateescape"))
+    except UnicodeEncodeError:
+        return False
 
 
 def is_file_name(name: str) -> bool:

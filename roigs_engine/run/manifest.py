@@ -91,8 +91,11 @@ def check_version(folder: Path) -> None:
     refuse_foreign_files(folder)
     path = folder / MANIFEST
     record = read_manifest(path) if path.exists() else None
-    if record is None or not {"config", "version"} & record.keys():
-        return  # none, or damaged: `claim` tells
+    if record is None:
+        return
+    if not {"config", "version"} & record.keys():
+        hint = "Choose another run folder (--run-dir), or move that file away."
+        raise RunFolderError(f"{path} is no manifest of a run.", hint)
     if record.get("version") != MANIFEST_VERSION:
         raise RunFolderError(
             f"{folder} was made by another version; this version cannot resume it.",

@@ -110,7 +110,7 @@ def packed(dice: random.Random, folder: Path) -> Case:
             part = dice.choice([key for key, value in meta.items() if "files" in str(value)])
             named = meta[part]["files"]
             at = dice.randrange(len(named))
-            files[name.encode("utf-8", "replace").decode()[:60000]] = files.pop(named[at])
+            files[name.encode("utf-8", "replace").decode()[:60000] or "x"] = files.pop(named[at])
             named[at] = name
             files["meta.json"] = json.dumps(meta).encode()
             return exchange.converted(dice, folder, ".sog", exchange.zipped(files))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from roigs_engine.formats.clean_up import removable
 from roigs_engine.formats.events import Event, Message, Preview, StageStarted
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.run.manifest import manifest_difference
+from roigs_engine.run.manifest import check_version, manifest_difference
 from roigs_engine.run.stages import PhotoSets
 from roigs_engine.selection import METHODS, SelectionConfig, select_cameras
 from roigs_engine.selection.manual import load_manual
@@ -354,3 +355,12 @@ def test_other_mechanisms_and_boxes_in_words() -> None:
     assert manifest_difference(two, one) == "2 boxes are gone, the first is tin"
     swapped = {"rois": two["rois"][::-1]}
     assert manifest_difference(two, swapped) == "the order of the boxes changed"
+
+
+@pytest.mark.parametrize("manifest", [{"icons": []}, {}, {"Config": 1}])
+def test_a_manifest_of_somebody_else_is_refused(tmp_path: Path, manifest: dict[str, Any]) -> None:
+    """With `update`, a run would move and replace files that only have the names of its own."""
+    (tmp_path / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    (tmp_path / "result.ply").write_bytes(b"mine")
+    with pytest.raises(RunFolderError, match="is no manifest of a run"):
+        check_version(tmp_path)
