@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from benchmarks import object_masks, scribbles
-from roigs_engine.formats.scribbles import OBJECT, Scribble, Stroke, scribbles_document
+from roigs_engine.formats.scribbles import OBJECT, Scribble, Stroke
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.photos.mask_images import write_mask
 from tools.window import scribble as window
@@ -25,7 +25,7 @@ def strokes_file(path: Path, *photos: str) -> Path:
     stroke = Stroke(kind=OBJECT, width=4.0, points=np.array([[2.0, 3.0], [5.0, 3.0]]))
     drawn = [Scribble(box="pot", photo=photo, strokes=(stroke,)) for photo in photos]
     other = Scribble(box="cup", photo="a.jpg", strokes=(stroke,))
-    path.write_text(scribbles_document([*drawn, other]))
+    path.write_text(scribbles.scribbles_document([*drawn, other]))
     return path
 
 

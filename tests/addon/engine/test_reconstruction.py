@@ -103,7 +103,7 @@ def test_names_are_the_engines() -> None:
     assert (reconstruction.WORK, reconstruction.REPORT) == (folder.WORK, folder.REPORT)
     stages = (own_files.LOOK, own_files.FEATURES, own_files.COMPARE)
     assert stages == (photo_checks.STAGE, engine.FEATURES, pairs.STAGE)
-    assert (own_files.MATCHING, own_files.MAPPING) == (engine.MATCHING, mapping.STAGE)
+    assert (own_files.MATCHING, own_files.MAPPING) == (engine.MATCHING, mapping.MAPPING)
 
 
 def test_progress_says_what_it_counts() -> None:
