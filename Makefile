@@ -19,6 +19,9 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3)
 TORCH_INDEX ?=
 export TORCH_INDEX
+# The set-up leaves bytecode to the first import. Where nobody may keep it, every process of the
+# tests compiles all that it imports.
+unexport PYTHONDONTWRITEBYTECODE
 RUN_DIR ?= runs/demo
 BLENDER ?=
 SUITE ?= trixie
