@@ -14,6 +14,8 @@ ROOT = Path(__file__).resolve().parent.parent
 # torch and BLAS would use unasked; the kernels' threads are the engine's `--threads`.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+# A new environment would compile gsply's functions for a minute, in each process.
+os.environ.setdefault("NUMBA_DISABLE_JIT", "1")
 
 # In a checkout whose folder is named 'tests', that name is the top folder's, to pytest.
 if "tests.tests" in sys.modules:

@@ -88,6 +88,7 @@ def test_what_was_stopped_resumes(blender: ModuleType, reconstructing, tmp_path:
     assert "6 of 6 photos registered" in panel(blender) and "Continue" not in panel(blender)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 def test_a_killed_blender_is_continued(blender: ModuleType, reconstructing, tmp_path: Path) -> None:
     photos, blend = photos_in(tmp_path / "garden", 6), tmp_path / "a.blend"

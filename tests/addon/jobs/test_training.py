@@ -55,7 +55,6 @@ def by_hand(tmp_path_factory: pytest.TempPathFactory):
     return results
 
 
-@pytest.mark.cold
 def test_the_result_is_the_engines(
     blender: ModuleType, engine, project: Path, tmp_path: Path, by_hand
 ) -> None:

@@ -82,6 +82,7 @@ def same_by_hand(run: Path, name: str, folder: Path) -> None:
     assert contents(run / name) == contents(folder / name)
 
 
+@pytest.mark.slow
 def test_a_batch_is_as_here(cluster: Any, table: Path, tmp_path: Path) -> None:
     text = table.read_text(encoding="utf-8")
     table.write_text(text.replace("steps-factor = 0.03", "steps-factor = 0.005"), encoding="utf-8")

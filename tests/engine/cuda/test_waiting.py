@@ -149,7 +149,7 @@ def test_steps_on_an_object_alone_do_not_wait(
     assert card.waits == []
 
 
-@pytest.mark.parametrize("inputs", [nothing_more, boxes])
+@pytest.mark.parametrize("inputs", [nothing_more, pytest.param(boxes, marks=pytest.mark.slow)])
 def test_a_view_without_a_buffer_is_drawn_again(
     scene: SfmScene, card: PretendCard, monkeypatch: pytest.MonkeyPatch, inputs: Inputs
 ) -> None:

@@ -54,7 +54,9 @@ def contents(run: Path) -> dict[str, bytes]:
     return {str(p.relative_to(run)): p.read_bytes() for p in files if p.is_file()}
 
 
-@pytest.mark.parametrize("place", MOMENTS)
+@pytest.mark.parametrize(
+    "place", [*MOMENTS[:3], *(pytest.param(each, marks=pytest.mark.slow) for each in MOMENTS[3:])]
+)
 def test_it_makes_the_same_bytes(whole: Path, tmp_path: Path, place: str) -> None:
     run = make_run(tmp_path / "run", whole.parent / "scene")
     assert engine(words(run), Moment(f"^{place}$", 1)).status == -9
