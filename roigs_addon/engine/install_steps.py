@@ -1,6 +1,7 @@
 """What is installed for the engine, and with which programs. No bpy.
 
-The packages and their versions are in pyproject.toml alone, which is part of the extension.
+The packages are in pyproject.toml alone, which is part of the extension; versions and hashes of
+what is downloaded are in tools/locked/, made of it by tools/lock_packages.py.
 """
 
 from __future__ import annotations
@@ -16,8 +17,11 @@ from .python import SOURCE, environment_python
 
 OPTIONAL = ("video", "heic", "masks")
 """Extras of the project that not every platform has wheels for."""
+PIP, ENGINE = "pip", "engine"
+"""Files of tools/locked/ beside those of the optional packages."""
 FORMATS = "formats"
 """The extra of `Plan.formats`."""
+ONLY_WHEELS = ("--only-binary", ":all:")
 DOWNLOAD_BYTES, DISK_BYTES = 411e6, 1_260e6
 """What a set-up for the CPU takes, measured with torch 2.13 and Python 3.11 on Linux (x86-64)."""
 CUDA_DOWNLOAD_BYTES = 2.6e9
@@ -84,45 +88,50 @@ def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
     python = str(environment_python(environment))
     runs = [python, ISOLATED]
     pip = [*runs, "-m", "pip", "install", "--no-input", "--disable-pip-version-check"]
-    wanted = requirements()
     venv = [str(base), ISOLATED, "-m", "venv", str(environment)]
     make = Step(title="Creating the environment", command=venv)
+    optional = optional_packages(formats=plan.formats)
     finish = [
         Step(title="Removing what is not needed", command=[*runs, _script("trim_engine")]),
         Step(title="Testing the environment", command=[*runs, _script("try_engine")]),
     ]
     if plan.wheels is not None:
-        source = ["--no-index", "--find-links", str(plan.wheels)]
-        install = Step(title="Installing", command=[*pip, *source, *wanted])
-        return [make, install, *_optional([*pip, *source], plan), *finish]
+        pip += ["--no-index", "--find-links", str(plan.wheels)]
+        install = Step(title="Installing", command=[*pip, *requirements()])
+        more = [_optional(package, [*pip, *ONLY_WHEELS, package]) for package in optional]
+        return [make, install, *more, *finish]
     index = ["--index", plan.torch_index] if plan.torch_index else []
     torch = [*runs, _script("install_torch"), *index]
     return [
         make,
-        # From this version on, pip reports how much of a file it has.
-        Step(title="Updating pip", command=[*pip, "pip>=24.1"]),
+        # From 24.1 on, pip reports how much of a file it has.
+        Step(title="Updating pip", command=[*pip, *_locked(PIP)]),
+        # Before torch, which then finds what it needs itself, except for a graphics card.
+        Step(title="Installing packages", command=[*pip, *_locked(ENGINE)]),
         Step(title="Installing torch", command=torch),
-        Step(title="Installing the rest", command=[*pip, *wanted]),
-        *_optional(pip, plan),
+        *(_optional(package, [*pip, *_locked(name_of(package))]) for package in optional),
         *finish,
     ]
 
 
-def _optional(pip: list[str], plan: Plan) -> list[Step]:
-    """What the engine also works without: one for each package, as some have no wheel here.
-
-    They are never compiled.
-    """
+def optional_packages(*, formats: bool) -> list[str]:
+    """What the engine also works without, as some have no wheel for a platform."""
     extras = _project()["optional-dependencies"]
     return [
-        Step(
-            title=f"Installing {name_of(package)}",
-            command=[*pip, "--only-binary", ":all:", package],
-            needed=False,
-        )
-        for extra in (*OPTIONAL, *([FORMATS] if plan.formats else []))
+        package
+        for extra in (*OPTIONAL, *([FORMATS] if formats else []))
         for package in extras[extra]
     ]
+
+
+def _optional(package: str, command: list[str]) -> Step:
+    return Step(title=f"Installing {name_of(package)}", command=command, needed=False)
+
+
+def _locked(name: str) -> list[str]:
+    """Arguments of pip: versions and hashes of a file, and nothing else; nothing is compiled."""
+    path = SOURCE / "tools" / "locked" / f"{name}.txt"
+    return ["--require-hashes", "--no-deps", *ONLY_WHEELS, "--requirement", str(path)]
 
 
 def _script(name: str) -> str:

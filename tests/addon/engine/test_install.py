@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import re
 import sys
 import time
 from pathlib import Path
@@ -16,6 +17,7 @@ from roigs_addon.engine.install import Installation
 from roigs_addon.engine.install_steps import Plan, Step
 from roigs_addon.errors import AddonError
 from tests.addon.scenes import ROOT
+from tools.lock_packages import entries
 
 
 @pytest.fixture(autouse=True)
@@ -53,6 +55,61 @@ def test_requirements_are_those_of_the_project() -> None:
     assert any(r.startswith("numpy") for r in wanted)
 
 
+def locked() -> dict[str, list[str]]:
+    """Name of a file -> its packages, as pip reads them."""
+    folder = ROOT / "tools" / "locked"
+    return {path.stem: entries(path.read_text("utf-8")) for path in folder.glob("*.txt")}
+
+
+def test_what_is_downloaded_has_hashes() -> None:
+    """And nothing else is in these files: no other index, no option of pip."""
+    assert locked().keys() == {
+        *(install_steps.PIP, install_steps.ENGINE),
+        *map(install_steps.name_of, install_steps.optional_packages(formats=True)),
+    }
+    form = r"[a-z0-9-]+==[0-9.]+( ; [^\n\\]+)? \\\n(    --hash=sha256:[0-9a-f]{64}( \\)?\n)+"
+    for name, packages in locked().items():
+        assert packages
+        for package in packages:
+            assert re.fullmatch(form, package), (name, package[:80])
+        text = (ROOT / "tools" / "locked" / f"{name}.txt").read_text("utf-8")
+        assert text == "".join(packages)
+
+
+def test_what_is_downloaded_is_what_the_project_asks_for() -> None:
+    """`tools/lock_packages.py` makes the files anew when the requirements change."""
+    version = pytest.importorskip("packaging.requirements")
+    files = locked()
+    wanted = [(install_steps.ENGINE, asked) for asked in install_steps.requirements()]
+    wanted += [
+        (install_steps.name_of(asked), asked)
+        for asked in install_steps.optional_packages(formats=True)
+    ]
+    for name, asked in wanted:
+        requirement = version.Requirement(asked)
+        if requirement.name == "torch":
+            continue
+        there = [
+            found
+            for text in files[name]
+            if (found := version.Requirement(text.partition(" \\")[0])).name == requirement.name
+        ]
+        assert there, asked
+        for found in there:
+            (exact,) = found.specifier
+            assert requirement.specifier.contains(exact.version), (asked, str(found))
+
+
+def test_each_download_of_the_set_up_is_checked(tmp_path: Path) -> None:
+    """But for torch's: each of its indexes has builds of its own."""
+    steps = install_steps.steps(Plan(environments=(tmp_path,)), Path("python"), tmp_path / "1")
+    downloads = [step.command for step in steps if "install" in step.command]
+    assert len(downloads) > 8
+    for command in downloads:
+        assert {"--require-hashes", "--no-deps", "--only-binary"} <= set(command)
+        assert Path(command[-1]).is_file()
+
+
 @pytest.mark.parametrize("wheels", [False, True])
 @pytest.mark.parametrize("formats", [False, True])
 def test_what_not_every_platform_has_is_installed_where_it_can_be(
@@ -62,7 +119,8 @@ def test_what_not_every_platform_has_is_installed_where_it_can_be(
     plan = Plan(environments=(tmp_path,), formats=formats, wheels=tmp_path if wheels else None)
     steps = install_steps.steps(plan, Path("python"), tmp_path / "1")
     optional = [step.command for step in steps if not step.needed]
-    names = [install_steps.name_of(command[-1]) for command in optional]
+    names = [Path(command[-1]).stem if not wheels else command[-1] for command in optional]
+    names = [install_steps.name_of(name) for name in names]
     assert names[:3] == ["av", "pillow-heif", "opencv-python-headless"]
     assert ({"gsply", "usd-core", "pygltflib"} <= set(names[3:])) == formats
     assert all(":all:" in command for command in optional)
