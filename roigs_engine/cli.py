@@ -78,9 +78,12 @@ def _failure(error: Exception, name: str) -> Failed | None:
     """What is said of an error; None: it is a fault of the program."""
     from .app.event_log import failure
 
-    if isinstance(error, FileNotFoundError) and error.filename is None:  # of `os.getcwd`
-        text = "The working folder was deleted."
-        return Failed(message=text, hint="Change to another one.")
+    if isinstance(error, FileNotFoundError) and error.filename is None:
+        try:
+            os.getcwd()
+        except FileNotFoundError:
+            text = "The working folder was deleted."
+            return Failed(message=text, hint="Change to another one.")
     if isinstance(error, ModuleNotFoundError) and not (error.name or "").startswith(__package__):
         text = f"`{name}` needs {error.name}, which is not installed in {sys.executable}."
         return Failed(message=text, hint="Install it there, or use another Python.")

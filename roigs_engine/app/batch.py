@@ -13,9 +13,9 @@ from ..batch.parts import WHOLE
 from ..context import QUIET, Context
 from ..errors import ConfigError, EngineError, RunFolderError
 from ..formats.clean_up import is_run_folder
-from ..formats.files import write_json
+from ..formats.files import own_folder, write_json
 from ..formats.lock import locked
-from ..formats.run_files import BATCH, BATCH_LOCK, BATCH_OUTPUTS, REPORT_PAGE
+from ..formats.run_files import BATCH, BATCH_LOCK, BATCH_OUTPUTS, BATCH_ROWS, REPORT_PAGE
 from ..formats.text import counted, duration, in_columns, in_gb
 from ..requests.runs import Batch
 from .batch_plan import checked_plans, files_of_run, outputs_of, plan_row
@@ -87,6 +87,8 @@ def run_batch(request: Batch, context: Context = QUIET) -> Result:
         stack.enter_context(locked(folder, context.warn, name=BATCH_LOCK))
         if store:
             stack.enter_context(store.held(context))
+        for name in (BATCH_ROWS, BATCH_OUTPUTS, *(row.name for row in rows)):
+            own_folder(folder, name)  # refuses a link
         record = _record(folder, store, rows)
         device, scenes = checked_plans(table, rows, record, context)
         for row in rows:

@@ -34,7 +34,7 @@ class Store:
         refuse_lost(url)
         self.url = url
         self.folder = folder_of(url, BATCHES)
-        self._found, self._place = file_system(url)
+        self._found, self._place = file_system(url, own=True)
         self._there: set[str] = set()
 
     @contextmanager

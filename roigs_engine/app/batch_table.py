@@ -29,7 +29,8 @@ OUTPUTS, OBJECT_OUTPUTS = "outputs", "object_outputs"
 NO_KEYS = {"run_dir", "update", "dry_run", "part", "threads", "cluster"}
 OF_OUTPUTS = {"up", "from_up", "sh_degree"}  # options of `convert`
 NO_RESULT = {"device", "image_cache", "preview_seconds"}  # these options change no result
-HEADER, KEY = re.compile(r"\s*\[+\s*(.*?)\s*\]+"), re.compile(r"\s*(\"[^\"]*\"|'[^']*'|[\w-]+)\s*=")
+HEADER, KEY = re.compile(r"\s*\[+([^\]]*)\]"), re.compile(r"\s*(\"[^\"]*\"|'[^']*'|[\w-]+)\s*=")
+BETWEEN_KEYS, MOST_PARTS = re.compile(r"[^\w\s.\"'-]"), 200
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,6 +218,9 @@ class Table:
 def _read(path: Path) -> tuple[str, dict[str, Any]]:
     try:
         text = decode_text(read_bytes(path))
+        runs = (run for line in text.splitlines() for run in BETWEEN_KEYS.split(line))
+        if any(run.count(".") > MOST_PARTS for run in runs):  # tomllib's memory is quadratic
+            raise ValueError("a key has too many parts")
         return text, tomllib.loads(text)
     except OSError as error:
         raise ConfigError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error

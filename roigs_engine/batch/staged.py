@@ -34,7 +34,7 @@ INPUTS = ("scene", "rois", "images", "masks", "object_masks", "selection")
 
 def stored_run(url: str, run: str) -> StoredRun:
     """A run folder of a batch on a store; ConfigError if the address cannot be used."""
-    found, place = file_system(url)
+    found, place = file_system(url, own=True)
     return StoredRun(found, f"{place}/{run}")
 
 
@@ -64,7 +64,7 @@ def run_part(
         return run_engine(argv, emit, should_stop)
     context = Context(should_stop=should_stop)
     try:
-        found, _ = file_system(part.staging.url)
+        found, _ = file_system(part.staging.url, own=True)
         run = stored_run(part.staging.url, part.scene)
         with Lease(found, run.lease_folder(part.name), should_stop) as lease:
             return _leased(argv, part, part.staging, run, lease, emit, context)

@@ -14,8 +14,8 @@ from typing import Any, ClassVar
 
 MOST = (1 << 31) - 1  # of counts: a larger one is a typing error
 AUTO = "auto"
-SECRET = re.compile(r"//[^/@\s]*:[^/@\s]*@")
-"""User and password in an address."""
+SECRET = re.compile(r"//[^/@\s]*:(?!\d+/)[^@\s]*@|https?://[^/\s]*@|https?://\S*\?", re.IGNORECASE)
+"""User and password in an address, a token, or a query: these are signatures."""
 SCHEME = re.compile(r"([a-z][a-z0-9+.-]+)://", re.IGNORECASE)
 
 
@@ -160,10 +160,10 @@ def is_url(text: object) -> bool:
 
 
 def refuse_secret(url: str) -> None:
-    """Raise ArgumentTypeError if an address has a password, which would be written and shown."""
+    """Raise ArgumentTypeError if an address has a password or key, which would be shown."""
     if SECRET.search(url):
         raise ArgumentTypeError(
-            "it has a password, which logs would show; use fsspec's configuration instead"
+            "it has a password or key, which logs would show; use fsspec's configuration instead"
             " (docs/many.md, Storage)"
         )
 

@@ -12,6 +12,7 @@ import hashlib
 import hmac
 import json
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterable
@@ -28,6 +29,7 @@ from ..formats.text import json_digest, parse_json
 from .urls import FileSystem, guarded
 
 COMMITS, OBJECTS, LEASES = ".commits", ".objects", ".leases"
+TIDIED = re.compile(rf"{re.escape(COMMITS)}/[^/]+\.json|{re.escape(OBJECTS)}/[0-9a-f]{{64}}")
 VERSION = 2
 KEY = "ROIGS_STORE_KEY"
 """Environment variable: a secret of all machines, with which commits are signed."""
@@ -177,7 +179,8 @@ class StoredRun:
     def _tidy(self, keep: str) -> None:
         """Remove what the last commit replaces; what stays by accident harms nothing."""
         for path in [*self._safe_find(COMMITS), *self._safe_find(OBJECTS)]:
-            if path != self._commit(keep):
+            own = TIDIED.fullmatch(path[len(self._place) + 1 :])
+            if own and path != self._commit(keep):
                 with suppress(Exception):
                     self._found.rm_file(path)
 
@@ -189,10 +192,10 @@ class StoredRun:
 
 def _checked(body: dict[str, Any], path: str) -> dict[str, Any]:
     """A commit as `publish` writes it; RunFolderError if it is not, or names what is elsewhere."""
-    files, gone = body.get("files"), body.get("gone")
+    files, gone, serial = body.get("files"), body.get("gone"), body.get("serial")
     if (
         not (isinstance(files, dict) and isinstance(gone, list))
-        or not (type(body.get("serial")) is int and isinstance(body.get("part"), str))
+        or not (type(serial) is int and 0 <= serial < 2**53 and isinstance(body.get("part"), str))
         or not all(map(inner_path, [*files, *gone]))
         or not all(map(_is_entry, files.values()))
     ):

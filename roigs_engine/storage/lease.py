@@ -10,6 +10,7 @@ watcher's own clock, is dead: no two clocks are compared.
 from __future__ import annotations
 
 import json
+import re
 import threading
 import time
 import uuid
@@ -21,6 +22,7 @@ from .urls import FileSystem
 
 EXPIRY, BEAT, POLL = 60.0, 10.0, 1.0  # seconds
 CLAIM, HELD = "claim", "held"
+NAME = re.compile("[0-9a-f]{32}")
 
 
 class LeaseTakenError(Exception):
@@ -123,7 +125,8 @@ class Lease:
 
     def _names(self) -> list[str]:
         with suppress(FileNotFoundError):
-            return [str(path).rsplit("/", 1)[-1] for path in self._found.find(self._folder)]
+            names = [str(path).rsplit("/", 1)[-1] for path in self._found.find(self._folder)]
+            return list(filter(NAME.fullmatch, names))  # files of others are left alone
         return []
 
     def _write(self, state: str) -> None:

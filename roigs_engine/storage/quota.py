@@ -18,7 +18,7 @@ from pathlib import Path
 from ..context import QUIET, Context
 from ..errors import ConfigError, RunFolderError
 from ..formats.clean_up import disk_size
-from ..formats.files import is_link, matching
+from ..formats.files import is_link, matching, own_folder
 from ..formats.lock import holder, locked
 from ..formats.run_files import BATCH_LOCK
 from .urls import home
@@ -56,9 +56,15 @@ def claim(context: Context, *folders: Path) -> None:
 
 
 def make_copy(folder: Path) -> None:
-    """Make a copy's folder, or one in it, with the mark; OSError if that fails."""
-    folder.mkdir(parents=True, exist_ok=True)
-    (_copy_of(folder) / MARK).touch()
+    """Make a copy's folder, or one in it, with the mark.
+
+    RunFolderError: it is a link. OSError: it cannot be made.
+    """
+    own_folder(home(), *folder.relative_to(home()).parts).mkdir(parents=True, exist_ok=True)
+    mark = _copy_of(folder) / MARK
+    if is_link(mark):
+        mark.unlink()
+    mark.touch()
 
 
 def keep(folder: Path) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ConfigError, RunFolderError
+from ..formats.files import is_link
 from ..formats.text import first_line
 from ..requests.values import SCHEME
 
@@ -50,19 +51,33 @@ class FileSystem:
     """fsspec's file system `found` of an address, whose calls raise StoreError, and nothing else.
 
     Those of `READS` raise FileNotFoundError for what is missing.
+
+    Args:
+        own: a folder of this machine below which links, pipes and devices are refused; empty: none.
     """
 
-    def __init__(self, found: Any, url: str) -> None:
-        self._found, self._url = found, url
+    def __init__(self, found: Any, url: str, own: str = "") -> None:
+        self._found, self._url, self._own = found, url, own
 
     def __getattr__(self, name: str) -> Any:
         method = getattr(self._found, name)
 
         def call(*given: Any, **options: Any) -> Any:
             with guarded(self._url, *([FileNotFoundError] if name in READS else [])):
+                if self._own:
+                    _refuse_links(Path(self._own), given[name == "put_file"])
                 return method(*given, **options)
 
         return call
+
+
+def _refuse_links(root: Path, place: str) -> None:
+    """Raise StoreError if there is a link between `root` and a place, or no file at it."""
+    path = root
+    for part in Path(place).relative_to(root).parts:
+        path /= part
+        if is_link(path) or not (path.is_file() or path.is_dir() or not path.exists()):
+            raise StoreError(f"{path} is a link, a pipe or a device.", "Delete it.")
 
 
 def refuse_lost(url: str) -> None:
@@ -86,9 +101,10 @@ def folder_of(url: str, kind: str) -> Path:
     return home() / kind / name
 
 
-def file_system(url: str) -> tuple[FileSystem, str]:
+def file_system(url: str, *, own: bool = False) -> tuple[FileSystem, str]:
     """The file system of an address, and the place in it without a slash at the end.
 
+    With `own`, files are written there, and nothing there is read or written through links.
     ConfigError: fsspec, or the package for such addresses, is missing, or it knows none such.
     """
     match = SCHEME.match(url)
@@ -114,4 +130,5 @@ def file_system(url: str) -> tuple[FileSystem, str]:
         raise ConfigError(
             f"{url:.200} cannot be used ({reason:.100}).", "Use an address that fsspec knows."
         ) from error
-    return FileSystem(found, url), str(place).rstrip("/")
+    place = str(place).rstrip("/")
+    return FileSystem(found, url, place if own and kind == "file" else ""), place

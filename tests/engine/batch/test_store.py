@@ -214,9 +214,12 @@ def test_addresses_that_cannot_be_used_are_one_line(
     assert "Scene 'hall': There is nothing at memory://museum/scans/nothing." in said
     for other in ("dask://host:8786/runs", "s3://a/b::dask://host:8786"):
         assert "is not an address of a store" in refused(capsys, "batch", table, "--run-dir", other)
-    secret = "ftp://me:hidden@host/runs"
-    line = refused(capsys, "batch", table, "--run-dir", secret)
-    assert "it has a password" in line and "hidden" not in line
+    for secret in (
+        *("https://host/x?sig=hidden", "https://hidden@host:9/x", "sftp://me:hid/hidden@host/x"),
+        "ftp://me:hidden@host/runs",
+    ):
+        line = refused(capsys, "batch", table, "--run-dir", secret)
+        assert "it has a password" in line and "hidden" not in line
     table.write_text(f"[scenes.hall]\nscene = '{secret}'\nroi = ['auto']\n", encoding="utf-8")
     assert main(["batch", str(table), "--run-dir", str(tmp_path / "run")]) == 2
     said = capsys.readouterr().err

@@ -90,6 +90,8 @@ def test_every_wrong_line_is_named_and_nothing_starts(
     ("text", "says"),
     [
         ("[scenes", "is not TOML"),
+        (".".join(["a"] * 40_000) + " = 1", "a key has too many parts"),
+        ('a = """\n[' + " " * 20_000 + '\n"""', "The table has no scene."),
         ("", "The table has no scene."),
         ("scenes = 3", "The table has no scene."),
         ("[scene.hall]", "no scene. 'scene' is unknown; write [defaults] or [scenes.NAME]."),
