@@ -53,7 +53,9 @@ test: $(VENV)/installed-dev
 types:
 	$(BIN)/mypy
 
+# In a new environment, one process leaves the bytecode that all others would compile as well.
 suite:
+	@test -d tests/__pycache__ || $(BIN)/python -m pytest --collect-only -q > /dev/null
 	$(BIN)/python -m pytest $(PARALLEL)
 
 test-long: $(VENV)/installed-dev

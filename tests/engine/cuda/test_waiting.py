@@ -108,7 +108,13 @@ def backgrounds(scene: SfmScene) -> dict[str, Any]:
     return {"backgrounds": torch.zeros(VIEWS, 3).to(FAR)}
 
 
-@pytest.mark.parametrize("inputs", [nothing_more, boxes, two_sizes, masked_photos, backgrounds])
+@pytest.mark.parametrize(
+    "inputs",
+    [
+        *(nothing_more, boxes, masked_photos),
+        *(pytest.param(each, marks=pytest.mark.slow) for each in (two_sizes, backgrounds)),
+    ],
+)
 def test_no_step_waits(scene: SfmScene, card: PretendCard, inputs: Inputs) -> None:
     with card:
         trainer = trainer_of(scene, **inputs(scene))
