@@ -167,7 +167,7 @@ def test_spz_is_as_fine_as_an_eighth_of_a_ply_allows(tmp_path: Path) -> None:
     pytest.importorskip("gsply")
     errors = []
     for spread in (0.02, 0.3):
-        values = arrays(20_000)
+        values = arrays(4_000)
         values["sh"][:, 1:] *= np.float32(spread / 0.12)
         formats.write(tmp_path / "a.spz", values)
         write_ply(tmp_path / "a.ply", values)

@@ -83,7 +83,7 @@ def features(folder: Folder, source: Path) -> dict[str, np.ndarray]:
 def photo() -> Image.Image:
     (photo_file,) = demo_photos("wide/*.jpg", 1)
     with Image.open(photo_file) as file:
-        return file.convert("RGB")
+        return file.convert("RGB").reduce(2)
 
 
 @pytest.fixture(scope="module")
