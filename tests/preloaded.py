@@ -8,17 +8,17 @@ from __future__ import annotations
 from contextlib import suppress
 from importlib import import_module
 
+from PIL import Image
+
 MODULES = (
-    *("torch", "sklearn.gaussian_process", "flip_evaluator", "PIL.Image"),
+    *("torch", "sklearn.gaussian_process"),
     *("roigs_engine.cli", "roigs_engine.run.folder", "roigs_engine.evaluation.crops"),
     *(f"roigs_engine.app.{name}" for name in ("convert", "evaluate", "objects", "render")),
     *(f"roigs_engine.app.{name}" for name in ("scenes", "train", "upkeep")),
 )
 
 for _name in MODULES:
-    with suppress(ImportError):  # an optional package
-        import_module(_name)
-with suppress(ImportError):
-    from PIL import Image
-
-    Image.init()  # its readers of formats, too
+    import_module(_name)
+with suppress(ImportError):  # the extra `flip`
+    import_module("flip_evaluator")
+Image.init()  # Pillow's readers of formats
