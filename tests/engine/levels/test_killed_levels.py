@@ -11,10 +11,12 @@ from tests.engine.killing import Moment, engine
 from tests.engine.levels.balls import cloud
 from tests.engine.synthetic_colmap import camera, write_project
 
-MOMENTS = (
-    "level 1 of surroundings: step",
+QUICK = (
     "level 2 of surroundings: half of background",
     "level 1 of thing: before thing.ply has its name",
+)
+SLOW = (
+    "level 1 of surroundings: step",
     "level 1 of thing: after thing.ply has its name",
     "level 2 of thing: half of made",
     "level 2 of thing: before levels.json has its name",
@@ -31,7 +33,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = make_run(folder / "whole", scene)
     ended = engine(words(run))
     assert ended.status == 0, ended.errors
-    assert all(any(moment == name for name in ended.moments) for moment in MOMENTS)
+    assert all(any(moment == name for name in ended.moments) for moment in (*QUICK, *SLOW))
     assert (run / "levels/2/rois/thing.ply").is_file()
     return run
 
@@ -55,7 +57,7 @@ def contents(run: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize(
-    "place", [*MOMENTS[:3], *(pytest.param(each, marks=pytest.mark.slow) for each in MOMENTS[3:])]
+    "place", [*QUICK, *(pytest.param(each, marks=pytest.mark.slow) for each in SLOW)]
 )
 def test_it_makes_the_same_bytes(whole: Path, tmp_path: Path, place: str) -> None:
     run = make_run(tmp_path / "run", whole.parent / "scene")
