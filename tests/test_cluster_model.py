@@ -17,11 +17,11 @@ def test_machines_that_are_never_lost_or_slow_reach_the_bound() -> None:
 
 
 def test_lost_machines_cost_little_and_slow_ones_are_left() -> None:
-    for seed in range(5):
+    for seed in range(2):
         lossy = simulate(EQUAL, World(10, slow=0, seed=seed))
         assert 1 <= lossy.seconds / lossy.bound < 1.15
     stay, move = (
-        [simulate(EQUAL, World(50, lost=0, moves=moves, seed=s)).seconds for s in range(5)]
+        [simulate(EQUAL, World(50, lost=0, moves=moves, seed=s)).seconds for s in range(2)]
         for moves in (False, True)
     )
     assert sum(move) < 0.9 * sum(stay)

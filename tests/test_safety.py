@@ -113,7 +113,6 @@ def test_secrets_of_the_environment_are_not_written(
     for arguments in (
         [*common, "--steps-factor", "0.001"],
         [*common, "--steps-factor", "0.002"],  # refused: another request
-        ["inspect", str(tmp_path / "nothing")],
     ):
         job = EngineProcess(engine, arguments, log=run / "blender" / "engine.log")
         assert job.wait(120)

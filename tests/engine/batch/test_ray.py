@@ -133,6 +133,7 @@ def test_killed_drivers_engines_and_machines(
         same_by_hand(run, name, tmp_path / "by hand")
 
 
+@pytest.mark.slow
 def test_one_part_can_be_stopped_to_go_on_elsewhere(
     cluster: Any, table: Path, tmp_path: Path
 ) -> None:

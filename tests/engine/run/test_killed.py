@@ -168,7 +168,7 @@ def test_an_update_killed_before_any_of_its_changes(tmp_path: Path, now: dict[st
     claim(whole, now, update=True)
     updated = tree(whole)
     claim(whole, SECOND, update=True)
-    for number in killed_everywhere(start, run, partial(claim, run, now, update=True)):
+    for number in killed_everywhere(start, run, partial(claim, run, now, update=True), step=2):
         claim(run, now, update=True)
         assert tree(run) == updated, f"killed before change {number}"
         claim(run, SECOND, update=True)
@@ -180,6 +180,6 @@ def test_an_update_killed_and_not_wanted_any_more(tmp_path: Path) -> None:
     """The settings of before, again, find their results where they were."""
     run, start = tmp_path / "run", tmp_path / "start"
     trained(start, FIRST, "ab")
-    for number in killed_everywhere(start, run, partial(claim, run, SECOND, update=True)):
+    for number in killed_everywhere(start, run, partial(claim, run, SECOND, update=True), step=2):
         claim(run, FIRST, update=True)
         assert tree(run) == tree(start), f"killed before change {number}"
