@@ -25,6 +25,7 @@ from ..model.scene import PhotoMask, PosedImage
 from ..photos.headers import content_digest, photo_size
 from ..photos.mask_paths import MaskFiles, MaskOptions
 from ..photos.parallel import decoding_bytes, in_parallel
+from ..photos.rotation import AS_STORED, turned, turned_size
 from .undistort import UndistortionPlan, temporary_folder, undistorted_mask
 
 if TYPE_CHECKING:
@@ -41,12 +42,13 @@ class MaskPlan:
     """How the mask of one photo is made.
 
     Attributes:
-        photo, size: its file, and that file's (width, height).
+        photo, size: its file, and that file's (width, height) after `turn`.
         file: of the mask; None: the photo's alpha channel.
         content: hash of the file that has the mask.
         target: (width, height) of the mask.
         inverted: see `MaskOptions`.
         undistortion: of the photo; None: it has no distortion.
+        turn: see `PosedImage`.
         of_object: whether it shows an object; else it says what counts.
     """
 
@@ -57,6 +59,7 @@ class MaskPlan:
     target: tuple[int, int]
     inverted: bool = False
     undistortion: UndistortionPlan | None = None
+    turn: int = AS_STORED
     of_object: bool = False
 
     def digest(self) -> str:
@@ -64,6 +67,7 @@ class MaskPlan:
         lens = self.undistortion and self.undistortion.source
         kind = "alpha" if self.file is None else "inverted" if self.inverted else "file"
         kind += " of an object" if self.of_object else ""
+        kind += "" if self.turn == AS_STORED else f" turned {self.turn}"
         text = repr((VERSION, kind, self.content, lens, self.target))
         return hashlib.sha256(text.encode("ascii")).hexdigest()[:32]
 
@@ -73,10 +77,12 @@ class MaskPlan:
 
         least = masks.HALF if self.of_object else masks.ALL
         if self.file is None:
-            mask = masks.alpha_mask(self.photo)
+            mask = turned(masks.alpha_mask(self.photo), self.turn)
         else:
             hint = masks.OBJECT_HINT if self.of_object else masks.HINT
-            mask = masks.read_mask(self.file, self.size, inverted=self.inverted, hint=hint)
+            mask = masks.read_mask(
+                self.file, self.size, inverted=self.inverted, hint=hint, turn=self.turn
+            )
         if self.undistortion is not None:
             lens = self.undistortion.source
             mask = masks.resized(mask, (lens.width, lens.height), least)
@@ -98,13 +104,19 @@ class MaskPlan:
 
 
 def plan_mask(
-    photo: Path, digest: str, file: Path | None, *, inverted: bool = False, of_object: bool = False
+    photo: Path,
+    digest: str,
+    file: Path | None,
+    *,
+    turn: int = AS_STORED,
+    inverted: bool = False,
+    of_object: bool = False,
 ) -> MaskPlan:
     """How to make a mask of a photo at the size of its file; MaskError if `file` cannot be read.
 
     `photo`, `digest`: the photo's file, and its hash; for the others, see `MaskPlan`.
     """
-    size = photo_size(photo)
+    size = turned_size(photo_size(photo), turn)
     if file is not None:
         try:
             digest = content_digest(file)
@@ -119,13 +131,20 @@ def plan_mask(
         file=file,
         content=digest,
         target=size,
+        turn=turn,
         inverted=inverted,
         of_object=of_object,
     )
 
 
 def find_mask(
-    name: str, photo: Path, digest: str, files: MaskFiles, options: MaskOptions
+    name: str,
+    photo: Path,
+    digest: str,
+    files: MaskFiles,
+    options: MaskOptions,
+    *,
+    turn: int = AS_STORED,
 ) -> MaskPlan | None:
     """How to make a photo's mask, from a file or its alpha channel; None: it has none.
 
@@ -137,7 +156,7 @@ def find_mask(
     if file is None and not has_alpha(photo):
         return None
     inverted = options.inverted and file is not None and not files.is_made(file)
-    return plan_mask(photo, digest, file, inverted=inverted)
+    return plan_mask(photo, digest, file, turn=turn, inverted=inverted)
 
 
 def plan_object_masks(
@@ -159,9 +178,15 @@ def plan_object_masks(
     plans = {}
     for (key, box), file in found.items():
         if file not in taken:
-            photo, digest = images[key].path, images[key].file_digest
-            inverted = options.objects_inverted
-            plans[key, box] = plan_mask(photo, digest, file, inverted=inverted, of_object=True)
+            image, inverted = images[key], options.objects_inverted
+            plans[key, box] = plan_mask(
+                image.path,
+                image.file_digest,
+                file,
+                turn=image.turn,
+                inverted=inverted,
+                of_object=True,
+            )
     return plans
 
 

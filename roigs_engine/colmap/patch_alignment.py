@@ -161,13 +161,13 @@ LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 class Pyramid:
     """The photo at 1, 1/2, 1/4 ... of its size."""
 
-    def __init__(self, path: Path, size: tuple[int, int]) -> None:
-        """Read a photo at (width, height); raises PhotoError."""
+    def __init__(self, path: Path, size: tuple[int, int], turn: int = 1) -> None:
+        """Read a photo at (width, height), turned (see `PosedImage`); raises PhotoError."""
         from scipy.ndimage import gaussian_filter
 
         from ..photos.decode import decode
 
-        grey: Grey = decode(path, size).astype(np.float32) @ LUMA
+        grey: Grey = decode(path, size, turn).astype(np.float32) @ LUMA
         self._levels: list[Grey] = [gaussian_filter(grey, FIRST_BLUR)]
         while len(self._levels) < LEVELS and min(self._levels[-1].shape) >= 8:
             halved = gaussian_filter(self._levels[-1], BLUR)[::2, ::2]

@@ -20,8 +20,10 @@ from ..photos.contents import read_contents
 from ..photos.files import PhotoFolder
 from ..photos.headers import check_complete, photo_size
 from ..photos.mask_paths import USUAL_MASKS, MaskFiles, MaskOptions
+from ..photos.rotation import AS_STORED, rotation_tag, turned_size
 from .camera_masks import HIDDEN, MaskPlan, find_mask, make_masks, mention_masks, plan_object_masks
-from .records import Model, ModelCamera, ModelImage, same_shape
+from .records import Model, ModelImage
+from .rotations import Cloud, StoredPhoto, find_turns
 from .undistort import (
     UndistortionPlan,
     as_pinhole,
@@ -62,6 +64,32 @@ def pose_of(image: ModelImage) -> Float64 | None:
     return pose
 
 
+def stored_photo(image: ModelImage, model: Model, photos: PhotoFolder) -> StoredPhoto | str:
+    """A model's photo on disk, or the reason why it must be skipped."""
+    pose, path = pose_of(image), photos.find(image.name)
+    camera = model.cameras.get(image.camera_id)
+    if pose is None:
+        return UNPOSED
+    if camera is None:
+        return NO_CAMERA
+    if path is None:
+        return MISSING
+    try:
+        size = photo_size(path)
+        check_complete(path)
+    except SceneError:
+        return UNREADABLE
+    return StoredPhoto(
+        key=image.image_id,
+        name=photo_name(image),
+        path=path,
+        camera=camera,
+        world_to_camera=pose,
+        size=size,
+        tag=rotation_tag(path),
+    )
+
+
 class PhotoLoader:
     """Separates a model's usable photos from skipped ones, and plans to undistort distorted ones.
 
@@ -76,6 +104,7 @@ class PhotoLoader:
         model: Model,
         photos: PhotoFolder,
         shrink: Shrink,
+        cloud: Cloud,
         *,
         pixels: bool = True,
         masks: MaskOptions = USUAL_MASKS,
@@ -90,50 +119,50 @@ class PhotoLoader:
         self.skipped: defaultdict[str, list[str]] = defaultdict(list)
         self.posed: dict[int, PosedImage] = {}
         self._plans: dict[int, UndistortionPlan] = {}
+        found: dict[int, StoredPhoto] = {}
         names: set[str] = set()
         for image in sorted(model.images, key=lambda image: image.image_id):
             context.check_cancelled()
-            reason = DUPLICATE if photo_name(image) in names or image.image_id in self.posed else ""
-            reason = reason or self._add(image, model.cameras.get(image.camera_id), photos, shrink)
-            names.add(photo_name(image))
+            name = photo_name(image)
+            if name in names or image.image_id in found:
+                self.skipped[DUPLICATE].append(name)
+                continue
+            names.add(name)
+            photo = stored_photo(image, model, photos)
+            if isinstance(photo, StoredPhoto):
+                found[image.image_id] = photo
+            else:
+                self.skipped[photo].append(name)
+        turns = find_turns([*found.values()], cloud, context)
+        for photo in found.values():
+            context.check_cancelled()
+            reason = self._add(photo, turns.get(photo.key, AS_STORED), shrink)
             if reason:
-                self.skipped[reason].append(photo_name(image))
+                self.skipped[reason].append(photo.name)
 
-    def _add(
-        self, image: ModelImage, camera: ModelCamera | None, photos: PhotoFolder, shrink: Shrink
-    ) -> str:
+    def _add(self, photo: StoredPhoto, turn: int, shrink: Shrink) -> str:
         """Add the photo; returns the reason if it must be skipped, else an empty string."""
-        pose, path = pose_of(image), photos.find(image.name)
-        if pose is None:
-            return UNPOSED
-        if camera is None:
-            return NO_CAMERA
-        if path is None:
-            return MISSING
-        try:
-            size = photo_size(path)
-            check_complete(path)
-        except SceneError:
-            return UNREADABLE
-        if not same_shape((camera.width, camera.height), size):
+        if not photo.fits(turn):
             return WRONG_SIZE
+        path, camera, size = photo.path, photo.camera, turned_size(photo.size, turn)
         pinhole = as_pinhole(camera)
         try:
             if pinhole is not None:
                 target = pinhole.resized(*shrink(*size))
             elif self._pixels or has_pycolmap():
-                plan = plan_undistortion(path, camera, size, shrink)
-                self._plans[image.image_id], target = plan, plan.target
+                plan = plan_undistortion(path, camera, size, shrink, turn)
+                self._plans[photo.key], target = plan, plan.target
             else:
                 self.approximate = True
                 target = without_distortion(camera).resized(*shrink(*size))
         except SceneError:
             return f"{camera.model} {CANNOT_UNDISTORT}"
-        self.posed[image.image_id] = PosedImage(
-            name=photo_name(image),
+        self.posed[photo.key] = PosedImage(
+            name=photo.name,
             path=path,
             camera=target,
-            world_to_camera=pose,
+            world_to_camera=photo.world_to_camera,
+            turn=turn,
             distorted=pinhole is None,
         )
         return ""
@@ -165,6 +194,8 @@ class PhotoLoader:
             if key in self._plans:
                 self._plans[key] = replace(self._plans[key], digest=digest)
                 digest = self._plans[key].key()
+            elif image.turn != AS_STORED:
+                digest = f"{digest}-{image.turn}"
             self.posed[key] = replace(image, file_digest=content.digest, digest=digest)
 
     def _mask(self, cache: Path | None, context: Context) -> None:
@@ -172,7 +203,12 @@ class PhotoLoader:
         plans = {}
         for key, image in self.posed.items():
             plan = find_mask(
-                image.name, image.path, image.file_digest, self._mask_files, self._masks
+                image.name,
+                image.path,
+                image.file_digest,
+                self._mask_files,
+                self._masks,
+                turn=image.turn,
             )
             if plan is not None:
                 plans[key] = self._for_camera(plan, key)
@@ -216,7 +252,9 @@ class PhotoLoader:
                 del self.posed[key]
                 continue
             remake = partial(undistort_again, plan, path)
-            self.posed[key] = replace(image, path=path, remake=remake, distorted=False)
+            self.posed[key] = replace(
+                image, path=path, remake=remake, distorted=False, turn=AS_STORED
+            )
 
 
 def without_damaged(scene: SfmScene, context: Context = QUIET) -> SfmScene:

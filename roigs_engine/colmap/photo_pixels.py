@@ -1,6 +1,7 @@
 """Mapping between the pixels of a photo's file and those of its pinhole camera.
 
-Masks and strokes that a person draws are in pixels of the file, lens distortion included.
+Masks and strokes that a person draws are in pixels of the file, lens distortion included, turned if
+the model's cameras are of the turned photo.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from ..context import QUIET, Context
 from ..model.scene import Camera, Float64, PosedImage
 from ..photos.headers import photo_size
+from ..photos.rotation import turned_size
 from .model_files import read_model
 from .photo_loader import photo_name
 from .records import ModelCamera
@@ -30,9 +32,10 @@ class PhotoPixels:
 
     Attributes:
         name: in the model.
-        path, size: its file, and that file's (width, height).
+        path, size: its file, and that file's (width, height) after `turn`.
         camera: the pinhole camera.
         lens: the distorted camera at the file's size; None: the photo has no distortion.
+        turn: see `PosedImage`.
     """
 
     name: str
@@ -40,6 +43,7 @@ class PhotoPixels:
     size: tuple[int, int]
     camera: Camera
     lens: ModelCamera | None
+    turn: int
 
     def pixels(self) -> NDArray[np.uint8]:
         """(H, W, 3) uint8 sRGB at the camera's size; PhotoError if it cannot be decoded."""
@@ -49,8 +53,9 @@ class PhotoPixels:
 
         size = (self.camera.width, self.camera.height)
         if self.lens is None:
-            return decode(self.path, size)
-        flat = Image.fromarray(undistorted_pixels(decode(self.path, self.size), self.lens))
+            return decode(self.path, size, self.turn)
+        whole = decode(self.path, self.size, self.turn)
+        flat = Image.fromarray(undistorted_pixels(whole, self.lens))
         return np.asarray(flat.resize(size, Image.Resampling.LANCZOS))
 
     def to_camera(self, places: Float64) -> tuple[Float64, float]:
@@ -99,12 +104,13 @@ def photo_pixels(
         lenses = {photo_name(each): record.cameras[each.camera_id] for each in record.images}
     found = {}
     for image in images:
-        size = photo_size(image.path)
+        size = turned_size(photo_size(image.path), image.turn)
         found[image.name] = PhotoPixels(
             name=image.name,
             path=image.path,
             size=size,
             camera=image.camera,
             lens=resized_lens(lenses[image.name], *size) if image.distorted else None,
+            turn=image.turn,
         )
     return found

@@ -28,8 +28,17 @@ from ..photos.mask_paths import USUAL_MASKS, MaskOptions
 from ..requests.choices import MAX_DOWNSCALE, MAX_SIDE
 from .camera_masks import HIDDEN
 from .model_files import HINT_DAMAGED, count_images, read_images, read_model
-from .photo_loader import CANNOT_UNDISTORT, UNPOSED, PhotoLoader, Shrink, photo_name, pose_of
+from .photo_loader import (
+    CANNOT_UNDISTORT,
+    UNPOSED,
+    PhotoLoader,
+    Shrink,
+    photo_name,
+    pose_of,
+    stored_photo,
+)
 from .records import NO_IDS, Model
+from .rotations import Cloud, find_turns
 from .undistort import HINT_RESAMPLE
 
 SIMPLE_LENSES = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")  # fewer parameters than OPENCV
@@ -78,11 +87,12 @@ def load_colmap(
     model = read_model(folder, context)
     ids, points, colors = _points(model, folder, context)
     photos = find_photos(folder, images, [image.name for image in model.images])
-    loader = PhotoLoader(model, photos, shrink, pixels=pixels, masks=masks, context=context)
+    observed = _observations(model, ids, context)
+    cloud = Cloud(points=points, colors=colors, observed=observed)
+    loader = PhotoLoader(model, photos, shrink, cloud, pixels=pixels, masks=masks, context=context)
     if loader.approximate:
         text = "pycolmap is not installed: lens distortion is ignored, so cameras differ slightly."
         context.warn(text)
-    observed = _observations(model, ids, context)
     if any(map(len, observed.values())):
         _mention_refined(model, folder, context)
     if check is not None and loader.posed:
@@ -135,6 +145,17 @@ def _cleaned(scene: SfmScene, context: Context) -> SfmScene:
         emit = context.info if reason == UNPOSED else context.warn
         emit(f"Skipped {counted(len(names), 'photo')}, {reason}: {named(names)}.")
     return scene
+
+
+def model_turns(
+    model: Model, folder: Path, photos: PhotoFolder, context: Context = QUIET
+) -> dict[int, int]:
+    """Image id -> turn of a model's photos (`rotations`); SceneError: it has no points."""
+    quiet = replace(context, emit=QUIET.emit)  # damage is said by whoever uses the model
+    ids, points, colors = _points(model, folder, quiet)
+    cloud = Cloud(points=points, colors=colors, observed=_observations(model, ids, context))
+    found = [stored_photo(image, model, photos) for image in model.images]
+    return find_turns([photo for photo in found if not isinstance(photo, str)], cloud, context)
 
 
 def find_model(path: Path, context: Context = QUIET) -> Path:

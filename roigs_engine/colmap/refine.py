@@ -25,7 +25,8 @@ from ..photos.files import find_photos
 from . import adjustment
 from .library import pycolmap_module
 from .model_files import HINT_DAMAGED, read_model
-from .refine_by_matches import MatchedFit, fit_to_matches, photo_paths
+from .project import model_turns
+from .refine_by_matches import MatchedFit, fit_to_matches, photo_files
 
 LOSS_SCALE = 1.0  # px of the full-size photos; what is farther off counts ever less
 
@@ -86,7 +87,8 @@ def refine_cameras(
         raise SceneError(f"{out} exists already.", "Give another --out, or remove it.")
     colmap = pycolmap_module("Refining cameras")
     # pycolmap may not return from a damaged model, and cuts names at spaces in text files
-    names = {image.image_id: image.name for image in read_model(model, context).images}
+    record = read_model(model, context)
+    names = {image.image_id: image.name for image in record.images}
     folder = find_photos(model, images, list(names.values())) if look else None
     with _explained(model):
         scene = colmap.Reconstruction(str(model))
@@ -96,11 +98,12 @@ def refine_cameras(
         positions = {key: np.array(point.xyz) for key, point in scene.points3D.items()}
         scene, done = _by_tracks(colmap, scene, model, context)
         if folder is not None:
-            paths = photo_paths(scene, folder, names, context)
-            if sum(path is not None for path in paths) < 2:
+            turns = model_turns(record, model, folder, context)
+            files = photo_files(scene, folder, names, turns, context)
+            if sum(file is not None for file in files) < 2:
                 context.info(f"No two photos of {folder.folder} can be used: only tracks are.")
             else:
-                scene, matched = fit_to_matches(colmap, scene, paths, context)
+                scene, matched = fit_to_matches(colmap, scene, files, context)
                 done = replace(done, matched=matched)
         if done.better:
             _carry_back(colmap, scene, positions)

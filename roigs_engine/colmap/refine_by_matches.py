@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,9 +14,10 @@ from ..context import Context
 from ..formats.text import counted, named
 from ..photos.files import PhotoFolder
 from ..photos.headers import PhotoError, photo_size
+from ..photos.rotation import AS_STORED, turned_size
 from . import adjustment
 from .records import same_shape
-from .track_matching import Matches, Views, match_tracks
+from .track_matching import Matches, PhotoFile, Views, match_tracks
 
 LOSS_SCALE, KEYPOINT_SCALE = 0.3, 1.0  # px: most matches are better than 0.1, keypoints than 0.5
 FEW = 50  # matches: a photo with fewer keeps its keypoints beside them
@@ -56,21 +57,28 @@ class MatchedFit:
         return self.left_out >= adjustment.FEWEST_LEFT_OUT
 
 
-def photo_paths(
-    scene: Any, folder: PhotoFolder, names: dict[int, str], context: Context
-) -> list[Path | None]:
-    """The file of each of `Views(scene).ids`; None: it cannot be used, which a warning says."""
-    found: list[Path | None] = []
+def photo_files(
+    scene: Any,
+    folder: PhotoFolder,
+    names: Mapping[int, str],
+    turns: Mapping[int, int],
+    context: Context,
+) -> list[PhotoFile | None]:
+    """The file of each of `Views(scene).ids`; None: it cannot be used, which a warning says.
+
+    `names`, `turns`: of the photos by their ids; see `project.model_turns`.
+    """
+    found: list[PhotoFile | None] = []
     views = Views(scene)
     for key, lens in zip(views.ids, views.lenses, strict=True):
-        path = folder.find(names[key])
-        try:
-            size = None if path is None else photo_size(path)
-        except PhotoError:
-            size = None
-        fits = size is not None and same_shape((lens.width, lens.height), size)
-        found.append(path if fits else None)
-    unused = [names[key] for key, path in zip(views.ids, found, strict=True) if path is None]
+        path, turn = folder.find(names[key]), turns.get(key, AS_STORED)
+        fits = False
+        with suppress(PhotoError):
+            if path is not None:
+                size = turned_size(photo_size(path), turn)
+                fits = same_shape((lens.width, lens.height), size)
+        found.append(PhotoFile(path, turn) if path is not None and fits else None)
+    unused = [names[key] for key, file in zip(views.ids, found, strict=True) if file is None]
     if unused:
         context.warn(
             f"{counted(len(unused), 'photo')} not looked at: missing, damaged, or of another shape"
@@ -80,7 +88,7 @@ def photo_paths(
 
 
 def fit_to_matches(
-    colmap: Any, scene: Any, photos: Sequence[Path | None], context: Context
+    colmap: Any, scene: Any, photos: Sequence[PhotoFile | None], context: Context
 ) -> tuple[Any, MatchedFit]:
     """Match the tracks of a scene, and fit its cameras and poses to them.
 

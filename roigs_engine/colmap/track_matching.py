@@ -67,7 +67,14 @@ class _References(NamedTuple):
     normal: Float64  # (P, 3) unit vectors towards the photos
 
 
-def match_tracks(scene: Any, photos: Sequence[Path | None], context: Context) -> Matches:
+class PhotoFile(NamedTuple):
+    """A photo on disk, and how its pixels must be turned (see `PosedImage`)."""
+
+    path: Path
+    turn: int
+
+
+def match_tracks(scene: Any, photos: Sequence[PhotoFile | None], context: Context) -> Matches:
     """Match the tracks of a pycolmap reconstruction.
 
     Args:
@@ -75,7 +82,7 @@ def match_tracks(scene: Any, photos: Sequence[Path | None], context: Context) ->
         photos: the file of each of `Views(scene).ids`; None: missing.
     """
     views = Views(scene)
-    usable = np.array([path is not None for path in photos])
+    usable = np.array([file is not None for file in photos])
     seen = _observations(scene, views, usable, np.random.default_rng(0))
     references = _references(views, seen)
     wanted = _wanted(views, seen, references, usable, np.random.default_rng(1))
@@ -196,7 +203,7 @@ def _wanted(
 
 def _matched(
     views: Views,
-    photos: Sequence[Path | None],
+    photos: Sequence[PhotoFile | None],
     points: Float64,
     references: _References,
     wanted: _Wanted,
@@ -211,14 +218,14 @@ def _matched(
     places, good = np.array(wanted.start), np.zeros(count, dtype=bool)
     damaged: set[int] = set()
     for turn, kinds in enumerate((view_of, wanted.view)):
-        for view, path in enumerate(photos):
+        for view, file in enumerate(photos):
             context.check_cancelled()
             rows = np.flatnonzero((kinds == view) & (usable | (turn == 0)))
-            if path is None or view in damaged or not len(rows):
+            if file is None or view in damaged or not len(rows):
                 continue
             lens = views.lenses[view]
             try:
-                photo = Pyramid(path, (lens.width, lens.height))
+                photo = Pyramid(file.path, (lens.width, lens.height), file.turn)
             except PhotoError as error:
                 context.warn(f"{error.message} It is left out of matching.")
                 damaged.add(view)

@@ -26,6 +26,7 @@ from ..machine import ENGINE, disk_message, machine_memory, release_freed_memory
 from ..model.scene import Camera, Float64, PosedImage
 from ..photos.headers import PhotoError, check_unchanged
 from ..photos.parallel import decoding_bytes, in_parallel, threads_for
+from ..photos.rotation import AS_STORED
 from .library import pycolmap_module
 from .records import ONE_FOCAL, ModelCamera
 
@@ -61,6 +62,7 @@ class UndistortionPlan:
         photo, size: the file, and its (width, height).
         source, target: the distorted camera, and its pinhole.
         digest: hash of the file; known before the photo is undistorted.
+        turn: see `PosedImage`; `size` is that after it.
     """
 
     photo: Path
@@ -68,11 +70,13 @@ class UndistortionPlan:
     source: ModelCamera
     target: Camera
     digest: str = ""
+    turn: int = AS_STORED
 
     def key(self) -> str:
         """Hash of everything that decides the undistorted photo's pixels."""
         size = (self.target.width, self.target.height)
-        text = repr((CACHE_VERSION, self.digest, self.source, size))
+        turn = () if self.turn == AS_STORED else (self.turn,)
+        text = repr((CACHE_VERSION, self.digest, self.source, size, *turn))
         return hashlib.sha256(text.encode("ascii")).hexdigest()[:32]
 
     def memory(self) -> int:
@@ -127,13 +131,14 @@ def plan_undistortion(
     camera: ModelCamera,
     size: tuple[int, int],
     shrink: Callable[[int, int], tuple[int, int]],
+    turn: int = AS_STORED,
 ) -> UndistortionPlan:
     """How to undistort a photo; SceneError if the camera cannot be undistorted.
 
     Args:
         photo: the file.
         camera: the photo's camera in the model; the photo may be a resampled copy.
-        size: (width, height) of the photo on disk.
+        size: (width, height) of the photo on disk, after `turn`.
         shrink: (width, height) of the undistorted photo -> requested (width, height).
     """
     source = resized_lens(camera, *size)
@@ -144,7 +149,7 @@ def plan_undistortion(
         source = resized_lens(camera, round(size[0] * share), round(size[1] * share))
         # The smaller photo's pinhole differs by less than a pixel; the target must match it.
         target = undistorted_camera(source).resized(target.width, target.height)
-    return UndistortionPlan(photo=photo, size=size, source=source, target=target)
+    return UndistortionPlan(photo=photo, size=size, source=source, target=target, turn=turn)
 
 
 def undistort_again(plan: UndistortionPlan, path: Path) -> None:
@@ -159,7 +164,7 @@ def undistort(plan: UndistortionPlan, path: Path) -> None:
 
     from ..photos.decode import decode
 
-    pixels = decode(plan.photo, (plan.source.width, plan.source.height))
+    pixels = decode(plan.photo, (plan.source.width, plan.source.height), plan.turn)
     check_unchanged(plan.photo, plan.digest)  # the file is named after the digest
     result = Image.fromarray(undistorted_pixels(pixels, plan.source))
     size = (plan.target.width, plan.target.height)
@@ -260,6 +265,19 @@ def undistorted_places(lens: ModelCamera, camera: Camera, places: Float64) -> Fl
     """(N, 2) places in a distorted photo -> places in its pinhole camera's picture; may be NaN."""
     rays = np.asarray(_colmap_camera(lens).cam_from_img(np.ascontiguousarray(places)))
     return np.asarray(rays * (camera.fx, camera.fy) + (camera.cx, camera.cy))
+
+
+def seen_places(lens: ModelCamera, local: Float64) -> Float64:
+    """(N, 3) in the camera's axes, z > 0 -> (N, 2) px of the distorted photo; may be NaN.
+
+    Without pycolmap, distortion is ignored.
+    """
+    pinhole = as_pinhole(lens)
+    if pinhole is None and has_pycolmap():
+        return np.asarray(_colmap_camera(lens).img_from_cam(np.ascontiguousarray(local)))
+    pinhole = pinhole or without_distortion(lens)
+    rays = local[:, :2] / local[:, 2:]
+    return np.asarray(rays * (pinhole.fx, pinhole.fy) + (pinhole.cx, pinhole.cy))
 
 
 def resized_lens(camera: ModelCamera, width: int, height: int) -> ModelCamera:

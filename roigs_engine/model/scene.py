@@ -87,6 +87,7 @@ class PosedImage:
         remake: makes the file at `path` again, if the engine made it from the photo.
         mask: which pixels count in training and evaluation; None: all.
         objects: box -> which pixels show its object, of the boxes with such a mask here.
+        turn: how the photo at `path` must be turned, an EXIF orientation; 1: not.
         distorted: whether the photo at `path` still has lens distortion, which `camera` does not
             describe (only in scenes loaded without pixels).
         whole_size: width and height of the photo of which this one is the average; None: this
@@ -103,6 +104,7 @@ class PosedImage:
     remake: Callable[[], None] | None = None
     mask: PhotoMask | None = None
     objects: Mapping[str, PhotoMask] = field(default_factory=dict)
+    turn: int = 1
     distorted: bool = False
     whole_size: tuple[int, int] | None = None
 

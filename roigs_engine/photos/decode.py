@@ -1,6 +1,6 @@
 """Decoding of photos to uint8 arrays at their camera's size, and detection of damaged files.
 
-Orientation tags are ignored, as in COLMAP: pixels keep the file's order.
+Orientation tags are ignored, as in COLMAP: pixels keep the file's order, unless a `turn` is given.
 
 To find damage, a photo is decoded once, at a reduced size where that is cheaper. Pillow reports
 files that break off, bytes that are no image data, and damaged PNG data. It says nothing when the
@@ -23,6 +23,7 @@ from PIL import Image
 
 from ..model.scene import PosedImage
 from .headers import PhotoError, check_unchanged, jpeg_segments, open_photo
+from .rotation import AS_STORED, turned, turned_size
 
 Pixels = NDArray[np.uint8]
 
@@ -33,16 +34,20 @@ BLACK, WHITE = "black", "white"
 BRIGHTEST_BLACK, MEAN_WHITE = 63, 250
 
 
-def decode(path: Path, size: tuple[int, int] | None = None) -> Pixels:
+def decode(path: Path, size: tuple[int, int] | None = None, turn: int = AS_STORED) -> Pixels:
     """(H, W, 3) uint8 sRGB of a photo, resampled to `size` = (width, height) if given.
 
     Grey, palette, CMYK, 16-bit and float files are converted; an alpha channel is dropped. White is
     the largest value of the file's type, 1 for floats, whatever the values in the photo: otherwise
     a dark photo would become brighter than the others of its scene.
 
+    `turn`: how the stored pixels are turned (`rotation`); `size` is that after it.
+
     Raises:
         PhotoError: the file is missing or cannot be decoded; names it.
     """
+    if turn != AS_STORED:
+        return turned(decode(path, size and turned_size(size, turn)), turn)
     with open_photo(path) as photo:
         full = photo.size
         if size is not None:
@@ -84,14 +89,14 @@ def averaged(pixels: Pixels, n: int) -> Pixels:
 
 def _load(image: PosedImage, size: tuple[int, int]) -> Pixels:
     if image.remake is None:  # else the engine made the file
-        check_unchanged(image.path, image.digest)
+        check_unchanged(image.path, image.file_digest or image.digest)
     try:
-        return decode(image.path, size)
+        return decode(image.path, size, image.turn)
     except PhotoError:
         if image.remake is None:
             raise
     image.remake()
-    return decode(image.path, size)
+    return decode(image.path, size, image.turn)
 
 
 def to_rgb(photo: Image.Image) -> Image.Image:

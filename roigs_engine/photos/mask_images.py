@@ -18,6 +18,7 @@ from ..formats.files import atomic_write
 from ..model.scene import PhotoMask, PosedImage
 from .decode import Pixels, load_photo
 from .headers import MAX_PIXELS, open_photo
+from .rotation import AS_STORED, turned, turned_size
 
 Mask = NDArray[np.bool_]
 
@@ -32,22 +33,32 @@ class MaskError(SceneError):
 
 
 def read_mask(
-    path: Path, photo: tuple[int, int], *, inverted: bool = False, hint: str = HINT
+    path: Path,
+    photo: tuple[int, int],
+    *,
+    inverted: bool = False,
+    hint: str = HINT,
+    turn: int = AS_STORED,
 ) -> Mask:
     """The mask in a file, a PNG of any depth, at the file's own size.
 
     Args:
-        photo: (width, height) of its photo, whose shape the mask must have.
+        photo: (width, height) of its photo after `turn`, whose shape the mask must have.
         inverted: whether black counts and all else is ignored.
         hint: what to do with a file that cannot be read.
+        turn: of the photo, see `PosedImage`. A mask with the shape of its file alone is turned too.
 
     Raises:
         MaskError: the file cannot be read, is an animation, or has another shape; names it.
     """
     try:
         with Image.open(path, formats=("PNG",)) as image:
-            _check(path, image, photo)
+            stored = turned_size(photo, turn)
+            as_file = stored != photo and _fits(image.size, stored) > _fits(image.size, photo)
+            _check(path, image, stored if as_file else photo)
             bright = _bright(image)
+            if as_file:
+                bright = turned(bright, turn)
     except (MemoryError, MaskError):
         raise
     except Exception as error:  # Pillow's readers raise nearly anything on damaged files
@@ -148,6 +159,11 @@ def load_masked(image: PosedImage) -> Pixels:
     return np.dstack([pixels, np.where(mask, np.uint8(255), np.uint8(0))])
 
 
+def _fits(mask: tuple[int, int], photo: tuple[int, int]) -> bool:
+    """Whether a mask has the photo's shape, rounded by at most a pixel."""
+    return abs(mask[0] / photo[0] - mask[1] / photo[1]) <= 1 / photo[0] + 1 / photo[1]
+
+
 def _check(path: Path, image: Image.Image, photo: tuple[int, int]) -> None:
     """Raise MaskError if the opened file cannot be the mask of a photo of that size."""
     (width, height), (across, down) = image.size, photo
@@ -155,7 +171,7 @@ def _check(path: Path, image: Image.Image, photo: tuple[int, int]) -> None:
         raise ValueError(f"its header says {width} x {height} pixels")
     if getattr(image, "n_frames", 1) > 1:
         raise MaskError(f"The mask {path} is an animation.", "Save it as one picture.")
-    if abs(width / across - height / down) > 1 / across + 1 / down:
+    if not _fits(image.size, photo):
         raise MaskError(
             f"The mask {path} has {width} x {height} pixels, its photo {across} x {down}:"
             " another shape.",

@@ -19,6 +19,7 @@ from roigs_engine.colmap.adjustment import has_rigs, is_sound, with_own_cameras
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.colmap.refine import _write, refine_cameras
 from roigs_engine.colmap.refine_by_matches import fit_to_matches
+from roigs_engine.colmap.track_matching import PhotoFile
 from roigs_engine.context import QUIET, Context
 from roigs_engine.errors import SceneError, Stopped
 from roigs_engine.formats.events import Event, Message
@@ -313,7 +314,8 @@ def test_cameras_on_a_rig_stay_on_it(
     scene: tuple[Path, Project], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig = on_a_rig(pycolmap.Reconstruction(str(scene[0] / "sparse" / "0")), scene[1])
-    photos = [scene[0] / "images" / image.name for _, image in sorted(rig.images.items())]
+    names = [image.name for _, image in sorted(rig.images.items())]
+    photos = [PhotoFile(scene[0] / "images" / name, turn=1) for name in names]
     taken, moved = [], refine_by_matches._moved
 
     def spy(colmap: object, before: object, found: pycolmap.Reconstruction) -> object:

@@ -1,0 +1,97 @@
+"""Rotation of photos by their EXIF tag, for models of software that obeys it.
+
+COLMAP ignores the tag, as this engine does for its models: `turn` is then `AS_STORED`. Other
+software shows and measures photos turned. `colmap.rotations` finds out which it was.
+
+A turn is the tag's value (Exif 3.0, 4.6.4, Orientation): what must be done to the stored pixels.
+"""
+
+from __future__ import annotations
+
+import struct
+from contextlib import suppress
+from pathlib import Path
+from typing import BinaryIO, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .headers import PNG, PhotoError, jpeg_segments, open_photo
+
+AS_STORED = 1
+SIDEWAYS = range(5, 9)  # turns that swap width and height
+ORIENTATION = 0x0112
+EXIF = b"Exif\0\0"
+APP1 = 0xE1
+TIFF_SHORT = 3
+Values = TypeVar("Values", NDArray[np.uint8], NDArray[np.bool_])
+
+
+def rotation_tag(path: Path) -> int:
+    """The turn that a photo's EXIF data ask for; `AS_STORED` if they ask for none, or are damaged.
+
+    JPEG and PNG headers are read here, since reading cameras does not need Pillow.
+    """
+    tag = AS_STORED
+    damage = (OSError, ValueError, struct.error, PhotoError, MemoryError)
+    with suppress(*damage), open(path, "rb") as file:
+        start = file.read(8)
+        if start.startswith(b"\xff\xd8"):
+            tag = _of_jpeg(file)
+        elif start == PNG:
+            tag = _of_png(file)
+        elif start[:2] in (b"II", b"MM") or start.startswith(b"RIFF"):
+            with open_photo(path) as photo:
+                tag = photo.getexif().get(ORIENTATION, AS_STORED)
+    return tag if tag in range(1, 9) else AS_STORED
+
+
+def turned_size(size: tuple[int, int], turn: int) -> tuple[int, int]:
+    """(width, height) after the turn, or before it."""
+    return (size[1], size[0]) if turn in SIDEWAYS else size
+
+
+def turned(pixels: Values, turn: int) -> Values:
+    """Pixels (H, W, ...), turned."""
+    if turn in SIDEWAYS:
+        pixels = pixels.swapaxes(0, 1)
+    if turn in (2, 3, 6, 7):
+        pixels = pixels[:, ::-1]
+    if turn in (3, 4, 7, 8):
+        pixels = pixels[::-1]
+    return np.ascontiguousarray(pixels)
+
+
+def _of_jpeg(file: BinaryIO) -> int:
+    """The tag of a JPEG's first EXIF segment."""
+    for marker in jpeg_segments(file):
+        if marker == APP1:
+            (length,) = struct.unpack(">H", file.read(2))
+            data = file.read(length - 2)
+            if data.startswith(EXIF):
+                return _of_exif(data[len(EXIF) :])
+    return AS_STORED
+
+
+def _of_png(file: BinaryIO) -> int:
+    """The tag of a PNG's eXIf chunk, which may follow the pixels."""
+    while head := file.read(8):
+        length, kind = struct.unpack(">I4s", head)
+        if kind == b"eXIf":
+            return _of_exif(file.read(length).removeprefix(EXIF))
+        file.seek(length + 4, 1)
+    return AS_STORED
+
+
+def _of_exif(data: bytes) -> int:
+    """The tag in EXIF data, which are a TIFF file; struct.error and ValueError: damaged."""
+    order = {b"II": "<", b"MM": ">"}.get(data[:2])
+    if order is None:
+        raise ValueError("no TIFF header")
+    (at,) = struct.unpack_from(order + "I", data, 4)
+    (entries,) = struct.unpack_from(order + "H", data, at)
+    for entry in range(entries):
+        tag, kind, value = struct.unpack_from(order + "HH4xH", data, at + 2 + 12 * entry)
+        if tag == ORIENTATION and kind == TIFF_SHORT:
+            return int(value)
+    return AS_STORED
