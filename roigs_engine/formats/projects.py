@@ -7,7 +7,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 PHOTO_FOLDERS = ("images", "images_2", "images_4", "images_8")  # the first that fits is used
-VIDEOS = {".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v"}  # they become photos
+VIDEOS = {  # they become photos
+    *(".mp4", ".m4v", ".mov", ".3gp", ".mkv", ".webm", ".avi"),
+    *(".ts", ".mts", ".m2ts", ".m2t", ".mpg", ".mpeg"),
+}
 SPARSE = "sparse"
 RECONSTRUCTION = "reconstruction"  # what `reconstruct` keeps for itself
 SUFFIXES = (".bin", ".txt")

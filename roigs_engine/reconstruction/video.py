@@ -25,10 +25,19 @@ from ..formats.text import counted
 from ..photos.headers import content_digest
 from .folder import IMAGES, Folder
 from .photo_checks import BLURRED, fine_detail
+from .video_colours import Colours, colours_of, to_srgb
 
-CONTAINERS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi"
+CONTAINERS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg"
 """FFmpeg's names of what `projects.VIDEOS` are."""
 ENDS_EARLY = 0.98  # of the frames that the file's header promises
+NARROWEST, WIDEST = 0.25, 4.0  # pixels, width by height
+FLAGGING = ("h264", "mpeg1video", "mpeg2video", "vc1")  # codecs that flag each interlaced frame
+INTERLACED = {
+    2: "tff",
+    3: "bff",
+    4: "bff",
+    5: "tff",
+}  # FFmpeg's field orders: the field shown first
 Pixels = NDArray[np.uint8]
 
 
@@ -51,6 +60,8 @@ class Video:
         path: of the file.
         expected: number of frames by the file's header; 0: it does not say.
         ratio: width of a pixel by its height.
+        colours: of the frames; None before the first one.
+        deinterlaced: whether a frame of the last pass was interlaced.
         damaged: whether the last pass left frames out, or ended early.
     """
 
@@ -58,6 +69,8 @@ class Video:
         self.path = path
         self.expected = 0
         self.ratio = 1.0
+        self.colours: Colours | None = None
+        self.deinterlaced = False
         self.damaged = False
         self._av = av_module()
 
@@ -66,7 +79,7 @@ class Video:
 
         Frames that cannot be decoded are left out. SceneError: the file is no video, or unreadable.
         """
-        number = 0
+        number = -1
         try:
             with open(self.path, "rb", opener=regular):
                 pass  # no pipe or device, which would be waited for
@@ -78,26 +91,90 @@ class Video:
                     raise SceneError(f"{self.path} has no pictures.", "Give a video.")
                 stream = file.streams.video[0]
                 stream.thread_type = "AUTO"
-                self.expected, self.damaged = stream.frames, False
-                self.ratio = float(stream.sample_aspect_ratio or 1)
-                for packet in self._packets(file, stream):
-                    try:
-                        decoded = packet.decode()
-                    except self._av.error.FFmpegError:
-                        self.damaged = True
-                        continue
-                    for frame in decoded:
-                        yield number, frame
-                        number += 1
+                self.expected, self.damaged, self.deinterlaced = stream.frames, False, False
+                for number, frame in enumerate(self._whole(stream, self._decoded(file, stream))):
+                    if self.colours is None:
+                        self.colours = colours_of(stream.codec_context, frame)
+                        self._check_shape(stream)
+                    yield number, frame
         except (self._av.error.FFmpegError, OSError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise SceneError(
                 f"Cannot read the video {self.path} ({reason}).",
                 "Copy it again, or convert it to MP4.",
             ) from error
-        if not number:
+        if number < 0:
             raise SceneError(f"No frame of {self.path} can be decoded.", "Convert it to MP4.")
-        self.damaged = self.damaged or number < ENDS_EARLY * self.expected
+        self.damaged = self.damaged or number + 1 < ENDS_EARLY * self.expected
+
+    def _check_shape(self, stream: Any) -> None:
+        """Read the shape of the pixels of a stream; SceneError if it is no camera's."""
+        self.ratio = float(stream.sample_aspect_ratio or 1)
+        if not NARROWEST <= self.ratio <= WIDEST:
+            text = f"The pixels of {self.path} are {self.ratio:g} times as wide as high."
+            raise SceneError(text, "Convert it to a video with square pixels.")
+
+    def words(self) -> list[str]:
+        """What the last passes have assumed and converted, in sentences; none before the first."""
+        said = self.colours.words() if self.colours else []
+        return [*said, "It is interlaced: it was deinterlaced."] if self.deinterlaced else said
+
+    def _decoded(self, file: Any, stream: Any) -> Iterator[Any]:
+        """The frames as the file has them."""
+        for packet in self._packets(file, stream):
+            try:
+                yield from packet.decode()
+            except self._av.error.FFmpegError:
+                self.damaged = True
+
+    def _whole(self, stream: Any, frames: Iterator[Any]) -> Iterator[Any]:
+        """The frames, one for each; from the first interlaced one on, these are deinterlaced.
+
+        Half of the lines of an interlaced frame were taken later: where the camera moves, edges
+        become combs, which look like detail.
+        """
+        tags = stream.codec_context
+        unflagged = tags.name not in FLAGGING and INTERLACED.get(tags.field_order)
+        graph, layout = None, None
+        for frame in frames:
+            if graph is None and not unflagged and not frame.interlaced_frame:
+                yield frame
+                continue
+            if tags.name == "hevc":  # its pictures are single fields
+                text = f"{self.path} is interlaced HEVC, which is not supported."
+                raise SceneError(text, "Convert it to progressive video.")
+            self.deinterlaced = True
+            if layout != (layout := (frame.width, frame.height, frame.format.name)):
+                yield from self._filtered(graph, None)
+                graph = self._deinterlacer(stream, frame, unflagged or "")
+            yield from self._filtered(graph, frame)
+        yield from self._filtered(graph, None)
+
+    def _deinterlacer(self, stream: Any, frame: Any, parity: str) -> Any:
+        """A graph of filters; `parity` of frames that carry no flags, else empty."""
+        graph = self._av.filter.Graph()
+        source = graph.add_buffer(
+            width=frame.width,
+            height=frame.height,
+            format=frame.format.name,
+            time_base=stream.time_base,
+        )
+        which = f"parity={parity}:deint=all" if parity else "parity=auto:deint=interlaced"
+        graph.link_nodes(
+            source, graph.add("bwdif", f"mode=send_frame:{which}"), graph.add("buffersink")
+        ).configure()
+        return graph
+
+    def _filtered(self, graph: Any, frame: Any) -> Iterator[Any]:
+        """What comes out of a graph after a frame; None: of the end."""
+        if graph is None:
+            return
+        graph.push(frame)
+        while True:
+            try:
+                yield graph.pull()
+            except (BlockingIOError, EOFError):
+                return
 
     def _packets(self, file: Any, stream: Any) -> Iterator[Any]:
         """The stream's packets, as far as they can be read."""
@@ -120,18 +197,31 @@ def grey(frame: Any, side: int) -> Pixels:
     return np.asarray(small.to_ndarray(), dtype=np.uint8)
 
 
-def picture_of(frame: Any, ratio: float) -> Pixels:
-    """(H, W, 3) sRGB of a frame, turned as its metadata say, and its pixels square.
+def picture_of(frame: Any, ratio: float, colours: Colours) -> Pixels:
+    """(H, W, 3) sRGB of a frame, turned and mirrored as its metadata say, and its pixels square.
 
     `ratio`: width of a pixel by its height.
     """
-    width = max(2, round(frame.width * ratio))
-    rgb = frame.reformat(width=width, height=frame.height, format="rgb24").to_ndarray()
-    return np.ascontiguousarray(np.rot90(rgb, round(frame.rotation / 90)), dtype=np.uint8)
+    rgb = to_srgb(frame, colours, max(2, round(frame.width * ratio)))
+    return np.ascontiguousarray(_upright(rgb, frame.side_data.get("DISPLAYMATRIX")))
+
+
+def _upright(pixels: Pixels, display: Any) -> Pixels:
+    """Pixels as a display matrix shows them; to the nearest quarter of a turn.
+
+    The matrix is FFmpeg's: nine numbers of 32 bits, of which (a, b, _, c, d) say that a pixel
+    (x, y) is shown at (a x + c y, b x + d y), y down.
+    """
+    if display is None:
+        return pixels
+    a, b, _, c, d = np.frombuffer(bytes(display), np.int32)[:5].tolist()
+    if abs(a) + abs(d) < abs(b) + abs(c):
+        pixels, a, d = pixels.transpose(1, 0, 2), c, b
+    return pixels[:: -1 if d < 0 else 1, :: -1 if a < 0 else 1]
 
 
 LOOK, WRITE = "look at the video", "write frames"
-VERSION = 1  # of the record; increase it if other frames would be chosen
+VERSION = 2  # of the record; increase it if other frames would be chosen
 STEP = 0.05  # of the picture's longer side: how far the picture moves from photo to photo
 FEWEST, MOST = 30, 300  # photos, if their number is not given
 STILL = 0.004  # of the picture's longer side: nearer frames are taken for the same
@@ -178,6 +268,8 @@ def take_frames(path: Path, folder: Folder, wanted: int, context: Context) -> di
     missing = [number for number, file in files.items() if not file.exists()]
     if missing:
         _write(video, {number: files[number] for number in missing}, context)
+    for sentence in video.words():
+        context.info(sentence)
     context.info(f"{len(files)} of {counted(len(seen), 'frame')} are used as photos.")
     return {file.name: file for file in files.values()}
 
@@ -197,6 +289,8 @@ def _seen(video: Video, folder: Folder, context: Context) -> list[Seen]:
         record = {}
     if record.get("version") != VERSION:
         rows = [[frame.moved, frame.sharpness] for frame in look(video, context)]
+        for made_before in folder.images.glob("frame_*.jpg"):  # by another version
+            made_before.unlink()
         record = {"version": VERSION, "video": digest, "frames": rows, "damaged": video.damaged}
         write_json(path, record)
     if record["damaged"]:
@@ -283,7 +377,8 @@ def _write(video: Video, missing: Mapping[int, Path], context: Context) -> None:
         context.check_cancelled()
         if number in missing:
             with atomic_write(missing[number], durable=False) as file:
-                picture = Image.fromarray(picture_of(frame, video.ratio))
+                assert video.colours is not None  # a frame came
+                picture = Image.fromarray(picture_of(frame, video.ratio, video.colours))
                 picture.save(file, format="JPEG", quality=QUALITY, subsampling=0)
             done += 1
             context.progress(WRITE, done, len(missing), began)

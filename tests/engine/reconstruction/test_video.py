@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from roigs_engine.context import QUIET, Context
 from roigs_engine.errors import EngineError, SceneError, Stopped
 from roigs_engine.formats.events import Event, Progress
 from roigs_engine.reconstruction.folder import Folder
-from roigs_engine.reconstruction.video import Seen, Video, choose, take_frames
+from roigs_engine.reconstruction.video import Seen, Video, choose, picture_of, take_frames
 from tests.engine.commands.command_line import refused
 
 av = pytest.importorskip("av")
@@ -101,6 +102,142 @@ def test_frames_are_upright(tmp_path: Path, turned: int) -> None:
         assert not photo.getexif()
     assert pixels.shape == shown.shape
     assert np.corrcoef(pixels.ravel(), shown.ravel())[0, 1] > 0.98
+
+
+def shot(path: Path) -> tuple[Video, list[np.ndarray]]:
+    """The video, and all its frames as photos."""
+    video, found = Video(path), []
+    for _, frame in video.frames():
+        assert video.colours is not None
+        found.append(picture_of(frame, video.ratio, video.colours).astype(int))
+    return video, found
+
+
+def written(path: Path, codec: str, pictures: list[np.ndarray], **settings: object) -> Path:
+    """A video of (H, W, 3) pictures; settings of the codec, or `options` and `display`."""
+    with av.open(str(path), "w") as video:
+        options = settings.pop("options", {})
+        stream = video.add_stream(codec, rate=Fraction(25), options=options)
+        stream.height, stream.width = pictures[0].shape[:2]
+        stream.pix_fmt = str(settings.pop("pix_fmt", "yuv420p"))
+        if display := settings.pop("display", None):
+            stream.set_display_matrix(display)
+        for name, value in settings.items():
+            setattr(stream.codec_context, name, value)
+        for picture in pictures:
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture))
+            video.mux(stream.encode(frame.reformat(format=stream.pix_fmt)))
+        video.mux(stream.encode(None))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("display", "shown"),
+    [
+        ((1, 0, 0, 1), lambda p: p),
+        ((-1, 0, 0, 1), lambda p: p[:, ::-1]),
+        ((1, 0, 0, -1), lambda p: p[::-1]),
+        ((-1, 0, 0, -1), lambda p: p[::-1, ::-1]),
+        ((0, 1, -1, 0), lambda p: np.rot90(p, -1)),
+        ((0, -1, 1, 0), lambda p: np.rot90(p)),
+        ((0, 1, 1, 0), lambda p: p.transpose(1, 0, 2)),
+        ((0, -1, -1, 0), lambda p: p[::-1, ::-1].transpose(1, 0, 2)),
+    ],
+)
+def test_frames_are_turned_and_mirrored(
+    tmp_path: Path, display: tuple[int, ...], shown: Callable[[np.ndarray], np.ndarray]
+) -> None:
+    picture = np.repeat(texture()[:48, :64, None], 3, axis=2)
+    a, b, c, d = (65536 * number for number in display)
+    matrix = (a, b, 0, c, d, 0, 0, 0, 1 << 30)
+    path = written(tmp_path / "a.mov", "mpeg4", [picture], display=matrix, options={"q:v": "2"})
+    (found,) = shot(path)[1]
+    right = shown(picture)
+    assert found.shape == right.shape
+    assert np.corrcoef(found.ravel(), right.ravel())[0, 1] > 0.98
+
+
+INTERLACED_DCT, INTERLACED_ME = 1 << 18, 1 << 29  # FFmpeg's flags of a codec
+FIELDS = INTERLACED_DCT | INTERLACED_ME
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "settings"),
+    [
+        ("camcorder.MTS", "libx264", {"options": {"x264-params": "tff=1"}, "flags": FIELDS}),
+        ("tape.mpg", "mpeg2video", {"options": {"q:v": "2"}, "flags": FIELDS}),
+        ("edited.mov", "prores_ks", {"flags": INTERLACED_DCT, "pix_fmt": "yuv422p10le"}),
+        ("tagged.mkv", "ffv1", {"field_order": 2}),  # its frames carry no flag
+    ],
+)
+def test_interlaced_frames_are_deinterlaced(
+    tmp_path: Path, name: str, codec: str, settings: dict[str, object]
+) -> None:
+    wall, pictures = np.repeat(texture()[:96, :, None], 3, axis=2), []
+    for left in range(0, 80, 10):
+        picture = wall[:, left : left + 128].copy()
+        picture[1::2] = wall[1::2, left + 5 : left + 133]  # the lines of the second field
+        pictures.append(picture)
+    video, found = shot(written(tmp_path / name, codec, pictures, **settings))
+    assert len(found) == len(pictures) and not video.damaged
+    assert combs(found[3]) < 0.4 * combs(pictures[3].astype(int))
+    assert "It is interlaced: it was deinterlaced." in video.words()
+
+
+def combs(picture: np.ndarray) -> float:
+    """How much lines differ from the mean of those beside them."""
+    beside = (picture[:-2:2] + picture[2::2]) / 2
+    return float(np.abs(picture[1:-1:2] - beside).mean())
+
+
+def test_progressive_frames_are_not_deinterlaced(tmp_path: Path) -> None:
+    pictures = [np.repeat(texture()[:96, k : k + 128, None], 3, axis=2) for k in range(4)]
+    video, found = shot(written(tmp_path / "a.mkv", "ffv1", pictures, pix_fmt="yuv444p"))
+    assert not video.deinterlaced
+    assert np.abs(found[2] - pictures[2]).max() <= 4
+
+
+def test_interlaced_hevc_is_one_line(tmp_path: Path) -> None:
+    pictures = [np.full((64, 64, 3), 100 + k, np.uint8) for k in range(4)]
+    options = {"x265-params": "interlace=tff:log-level=none"}
+    path = written(tmp_path / "a.mkv", "libx265", pictures, options=options)
+    with pytest.raises(SceneError, match="interlaced HEVC, which is not supported"):
+        shot(path)
+
+
+def test_pixels_become_square(tmp_path: Path) -> None:
+    pictures = [np.full((72, 64, 3), 100, np.uint8)]
+    wide = {"sample_aspect_ratio": Fraction(16, 11), "options": {"q:v": "2"}}
+    tall = wide | {"sample_aspect_ratio": Fraction(8, 9)}
+    # MPEG-2 names the picture's shape, here 4 : 3.
+    for name, settings, width in (("a.m2ts", wide, 96), ("b.avi", tall, 57)):
+        codec = "mpeg2video" if name.endswith("ts") else "mpeg4"
+        (found,) = shot(written(tmp_path / name, codec, pictures, **settings))[1]
+        assert found.shape == (72, width, 3)
+    odd = wide | {"sample_aspect_ratio": Fraction(10, 1)}
+    with pytest.raises(SceneError, match="10 times as wide as high"):
+        shot(written(tmp_path / "c.avi", "mpeg4", pictures, **odd))
+
+
+def test_what_was_assumed_and_converted_is_said_once(tmp_path: Path) -> None:
+    path, said = film(tmp_path / "pan.mp4", list(range(0, 200, 8))), list[str]()
+    context = Context(emit=lambda event: said.append(getattr(event, "text", "")))
+    taken(path, tmp_path / "scene", 4, context)
+    (line,) = [text for text in said if "names no colours" in text]
+    assert line == "The video names no colours: BT.601 (525 lines) is assumed."
+    assert sum("converted to sRGB" in text for text in said) == 1
+
+
+def test_frames_of_an_earlier_version_are_written_again(tmp_path: Path) -> None:
+    path, scene = film(tmp_path / "pan.mp4", list(range(0, 200, 8))), tmp_path / "scene"
+    taken(path, scene, 4)
+    before = {file: file.read_bytes() for file in (scene / "images").iterdir()}
+    record = scene / "reconstruction/video.json"
+    record.write_text(json.dumps(json.loads(record.read_text("utf-8")) | {"version": 1}))
+    for file in before:
+        file.write_bytes(b"in the colours of that version")
+    taken(path, scene, 4)
+    assert {file: file.read_bytes() for file in (scene / "images").iterdir()} == before
 
 
 def test_a_stop_is_resumed_and_nothing_is_done_twice(tmp_path: Path) -> None:
