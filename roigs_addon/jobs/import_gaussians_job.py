@@ -22,7 +22,10 @@ from . import current, run_folders
 from .spec import IMPORTING_GAUSSIANS, PACKAGES, JobSpec
 
 ENDINGS = (".compressed.ply", ".ply", ".spz", ".sog", ".glb", ".usdc", ".usda", ".usdz", ".splat")
-"""Of the names of files that can be imported."""
+"""Of the names of files that can be imported, and exported."""
+
+ONLY_IMPORTED = (".gltf", ".usd", "meta.json")
+"""The last is a whole name: of a SOG that is not packed."""
 
 LOG = "import.log"
 TOO_FAR = "{} {}. Move it to the origin before you import it (docs/reliability.md says how)."
@@ -35,8 +38,8 @@ def spec(context: bpy.types.Context, source: Path, up: str) -> JobSpec:
     Args:
         context: its scene gets the object.
         source: the file.
-        up: axis that points up in it, as `convert` has it; empty: the format's own; `colmap`: it is
-            in the frame of the scene's COLMAP model.
+        up: axis that points up in it, as `convert` has it; empty: as the file says, else the
+            format's own; `colmap`: it is in the frame of the scene's COLMAP model.
 
     Raises:
         AddonError: there is no such file or no model, or the run folder cannot be written to.
@@ -82,6 +85,8 @@ def has_model(scene: bpy.types.Scene) -> bool:
 
 def _name(source: Path) -> str:
     """The file's name without its ending, as Blender can show it."""
+    if source.name.lower() in ONLY_IMPORTED:
+        source = source.parent
     name = source.name
     ending = next((e for e in ENDINGS if name.lower().endswith(e)), source.suffix)
     stem = name[: len(name) - len(ending)] or "Gaussians"

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from ..blender import OperatorResult
 
 ENDINGS = tuple(e for e in import_gaussians_job.ENDINGS if e.count(".") == 1)
+MORE = import_gaussians_job.ONLY_IMPORTED
 
 
 class ImportGaussians(BrowsingOperator, ImportHelper):  # type: ignore[misc] # the stub's mixin
@@ -30,13 +31,17 @@ class ImportGaussians(BrowsingOperator, ImportHelper):  # type: ignore[misc] # t
 
     filepath: StringProperty(subtype="FILE_PATH", options=FRESH)
     filter_glob: StringProperty(
-        default=";".join(f"*{ending}" for ending in ENDINGS), options={"HIDDEN", *FRESH}
+        default=";".join(f"*{ending}" for ending in (*ENDINGS, *MORE)), options={"HIDDEN", *FRESH}
     )
     up: EnumProperty(
         name="Up",
         description="Axis that points up in the file",
         items=[
-            ("AUTO", "The Format's Default", "-Y in PLY, SOG and .splat, Y in SPZ, glTF, OpenUSD"),
+            (
+                "AUTO",
+                "As the File Says",
+                "If it does not say: -Y in PLY, SOG and .splat, Y in SPZ, glTF, OpenUSD",
+            ),
             ("-Y", "-Y", "As most trainers of Gaussians write it"),
             ("Y", "Y", "As in glTF and many game engines"),
             ("Z", "Z, as in Blender", "Coordinates are not changed"),
@@ -78,7 +83,7 @@ class GaussiansHandler(bpy.types.FileHandler):
     bl_idname = "ROIGS_FH_gaussians"
     bl_label = "Gaussians (ROI-GS)"
     bl_import_operator = ImportGaussians.bl_idname
-    bl_file_extensions = ";".join(ENDINGS)
+    bl_file_extensions = ";".join((*ENDINGS, *(e for e in MORE if e[0] == ".")))
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:

@@ -56,7 +56,7 @@ def convert(request: Convert, context: Context = QUIET) -> Result:
     target = formats.format_of(request.out)
     plain = request.plain or not target.keeps_antialiased
     _refuse_page_options(request, plain=plain)
-    if request.source.suffix.lower() == LIST:
+    if request.source.suffix.lower() == LIST and not formats.is_named(request.source):
         model = _listed(request, target, context, plain=plain)
     else:
         model = _single(request, target, context, plain=plain)
@@ -80,16 +80,15 @@ def _single(request: Convert, target: FileFormat, context: Context, *, plain: bo
     from ..exchange import formats
 
     home, poses = _home(request, request.source), None
-    before = request.from_up or formats.format_of(request.source).up
-    matrix = turn(before, request.up or target.up)
+    matrix = turn(SCENE_UP, request.up or target.up) @ _upright(request, request.source)
     if target.suffix == PAGE:
         poses = _page_poses(request)
     if poses is not None:
         matrix = turn("z", request.up or target.up)
         matrix[:3, :3] = matrix[:3, :3] @ gravity_alignment(poses)
         matrix = matrix @ home
-    elif request.from_up is None:
-        _warn_of_axes(request.source, before, context)
+    elif request.from_up is None and (formats.frame(request.source) == np.eye(4)).all():
+        _warn_of_axes(request.source, formats.format_of(request.source).up, context)
     refuse_inputs([request.out], [request.source], OTHER)
     whole, antialiased = _read(request.source, plain=plain, scene=request.page_scene)
     arrays = _cropped(whole, request, home)
@@ -148,7 +147,24 @@ def _home(request: Convert, path: Path) -> Float64:
     if form.up == SCENE_UP:
         return np.eye(4)
     up = request.up if request.up and target.up == SCENE_UP else SCENE_UP
-    return turn(request.from_up or form.up, up)
+    return turn(SCENE_UP, up) @ _upright(request, path)
+
+
+def _upright(request: Convert, path: Path) -> Float64:
+    """(4, 4) from a file's frame to one in which -y points up.
+
+    By --from-up, else by what the file says, else as its format has it. A file that says that its
+    axes are left-handed is mirrored in both cases.
+    """
+    from ..exchange import formats
+
+    said = formats.frame(path)
+    if request.from_up is None:
+        matrix: Float64 = turn(formats.format_of(path).up, SCENE_UP) @ said
+    else:
+        mirror = np.diag((np.linalg.det(said).round(), 1, 1, 1))
+        matrix = turn(request.from_up, SCENE_UP) @ mirror
+    return matrix
 
 
 def _cropped(arrays: Arrays, request: Convert, home: Float64) -> Arrays:
@@ -274,8 +290,7 @@ def _before(request: Convert, up: str, model: _Model) -> Arrays | None:
     if model.upright:
         matrix = model.matrix @ home
     else:
-        axis = request.from_up or formats.format_of(request.before).up
-        matrix = turn(axis, request.up or up)
+        matrix = turn(SCENE_UP, request.up or up) @ _upright(request, request.before)
     arrays = _cropped(formats.read(request.before), request, home)
     return _shortened(turned(arrays, matrix), request)
 

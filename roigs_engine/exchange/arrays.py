@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,21 @@ def flaw(arrays: Arrays) -> str:
     return f"its attributes do not belong together ({wrong[0]})" if wrong else ""
 
 
+def joined(parts: Sequence[Arrays]) -> Arrays:
+    """Models as one, with the SH degree of the highest; ValueError: a part is none."""
+    if len(parts) == 1:
+        return parts[0]
+    for part in parts:
+        if problem := flaw(part):
+            raise ValueError(problem)
+    bands = max(part["sh"].shape[1] for part in parts)
+    padded = [
+        {**part, "sh": np.pad(part["sh"], ((0, 0), (0, bands - part["sh"].shape[1]), (0, 0)))}
+        for part in parts
+    ]
+    return {name: np.concatenate([part[name] for part in padded]) for name in parts[0]}
+
+
 def in_morton_order(arrays: Arrays) -> Arrays:
     """With those next to one another that are near in space: their numbers then compress."""
     means = arrays["means"].astype(np.float64)
@@ -86,4 +101,19 @@ def turn(before: str, after: str) -> Float64:
     """(4, 4) that makes the axis `after` point up in a model in which the axis `before` does."""
     matrix = np.eye(4)
     matrix[:3, :3] = np.array(UP[after]) @ np.array(UP[before]).T
+    return matrix
+
+
+def upright(up: Float64, after: str) -> Float64:
+    """(4, 4) that makes the axis `after` point up in a model in which the direction (3,) `up` does.
+
+    The smallest rotation from `up` to the next axis of `UP`, then `turn`.
+    """
+    up = up / np.linalg.norm(up)
+    before = max(UP, key=lambda axis: float(np.array(UP[axis])[:, 2] @ up))
+    axis = np.array(UP[before], np.float64)[:, 2]
+    cross = np.cross(up, axis)
+    skew = np.cross(np.eye(3), cross)
+    matrix = turn(before, after)
+    matrix[:3, :3] = matrix[:3, :3] @ (np.eye(3) + skew + skew @ skew / (1 + up @ axis))
     return matrix

@@ -14,8 +14,9 @@ from ..errors import ConfigError, RunFolderError
 from ..formats import splat_ply
 from ..formats.drawable import usable
 from ..formats.files import regular, remove_leftovers_of
-from .arrays import Arrays, Check, extent, flaw, nothing
-from .libraries import HINT, reading
+from ..model.scene import Float64
+from .arrays import Arrays, Check, extent, flaw, nothing, upright
+from .libraries import CONVERT, HINT, reading
 
 FAR = 1e4
 """So many times its size away from the origin, float32 shows a model's Gaussians moved."""
@@ -29,16 +30,18 @@ class FileFormat:
     """A format.
 
     Its module has `write(path, arrays)`, which returns how many Gaussians it has written, and
-    `read(path)`, any error of which means a damaged file. Both raise ConfigError where the format
-    cannot hold the model, and EngineError if a package is missing. A module that
-    `keeps_antialiased` has `is_antialiased` if it reads, and its `write` takes `antialiased`.
+    `read(path)`, any error of which but NotSupportedError means a damaged file. Both raise
+    ConfigError where the format cannot hold the model, and EngineError if a package is missing. A
+    module that `keeps_antialiased` has `is_antialiased` if it reads, and its `write` takes
+    `antialiased`.
     """
 
     title: str  # what people call it
     suffix: str  # of a file's name
     up: str  # the axis that points up, as most of its readers have it
     module: str = ""  # of this package; empty: the plain PLY
-    reads: bool = True  # every one can be written
+    reads: bool = True
+    says_axes: bool = False  # whether its module has `frame`, as a file may name other axes
     checks: bool = False  # whether its `write` takes `check`, as it takes long
     keeps_antialiased: bool = True  # whether a file says if its Gaussians are drawn with it
 
@@ -46,7 +49,7 @@ class FileFormat:
 FORMATS = (
     FileFormat(title="compressed PLY", suffix=COMPRESSED, up="-y", module="compressed_ply"),
     FileFormat(title="PLY", suffix=".ply", up="-y"),
-    FileFormat(title="SPZ", suffix=".spz", up="y", module="spz", checks=True),
+    FileFormat(title="SPZ", suffix=".spz", up="y", module="spz", checks=True, says_axes=True),
     FileFormat(title="SOG", suffix=".sog", up="-y", module="sog", checks=True),
     FileFormat(title="glTF", suffix=".glb", up="y", module="gltf", keeps_antialiased=False),
     FileFormat(title="OpenUSD", suffix=".usdc", up="y", module="usd", keeps_antialiased=False),
@@ -56,15 +59,48 @@ FORMATS = (
     FileFormat(title="web page", suffix=".html", up="y", module="page", reads=False),
 )
 
+READ_ONLY = (
+    FileFormat(title="SOG", suffix="meta.json", up="-y", module="sog"),
+    FileFormat(title="glTF", suffix=".gltf", up="y", module="gltf", keeps_antialiased=False),
+    FileFormat(title="OpenUSD", suffix=".usd", up="y", module="usd", keeps_antialiased=False),
+)
+"""Other names of files that are read. A whole name has no dot in front."""
+
+OTHERS = {
+    ".ksplat": "GaussianSplats3D",
+    ".splatv": "antimatter15, with motion",
+    ".lcc": "XGRIDS",
+    ".lcc2": "XGRIDS",
+    ".rad": "Spark",
+    ".licht": "LichtFeld Studio",
+    ".ssog": "LichtFeld Studio",
+    ".nurec": "NVIDIA",
+    ".b3dm": "3D Tiles",
+    ".3tz": "3D Tiles",
+    ".ckpt": "nerfstudio",
+    ".pth": "a checkpoint",
+    ".pt": "a checkpoint",
+    "lod-meta.json": "a Streamed SOG; each of its folders has a meta.json",
+}
+"""What other names of files of Gaussians end in, and what these are."""
+
+
+def is_named(path: Path) -> bool:
+    """Whether `format_of` or `OTHERS` knows the name of a JSON file, which is no list then."""
+    return path.name.lower() in {"meta.json", "lod-meta.json"}
+
 
 def format_of(path: Path) -> FileFormat:
     """The format that a file's name says; ConfigError if it says none that is known."""
     name = path.name.lower()
-    found = next((form for form in FORMATS if name.endswith(form.suffix)), None)
-    if found is None:
-        known = ", ".join(form.suffix for form in FORMATS)
-        raise ConfigError(f"{path} is not the name of a file of Gaussians.", f"Use {known}.")
-    return found
+    for form in (*FORMATS, *READ_ONLY):
+        if name == form.suffix if form.suffix[0] != "." else name.endswith(form.suffix):
+            return form
+    for ending, what in OTHERS.items():
+        if name.endswith(ending):
+            raise ConfigError(f"{path}: {ending} ({what}) is not supported.", CONVERT)
+    known = ", ".join(form.suffix for form in FORMATS)
+    raise ConfigError(f"{path} is not the name of a file of Gaussians.", f"Use {known}.")
 
 
 def write(
@@ -80,6 +116,9 @@ def write(
         more: what the module's `write` takes besides these; nothing for a plain PLY.
     """
     form = format_of(path)
+    if form in READ_ONLY:
+        known = ", ".join(form.suffix for form in FORMATS)
+        raise ConfigError(f"{path}: {form.suffix} is only read.", f"Write {known}.")
     remove_leftovers_of(path)
     if not form.module:
         splat_ply.write_ply(path, arrays, antialiased=antialiased)
@@ -135,6 +174,19 @@ def is_antialiased(path: Path) -> bool:
     said: Callable[[Path], bool] = import_module(f".{form.module}", __package__).is_antialiased
     with reading(path, form.title):
         return said(path)
+
+
+def frame(path: Path) -> Float64:
+    """(4, 4) from a file's axes to those of its format: no change, unless the file names others."""
+    form, matrix = _readable(path), np.eye(4)
+    if form.suffix.endswith(".ply"):
+        if (up := splat_ply.up_axis(path)) is not None:
+            matrix = upright(np.array(up), form.up)
+    elif form.says_axes:
+        said: Callable[[Path], Float64] = import_module(f".{form.module}", __package__).frame
+        with reading(path, form.title):
+            matrix[:3, :3] = said(path)
+    return matrix
 
 
 def are_antialiased(paths: Iterable[Path]) -> bool:

@@ -1,14 +1,18 @@
-"""glTF 2.0 with Khronos's extension KHR_gaussian_splatting, as one GLB, through pygltflib.
+"""glTF 2.0 with Khronos's extension KHR_gaussian_splatting, written as one GLB through pygltflib.
 
-A viewer without the extension shows points in the colours of `COLOR_0`.
+A viewer without the extension shows points in the colours of `COLOR_0`. Read are GLBs and .gltf,
+also of the extension's drafts and with SPZ inside.
 """
 
 from __future__ import annotations
 
+import base64
 import json
 import struct
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +21,10 @@ from scipy.spatial.transform import Rotation
 from ..formats.files import write_bytes
 from ..model.gaussians import SH_C0
 from ..model.scene import Float64
-from .arrays import Arrays, logits, opacities, unit_quats
-from .libraries import package
+from . import spz
+from .arrays import Arrays, joined, logits, opacities, unit_quats
+from .colours import recoloured
+from .libraries import NotSupportedError, package, read_beside, refuse_bomb
 from .transform import moved
 
 TITLE = "glTF"
@@ -33,8 +39,15 @@ MEANING = {
     "projection": "perspective",
 }
 FLOAT, BYTE, POINTS, ARRAY_BUFFER = 5126, 5121, 0, 34962
-KINDS = {5120: "i1", BYTE: "u1", 5122: "<i2", 5123: "<u2", FLOAT: "<f4"}
+KINDS = {5120: "i1", BYTE: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", FLOAT: "<f4"}
 COMPONENTS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+DRAFTS = ("KHR_spz_gaussian_splats_compression", "KHR_spz_compression")
+"""Extensions of primitives that became one of KHR_gaussian_splatting."""
+INSTANCES = "EXT_mesh_gpu_instancing"
+SRGB, LINEAR = ("srgb_rec709_display", "BT.709-sRGB"), ("lin_rec709_display", "BT.709-linear")
+"""Names of colour spaces: the ratified one, then one of a draft."""
+LUF = np.diag((-1.0, 1.0, -1.0))  # from right, up and back
+LEAST = 1e-30  # stands for a size of 0, which has no logarithm
 MAGIC, VERSION, JSON, BIN = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
 MOST_JSON = 16 << 20  # bytes
 
@@ -88,55 +101,58 @@ def _columns(arrays: Arrays) -> dict[str, NDArray[Any]]:
 
 
 def read(path: Path) -> Arrays:
-    """See `FileFormat`: the Gaussians of a GLB with one such primitive, where its node has them."""
-    record, blob = _parts(path)
-    found = [
-        (number, primitive["attributes"], primitive["extensions"][NAME].get("extensions", {}))
-        for number, mesh in enumerate(record.get("meshes", []))
-        for primitive in mesh["primitives"]
-        if NAME in primitive.get("extensions", {})
+    """See `FileFormat`: all Gaussians of the scene as one model, where their nodes have them."""
+    file = _File(path)
+    found = [moved(file.gaussians(item), matrix) for matrix, item in _shown(file.record)]
+    if not found:
+        raise NotSupportedError(f"glTF without {NAME}")
+    return joined(found)
+
+
+def _shown(record: dict[str, Any]) -> list[tuple[Float64, dict[str, Any]]]:
+    """The primitives of Gaussians of the scene, each with its place (4, 4), one for each node.
+
+    Those of all nodes if the scene has none, and of all meshes if there are no nodes.
+    """
+    meshes = [
+        [item for item in mesh["primitives"] if _is_gaussians(item)]
+        for mesh in record.get("meshes", [])
     ]
-    if len(found) != 1:
-        raise ValueError(f"{len(found)} primitives with {NAME}, not one")
-    ((mesh, at, inner),) = found
-    for name in inner:  # others may be ignored
-        if "compression" in name:
-            raise ValueError(f"its Gaussians are packed by {name}")
-
-    def get(name: str) -> NDArray[np.float32]:
-        if name not in at:
-            raise ValueError(f"no attribute {name}")
-        return _values(record, blob, int(at[name]))
-
-    there = next((k for k, name in enumerate(SH_NAMES) if name not in at), len(SH_NAMES))
-    bands = max((k for k in (1, 4, 9, 16) if k <= there), default=1)
-    arrays = {
-        "means": get("POSITION"),
-        "quats": np.roll(get(f"{NAME}:ROTATION"), 1, axis=1),
-        "log_scales": np.log(np.maximum(get(f"{NAME}:SCALE"), 1e-30)),
-        "logit_opacities": logits(get(f"{NAME}:OPACITY").reshape(-1)),
-        "sh": np.stack([get(name) for name in SH_NAMES[:bands]], axis=1),
-    }
-    return moved(arrays, _transform(record, mesh))
-
-
-def _transform(record: dict[str, Any], mesh: int) -> Float64:
-    """(4, 4) from a mesh to the scene."""
     nodes = record.get("nodes", [])
-    shown = [number for number, node in enumerate(nodes) if node.get("mesh") == mesh]
-    if len(shown) > 1:
-        raise ValueError(f"its Gaussians are shown {len(shown)} times, not once")
-    parents = {child: k for k, node in enumerate(nodes) for child in node.get("children", [])}
-    matrix = np.eye(4)
-    number = shown[0] if shown else None
-    for _ in nodes:
-        if number is None:
-            break
-        matrix = _node_matrix(nodes[number]) @ matrix
-        number = parents.get(number)
-    if number is not None and nodes:
+    below = {child for node in nodes for child in node.get("children", [])}
+    scenes = record.get("scenes") or [{}]
+    shown = scenes[record.get("scene", 0)].get("nodes", [])
+    for roots in (shown, [k for k in range(len(nodes)) if k not in below]):
+        if found := _placed(nodes, roots, meshes):
+            return found
+    if any(meshes[node["mesh"]] for node in nodes if "mesh" in node):
         raise ValueError("its nodes form a circle")
-    return matrix
+    return [(np.eye(4), item) for mesh in meshes for item in mesh]
+
+
+def _placed(
+    nodes: list[dict[str, Any]], roots: Iterable[int], meshes: list[list[dict[str, Any]]]
+) -> list[tuple[Float64, dict[str, Any]]]:
+    """See `_shown`: what these nodes and those below them show."""
+    found, seen = [], set()
+    waiting = [(number, np.eye(4)) for number in reversed(list(roots))]
+    while waiting:
+        number, above = waiting.pop()
+        if number in seen:
+            raise ValueError("its nodes form a circle")
+        seen.add(number)
+        node = nodes[number]
+        matrix = above @ _node_matrix(node)
+        waiting += [(child, matrix) for child in reversed(node.get("children", []))]
+        items = meshes[node["mesh"]] if "mesh" in node else []
+        if items and INSTANCES in node.get("extensions", {}):
+            raise NotSupportedError(INSTANCES)
+        found += [(matrix, item) for item in items]
+    return found
+
+
+def _is_gaussians(item: dict[str, Any]) -> bool:
+    return any(name in item.get("extensions", {}) for name in (NAME, *DRAFTS))
 
 
 def _node_matrix(node: dict[str, Any]) -> Float64:
@@ -151,38 +167,163 @@ def _node_matrix(node: dict[str, Any]) -> Float64:
     return matrix
 
 
-def _parts(path: Path) -> tuple[dict[str, Any], bytes]:
-    """The JSON and the binary part of a GLB."""
-    raw = path.read_bytes()
-    magic, version, _, size, kind = struct.unpack_from("<5I", raw)
-    if (magic, version, kind) != (MAGIC, VERSION, JSON) or size > MOST_JSON:
-        raise ValueError("no GLB 2.0")
-    record = json.loads(raw[20 : 20 + size])
-    length, kind = struct.unpack_from("<2I", raw, 20 + size)
-    blob = raw[28 + size : 28 + size + length]
-    if kind != BIN or len(blob) != length or not isinstance(record, dict):
-        raise ValueError("no binary part")
-    return record, blob
+class _File:
+    """A glTF: its JSON, the bytes that this names, and what was read of them."""
 
+    def __init__(self, path: Path) -> None:
+        """Read a GLB, or the JSON of a .gltf; ValueError: it is neither."""
+        self.path = path
+        raw = path.read_bytes()
+        self.size, self.values_read = len(raw), 0
+        self.buffers: dict[int, bytes] = {}
+        if path.suffix.lower() == ".gltf":
+            self.record: dict[str, Any] = json.loads(raw)
+            if not isinstance(self.record, dict):
+                raise ValueError("no object of JSON")
+            return
+        magic, version, _, size, kind = struct.unpack_from("<5I", raw)
+        if magic == MAGIC and version != VERSION:
+            raise NotSupportedError(f"version {version} of GLB")
+        if (magic, kind) != (MAGIC, JSON) or size > MOST_JSON:
+            raise ValueError("no GLB 2.0")
+        self.record = json.loads(raw[20 : 20 + size])
+        if not isinstance(self.record, dict):
+            raise ValueError("no object of JSON")
+        place = 20 + size
+        while place + 8 <= len(raw):  # chunks of other kinds may follow
+            length, kind = struct.unpack_from("<2I", raw, place)
+            if kind == BIN:
+                self.buffers[0] = raw[place + 8 : place + 8 + length]
+                if len(self.buffers[0]) != length:
+                    raise ValueError("its binary part is cut off")
+                break
+            place += 8 + length
 
-def _values(record: dict[str, Any], blob: bytes, number: int) -> NDArray[np.float32]:
-    """The values of an accessor; normalized integers become numbers from -1 or 0 to 1."""
-    accessor = record["accessors"][number]
-    if "sparse" in accessor or "bufferView" not in accessor:
-        raise ValueError("an accessor is sparse")
-    view = record["bufferViews"][accessor["bufferView"]]
-    if packed := [*view.get("extensions", {})]:
-        raise ValueError(f"its values are packed by {packed[0]}")
-    if view.get("buffer", 0) != 0:
-        raise ValueError("its values are in another file")
-    kind: np.dtype[Any] = np.dtype(KINDS[accessor["componentType"]])
-    count, width = int(accessor["count"]), COMPONENTS[accessor["type"]]
-    start = int(view.get("byteOffset", 0)) + int(accessor.get("byteOffset", 0))
-    stride = int(view.get("byteStride", width * kind.itemsize))
-    end = start + stride * (count - 1) + width * kind.itemsize
-    if count < 1 or start < 0 or stride < width * kind.itemsize or end > len(blob):
-        raise ValueError("an accessor is longer than the file")
-    values: NDArray[Any] = np.ndarray((count, width), kind, blob, start, (stride, kind.itemsize))
-    if accessor.get("normalized") and kind.kind != "f":
-        values = np.maximum(values / np.iinfo(kind).max, -1)
-    return values.astype(np.float32)
+    def gaussians(self, item: dict[str, Any]) -> Arrays:
+        """A primitive's, in its own frame."""
+        extensions = item["extensions"]
+        own = extensions.get(NAME, {})
+        inner = {
+            **own.get("extensions", {}),
+            **{k: extensions[k] for k in DRAFTS if k in extensions},
+        }
+        packed = next((name for name in inner if "spz" in name.lower()), "")
+        for name in inner:  # others may be ignored
+            if "compression" in name and name != packed:
+                raise NotSupportedError(name)
+        arrays = self._spz(inner[packed], own) if packed else self._attributes(item["attributes"])
+        space = own.get("colorSpace") or SRGB[0]
+        if space in LINEAR:
+            return {**arrays, "sh": recoloured(arrays["sh"].astype(np.float32))}
+        if space not in SRGB:
+            raise NotSupportedError(f"the colour space {space!s:.40}")
+        return arrays
+
+    def _attributes(self, at: dict[str, int]) -> Arrays:
+        """As the extension has them, or its drafts, which had no prefix."""
+
+        def get(name: str, *others: str) -> NDArray[np.float32]:
+            there = next((n for n in (f"{NAME}:{name}", *others) if n in at), None)
+            if there is None:
+                raise ValueError(f"no attribute {(name, *others)[-1]}")
+            return self._values(int(at[there]))
+
+        rest = next((k for k, name in enumerate(SH_NAMES[1:]) if name not in at), len(SH_NAMES))
+        rest = max(k for k in (0, 3, 8, 15) if k <= rest)
+        scales = get("SCALE", "_SCALE")
+        if not (scales < 0).any():  # drafts until February 2026 had logarithms
+            scales = np.log(np.maximum(scales, LEAST))
+        if SH_NAMES[0] in at and f"{NAME}:OPACITY" in at:
+            base, alpha = get("SH_DEGREE_0_COEF_0"), get("OPACITY")[:, 0]
+        else:  # drafts had colours there, and opacities as their fourth number
+            colours = get("", "COLOR_0")
+            base, alpha = (colours[:, :3] - np.float32(0.5)) / np.float32(SH_C0), colours[:, -1]
+            if colours.shape[1] == 3:
+                alpha = np.ones(len(colours), np.float32)
+            if f"{NAME}:OPACITY" in at:
+                alpha = get("OPACITY")[:, 0]
+            elif SH_NAMES[0] in at:
+                base = get("SH_DEGREE_0_COEF_0")
+        return {
+            "means": get("", "POSITION"),
+            "quats": np.roll(get("ROTATION", "_ROTATION"), 1, axis=1),
+            "log_scales": scales,
+            "logit_opacities": logits(alpha),
+            "sh": np.stack(
+                [base, *(self._values(int(at[name])) for name in SH_NAMES[1 : 1 + rest])], axis=1
+            ),
+        }
+
+    def _spz(self, inside: dict[str, Any], own: dict[str, Any]) -> Arrays:
+        """Of KHR_gaussian_splatting_compression_spz(_2): unpacked to left, up and front.
+
+        Cesium's files of the drafts, which name no kernel, have glTF's axes as they are.
+        """
+        raw = bytes(self._view(int(inside["bufferView"])))
+        arrays, axes = spz.decoded(raw), spz.axes(raw)
+        matrix = np.eye(4)
+        matrix[:3, :3] = LUF @ axes if "kernel" in own else axes
+        return moved(arrays, matrix)
+
+    def _values(self, number: int) -> NDArray[np.float32]:
+        """The values of an accessor; normalized integers become numbers from -1 or 0 to 1."""
+        accessor = self.record["accessors"][number]
+        kind: np.dtype[Any] = np.dtype(KINDS[accessor["componentType"]])
+        count, width = int(accessor["count"]), COMPONENTS[accessor["type"]]
+        self.values_read += 4 * count * width
+        refuse_bomb(self.size, self.values_read)
+        if "bufferView" in accessor:
+            values = self._numbers(accessor, count, width, kind)
+        else:
+            values = np.zeros((count, width), kind)
+        if "sparse" in accessor:
+            values = self._sparse(accessor["sparse"], values)
+        if accessor.get("normalized") and kind.kind != "f":
+            values = np.maximum(values / np.iinfo(kind).max, -1)
+        return values.astype(np.float32)
+
+    def _sparse(self, sparse: dict[str, Any], values: NDArray[Any]) -> NDArray[Any]:
+        """The values with the ones that `sparse` replaces."""
+        count = int(sparse["count"])
+        kind = np.dtype(KINDS[sparse["indices"]["componentType"]])
+        rows = self._numbers(sparse["indices"], count, 1, kind)[:, 0]
+        values = values.copy()
+        values[rows] = self._numbers(sparse["values"], count, values.shape[1], values.dtype)
+        return values
+
+    def _numbers(
+        self, place: dict[str, Any], count: int, width: int, kind: np.dtype[Any]
+    ) -> NDArray[Any]:
+        """(count, width) from where an accessor, or a part of a sparse one, says."""
+        view = self.record["bufferViews"][place["bufferView"]]
+        data, start = self._view(place["bufferView"]), int(place.get("byteOffset", 0))
+        stride = int(view.get("byteStride", width * kind.itemsize))
+        end = start + stride * (count - 1) + width * kind.itemsize
+        if count < 1 or start < 0 or stride < width * kind.itemsize or end > len(data):
+            raise ValueError("an accessor is longer than the file")
+        return np.ndarray((count, width), kind, data, start, (stride, kind.itemsize))
+
+    def _view(self, number: int) -> memoryview:
+        """The bytes of a buffer view."""
+        view = self.record["bufferViews"][number]
+        for name in view.get("extensions", {}):
+            raise NotSupportedError(name)
+        data = self._buffer(int(view.get("buffer", 0)))
+        start, length = int(view.get("byteOffset", 0)), int(view["byteLength"])
+        if start < 0 or length < 0 or start + length > len(data):
+            raise ValueError("a buffer view is longer than the file")
+        return memoryview(data)[start : start + length]
+
+    def _buffer(self, number: int) -> bytes:
+        """The bytes of a buffer: the GLB's own, of a `data:` URI, or of a file beside it."""
+        if number not in self.buffers:
+            uri = self.record["buffers"][number].get("uri")
+            if not isinstance(uri, str):
+                raise ValueError("no binary part")
+            if uri.startswith("data:"):
+                data = base64.b64decode(uri.partition(",")[2], validate=True)
+            else:
+                data = read_beside(self.path, unquote(uri))
+            self.buffers[number] = data
+            self.size += len(data)
+        return self.buffers[number]

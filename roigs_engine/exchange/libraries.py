@@ -16,12 +16,19 @@ from typing import Any
 import numpy as np
 
 from ..errors import EngineError, RunFolderError
-from ..formats.files import regular
+from ..formats.files import read_bytes, regular
+from ..formats.names import inner_path
 from ..formats.text import in_gb
 from ..machine import is_memory_full
 
+
+class NotSupportedError(Exception):
+    """A valid file with something that is not read; the text is a noun phrase that says what."""
+
+
 EXTRA = "formats"  # of pyproject.toml: installs all of them
 HINT = "Write or download the file again."
+CONVERT = "Save it as .ply with the program that it is from, or with SuperSplat."
 MOST_RATIO, SMALL = 100, 64 << 20
 """Files of Gaussians unpack to some ten times their size; bombs to a thousand times."""
 OPENUSD = re.compile(r" at line \d+ in file .*? : '(.*?)\n?'(?:\n|$)", re.DOTALL)
@@ -50,7 +57,8 @@ def package(module: str, purpose: str, name: str = "") -> Any:
 def reading(path: Path, title: str) -> Iterator[None]:
     """Wrap what reads a file: whatever it raises becomes a RunFolderError in one line.
 
-    An EngineError or an error of memory stays as it is.
+    A NotSupportedError says that the file is valid. An EngineError or an error of memory stays as
+    it is.
     """
     try:
         # Libraries would wait for a pipe, and have their own errors for a missing file.
@@ -60,6 +68,8 @@ def reading(path: Path, title: str) -> Iterator[None]:
             yield
     except (EngineError, MemoryError):
         raise
+    except NotSupportedError as error:
+        raise RunFolderError(f"{path}: {error} is not supported.", CONVERT) from error
     except OSError as error:
         raise RunFolderError(
             f"Cannot read {path} ({error.strerror or error}).", "Check the file and its rights."
@@ -78,10 +88,30 @@ def _words(error: Exception) -> str:
     return type(error).__name__
 
 
-def refuse_bomb(path: Path, unpacked: int) -> None:
-    """Raise ValueError if a file would unpack to far more bytes than files of Gaussians do."""
-    if unpacked > SMALL and unpacked > MOST_RATIO * path.stat().st_size:
+def refuse_bomb(size: int, unpacked: int) -> None:
+    """Raise ValueError if `size` bytes unpack to far more than those of Gaussians do."""
+    if unpacked > SMALL and unpacked > MOST_RATIO * size:
         raise ValueError(f"it would unpack to {in_gb(unpacked)}")
+
+
+def read_beside(path: Path, name: object) -> bytes:
+    """The content of a file that another names, in its folder or below.
+
+    RunFolderError: the name leads out of the folder, or the file cannot be read.
+    """
+    inner = inner_path(name)
+    if inner is None:
+        raise RunFolderError(
+            f"{path} names the file {name!a:.60}, which is not below its folder.",
+            "Keep all files of the model in one folder.",
+        )
+    try:
+        return read_bytes(path.parent / inner)
+    except OSError as error:
+        raise RunFolderError(
+            f"{path} needs {inner}, which cannot be read ({error.strerror or error}).",
+            "Keep all files of the model in one folder.",
+        ) from error
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from ..formats.files import atomic_write
 from ..model.scene import Float64
 from .arrays import Arrays, Check, Float32, extent, in_morton_order, nothing, opacities, unit_quats
 from .compressed_ply import arrays_of
-from .libraries import package, refuse_bomb
+from .libraries import NotSupportedError, package, read_beside, refuse_bomb
 
 TITLE = "SOG"
 CODES = 256  # numbers that a codebook has
@@ -252,27 +252,50 @@ def _webp(picture: Bytes) -> bytes:
 
 
 def read(path: Path) -> Arrays:
-    """See `FileFormat`."""
+    """See `FileFormat`: a .sog, or a `meta.json` with its pictures beside it."""
     gsply: Any = package("gsply", TITLE)
     package("imagecodecs", TITLE)  # gsply needs it
-    _check(path)
-    return arrays_of(gsply.sogread(path))
+    data = _packed(path)
+    _check(data)
+    return arrays_of(gsply.sogread(data))
 
 
 def is_antialiased(path: Path) -> bool:
     """Whether a file says that its Gaussians are drawn with anti-aliasing."""
-    with zipfile.ZipFile(path) as packed, packed.open(META) as file:
-        return bool(json.loads(file.read(MOST_META)).get("model") == ANTIALIASED)
+    if path.name.lower() == META:
+        meta = json.loads(path.read_bytes()[:MOST_META])
+    else:
+        with zipfile.ZipFile(path) as packed, packed.open(META) as file:
+            meta = json.loads(file.read(MOST_META))
+    return bool(meta.get("model") == ANTIALIASED)
 
 
-def _check(path: Path) -> None:
+def _packed(path: Path) -> bytes:
+    """The bytes of a .sog; of a `meta.json` those of a .sog of it and of the files it names."""
+    data = path.read_bytes()
+    if path.name.lower() != META:
+        return data
+    meta = json.loads(data[:MOST_META])
+    parts = [part for part in meta.values() if isinstance(part, dict)]
+    names = {str(name) for part in parts for name in part.get("files", [])} - {META}
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as packed:
+        packed.writestr(META, data)
+        for name in sorted(names):
+            packed.writestr(name, read_beside(path, name))
+    return out.getvalue()
+
+
+def _check(data: bytes) -> None:
     """Compare what `meta.json` promises with the pictures: gsply trusts it."""
-    with zipfile.ZipFile(path) as packed:
+    with zipfile.ZipFile(io.BytesIO(data)) as packed:
         sizes = {entry.filename: entry.file_size for entry in packed.infolist()}
         if len(sizes) < len(packed.infolist()) or sizes.get(META, 0) > MOST_META:
             raise ValueError("two entries of one name, or a meta.json of another kind")
-        refuse_bomb(path, sum(sizes.values()))
+        refuse_bomb(len(data), sum(sizes.values()))
         meta = json.loads(packed.read(META))
+        if meta.get("version", 2) != 2:
+            raise NotSupportedError(f"version {meta['version']!s:.10} of SOG")
         parts = [meta[name] for name in ("means", "scales", "quats", "sh0")]
         count = meta["count"] if "version" in meta else meta["means"]["shape"][0]
         if type(count) is not int or not 0 < count <= MOST:
@@ -280,7 +303,7 @@ def _check(path: Path) -> None:
         names = [name for part in parts for name in part["files"]]
         if "shN" in meta:
             names.append(meta["shN"]["files"][1])
-        refuse_bomb(path, 4 * count * len(names))
+        refuse_bomb(len(data), 4 * count * len(names))
         for name in names:
             if not count <= _pixels(packed, name) <= 4 * count + (1 << 16):
                 raise ValueError(f"{name} does not belong to {count} Gaussians")

@@ -1,4 +1,4 @@
-"""Niantic's SPZ, through the package gsply: version 3 (gzip) is written, 1 to 4 are read.
+"""Niantic's SPZ: version 3 (gzip) is written through the package gsply, 1 to 4 are read.
 
 Positions are fixed-point numbers with 24 bits, so their resolution follows from the model's size.
 """
@@ -8,17 +8,19 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import ConfigError
 from ..formats.drawable import FLAT
 from ..formats.files import write_bytes
-from .arrays import Arrays, Check, Float32, in_morton_order, nothing, unit_quats
-from .compressed_ply import arrays_of
-from .libraries import package, refuse_bomb, scratch
+from ..model.scene import Float64
+from .arrays import Arrays, Check, Float32, in_morton_order, logits, nothing, unit_quats
+from .libraries import NotSupportedError, package, refuse_bomb, scratch
 
 TITLE = "SPZ"
 MAGIC, GZIP = 0x5053474E, b"\x1f\x8b"
@@ -32,10 +34,20 @@ STEPS = (4 / 128, 6 / 128, 8 / 128, 10 / 128)
 """Of SH above degree 0; its own encoder has 16 / 128 above degree 1: 3 dB less than the last."""
 PART = 8.1  # the finest step is taken with which the file is at most this part of a PLY
 BLOCKS, BLOCK = 8, 4096  # of rows that tell how small the file becomes
-SH_ROWS = {0: 0, 1: 3, 2: 8, 3: 15}
+SH_ROWS = {0: 0, 1: 3, 2: 8, 3: 15, 4: 24}
+COLOUR = np.float32(0.15)  # a byte of colour is this much of the SH coefficient of degree 0
+LATEST = 4
 MOST = 50_000_000  # Gaussians
-FLAGS, ANTIALIASED = 14, 0x1
-"""Byte of the header with flags, in all versions, and the one of anti-aliased Gaussians."""
+FLAGS, ANTIALIASED, EXTENDED = 14, 0x1, 0x2
+"""Byte of the header with flags, in all versions; those of anti-aliased Gaussians, extensions."""
+COORDINATES = 0xADBE0003
+"""Type of the record SPZ_ADOBE_coordinate_system, whose payload is a number."""
+SYSTEMS = (
+    *("LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF"),
+    *("LFD", "RFD", "LFU", "RFU", "LBD", "RBD", "LBU", "RBU"),
+)
+"""Where x, y and z point, from number 1 on: left, right, down, up, back or front."""
+MOST_RECORDS = 1 << 20  # bytes of extensions
 HEAD = 1 << 16  # bytes of a file that hold its header, packed or not
 
 
@@ -45,6 +57,7 @@ def write(
     *,
     step: float | None = None,  # of SH above degree 0; None: the finest that makes a small file
     antialiased: bool = False,
+    version: int = 3,  # or 4, which fewer programs read
     check: Check = nothing,
 ) -> int:
     """See `FileFormat`. Gaussians that are far outside are left out."""
@@ -71,13 +84,15 @@ def write(
     kept = {name: values[inside] for name, values in arrays.items()}
     step = step or _finest(kept, fraction, check)
     check()
-    data = _packed(kept, fraction, step, antialiased=antialiased)
+    data = _packed(kept, fraction, step, antialiased=antialiased, version=version)
     check()
     write_bytes(path, data)
     return int(inside.sum())
 
 
-def _packed(arrays: Arrays, fraction: int, step: float, *, antialiased: bool = False) -> bytes:
+def _packed(
+    arrays: Arrays, fraction: int, step: float, *, antialiased: bool = False, version: int = 3
+) -> bytes:
     """The file of these Gaussians, with so many bits behind the point and this step of SH."""
     gsply: Any = package("gsply", TITLE)
     spz: Any = package("gsply.spz", TITLE)
@@ -93,9 +108,12 @@ def _packed(arrays: Arrays, fraction: int, step: float, *, antialiased: bool = F
     )
     with scratch(TITLE) as folder:
         made = folder / "model.spz"
-        spz.write_spz(made, data, version=3, fractional_bits=fraction)
-        whole = bytearray(gzip.decompress(made.read_bytes()))
+        spz.write_spz(made, data, version=version, fractional_bits=fraction)
+        raw = made.read_bytes()
+    whole = bytearray(raw if version == LATEST else gzip.decompress(raw))
     whole[FLAGS] |= ANTIALIASED if antialiased else 0  # gsply sets no flags
+    if version == LATEST:
+        return bytes(whole)
     # What gsply compresses with is fast, and makes files that are a tenth larger.
     return gzip.compress(whole, 6, mtime=0)
 
@@ -124,68 +142,208 @@ def _enough(log_scales: Float32) -> int:
 
 
 def read(path: Path) -> Arrays:
-    """See `FileFormat`."""
-    spz: Any = package("gsply.spz", TITLE)
-    _check(path)
-    return arrays_of(spz.read_spz(path))
+    """See `FileFormat`: as the file has them, whatever coordinate system it names."""
+    return decoded(path.read_bytes())
+
+
+def frame(path: Path) -> Float64:
+    """(3, 3) from a file's axes to right, up and back, which those of SPZ are by default."""
+    with open(path, "rb") as file:
+        if not _flags(file.read(HEAD)) & EXTENDED:
+            return np.eye(3)
+    return axes(path.read_bytes())
 
 
 def is_antialiased(path: Path) -> bool:
     """Whether a file's header says that its Gaussians are drawn with anti-aliasing."""
     with open(path, "rb") as file:
-        head = file.read(HEAD)
+        return bool(_flags(file.read(HEAD)) & ANTIALIASED)
+
+
+def _flags(head: bytes) -> int:
     if head[:2] == GZIP:
         head = zlib.decompressobj(wbits=31).decompress(head, FLAGS + 1)
-    return bool(head[FLAGS] & ANTIALIASED)
+    return head[FLAGS]
 
 
-def _check(path: Path) -> None:
-    """Compare what the header promises with what is there: gsply unpacks all of it first."""
-    raw = path.read_bytes()
-    if raw[:2] == GZIP:
-        _check_gzip(path, raw)
-        return
-    if len(raw) < 32:
-        raise ValueError("no header")
-    magic, version, count, degree, _, _, streams, table = struct.unpack_from("<IIIBBBBI", raw)
-    if magic != MAGIC or version != 4 or degree not in SH_ROWS or not 5 <= streams <= 6:
-        raise ValueError("its header is not that of SPZ")
-    if not 0 < count <= MOST or table < 32 or table + 16 * streams > len(raw):
-        raise ValueError("its header promises more than it has")
-    sizes = struct.unpack_from(f"<{2 * streams}Q", raw, table)
-    widths = (9, 1, 3, 3, 4, 3 * SH_ROWS[degree])[:streams]
-    if [count * width for width in widths] != list(sizes[1::2]):
-        raise ValueError("its parts do not belong to its Gaussians")
-    start = table + 16 * streams
-    if start + sum(sizes[::2]) > len(raw):
-        raise ValueError("it is truncated")
-    refuse_bomb(path, sum(sizes[1::2]))
-    zstd: Any = package("zstandard", "SPZ of version 4")
-    for packed, unpacked in zip(sizes[::2], sizes[1::2], strict=True):
-        # What a stream says of itself is what is allocated for it.
-        said = zstd.get_frame_parameters(raw[start : start + packed]).content_size
-        if said not in (0, unpacked, zstd.CONTENTSIZE_UNKNOWN):
-            raise ValueError("a part has another size than its header says")
-        start += packed
+def axes(raw: bytes) -> Float64:
+    """As `frame`, for the bytes of a file; the last record of a coordinate system is valid.
+
+    The records are `u32 type, u32 length, payload` (extensions/README.md of Niantic's spz); unknown
+    types are skipped, and a record that is cut off ends them, as for the format's own reader.
+    """
+    records, place, system = _parts(raw).extensions, 0, 0
+    while place + 8 <= len(records):
+        kind, length = struct.unpack_from("<II", records, place)
+        if kind == COORDINATES and length >= 4 and place + 12 <= len(records):
+            (system,) = struct.unpack_from("<I", records, place + 8)
+        place += 8 + length
+    if system > len(SYSTEMS):
+        raise NotSupportedError(f"coordinate system {system} of SPZ")
+    matrix = np.zeros((3, 3))
+    for axis, letter in enumerate(SYSTEMS[system - 1] if system else "RUB"):
+        if letter in "RUB":
+            matrix["RUB".index(letter), axis] = 1
+        else:
+            matrix["LDF".index(letter), axis] = -1
+    return matrix
 
 
-def _check_gzip(path: Path, raw: bytes) -> None:
+@dataclass(frozen=True, kw_only=True)
+class _Parts:
+    """What an SPZ unpacks to."""
+
+    version: int
+    count: int
+    degree: int  # of SH
+    fraction: int  # bits behind the point
+    sections: bytes  # positions, opacities, colours, sizes, rotations, SH
+    extensions: bytes
+
+
+def decoded(raw: bytes) -> Arrays:
+    """The Gaussians of an SPZ file's bytes, in its own axes; SH of degree 4 is cut to 3.
+
+    By the description of the format in Niantic's spz, versions 1 to 4. Any error but
+    NotSupportedError means damage.
+    """
+    parts = _parts(raw)
+    count, start = parts.count, 0
+
+    def section(width: int) -> NDArray[np.uint8]:
+        nonlocal start
+        found = np.frombuffer(parts.sections, np.uint8, count * width, start)
+        start += count * width
+        return found.reshape(count, width)
+
+    widths = _widths(parts.version, parts.degree)
+    means, alphas, colours, scales, quats, higher = (section(width) for width in widths)
+    sh = np.concatenate(
+        (
+            (colours[:, None].astype(np.float32) / 255 - 0.5) / COLOUR,
+            (higher.reshape(count, -1, 3)[:, : SH_ROWS[3]].astype(np.float32) - 128) / 128,
+        ),
+        axis=1,
+    )
+    return {
+        "means": _positions(means, parts),
+        "quats": _smallest_three(quats) if widths[4] == 4 else _imaginary(quats),
+        "log_scales": scales.astype(np.float32) / 16 - 10,
+        "logit_opacities": logits(alphas[:, 0].astype(np.float32) / 255),
+        "sh": sh.astype(np.float32),
+    }
+
+
+def _widths(version: int, degree: int) -> tuple[int, ...]:
+    """Bytes of a Gaussian in each section."""
+    return (6 if version == 1 else 9, 1, 3, 3, 3 if version < 3 else 4, 3 * SH_ROWS[degree])
+
+
+def _positions(found: NDArray[np.uint8], parts: _Parts) -> Float32:
+    """(N, 3) of half floats in version 1, of fixed-point numbers with 24 bits in others."""
+    if parts.version == 1:
+        halves: Float32 = found.view("<f2").astype(np.float32)
+        return halves
+    whole = np.zeros((parts.count, 3, 4), np.uint8)
+    whole[:, :, 1:] = found.reshape(parts.count, 3, 3)
+    values = whole.view("<i4")[:, :, 0] >> 8  # keeps the sign
+    means: Float32 = values.astype(np.float32) / np.float32(1 << parts.fraction)
+    return means
+
+
+def _imaginary(found: NDArray[np.uint8]) -> Float32:
+    """(N, 4) rotations wxyz of versions 1 and 2, which store x, y and z."""
+    xyz = found.astype(np.float32) / np.float32(127.5) - 1
+    real = np.sqrt(np.maximum(1 - np.square(xyz).sum(axis=1, keepdims=True), 0))
+    quats: Float32 = np.concatenate((real, xyz), axis=1).astype(np.float32)
+    return quats
+
+
+def _smallest_three(found: NDArray[np.uint8]) -> Float32:
+    """(N, 4) rotations wxyz of versions 3 and 4: all but the largest number, in 10 bits each."""
+    packed = found.view("<u4")[:, 0].copy()
+    largest = packed >> 30
+    xyzw = np.zeros((len(packed), 4), np.float32)
+    for axis in (3, 2, 1, 0):
+        rows = largest != axis
+        bits = packed[rows]
+        size = (bits & 511).astype(np.float32) * np.float32(np.sqrt(0.5) / 511)
+        xyzw[rows, axis] = np.where(bits >> 9 & 1, -size, size)
+        packed[rows] >>= 10
+    rest = np.sqrt(np.maximum(1 - np.square(xyzw).sum(axis=1), 0))
+    xyzw[np.arange(len(packed)), largest] = rest
+    return np.roll(xyzw, 1, axis=1)
+
+
+def _parts(raw: bytes) -> _Parts:
+    """Unpack a file, after comparing what its header promises with what is there."""
+    gzipped = raw[:2] == GZIP
     unpacker = zlib.decompressobj(wbits=31)
-    head = unpacker.decompress(raw, 16)
-    magic, version, count, degree, *_ = struct.unpack("<IIIBBBB", head)
-    if magic != MAGIC or version not in (1, 2, 3) or degree not in SH_ROWS:
+    head = unpacker.decompress(raw, 16) if gzipped else raw[:16]
+    magic, version, count, degree, fraction, flags, streams = struct.unpack("<IIIBBBB", head)
+    if magic != MAGIC or version < 1:
+        raise ValueError("its header is not that of SPZ")
+    if version > LATEST:
+        raise NotSupportedError(f"version {version} of SPZ")
+    if gzipped is (version == LATEST) or degree not in SH_ROWS or fraction > BITS:
         raise ValueError("its header is not that of SPZ")
     if not 0 < count <= MOST:
         raise ValueError(f"{count} Gaussians")
-    refuse_bomb(path, count * 16)
-    width = 16 + 3 * SH_ROWS[degree] + (4 if version == 3 else 3)
-    wanted, there = count * (width - (3 if version == 1 else 0)), 0
-    while there <= wanted and not unpacker.eof:
-        part = unpacker.decompress(unpacker.unconsumed_tail, 1 << 20)
+    sizes = [count * width for width in _widths(version, degree)]
+    refuse_bomb(len(raw), sum(sizes))
+    if gzipped:
+        sections, extensions = _gunzipped(unpacker, sum(sizes), extended=bool(flags & EXTENDED))
+    else:
+        sections, extensions = _zstd(raw, streams, sizes)
+    return _Parts(
+        version=version,
+        count=count,
+        degree=degree,
+        fraction=fraction,
+        sections=sections,
+        extensions=extensions if flags & EXTENDED else b"",
+    )
+
+
+def _gunzipped(unpacker: Any, wanted: int, *, extended: bool) -> tuple[bytes, bytes]:
+    """The sections of versions 1 to 3, of `wanted` bytes, and the extensions behind them."""
+    most = wanted + (MOST_RECORDS if extended else 0)
+    found = bytearray()
+    while len(found) <= most and not unpacker.eof:
+        part = unpacker.decompress(unpacker.unconsumed_tail, min(1 << 20, most + 1 - len(found)))
         if not part:
             break
-        there += len(part)
-    if there != wanted or not unpacker.eof:
-        raise ValueError(f"it has {there} of {wanted} bytes")
-    if unpacker.unused_data:  # gsply would unpack it too, whatever its size
+        found += part
+    if len(found) < wanted or len(found) > most or not unpacker.eof:
+        raise ValueError(f"it has {len(found)} of {wanted} bytes")
+    if unpacker.unused_data:
         raise ValueError("something follows its end")
+    return bytes(found[:wanted]), bytes(found[wanted:])
+
+
+def _zstd(raw: bytes, streams: int, sizes: list[int]) -> tuple[bytes, bytes]:
+    """The sections of version 4, each packed on its own, and the extensions before them."""
+    table = struct.unpack_from("<I", raw, 16)[0]
+    if not 5 <= streams <= 6 or table < 32 or table + 16 * streams > len(raw):
+        raise ValueError("its header promises more than it has")
+    found = struct.unpack_from(f"<{2 * streams}Q", raw, table)
+    if sizes[:streams] != list(found[1::2]) or any(sizes[streams:]):
+        raise ValueError("its parts do not belong to its Gaussians")
+    start = table + 16 * streams
+    if start + sum(found[::2]) > len(raw):
+        raise ValueError("it is truncated")
+    zstd: Any = package("zstandard", "SPZ of version 4")
+    sections = bytearray()
+    for packed, unpacked in zip(found[::2], found[1::2], strict=True):
+        part = raw[start : start + packed]
+        start += packed
+        if not unpacked:
+            continue
+        # What a stream says of itself is what is allocated for it.
+        said = zstd.get_frame_parameters(part).content_size
+        if said not in (0, unpacked, zstd.CONTENTSIZE_UNKNOWN):
+            raise ValueError("a part has another size than its header says")
+        sections += zstd.ZstdDecompressor().decompress(part, max_output_size=unpacked)
+    if len(sections) != sum(sizes):
+        raise ValueError("its parts do not belong to its Gaussians")
+    return bytes(sections), raw[32:table]

@@ -52,7 +52,7 @@ def turned_sh(sh: Tensor, linear: Float64) -> Tensor:
     `sh` is (N, K, 3) with K = 1, 4, 9 or 16; `linear` (3, 3) is invertible.
     """
     bands = sh.shape[1]
-    after = _sphere(DIRECTIONS)
+    after = sphere(DIRECTIONS)
     before: Float64 = np.linalg.solve(linear, after.T).T.astype(np.float64)
     before /= np.linalg.norm(before, axis=1, keepdims=True)
     basis, wanted = (sh_basis(torch.from_numpy(d)).numpy()[:, :bands] for d in (after, before))
@@ -60,7 +60,7 @@ def turned_sh(sh: Tensor, linear: Float64) -> Tensor:
     return torch.einsum("jk,nkc->njc", torch.from_numpy(turn.astype(np.float32)), sh)
 
 
-def _sphere(count: int) -> Float64:
+def sphere(count: int) -> Float64:
     """(count, 3) unit vectors, evenly spread: a Fibonacci lattice."""
     steps = np.arange(count) + 0.5
     z = 1 - 2 * steps / count

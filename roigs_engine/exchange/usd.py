@@ -10,8 +10,10 @@ import numpy as np
 
 from ..errors import EngineError
 from ..formats.files import write_bytes
-from .arrays import Arrays, logits, opacities, turn, unit_quats
-from .libraries import package, scratch
+from ..model.scene import Float64
+from .arrays import Arrays, Float32, joined, logits, opacities, turn, unit_quats
+from .colours import encoded, recoloured
+from .libraries import NotSupportedError, package, scratch
 from .transform import moved
 
 TITLE = "OpenUSD"
@@ -19,6 +21,10 @@ PRIM = "/Gaussians"
 ARCS = ("references", "payload", "inheritPaths", "specializes", "variantSetNames", "clips")
 """What makes OpenUSD open other files, or the same prims again and again."""
 KIND = "ParticleField3DGaussianSplat"
+SH = "radiance:sphericalHarmonicsCoefficients"
+SRGB = ("srgb_rec709_scene", "srgb_rec709_display", "identity", "raw", "unknown")
+"""Names of colour spaces of which nothing is changed: other programs write the second, too."""
+LINEAR = ("lin_rec709_scene", "lin_rec709_display", "lin_rec709")
 
 
 def _modules() -> tuple[Any, Any, Any, Any, Any]:
@@ -70,7 +76,10 @@ def write(path: Path, arrays: Arrays) -> int:
 
 
 def read(path: Path) -> Arrays:
-    """See `FileFormat`: the Gaussians of a stage with one such prim, where it has them, y up."""
+    """See `FileFormat`: all Gaussians of a stage as one model, where their prims have them.
+
+    In metres and y up, by what the stage says of both. Of an animation, the first frame.
+    """
     usd, geom, *_ = _modules()
     layer, others = _alone(path)
     stage = usd.Stage.Open(layer, usd.Stage.LoadNone)
@@ -80,27 +89,64 @@ def read(path: Path) -> Arrays:
             f"{path} has its Gaussians in other files, which are not opened.",
             "Make one file of them: usdcat --flatten IN --out OUT.",
         )
-    if len(prims) != 1:
-        raise ValueError(f"{len(prims)} prims of Gaussians, not one")
+    if not prims:
+        raise NotSupportedError(f"OpenUSD without {KIND}")
+    world = turn(str(geom.GetStageUpAxis(stage)).lower(), "y")
+    if geom.StageHasAuthoredMetersPerUnit(stage):
+        world[:3] *= geom.GetStageMetersPerUnit(stage)
+    first = usd.TimeCode.EarliestTime()
+    found = []
+    for prim in prims:
+        # OpenUSD multiplies rows with matrices.
+        place = np.array(geom.Xformable(prim).ComputeLocalToWorldTransform(first)).T
+        found.append(moved(_gaussians(prim), world @ place))
+    return joined(found)
 
-    def get(name: str) -> Any:
-        return prims[0].GetAttribute(name).Get()
 
-    means = np.array(get("positions"), np.float32)
-    bands = (int(get("radiance:sphericalHarmonicsDegree")) + 1) ** 2
-    sh = np.array(get("radiance:sphericalHarmonicsCoefficients"), np.float32)
-    quats = [(q.GetReal(), *q.GetImaginary()) for q in get("orientations")]
-    arrays = {
+def _gaussians(prim: Any) -> Arrays:
+    """A prim's, in its own frame; of float and half attributes the former, if it has both."""
+    first = package("pxr.Usd", TITLE, "usd-core").TimeCode.EarliestTime()
+
+    def numbers(name: str, width: int) -> Float32:
+        values = (prim.GetAttribute(kind).Get(first) for kind in (name, f"{name}h"))
+        found = next((value for value in values if value is not None and len(value)), None)
+        if found is None:
+            raise ValueError(f"no {name}")
+        return np.array(found, np.float32).reshape(-1, width)
+
+    means, alpha = numbers("positions", 3), numbers("opacities", 1)[:, 0]
+    return {
         "means": means,
-        "quats": np.array(quats, np.float32).reshape(-1, 4),
-        "log_scales": np.log(np.maximum(np.array(get("scales"), np.float32), 1e-30)),
-        "logit_opacities": logits(np.array(get("opacities"), np.float32)),
-        "sh": sh.reshape(len(means), bands, 3),
+        "quats": np.roll(numbers("orientations", 4), 1, axis=1),  # arrays have xyzw
+        "log_scales": np.log(np.maximum(numbers("scales", 3), 1e-30)),
+        "logit_opacities": logits(alpha),
+        "sh": _in_srgb(prim, numbers(SH, 3).reshape(len(means), -1, 3)[:, :16]),
     }
-    # OpenUSD multiplies rows with matrices.
-    place = np.array(geom.Xformable(prims[0]).ComputeLocalToWorldTransform(0.0)).T
-    up = str(geom.GetStageUpAxis(stage)).lower()
-    return moved(arrays, turn(up, "y") @ place)
+
+
+def _in_srgb(prim: Any, sh: Float32) -> Float32:
+    """SH of the colour space that the coefficients, the prim or one above names; none: of sRGB.
+
+    That is how trainers have them, though OpenUSD's own default is linear.
+    """
+    usd, gf, vt = (package(f"pxr.{name}", TITLE, "usd-core") for name in ("Usd", "Gf", "Vt"))
+    attribute = prim.GetAttribute(SH if prim.GetAttribute(SH).HasValue() else f"{SH}h")
+    cache = usd.ColorSpaceHashCache()
+    name = str(usd.ColorSpaceAPI.ComputeColorSpaceName(attribute, cache))
+    if not name or name in SRGB:
+        return sh
+    if name in LINEAR:
+        return recoloured(sh)
+    source, light = gf.ColorSpace(name), gf.ColorSpace(LINEAR[0])
+    if not gf.ColorSpace.IsValid(name) or source.IsData():
+        raise NotSupportedError(f"the colour space {name:.40}")
+
+    def to_srgb(colours: Float64) -> Float64:
+        span = vt.FloatArray.FromNumpy(colours.astype(np.float32).reshape(-1))
+        light.ConvertRGBSpan(source, span)
+        return encoded(np.array(span, np.float64).reshape(-1, 3))
+
+    return recoloured(sh, to_srgb)
 
 
 def _alone(path: Path) -> tuple[Any, bool]:

@@ -1,5 +1,7 @@
 """Gaussians in the 3DGS PLY layout that every splat viewer reads; numpy only.
 
+Written is binary little-endian; ASCII and big-endian are read, too.
+
 docs/conventions.md has the layout. Values go out and come back bit for bit. Centres far from the
 origin, as in map coordinates, are `double x y z`: float32 would be too coarse there.
 
@@ -14,6 +16,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -29,12 +32,17 @@ Float32 = NDArray[np.float32]
 Floats = NDArray[np.float32] | NDArray[np.float64]
 # What a PLY may call its scalar types, and how numpy reads them.
 SCALARS = {
-    "char": "<i1", "uchar": "<u1", "short": "<i2", "ushort": "<u2", "int": "<i4", "uint": "<u4",
-    "float": "<f4", "double": "<f8",
-    "int8": "<i1", "uint8": "<u1", "int16": "<i2", "uint16": "<u2", "int32": "<i4",
-    "uint32": "<u4", "float32": "<f4", "float64": "<f8",
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
+    "float": "f4", "double": "f8",
+    "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4",
+    "uint32": "u4", "float32": "f4", "float64": "f8",
 }  # fmt: skip
-REST_SIZES = (0, 9, 24, 45)  # numbers of `f_rest` columns for SH of degrees 0 to 3
+REST_SIZES = {3 * ((degree + 1) ** 2 - 1) for degree in range(8)}
+"""Numbers of `f_rest` columns, by degree of SH."""
+MOST_BANDS = 16  # coefficients of a colour that are kept: up to degree 3
+SH_C0 = 0.28209479177387814  # SH basis function of degree 0
+FORMS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
+"""Formats of a PLY, and the byte order of numbers read of it."""
 MAX_HEADER = 1 << 20  # bytes; some programs write all their settings into comments
 ANTIALIASED = "comment SplatRenderMode: mip"
 """Header line of Gaussians that are drawn with anti-aliasing."""
@@ -42,6 +50,12 @@ RENDER_MODE = re.compile(
     rb"^comment\s+(?:splatrendermode:\s*(mip|default)|antialiased\s+([01]))\s*$",
     re.IGNORECASE | re.MULTILINE,
 )
+UP_AXIS = re.compile(
+    rb"^comment\s+(?:vertical|up)[\s_-]*axis\s*[:=]?\s*([^\r\n]*?)\s*$",
+    re.IGNORECASE | re.MULTILINE,
+)
+"""`Vertical Axis: z` of nerfstudio, `Vertical axis: y` or `Vertical axis: X Y Z` of Brush."""
+RGB = ("red", "green", "blue")
 FILTER = "filter_3D"
 """Property of Mip-Splatting: standard deviation of the blur in space."""
 FILTER_LINE = re.compile(rb"^property\s+\S+\s+" + FILTER.encode() + rb"\s*$", re.MULTILINE)
@@ -95,14 +109,40 @@ def read_ply(path: str | Path) -> dict[str, Floats]:
     """The arrays of `write_ply`, read by property name.
 
     `means` is float64 if the file has double `x y z`; everything else is float32. Files without
-    normals and with fewer SH bands are accepted. Mip-Splatting's `filter_3D` is applied; other
-    extra properties are ignored.
+    normals and with fewer SH bands are accepted; of SH above degree 3, the lower ones are kept.
+    Colours may be bytes `red green blue`, as nerfstudio writes them with `--ply-color-mode rgb`.
+    Mip-Splatting's `filter_3D` is applied; other extra properties and elements are ignored.
 
     Raises:
-        RunFolderError: the file is missing, truncated, or not a binary little-endian PLY of
-            Gaussians; one line that says which.
+        RunFolderError: the file is missing, truncated, or not a PLY of Gaussians; one line that
+            says which.
     """
     return _decode(_table(path), path)
+
+
+def up_axis(path: str | Path) -> tuple[float, float, float] | None:
+    """The direction that points up by the comments of a PLY, compressed or not; None: not said.
+
+    RunFolderError: it cannot be read.
+    """
+    found = None
+    for said in UP_AXIS.findall(_head(path)):
+        text = said.decode("ascii", "replace").lower()
+        if match := re.fullmatch(r"([+-]?)([xyz])(?:[\s_-]*(?:up|axis))?", text):
+            found = [0.0, 0.0, 0.0]
+            found["xyz".index(match[2])] = -1.0 if match[1] == "-" else 1.0
+        elif re.fullmatch(r"[(\[]?" + r"[\s,]+".join([r"([-+.\de]+)"] * 3) + r"[)\]]?", text):
+            found = _direction(re.split(r"[\s,]+", text.strip("()[]")))
+    return None if found is None else (found[0], found[1], found[2])
+
+
+def _direction(words: list[str]) -> list[float] | None:
+    """Three numbers as a direction; None: they are none."""
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        return None
+    return numbers if 1e-6 < np.linalg.norm(numbers) < 1e6 else None  # not NaN either
 
 
 def is_antialiased(path: str | Path) -> bool:
@@ -110,15 +150,20 @@ def is_antialiased(path: str | Path) -> bool:
 
     RunFolderError: it cannot be read.
     """
-    try:
-        with open(path, "rb", opener=regular) as file:
-            head, _, _ = file.read(MAX_HEADER).partition(b"\nend_header")
-    except OSError as error:
-        raise RunFolderError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
+    head = _head(path)
     said = [mode.lower() or flag for mode, flag in RENDER_MODE.findall(head)]
     if not said:
         return FILTER_LINE.search(head) is not None
     return said[-1] in (b"mip", b"1")
+
+
+def _head(path: str | Path) -> bytes:
+    """The lines of a PLY's header."""
+    try:
+        with open(path, "rb", opener=regular) as file:
+            return file.read(MAX_HEADER).partition(b"\nend_header")[0]
+    except OSError as error:
+        raise RunFolderError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
 
 
 def check_ply(path: str | Path) -> None:
@@ -126,23 +171,97 @@ def check_ply(path: str | Path) -> None:
     _decode(_table(path, rows=0), path)
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Element:
+    """An element of a PLY's header."""
+
+    name: str
+    count: int
+    fields: dict[str, str]  # name -> type, without byte order; of a list, that of its values
+    lists: dict[str, str]  # name -> type of the length, of the fields that are lists
+
+
 def _table(path: str | Path, rows: int | None = None) -> NDArray[np.void]:
-    """The rows of the file, all or the first ones."""
+    """The rows of the vertices, all or the first ones."""
     try:
         with open(path, "rb", opener=regular) as file:
-            count, row = _read_header(file, path)
+            form, elements = _read_header(file, path)
+            order = FORMS[form]
+            vertex = elements[-1]
+            row = np.dtype([(name, order + kind) for name, kind in vertex.fields.items()])
+            count = vertex.count
+            if form == "ascii":
+                return _text_table(file, elements, count if rows is None else rows, row, path)
+            _skip(file, elements[:-1], order, path)
             # Before memory is allocated for what a header promises.
-            there = (os.fstat(file.fileno()).st_size - file.tell()) // row.itemsize
+            there = max(os.fstat(file.fileno()).st_size - file.tell(), 0) // row.itemsize
             if there < count:
-                text = f"{path} is truncated: it has {there} of {count} Gaussians."
-                raise RunFolderError(text, HINT_DAMAGED)
+                raise _truncated(path, there, count)
             return np.fromfile(file, row, count if rows is None else rows)
     except OSError as error:
         raise RunFolderError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
 
 
-def _read_header(file: BinaryIO, path: str | Path) -> tuple[int, np.dtype[np.void]]:
-    """Number and type of the rows; leaves `file` at the first row."""
+def _truncated(path: str | Path, there: int, count: int) -> RunFolderError:
+    text = f"{path} is truncated: it has {there} of {count} Gaussians."
+    return RunFolderError(text, HINT_DAMAGED)
+
+
+def _skip(file: BinaryIO, elements: list[_Element], order: str, path: str | Path) -> None:
+    """Move `file` behind binary elements that come before the vertices."""
+    size = os.fstat(file.fileno()).st_size
+    for element in elements:
+        kinds = {name: np.dtype(order + kind) for name, kind in element.fields.items()}
+        if not element.lists:
+            file.seek(element.count * sum(kind.itemsize for kind in kinds.values()), os.SEEK_CUR)
+            continue
+        for _ in range(element.count):
+            for name, kind in kinds.items():
+                length = 1
+                if name in element.lists:
+                    said = np.dtype(order + element.lists[name])
+                    read = file.read(said.itemsize)
+                    length = int(np.frombuffer(read, said)[0]) if len(read) == said.itemsize else -1
+                if length < 0 or file.tell() >= size:
+                    text = f"{path} is truncated: its element {element.name:.40} is cut off."
+                    raise RunFolderError(text, HINT_DAMAGED)
+                file.seek(length * kind.itemsize, os.SEEK_CUR)
+
+
+def _text_table(
+    file: BinaryIO, elements: list[_Element], rows: int, row: np.dtype[np.void], path: str | Path
+) -> NDArray[np.void]:
+    """The first rows of the vertices of an ASCII PLY, each in a line of its own."""
+    # As short as a line can be: a digit and a space or line break for each number.
+    most = (os.fstat(file.fileno()).st_size - file.tell() + 1) // (2 * len(row.names or ()))
+    if most < elements[-1].count:
+        raise _truncated(path, most, elements[-1].count)
+    for _ in range(sum(element.count for element in elements[:-1])):
+        if not file.readline():
+            raise _truncated(path, 0, elements[-1].count)
+    names = row.names or ()
+    if not rows:
+        return np.zeros(0, row)
+    lines = (line for line in file if line.strip())
+    try:
+        numbers = np.loadtxt(lines, np.float64, comments=None, max_rows=rows, ndmin=2)
+    except ValueError as error:
+        text = f"{path} is damaged: a line of its Gaussians has other than {len(names)} numbers."
+        raise RunFolderError(text, HINT_DAMAGED) from error
+    if len(numbers) < rows:
+        raise _truncated(path, len(numbers), elements[-1].count)
+    if numbers.shape[1] != len(names):
+        text = f"{path} is damaged: its Gaussians have {numbers.shape[1]} of {len(names)} numbers."
+        raise RunFolderError(text, HINT_DAMAGED)
+    table = np.empty(len(numbers), row)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for index, name in enumerate(names):
+            table[name] = numbers[:, index]
+    return table
+
+
+def _read_header(file: BinaryIO, path: str | Path) -> tuple[str, list[_Element]]:
+    """Format and elements up to the vertices, which are last; `file` is left at the first row."""
     head = file.read(MAX_HEADER)
     end = re.search(rb"\nend_header\r?\n", head)
     if not re.match(rb"ply\r?\n", head) or (end is None and len(head) < MAX_HEADER):
@@ -151,33 +270,43 @@ def _read_header(file: BinaryIO, path: str | Path) -> tuple[int, np.dtype[np.voi
         text = f"{path}: the header of this PLY is longer than {MAX_HEADER >> 20} MB."
         raise RunFolderError(text, "Write it again with shorter comments.")
     file.seek(end.end())
-    count, element, form = -1, "", ""
-    fields: dict[str, str] = {}
+    elements: list[_Element] = []
+    form = ""
     for line in head[: end.start()].decode("ascii", "replace").splitlines()[1:]:
         match line.split():
             case ["format", form, *_]:
                 pass
             case ["element", "chunk", *_]:
                 raise RunFolderError(f"{path} is a compressed PLY.", "Save it uncompressed.")
-            case ["element", element, number]:
-                if (element == "vertex") == (count >= 0):
-                    raise RunFolderError(f"{path}: one vertex element must come first.", HINT)
-                if element == "vertex":
-                    if not re.fullmatch("[0-9]{1,18}", number):
-                        text = f"{path}: '{number:.20}' is not a number of vertices."
-                        raise RunFolderError(text, HINT)
-                    count = int(number)
-            case ["property", *words] if element == "vertex":
-                if len(words) != 2 or words[0] not in SCALARS or words[1] in fields:
-                    raise RunFolderError(f"{path}: cannot read '{line.strip():.60}'.", HINT)
-                fields[words[1]] = SCALARS[words[0]]
-    if form != "binary_little_endian":
-        raise RunFolderError(
-            f"{path} is a PLY in the format '{form:.60}'.", "Save it as binary little-endian."
-        )
-    if count < 0 or not fields:
+            case ["element", name, number]:
+                if not re.fullmatch("[0-9]{1,18}", number):
+                    text = f"{path}: '{number:.20}' is not a number of vertices."
+                    raise RunFolderError(text, HINT)
+                elements.append(_Element(name=name, count=int(number), fields={}, lists={}))
+            case ["property", *words] if elements:
+                _add_property(elements[-1], words, line, path)
+    place = [k for k, element in enumerate(elements) if element.name == "vertex"]
+    if form not in FORMS:
+        raise RunFolderError(f"{path} is a PLY in the unknown format '{form:.60}'.", HINT)
+    if not place or not elements[place[0]].fields:
         raise RunFolderError(f"{path} has no vertex element.", HINT)
-    return count, np.dtype(list(fields.items()))
+    if len(place) > 1:
+        raise RunFolderError(f"{path} has {len(place)} vertex elements, not one.", HINT)
+    return form, elements[: place[0] + 1]
+
+
+def _add_property(element: _Element, words: list[str], line: str, path: str | Path) -> None:
+    """Add a line of the header to its element; lists can only be in elements that are skipped."""
+    match words:
+        case [kind, name] if kind in SCALARS and name not in element.fields:
+            element.fields[name] = SCALARS[kind]
+        case ["list", length, kind, name] if (
+            element.name != "vertex" and {length, kind} <= SCALARS.keys()
+        ):
+            element.fields[name] = SCALARS[kind]
+            element.lists[name] = SCALARS[length]
+        case _:
+            raise RunFolderError(f"{path}: cannot read '{line.strip():.60}'.", HINT)
 
 
 def _decode(table: NDArray[np.void], path: str | Path) -> dict[str, Floats]:
@@ -185,7 +314,10 @@ def _decode(table: NDArray[np.void], path: str | Path) -> dict[str, Floats]:
     rest = sum(name.startswith("f_rest_") for name in names)
     if rest not in REST_SIZES:
         raise RunFolderError(f"{path} is not a Gaussian PLY ({rest} properties f_rest).", HINT)
+    base = [f"f_dc_{c}" for c in range(3)]
+    painted = base[0] not in names and set(RGB) <= set(names) and not rest
     missing = [n for n in _columns(rest) if n not in names and not n.startswith("n")]
+    missing = [name for name in missing if not (painted and name in base)]
     if missing:
         raise RunFolderError(f"{path} is not a Gaussian PLY (no property {missing[0]}).", HINT)
     # One gather of a plain matrix is several times faster than one pass per column.
@@ -198,23 +330,32 @@ def _decode(table: NDArray[np.void], path: str | Path) -> dict[str, Floats]:
         return np.stack([table[name].astype(np.float32) for name in wanted], axis=1)
 
     # The file holds all of red, then green, then blue; here a coefficient's colours lie together.
-    sh = [f"f_dc_{c}" for c in range(3)]
-    sh += [f"f_rest_{c * (rest // 3) + k}" for k in range(rest // 3) for c in range(3)]
+    bands = min(1 + rest // 3, MOST_BANDS)
+    sh = base + [f"f_rest_{c * (rest // 3) + k}" for k in range(bands - 1) for c in range(3)]
     means: Floats = columns(["x", "y", "z"])
-    if any(table.dtype[name] == np.dtype("<f8") for name in "xyz"):
+    if any(table.dtype[name].itemsize == 8 for name in "xyz"):
         means = np.stack([table[name].astype(np.float64) for name in "xyz"], axis=1)
     log_scales = columns([f"scale_{k}" for k in range(3)])
     logit_opacities = columns(["opacity"])[:, 0]
     if FILTER in names:
         blur = columns([FILTER])[:, 0]
         log_scales, logit_opacities = _blurred(log_scales, logit_opacities, blur)
+    colours = _of_rgb(table) if painted else columns(sh)
     return {
         "means": means,
         "quats": columns([f"rot_{k}" for k in range(4)]),
         "log_scales": log_scales,
         "logit_opacities": logit_opacities,
-        "sh": columns(sh).reshape(len(table), 1 + rest // 3, 3),
+        "sh": colours.reshape(len(table), bands, 3),
     }
+
+
+def _of_rgb(table: NDArray[np.void]) -> Float32:
+    """(N, 3) SH coefficients of degree 0 of colours that are bytes, or numbers from 0 to 1."""
+    found = [table[name] for name in RGB]
+    shares = [c.astype(np.float32) / (1 if c.dtype.kind == "f" else 255) for c in found]
+    colours: Float32 = ((np.stack(shares, axis=1) - 0.5) / SH_C0).astype(np.float32)
+    return colours
 
 
 def _blurred(

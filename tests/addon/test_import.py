@@ -73,11 +73,13 @@ def test_every_format_stands_upright(
 
 
 def test_every_readable_format_can_be_chosen(addon: ModuleType) -> None:
-    from roigs_addon.jobs.import_gaussians_job import ENDINGS
+    from roigs_addon.jobs.import_gaussians_job import ENDINGS, ONLY_IMPORTED
     from roigs_addon.operators.import_gaussians import GaussiansHandler
 
     assert set(ENDINGS) == {form.suffix for form in formats.FORMATS if form.reads}
-    assert set(GaussiansHandler.bl_file_extensions.split(";")) == set(ENDINGS) - {".compressed.ply"}
+    assert set(ONLY_IMPORTED) == {form.suffix for form in formats.READ_ONLY}
+    dropped = {*ENDINGS, *ONLY_IMPORTED} - {".compressed.ply", "meta.json"}
+    assert set(GaussiansHandler.bl_file_extensions.split(";")) == dropped
 
 
 def test_out_and_in_again_is_the_same(blender: ModuleType, engine, ply: Path, tmp_path) -> None:

@@ -70,31 +70,35 @@ def test_sizes_as_plain_integers(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, values["log_scales"], atol=1e-5)
 
 
-def sparse(record: Any) -> None:
-    record["accessors"][0]["sparse"] = {"count": 1}
-
-
 def packed(record: Any) -> None:
     record["bufferViews"][0]["extensions"] = {"EXT_meshopt_compression": {"buffer": 0}}
 
 
 def compressed(record: Any) -> None:
-    inner = {f"{NAME}_compression_spz_2": {"bufferView": 0}}
+    inner = {f"{NAME}_compression_sog": {"bufferView": 0}}
     record["meshes"][0]["primitives"][0]["extensions"][NAME]["extensions"] = inner
 
 
-def elsewhere(record: Any) -> None:
-    record["buffers"].append({"uri": "other.bin", "byteLength": 9})
-    record["bufferViews"][0]["buffer"] = 1
+def in_other_colours(record: Any) -> None:
+    record["meshes"][0]["primitives"][0]["extensions"][NAME]["colorSpace"] = "lin_p3d65_display"
+
+
+def instanced(record: Any) -> None:
+    record["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {}}
+
+
+def of_triangles(record: Any) -> None:
+    del record["meshes"][0]["primitives"][0]["extensions"]
 
 
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        (sparse, "sparse"),
-        (packed, "packed by EXT_meshopt_compression"),
-        (compressed, "packed by KHR_gaussian_splatting_compression_spz_2"),
-        (elsewhere, "in another file"),
+        (packed, "EXT_meshopt_compression is not supported"),
+        (compressed, f"{NAME}_compression_sog is not supported"),
+        (in_other_colours, "colour space lin_p3d65_display is not supported"),
+        (instanced, "EXT_mesh_gpu_instancing is not supported"),
+        (of_triangles, f"glTF without {NAME} is not supported"),
     ],
 )
 def test_what_is_not_read_is_said(change: Any, why: str, glb: Path) -> None:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roigs_engine.errors import RunFolderError
-from roigs_engine.formats.splat_ply import is_antialiased, read_ply, write_ply
+from roigs_engine.formats.splat_ply import is_antialiased, read_ply, up_axis, write_ply
 from roigs_engine.model.gaussians import NAMES, Gaussians
 from tests.engine.formats.gaussian_arrays import arrays
 
@@ -132,10 +132,69 @@ def test_truncated_file_is_refused(tmp_path: Path) -> None:
     assert "6 of 7" in refused(path)
 
 
-@pytest.mark.parametrize("form", ["ascii", "binary_big_endian"])
-def test_other_formats_are_refused(tmp_path: Path, form: str) -> None:
-    write_foreign(tmp_path / "m.ply", columns(arrays()), form)
-    assert form in refused(tmp_path / "m.ply")
+@pytest.mark.parametrize("name", ["camera", "zz"])
+@pytest.mark.parametrize("form", ["binary_little_endian", "binary_big_endian", "ascii"])
+def test_forms_orders_and_elements_of_other_programs(tmp_path: Path, form: str, name: str) -> None:
+    """Columns in any order, with others, doubles and lists before and behind the vertices."""
+    model, path = arrays(), tmp_path / "m.ply"
+    values = dict(sorted(columns(model).items(), reverse=True)) | {name: np.arange(7)}
+    order = ">" if form == "binary_big_endian" else "<"
+    kinds = {"opacity": ("double", f"{order}f8"), name: ("uchar", "u1")}
+    kinds |= {key: ("float", f"{order}f4") for key in values if key not in kinds}
+    write_foreign(path, values, form, kinds)
+    head, rows = path.read_bytes().split(b"end_header\n", 1)
+    before = b"element ground 2\nproperty list uchar short k\nproperty uchar c\nelement e 1\n"
+    before += b"property double d\nelement vertex"
+    behind = b"element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    first = b"\x02" + bytes(4) + b"\x07" + b"\x00\x08" + bytes(8)
+    if form == "ascii":
+        table = np.frombuffer(rows, [(key, kinds[key][1]) for key in values])
+        rows = "".join(" ".join(f"{v!r}" for v in row.item()) + " \n" for row in table).encode()
+        first = b"2 0 0 7\n0 8\n0.5\n"
+    path.write_bytes(head.replace(b"element vertex", before) + behind + first + rows)
+    assert_same(model, read_ply(path))
+
+
+@pytest.mark.parametrize(("degree", "kept"), [(0, 1), (1, 4), (2, 9), (3, 16), (4, 16), (5, 16)])
+def test_degrees_above_3_are_cut(tmp_path: Path, degree: int, kept: int) -> None:
+    bands = (degree + 1) ** 2
+    sh = np.random.default_rng(0).normal(size=(7, bands, 3)).astype(np.float32)
+    write_foreign(tmp_path / "m.ply", columns(arrays() | {"sh": sh}))
+    np.testing.assert_array_equal(read_ply(tmp_path / "m.ply")["sh"], sh[:, :kept])
+
+
+def test_colours_as_bytes(tmp_path: Path) -> None:
+    """nerfstudio's `--ply-color-mode rgb`."""
+    values = {k: v for k, v in columns(arrays()).items() if not k.startswith("f_")}
+    values |= {"red": np.arange(7), "green": np.full(7, 255), "blue": np.full(7, 51)}
+    kinds = dict.fromkeys(("red", "green", "blue"), ("uchar", "u1"))
+    write_foreign(tmp_path / "m.ply", values, kinds=kinds)
+    found = 0.5 + 0.28209479 * read_ply(tmp_path / "m.ply")["sh"][:, 0]
+    wanted = np.stack((np.arange(7) / 255, np.ones(7), np.full(7, 0.2)), axis=1)
+    np.testing.assert_allclose(found, wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("comment", "axis"),
+    [
+        ("Vertical Axis: z", (0, 0, 1)),  # nerfstudio
+        ("Vertical axis: y", (0, 1, 0)),  # Brush until June 2026
+        ("Vertical axis: 0.1 -0.9 0", (0.1, -0.9, 0)),  # Brush since
+        ("vertical axis:  -Y ", (0, -1, 0)),
+        ("up_axis = z-up", (0, 0, 1)),
+        ("Up Axis: [0, 0, 1]", (0, 0, 1)),
+        ("Vertical axis: 0 0 0", None),
+        ("Vertical axis: nan 0 1", None),
+        ("Vertical axis: . . .", None),
+        ("Vertical axis: up", None),
+        ("The vertical axis: z", None),
+    ],
+)
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_the_axis_that_points_up(tmp_path: Path, comment: str, axis: object, end: str) -> None:
+    lines = ["ply", f"comment {comment}", "element vertex 0", "end_header", ""]
+    (tmp_path / "m.ply").write_bytes(end.join(lines).encode())
+    assert up_axis(tmp_path / "m.ply") == axis
 
 
 @pytest.mark.parametrize(
