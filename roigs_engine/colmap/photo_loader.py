@@ -190,9 +190,11 @@ class PhotoLoader:
             if content.whole is False:
                 self._skip(key, UNREADABLE)
                 continue
-            digest = content.digest
+            digest = content.digest + content.colours  # what decides the pixels
             if key in self._plans:
-                self._plans[key] = replace(self._plans[key], digest=digest)
+                self._plans[key] = replace(
+                    self._plans[key], digest=content.digest, colours=content.colours
+                )
                 digest = self._plans[key].key()
             elif image.turn != AS_STORED:
                 digest = f"{digest}-{image.turn}"

@@ -63,6 +63,7 @@ class UndistortionPlan:
         source, target: the distorted camera, and its pinhole.
         digest: hash of the file; known before the photo is undistorted.
         turn: see `PosedImage`; `size` is that after it.
+        colours: what is done about its colour space (`photos.contents`).
     """
 
     photo: Path
@@ -71,12 +72,13 @@ class UndistortionPlan:
     target: Camera
     digest: str = ""
     turn: int = AS_STORED
+    colours: str = ""
 
     def key(self) -> str:
         """Hash of everything that decides the undistorted photo's pixels."""
         size = (self.target.width, self.target.height)
         turn = () if self.turn == AS_STORED else (self.turn,)
-        text = repr((CACHE_VERSION, self.digest, self.source, size, *turn))
+        text = repr((CACHE_VERSION, self.digest, self.source, size, *turn)) + self.colours
         return hashlib.sha256(text.encode("ascii")).hexdigest()[:32]
 
     def memory(self) -> int:

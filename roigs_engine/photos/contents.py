@@ -1,4 +1,4 @@
-"""Contents of the photos' files: a hash of each, whether it is complete, nearly black or white.
+"""Contents of the photos' files: a hash of each, whether it is complete, its colours.
 
 All are remembered in a small file with the size and times of the photo's file. So a photo is read
 for them only once, and again when its file has changed.
@@ -21,9 +21,10 @@ from .headers import PhotoError, content_digest, photo_size
 from .parallel import decoding_bytes, in_parallel
 
 FILE = "photos.json"
-VERSION = 2  # increase it if what is found of a photo changes
+VERSION = 3  # increase it if what is found of a photo changes
 STAGE = "photos"
 CHECKSUM = "checksum"  # key of the file
+CONVERTED, DAMAGED = "converted", "damaged profile"  # of a content's `colours`
 WRITE_SECONDS = 60.0
 
 
@@ -36,6 +37,7 @@ class Content:
     changed: int
     digest: str = ""  # hash of its bytes, 32 hexadecimal digits; empty: they cannot be read
     whole: bool | None = None  # whether the photo can be decoded and is complete; None: not known
+    colours: str = ""  # what is done about its colour space, see `colours`; empty: it is sRGB
     tone: str = ""  # "black" or "white": nearly that, though it has more than 8 bits a channel
 
 
@@ -77,6 +79,7 @@ def read_contents(
         if missing and check:
             _remember(memory, found)
     if check:
+        _tell_of_colours(found, context)
         _warn_of_tones(found, context)
     return found
 
@@ -85,7 +88,7 @@ def _is_current(known: Content | None, path: Path, check: bool) -> bool:
     """Whether enough is known of a file that is still the same."""
     if known is not None and not (check and known.whole is None):
         with suppress(OSError):
-            return _stamp(path) == replace(known, digest="", whole=None, tone="")
+            return _stamp(path) == replace(known, digest="", whole=None, colours="", tone="")
     return False
 
 
@@ -106,7 +109,8 @@ def _stamp(path: Path) -> Content:
 
 def _read(path: Path, check: bool, context: Context) -> Content:
     """Hash the file, and decode the photo if `check`."""
-    from .decode import check_whole  # needs Pillow, which reading cameras does not
+    from .colours import colours_in_words  # needs Pillow, which reading cameras does not
+    from .decode import check_whole
 
     context.check_cancelled()
     try:
@@ -114,7 +118,7 @@ def _read(path: Path, check: bool, context: Context) -> Content:
         digest = content_digest(path)
     except OSError:
         return UNREAD
-    content = replace(stamp, digest=digest)
+    content = replace(stamp, digest=digest, colours=colours_in_words(path))
     if not check:
         return content
     try:
@@ -124,6 +128,26 @@ def _read(path: Path, check: bool, context: Context) -> Content:
         passing = getattr(error.__cause__, "errno", None) is not None
         return UNREAD if passing else replace(content, whole=False)
     return replace(content, whole=True, tone=tone)
+
+
+def _tell_of_colours(found: Mapping[str, Content], context: Context) -> None:
+    """Say how many photos are not in sRGB, and name those whose profile cannot be used."""
+    names = {
+        colours: sorted(
+            n for n, content in found.items() if content.whole and content.colours == colours
+        )
+        for colours in (CONVERTED, DAMAGED)
+    }
+    if names[CONVERTED]:
+        context.info(
+            f"{counted(len(names[CONVERTED]), 'photo')} in another colour space than sRGB:"
+            " converted; colours outside sRGB are clipped."
+        )
+    if names[DAMAGED]:
+        context.warn(
+            f"{counted(len(names[DAMAGED]), 'photo')} with a colour profile that cannot be used,"
+            f" read as sRGB: {named(names[DAMAGED])}. Save the profile again, or remove it."
+        )
 
 
 def _warn_of_tones(found: Mapping[str, Content], context: Context) -> None:

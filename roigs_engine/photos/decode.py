@@ -1,6 +1,7 @@
-"""Decoding of photos to uint8 arrays at their camera's size, and detection of damaged files.
+"""Decoding of photos to uint8 sRGB arrays at their camera's size, and detection of damaged files.
 
-Orientation tags are ignored, as in COLMAP: pixels keep the file's order, unless a `turn` is given.
+All photos are decoded here, so that all are converted to sRGB (`colours`). Orientation tags are
+ignored, as in COLMAP: pixels keep the file's order, unless a `turn` is given.
 
 To find damage, a photo is decoded once, at a reduced size where that is cheaper. Pillow reports
 files that break off, bytes that are no image data, and damaged PNG data. It says nothing when the
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..model.scene import PosedImage
+from .colours import Colours, colours_of, to_srgb
 from .headers import PhotoError, check_unchanged, jpeg_segments, open_photo
 from .rotation import AS_STORED, turned, turned_size
 
@@ -54,12 +56,14 @@ def decode(path: Path, size: tuple[int, int] | None = None, turn: int = AS_STORE
             photo.draft("RGB", (round(size[0] * GAP), round(size[1] * GAP)))
         # Draft mode reduces a JPEG by 1, 2, 4 or 8.
         shrink = next((n for n in (1, 2, 4, 8) if -(-full[0] // n) == photo.width), 1)
-        rgb = to_rgb(photo)
-    if size is not None and rgb.size != size:
+        colours = colours_of(photo)
+        pixels = _decoded(photo, colours)
+    if size is not None and pixels.size != size:
         # The last column and row of a draft may extend past the photo: exclude that part.
         box = (0.0, 0.0, full[0] / shrink, full[1] / shrink)
-        rgb = rgb.resize(size, Image.Resampling.LANCZOS, box=box)
-    return np.array(rgb, dtype=np.uint8)
+        pixels = pixels.resize(size, Image.Resampling.LANCZOS, box=box)
+    # Last, because it takes several times as long as decoding.
+    return np.array(to_srgb(pixels, colours), dtype=np.uint8)
 
 
 def load_photo(image: PosedImage) -> Pixels:
@@ -89,7 +93,7 @@ def averaged(pixels: Pixels, n: int) -> Pixels:
 
 def _load(image: PosedImage, size: tuple[int, int]) -> Pixels:
     if image.remake is None:  # else the engine made the file
-        check_unchanged(image.path, image.file_digest or image.digest)
+        check_unchanged(image.path, image.file_digest)
     try:
         return decode(image.path, size, image.turn)
     except PhotoError:
@@ -100,19 +104,28 @@ def _load(image: PosedImage, size: tuple[int, int]) -> Pixels:
 
 
 def to_rgb(photo: Image.Image) -> Image.Image:
-    """The photo, decoded, as 8-bit RGB; on damaged files Pillow raises many kinds of errors."""
+    """The photo, decoded, as 8-bit sRGB; on damaged files Pillow raises many kinds of errors."""
+    colours = colours_of(photo)
+    return to_srgb(_decoded(photo, colours), colours)
+
+
+def _decoded(photo: Image.Image, colours: Colours) -> Image.Image:
+    """The photo in 8 bits: RGB, or the mode that `to_srgb` converts from the photo's profile."""
     if photo.mode == "F":
         values = np.nan_to_num(np.array(photo), copy=False)  # one copy of a large photo
         np.multiply(values.clip(0, 1, out=values), 255, out=values)
-        return Image.fromarray(values.round(out=values).astype(np.uint8)).convert("RGB")
-    if photo.mode == "I" or photo.mode.startswith("I;16"):  # "I" also holds 16 bits
-        return Image.fromarray(_grey(photo)).convert("RGB")
-    if photo.mode in ("P", "PA"):
-        return photo.convert("RGBA").convert("RGB")
-    if photo.mode == "RGB":  # no second copy of a large photo
-        photo.load()
-        return photo
-    return photo.convert("RGB")
+        pixels = Image.fromarray(values.round(out=values).astype(np.uint8))
+    elif photo.mode.startswith("I"):  # "I" also holds 16 bits
+        pixels = Image.fromarray(_grey(photo))
+    elif photo.mode in ("P", "PA"):
+        pixels = photo.convert("RGBA")
+    else:
+        photo.load()  # no second copy of a large photo
+        pixels = photo
+    modes = ("L", "RGB", "CMYK", "LAB") if colours.profile else ("RGB",)
+    if pixels.mode in modes:
+        return pixels
+    return pixels.convert("L" if colours.profile and pixels.mode in ("1", "LA") else "RGB")
 
 
 def _grey(photo: Image.Image) -> Pixels:

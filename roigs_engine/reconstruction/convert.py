@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from io import BytesIO
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..context import Context
 from ..errors import EngineError, SceneError
 from ..formats.files import atomic_write, own_folder, read_record, write_json
 from ..formats.text import counted
+from ..photos.colours import colours_of, say_srgb
 from ..photos.decode import check_whole, to_rgb
 from ..photos.files import HEIC
 from ..photos.headers import PhotoError, content_digest, open_photo
 from ..photos.parallel import in_parallel
 from .folder import IMAGES, Folder
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 STAGE = "convert photos"
 FOREIGN = {*HEIC, ".webp", ".jp2"}  # pycolmap's wheels cannot read them
@@ -23,6 +28,7 @@ QUALITY = 95
 ORIENTATION = 0x0112  # EXIF tag
 BYTES = 20 * 50_000_000  # that converting a large photo takes
 RECORD = "converted.json"
+SRGB = " sRGB"  # behind the digest of a photo whose colours were converted, too
 
 
 def converted(files: Mapping[str, Path], folder: Folder, context: Context) -> dict[str, Path]:
@@ -44,7 +50,7 @@ def converted(files: Mapping[str, Path], folder: Folder, context: Context) -> di
         _register(len(heic))
     names = {name: f"{name}.jpg" for name in foreign}
     found = {name: path for name, path in files.items() if name not in {*foreign, *names.values()}}
-    made = read_record(folder.work(RECORD))  # name -> digest
+    made = read_record(folder.work(RECORD))  # name -> digest, and SRGB or nothing
 
     def convert(name: str) -> str:
         target = own_folder(folder.root, IMAGES) / names[name]
@@ -60,6 +66,11 @@ def converted(files: Mapping[str, Path], folder: Folder, context: Context) -> di
                 found[key] = folder.images / names[name] if good else files[name]
     finally:
         write_json(folder.work(RECORD), made)
+    changed = sum(str(made.get(name, "")).endswith(SRGB) for name in foreign)
+    if changed:
+        context.info(
+            f"{counted(changed, 'photo')} became JPEG in sRGB; colours outside sRGB are clipped."
+        )
     return dict(sorted(found.items()))
 
 
@@ -76,7 +87,7 @@ def _register(photos: int) -> None:
 
 
 def _convert(source: Path, target: Path, known: str) -> str:
-    """Write a photo as JPEG unless that is done; returns the digest of its file.
+    """Write a photo as JPEG unless that is done; returns what is recorded of its file.
 
     Raises:
         PhotoError: it cannot be read.
@@ -86,34 +97,43 @@ def _convert(source: Path, target: Path, known: str) -> str:
         digest = content_digest(source)
     except OSError as error:
         raise PhotoError(f"Cannot read photo {source} ({error.strerror or error}).") from error
-    if target.exists() and digest == known:
-        return digest
     try:
+        with _opened(source) as photo:
+            record = digest + (SRGB if colours_of(photo).profile else "")
+        if target.exists() and known == record:
+            return record
         data = _as_jpeg(source)
     except PhotoError:
         raise
     except Exception as error:  # Pillow's readers raise nearly anything on damaged files
         raise PhotoError(f"Cannot read photo {source} ({error}).") from error
-    if not target.exists():
+    if not target.exists() or known.removesuffix(SRGB) == digest:
         with atomic_write(target, durable=False) as file:
             file.write(data)
     elif target.read_bytes() != data:
         raise SceneError(
             f"{target} is another photo than {source}.", "Remove it, or give another --out."
         )
-    return digest
+    return record
 
 
 def _as_jpeg(source: Path) -> bytes:
-    """The photo as a JPEG file; raises nearly anything on damaged files."""
-    from PIL import Image
-
+    """The photo as a JPEG file in sRGB; raises nearly anything on damaged files."""
     heic, file = source.suffix.lower() in HEIC, BytesIO()
     if not heic:
         check_whole(source)
-    with Image.open(source, formats=("HEIF",)) if heic else open_photo(source) as photo:
+    with _opened(source) as photo:
         exif = photo.getexif()
         if heic:
             exif.pop(ORIENTATION, None)  # it is turned as it is read
+        if colours_of(photo).profile:
+            say_srgb(exif)
         to_rgb(photo).save(file, format="JPEG", quality=QUALITY, subsampling=0, exif=exif)
     return file.getvalue()
+
+
+def _opened(source: Path) -> AbstractContextManager[Image]:
+    from PIL import Image
+
+    heic = source.suffix.lower() in HEIC
+    return Image.open(source, formats=("HEIF",)) if heic else open_photo(source)

@@ -198,7 +198,7 @@ def test_a_photo_that_changes_while_it_is_used_is_refused(photos: dict[str, Path
         camera=camera,
         world_to_camera=np.eye(4),
         point_indices=np.zeros(0, np.int64),
-        digest=read_contents(photos)["0.png"].digest,
+        file_digest=read_contents(photos)["0.png"].digest,
     )
     assert load_photo(image).shape == (30, 40, 3)
     Image.effect_noise((40, 30), 90).save(image.path)

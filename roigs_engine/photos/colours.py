@@ -1,0 +1,242 @@
+"""Colour spaces of photos' files, and conversion to sRGB.
+
+A file's colour space is that of the first of these that it has:
+
+- the ICC profile of a JPEG, PNG, TIFF, WebP, HEIC, JPEG 2000 or BMP;
+- in a PNG, by its specification (third edition, 4.3): cICP, iCCP, sRGB, cHRM with gAMA;
+- the code points of a HEIC (nclx, ITU-T H.273);
+- Adobe RGB, if the EXIF data say so as cameras do (DCF 2.0: interoperability index R03).
+
+Colours are converted relative to white, with black-point compensation: those that sRGB has stay
+exact. Perceptual conversion would change them too, by tables that each profile has of its own. What
+lies outside sRGB is clipped. A profile that differs from sRGB by no more than rounding changes
+nothing.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from PIL import Image, ImageCms
+
+from .contents import CONVERTED, DAMAGED
+from .headers import PNG, open_photo
+from .profiles import ADOBE_GAMMA, ADOBE_RGB, SRGB, cicp_profile, gamma_profile
+
+
+# Of EXIF: the table of the photo's tags, its colour space, the table of interoperability, its index
+EXIF_IFD, COLOUR_SPACE, INTEROPERABILITY_IFD, INDEX = 0x8769, 0xA001, 0xA005, 1
+SAYS_SRGB, SAYS_ADOBE = 1, 2
+GAMMA, GAMMA_TOLERANCE = 1 / 2.2, 0.05  # of a PNG in sRGB, as libpng decides
+ROUNDING = 2  # of 255: sRGB's profiles differ by that
+LATTICE = 17  # values of each channel for which a profile is compared with sRGB
+BLACK_POINT: Any = 0x2000  # LittleCMS's flag, which has no name in Pillow 10.1
+MODES = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK", "Lab ": "LAB"}
+
+
+class ProfileError(ValueError):
+    """A profile is damaged, or of another kind than the photo."""
+
+
+@dataclass(frozen=True)
+class Colours:
+    """A photo's colour space: its profile (empty: sRGB), and whether it has one that is damaged."""
+
+    profile: bytes = b""
+    damaged: bool = False
+
+    def __str__(self) -> str:
+        return DAMAGED if self.damaged else CONVERTED if self.profile else ""
+
+
+def colours_of(photo: Image.Image) -> Colours:
+    """The colour space of an opened photo, before it is decoded."""
+    try:
+        profile = _profile(photo)
+        if profile and _transform(profile, _kind(photo)) is None:
+            return Colours()
+        return Colours(profile=profile)
+    except (ProfileError, ValueError, struct.error, OSError):
+        return Colours(damaged=True)
+
+
+def colours_in_words(path: Path) -> str:
+    """CONVERTED, DAMAGED or "" (sRGB) of a photo's file; "" also if it cannot be opened."""
+    with suppress(Exception), open_photo(path) as photo:  # the photo is reported by others
+        return str(colours_of(photo))
+    return ""
+
+
+def to_srgb(pixels: Image.Image, colours: Colours) -> Image.Image:
+    """Decoded pixels (L, RGB, CMYK or LAB) of a photo as RGB."""
+    if not colours.profile:
+        return pixels if pixels.mode == "RGB" else pixels.convert("RGB")
+    transform = _transform(colours.profile, pixels.mode)
+    assert transform is not None
+    if pixels.mode != transform.input_mode:
+        pixels = pixels.convert(transform.input_mode)
+    converted = transform.apply(pixels)
+    converted.info = {}  # with a profile of what it was
+    return converted
+
+
+def say_srgb(exif: Image.Exif) -> None:
+    """Change EXIF data of a photo to those of one in sRGB."""
+    exif.get_ifd(EXIF_IFD)[COLOUR_SPACE] = SAYS_SRGB
+
+
+def _kind(photo: Image.Image) -> str:
+    """The mode in which a photo's pixels are converted."""
+    if photo.mode in ("CMYK", "LAB"):
+        return photo.mode
+    grey = photo.mode in ("1", "L", "LA", "La", "F") or photo.mode.startswith("I")
+    return "L" if grey else "RGB"
+
+
+@lru_cache(maxsize=32)
+def _transform(profile: bytes, mode: str) -> ImageCms.ImageCmsTransform | None:
+    """The conversion of pixels of that mode to sRGB; None: they are sRGB.
+
+    Raises:
+        ProfileError: the profile is damaged, or none for such pixels.
+    """
+    try:
+        opened = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        own = MODES.get(opened.profile.xcolor_space, "")
+        if own != mode and not (own == "RGB" and mode == "L"):
+            raise ProfileError(f"a profile of {opened.profile.xcolor_space.strip()}")
+        transform = ImageCms.buildTransform(
+            opened,
+            ImageCms.createProfile("sRGB"),
+            own,
+            "RGB",
+            ImageCms.Intent.RELATIVE_COLORIMETRIC,
+            BLACK_POINT,
+        )
+    except (ImageCms.PyCMSError, OSError, ValueError, TypeError) as error:
+        raise ProfileError(str(error)) from error
+    return None if own in ("RGB", "L") and _changes_nothing(transform) else transform
+
+
+def _changes_nothing(transform: ImageCms.ImageCmsTransform) -> bool:
+    """Whether a conversion to sRGB changes colours by no more than rounding."""
+    if transform.input_mode == "L":
+        given = Image.fromarray(np.arange(256, dtype=np.uint8)[None])
+    else:
+        values = np.linspace(0, 255, LATTICE).round().astype(np.uint8)
+        lattice = np.stack(np.meshgrid(values, values, values), axis=-1)
+        given = Image.fromarray(np.ascontiguousarray(lattice.reshape(1, -1, 3)))
+    before = np.asarray(given.convert("RGB"), dtype=np.int16)
+    return bool(np.abs(np.asarray(transform.apply(given)) - before).max() <= ROUNDING)
+
+
+def _profile(photo: Image.Image) -> bytes:
+    """The ICC profile of what the file says; empty: nothing, or sRGB. ValueError: damaged."""
+    if photo.mode == "LAB":
+        return _lab()
+    path = getattr(photo, "filename", "")
+    if photo.format == "PNG" and (code := _png_chunk(path, b"cICP")):
+        return cicp_profile(code[0], code[1])
+    embedded: bytes | None = photo.info.get("icc_profile", b"")
+    if embedded is None:  # parts of it are missing, or it cannot be unpacked
+        raise ProfileError("an incomplete profile")
+    if photo.format == "JPEG2000":
+        embedded = _of_jpeg2000(path)
+    if photo.format == "BMP":
+        embedded = _of_bmp(path)
+    if embedded:
+        return embedded
+    if photo.format == "PNG":
+        return _of_png(photo.info)
+    if nclx := photo.info.get("nclx_profile"):
+        return cicp_profile(int(nclx["color_primaries"]), int(nclx["transfer_characteristics"]))
+    return gamma_profile(ADOBE_RGB, ADOBE_GAMMA) if _exif_says_adobe(photo) else b""
+
+
+@lru_cache(maxsize=1)
+def _lab() -> bytes:
+    return ImageCms.ImageCmsProfile(ImageCms.createProfile("LAB")).tobytes()
+
+
+def _of_png(info: dict[str | tuple[int, int], Any]) -> bytes:
+    """The profile of the chunks sRGB, cHRM and gAMA."""
+    gamma, corners = info.get("gamma"), info.get("chromaticity")
+    if "srgb" in info or (gamma is None and corners is None):
+        return b""
+    primaries = SRGB if corners is None else (*corners[2:], *corners[:2])
+    if gamma is None or abs(gamma / GAMMA - 1) < GAMMA_TOLERANCE:
+        return gamma_profile(primaries, None)
+    return gamma_profile(primaries, 1 / gamma)
+
+
+def _png_chunk(path: str, kind: bytes) -> bytes:
+    """The data of a chunk before the pixels; empty: there is none."""
+    with open(path, "rb") as file:
+        file.seek(len(PNG))
+        while len(head := file.read(8)) == 8:
+            length, found = struct.unpack(">I4s", head)
+            if found == kind:
+                return file.read(length)
+            if found == b"IDAT":
+                break
+            file.seek(length + 4, 1)  # the checksum too
+    return b""
+
+
+def _of_jpeg2000(path: str) -> bytes:
+    """The profile in a JPEG 2000 file (ISO/IEC 15444-1, I.5.3.3), or empty."""
+    with open(path, "rb") as file:
+        end = file.seek(0, 2)
+        for kind, start, stop in _boxes(file, 0, end):
+            if kind == b"jp2h":
+                for inner, first, last in _boxes(file, start, stop):
+                    file.seek(first)
+                    if inner == b"colr" and file.read(3)[:1] in (b"\2", b"\3"):
+                        return file.read(last - first - 3)
+    return b""
+
+
+def _boxes(file: BinaryIO, at: int, end: int) -> Iterator[tuple[bytes, int, int]]:
+    """The kinds of boxes in a part of a file, and where their data begin and end."""
+    while at + 8 <= end:
+        file.seek(at)
+        length, kind = struct.unpack(">I4s", file.read(8))
+        start = at + 8
+        if length == 1:
+            (length,) = struct.unpack(">Q", file.read(8))
+            start += 8
+        stop = end if length == 0 else at + length
+        if not start <= stop <= end:
+            return
+        yield kind, start, stop
+        at = stop
+
+
+def _of_bmp(path: str) -> bytes:
+    """The profile in a BMP file, whose header (BITMAPV5HEADER) says where, or empty."""
+    with open(path, "rb") as file:
+        head = file.read(14 + 124)
+        if len(head) < 138 or head[14 + 56 : 14 + 60] != b"DEBM":
+            return b""
+        place, size = struct.unpack("<II", head[14 + 112 : 14 + 120])
+        file.seek(14 + place)
+        return file.read(size)
+
+
+def _exif_says_adobe(photo: Image.Image) -> bool:
+    if photo.format == "PNG":
+        return False
+    with suppress(Exception):  # Pillow's readers raise nearly anything on damaged tags
+        tags = photo.getexif()
+        space = tags.get_ifd(EXIF_IFD).get(COLOUR_SPACE)
+        index = str(tags.get_ifd(INTEROPERABILITY_IFD).get(INDEX, "")).strip("\0 ")
+        return space == SAYS_ADOBE or (space != SAYS_SRGB and index == "R03")
+    return False

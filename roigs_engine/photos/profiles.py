@@ -1,0 +1,135 @@
+"""ICC profiles of colour spaces that files name by numbers: primaries and a transfer function."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+Values = NDArray[np.float64]
+Curve = Callable[[Values], Values]
+"""Encoded values, 0 to 1 -> linear light, 1 for white."""
+Primaries = tuple[float, float, float, float, float, float, float, float]
+"""x and y of red, green, blue and white."""
+
+D65 = (0.3127, 0.3290)
+SRGB: Primaries = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, *D65)
+ADOBE_RGB: Primaries = (0.64, 0.33, 0.21, 0.71, 0.15, 0.06, *D65)
+ADOBE_GAMMA = 563 / 256
+# Code points of ITU-T H.273, tables 2 and 3; others have sRGB's primaries or curve. So have the
+# camera curves of BT.709 and BT.2020 (1, 6, 14, 15), which screens show as they show sRGB.
+CICP_PRIMARIES: dict[int, Primaries] = {
+    4: (0.67, 0.33, 0.21, 0.71, 0.14, 0.08, 0.310, 0.316),
+    5: (0.64, 0.33, 0.29, 0.60, 0.15, 0.06, *D65),
+    6: (0.630, 0.340, 0.310, 0.595, 0.155, 0.070, *D65),
+    7: (0.630, 0.340, 0.310, 0.595, 0.155, 0.070, *D65),
+    9: (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, *D65),
+    11: (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, 0.314, 0.351),
+    12: (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, *D65),
+    22: (0.630, 0.340, 0.295, 0.605, 0.155, 0.077, *D65),
+}
+REFERENCE_WHITE = 203.0  # cd/m2 of PQ and HLG that become white: ITU-R BT.2408
+HLG_PEAK = 1000.0  # cd/m2 of the screen that HLG is meant for: ITU-R BT.2100
+SAMPLES = 255 * 16 + 1  # of a curve: the values of 8 bits are among them
+# CIE XYZ of ICC's white, and Bradford's matrix, which adapts other whites to it (ICC.1, annex E).
+D50 = np.array([0.9642, 1.0, 0.8249])
+BRADFORD = np.array(
+    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
+)
+
+
+def srgb_curve(values: Values) -> Values:
+    """IEC 61966-2-1."""
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+
+
+def power_curve(exponent: float) -> Curve:
+    """Values to a power."""
+    return lambda values: np.power(values, exponent)
+
+
+def pq_curve(values: Values) -> Values:
+    """SMPTE ST 2084; what is brighter than the reference white becomes white."""
+    m1, m2, c1, c2, c3 = 0.1593017578125, 78.84375, 0.8359375, 18.8515625, 18.6875
+    root = values ** (1 / m2)
+    light = (np.maximum(root - c1, 0) / (c2 - c3 * root)) ** (1 / m1)
+    return np.minimum(10_000 * light / REFERENCE_WHITE, 1)
+
+
+def hlg_curve(values: Values) -> Values:
+    """ITU-R BT.2100, with the screen's gamma of 1.2 for each channel; white as in `pq_curve`."""
+    a, b, c = 0.17883277, 0.28466892, 0.55991073
+    scene = np.where(values <= 0.5, values**2 / 3, (np.exp((values - c) / a) + b) / 12)
+    return np.minimum(HLG_PEAK * scene**1.2 / REFERENCE_WHITE, 1)
+
+
+CICP_CURVES: dict[int, Curve] = {
+    4: power_curve(2.2),
+    5: power_curve(2.8),
+    8: power_curve(1.0),
+    16: pq_curve,
+    18: hlg_curve,
+}
+
+
+@lru_cache(maxsize=16)
+def cicp_profile(primaries: int, transfer: int) -> bytes:
+    """The profile of two code points of ITU-T H.273; empty: sRGB."""
+    if primaries not in CICP_PRIMARIES and transfer not in CICP_CURVES:
+        return b""
+    curve = CICP_CURVES.get(transfer, srgb_curve)
+    return profile(CICP_PRIMARIES.get(primaries, SRGB), curve)
+
+
+@lru_cache(maxsize=16)
+def gamma_profile(primaries: Primaries, exponent: float | None) -> bytes:
+    """The profile with that power, or with sRGB's curve; ValueError: no such space."""
+    return profile(primaries, srgb_curve if exponent is None else power_curve(exponent))
+
+
+def profile(primaries: Primaries, curve: Curve) -> bytes:
+    """An ICC profile (version 2, matrix and curves); ValueError: the primaries span no space."""
+    with np.errstate(all="ignore"):
+        matrix = _to_d50(primaries)
+        table = np.clip(curve(np.linspace(0, 1, SAMPLES)) * 65535, 0, 65535).round()
+    if not np.isfinite(matrix).all() or np.abs(matrix).max() > 100 or np.isnan(table).any():
+        raise ValueError("primaries that span no colour space")
+    curves = struct.pack(">4s4xI", b"curv", SAMPLES) + table.astype(">u2").tobytes()
+    parts = {
+        b"desc": struct.pack(">4s4xI6s", b"desc", 6, b"space\0").ljust(96, b"\0"),
+        b"cprt": struct.pack(">4s4x4s", b"text", b"CC0\0"),
+        b"wtpt": _xyz(D50),
+        **{tag: _xyz(column) for tag, column in zip((b"rXYZ", b"gXYZ", b"bXYZ"), matrix.T, strict=True)},
+        **dict.fromkeys((b"rTRC", b"gTRC", b"bTRC"), curves),
+    }
+    table_size = 4 + 12 * len(parts)
+    places, body = {}, b""
+    for data in dict.fromkeys(parts.values()):
+        places[data] = 128 + table_size + len(body)
+        body += data + b"\0" * (-len(data) % 4)
+    tags = b"".join(struct.pack(">4sII", t, places[d], len(d)) for t, d in parts.items())
+    size = 128 + table_size + len(body)
+    head = struct.pack(">I4xI4s4s4s", size, 0x02400000, b"mntr", b"RGB ", b"XYZ ")
+    head = (head + struct.pack(">12x4s28x", b"acsp") + _xyz(D50)[8:]).ljust(128, b"\0")
+    return head + struct.pack(">I", len(parts)) + tags + body
+
+
+def _to_d50(primaries: Primaries) -> Values:
+    """(3, 3): linear RGB -> XYZ whose white is D50."""
+    x, y = np.array(primaries).reshape(4, 2).T
+    xyz = np.stack([x / y, np.ones(4), (1 - x - y) / y])
+    white = xyz[:, 3]
+    try:
+        matrix = xyz[:, :3] * np.linalg.solve(xyz[:, :3], white)
+    except np.linalg.LinAlgError as error:
+        raise ValueError("primaries that span no colour space") from error
+    ratios = np.diag((BRADFORD @ D50) / (BRADFORD @ white))
+    return np.asarray(np.linalg.inv(BRADFORD) @ ratios @ BRADFORD @ matrix)
+
+
+def _xyz(values: Values) -> bytes:
+    """An XYZ tag: numbers of 16 bits before and 16 behind the point."""
+    return struct.pack(">4s4x3i", b"XYZ ", *(round(float(value) * 65536) for value in values))
