@@ -27,10 +27,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from PIL import Image, ImageCms
 
-from .contents import CONVERTED, DAMAGED
-from .headers import PNG, open_photo
+from .headers import CONVERTED, DAMAGED, PNG, open_photo
 from .profiles import ADOBE_GAMMA, ADOBE_RGB, SRGB, cicp_profile, gamma_profile
-
 
 # Of EXIF: the table of the photo's tags, its colour space, the table of interoperability, its index
 EXIF_IFD, COLOUR_SPACE, INTEROPERABILITY_IFD, INDEX = 0x8769, 0xA001, 0xA005, 1

@@ -17,14 +17,13 @@ from ..context import QUIET, Context
 from ..errors import RunFolderError
 from ..formats.files import read_record, write_json
 from ..formats.text import counted, json_digest, named
-from .headers import PhotoError, content_digest, photo_size
+from .headers import CONVERTED, DAMAGED, PhotoError, content_digest, photo_size
 from .parallel import decoding_bytes, in_parallel
 
 FILE = "photos.json"
 VERSION = 3  # increase it if what is found of a photo changes
 STAGE = "photos"
 CHECKSUM = "checksum"  # key of the file
-CONVERTED, DAMAGED = "converted", "damaged profile"  # of a content's `colours`
 WRITE_SECONDS = 60.0
 
 

@@ -32,6 +32,8 @@ TAIL = 1 << 16  # bytes at the end of a file that are searched for them
 # A larger photo has a damaged or malicious header: the largest cameras today have 150 megapixels,
 # and Pillow rejects more than 179.
 MAX_PIXELS = 178_000_000
+# What is done about a photo's colour space if it is not sRGB (`colours`).
+CONVERTED, DAMAGED = "converted", "damaged profile"
 # The user can do nothing about Pillow's warnings on a photo's metadata.
 warnings.filterwarnings("ignore", module=r"PIL\.")
 

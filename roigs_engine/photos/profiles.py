@@ -48,7 +48,7 @@ def srgb_curve(values: Values) -> Values:
 
 def power_curve(exponent: float) -> Curve:
     """Values to a power."""
-    return lambda values: np.power(values, exponent)
+    return lambda values: np.asarray(values**exponent)
 
 
 def pq_curve(values: Values) -> Values:
@@ -56,7 +56,7 @@ def pq_curve(values: Values) -> Values:
     m1, m2, c1, c2, c3 = 0.1593017578125, 78.84375, 0.8359375, 18.8515625, 18.6875
     root = values ** (1 / m2)
     light = (np.maximum(root - c1, 0) / (c2 - c3 * root)) ** (1 / m1)
-    return np.minimum(10_000 * light / REFERENCE_WHITE, 1)
+    return np.asarray(np.minimum(10_000 * light / REFERENCE_WHITE, 1))
 
 
 def hlg_curve(values: Values) -> Values:
@@ -98,11 +98,12 @@ def profile(primaries: Primaries, curve: Curve) -> bytes:
     if not np.isfinite(matrix).all() or np.abs(matrix).max() > 100 or np.isnan(table).any():
         raise ValueError("primaries that span no colour space")
     curves = struct.pack(">4s4xI", b"curv", SAMPLES) + table.astype(">u2").tobytes()
+    columns = dict(zip((b"rXYZ", b"gXYZ", b"bXYZ"), map(_xyz, matrix.T), strict=True))
     parts = {
         b"desc": struct.pack(">4s4xI6s", b"desc", 6, b"space\0").ljust(96, b"\0"),
         b"cprt": struct.pack(">4s4x4s", b"text", b"CC0\0"),
         b"wtpt": _xyz(D50),
-        **{tag: _xyz(column) for tag, column in zip((b"rXYZ", b"gXYZ", b"bXYZ"), matrix.T, strict=True)},
+        **columns,
         **dict.fromkeys((b"rTRC", b"gTRC", b"bTRC"), curves),
     }
     table_size = 4 + 12 * len(parts)

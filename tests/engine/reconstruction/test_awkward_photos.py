@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 import sys
 from collections.abc import Callable
@@ -18,6 +19,7 @@ from roigs_engine.context import QUIET
 from roigs_engine.errors import SceneError
 from roigs_engine.photos.decode import decode
 from roigs_engine.photos.mask_paths import MaskOptions
+from roigs_engine.photos.profiles import cicp_profile
 from roigs_engine.reconstruction.convert import converted
 from roigs_engine.reconstruction.folder import Folder
 from roigs_engine.reconstruction.photo_checks import look_at
@@ -143,6 +145,31 @@ def test_photos_of_phones_keep_their_camera(tmp_path: Path) -> None:
     Image.new("RGB", (640, 480)).save(tmp_path / "photos/IMG 1.HEIC")
     with pytest.raises(SceneError, match="another photo"):
         converted(folder.photos_of(tmp_path / "photos"), folder, QUIET)
+
+
+def test_photos_that_become_jpeg_become_srgb(tmp_path: Path) -> None:
+    """Also those that an earlier version has converted without their profile."""
+    heif()
+    (tmp_path / "photos").mkdir()
+    p3, exif = cicp_profile(12, 13), Image.Exif()
+    exif[0x8769] = {0xA001: 0xFFFF, 0xA005: {1: "R03"}}  # would be Adobe RGB
+    for name in ("a.heic", "b.webp"):
+        pixels = Image.new("RGB", (64, 48), (187, 57, 48))  # 200, 40, 40 in sRGB
+        pixels.save(tmp_path / "photos" / name, icc_profile=p3, exif=exif, quality=100)
+    pixels.save(
+        tmp_path / "photos/c.heic", quality=100, color_primaries=12, transfer_characteristics=13
+    )
+    folder = Folder(tmp_path / "scene")
+    folder.work().mkdir(parents=True)
+    for _ in range(2):
+        files = converted(folder.photos_of(tmp_path / "photos"), folder, QUIET)
+        assert len(files) == 3
+        for path in files.values():
+            assert np.abs(decode(path)[20, 30].astype(int) - (200, 40, 40)).max() <= 4
+        record = json.loads(folder.work("converted.json").read_text())
+        old = {name: value.split()[0] for name, value in record.items()}
+        folder.work("converted.json").write_text(json.dumps(old))
+        Image.new("RGB", (64, 48)).save(files["a.heic.jpg"])
 
 
 def test_heic_in_the_project_itself(tmp_path: Path) -> None:
