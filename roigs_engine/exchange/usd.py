@@ -143,7 +143,7 @@ def _in_srgb(prim: Any, sh: Float32) -> Float32:
 
     def to_srgb(colours: Float64) -> Float64:
         span = vt.FloatArray.FromNumpy(colours.astype(np.float32).reshape(-1))
-        light.ConvertRGBSpan(source, span)
+        source.ConvertRGBSpan(light, span)
         return encoded(np.array(span, np.float64).reshape(-1, 3))
 
     return recoloured(sh, to_srgb)
