@@ -143,7 +143,7 @@ def tone_if_deep(photo: Image.Image) -> str:
     Its values then probably do not fill their type: 12 bits in a file of 16, or floats up to 255.
     Decodes the photo, which must be freshly opened; raises as `to_rgb`.
     """
-    deep = photo.mode[0] in "IF" or ";16" in _packing(photo)
+    deep = photo.mode[0] in "IF" or ";16" in _packing(photo) or photo.info.get("bits", 8) > 8
     rgb = to_rgb(photo)
     if not deep:
         return ""

@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
-from ..errors import SceneError
+from ..errors import EngineError, SceneError
 from ..formats.files import regular
 
 if TYPE_CHECKING:
@@ -108,16 +108,41 @@ def check_complete(path: Path) -> None:
 
 @contextmanager
 def open_photo(path: Path) -> Iterator[Image]:
-    """The photo, opened by Pillow, whose errors in the block become a PhotoError."""
-    from PIL import Image
+    """The photo, opened by Pillow, whose errors in the block become a PhotoError.
+
+    EngineError: it is a TIFF that needs tifffile, which is not installed.
+    """
+    from . import tiff
 
     try:
-        with Image.open(path, formats=FORMATS) as photo:
+        with _opened(path) as photo:
             yield photo
-    except (MemoryError, PhotoError):
+    except (MemoryError, EngineError):
         raise
+    except tiff.UnsupportedError as error:
+        raise PhotoError(f"Photo {path} is not supported: {error}.", tiff.HINT) from error
     except Exception as error:  # Pillow's readers raise nearly anything on damaged files
         raise unreadable(path, error) from error
+
+
+def _opened(path: Path) -> Image:
+    """The photo, opened by Pillow, or by tifffile if Pillow does not read it rightly."""
+    from PIL import Image, UnidentifiedImageError
+
+    from . import tiff
+
+    try:
+        photo: Image.Image = Image.open(path, formats=FORMATS)
+        if tiff.pillow_reads(photo):
+            return photo
+        photo.close()
+    except UnidentifiedImageError:
+        if not tiff.is_tiff(path):
+            raise
+    photo = tiff.TiffPhoto(path)
+    if photo.width * photo.height > MAX_PIXELS:
+        raise ValueError(f"its header says {photo.width} x {photo.height} pixels")
+    return photo
 
 
 def unreadable(path: Path, error: Exception) -> PhotoError:

@@ -17,6 +17,7 @@ from ..photos.decode import check_whole, to_rgb
 from ..photos.files import HEIC
 from ..photos.headers import PhotoError, content_digest, open_photo
 from ..photos.parallel import in_parallel
+from ..photos.tiff import colmap_reads
 from .folder import IMAGES, Folder
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 STAGE = "convert photos"
 FOREIGN = {*HEIC, ".webp", ".jp2"}  # pycolmap's wheels cannot read them
+TIFF = {".tif", ".tiff"}  # it reads some kinds of them otherwise
 QUALITY = 95
 ORIENTATION = 0x0112  # EXIF tag
 BYTES = 20 * 50_000_000  # that converting a large photo takes
@@ -42,7 +44,7 @@ def converted(files: Mapping[str, Path], folder: Folder, context: Context) -> di
         SceneError: another photo has been converted to that name.
         RunFolderError: the folder cannot be written.
     """
-    foreign = [name for name in files if Path(name).suffix.lower() in FOREIGN]
+    foreign = [name for name, path in files.items() if _is_foreign(name, path)]
     if not foreign:
         return dict(files)
     heic = [name for name in foreign if Path(name).suffix.lower() in HEIC]
@@ -72,6 +74,15 @@ def converted(files: Mapping[str, Path], folder: Folder, context: Context) -> di
             f"{counted(changed, 'photo')} became JPEG in sRGB; colours outside sRGB are clipped."
         )
     return dict(sorted(found.items()))
+
+
+def _is_foreign(name: str, path: Path) -> bool:
+    """Whether pycolmap cannot read a photo, or reads another picture."""
+    suffix = Path(name).suffix.lower()
+    if suffix in TIFF:
+        with suppress(PhotoError), open_photo(path) as photo:
+            return not colmap_reads(photo)
+    return suffix in FOREIGN
 
 
 def _register(photos: int) -> None:
