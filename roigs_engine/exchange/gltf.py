@@ -261,17 +261,22 @@ class _File:
         """
         raw = bytes(self._view(int(inside["bufferView"])))
         arrays, axes = spz.decoded(raw), spz.axes(raw)
+        self._count(sum(rows.nbytes for rows in arrays.values()))
         matrix = np.eye(4)
         matrix[:3, :3] = LUF @ axes if "kernel" in own else axes
         return moved(arrays, matrix)
+
+    def _count(self, more: int) -> None:
+        """Refuse a file that has the same numbers again and again."""
+        self.values_read += more
+        refuse_bomb(self.size, self.values_read)
 
     def _values(self, number: int) -> NDArray[np.float32]:
         """The values of an accessor; normalized integers become numbers from -1 or 0 to 1."""
         accessor = self.record["accessors"][number]
         kind: np.dtype[Any] = np.dtype(KINDS[accessor["componentType"]])
         count, width = int(accessor["count"]), COMPONENTS[accessor["type"]]
-        self.values_read += 4 * count * width
-        refuse_bomb(self.size, self.values_read)
+        self._count(4 * count * width)
         if "bufferView" in accessor:
             values = self._numbers(accessor, count, width, kind)
         else:

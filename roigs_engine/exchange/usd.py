@@ -13,7 +13,7 @@ from ..formats.files import write_bytes
 from ..model.scene import Float64
 from .arrays import Arrays, Float32, joined, logits, opacities, turn, unit_quats
 from .colours import encoded, recoloured
-from .libraries import NotSupportedError, package, scratch
+from .libraries import NotSupportedError, package, refuse_bomb, scratch
 from .transform import moved
 
 TITLE = "OpenUSD"
@@ -100,6 +100,10 @@ def read(path: Path) -> Arrays:
         # OpenUSD multiplies rows with matrices.
         place = np.array(geom.Xformable(prim).ComputeLocalToWorldTransform(first)).T
         found.append(moved(_gaussians(prim), world @ place))
+        # A file may have the same numbers for any number of prims.
+        refuse_bomb(
+            path.stat().st_size, sum(rows.nbytes for each in found for rows in each.values())
+        )
     return joined(found)
 
 

@@ -213,7 +213,8 @@ def _skip(file: BinaryIO, elements: list[_Element], order: str, path: str | Path
     for element in elements:
         kinds = {name: np.dtype(order + kind) for name, kind in element.fields.items()}
         if not element.lists:
-            file.seek(element.count * sum(kind.itemsize for kind in kinds.values()), os.SEEK_CUR)
+            length = element.count * sum(kind.itemsize for kind in kinds.values())
+            file.seek(min(file.tell() + length, size))
             continue
         for _ in range(element.count):
             for name, kind in kinds.items():
@@ -225,7 +226,7 @@ def _skip(file: BinaryIO, elements: list[_Element], order: str, path: str | Path
                 if length < 0 or file.tell() >= size:
                     text = f"{path} is truncated: its element {element.name:.40} is cut off."
                     raise RunFolderError(text, HINT_DAMAGED)
-                file.seek(length * kind.itemsize, os.SEEK_CUR)
+                file.seek(min(file.tell() + length * kind.itemsize, size))
 
 
 def _text_table(
@@ -301,7 +302,10 @@ def _add_property(element: _Element, words: list[str], line: str, path: str | Pa
         case [kind, name] if kind in SCALARS and name not in element.fields:
             element.fields[name] = SCALARS[kind]
         case ["list", length, kind, name] if (
-            element.name != "vertex" and {length, kind} <= SCALARS.keys()
+            element.name != "vertex"
+            and SCALARS.get(length, "f")[0] != "f"
+            and kind in SCALARS
+            and name not in element.fields
         ):
             element.fields[name] = SCALARS[kind]
             element.lists[name] = SCALARS[length]

@@ -82,14 +82,14 @@ class Convert(Boxes, _Page):
 
     source: Path = argument(
         PathName("IN"),
-        "file of Gaussians (.ply, .compressed.ply, .spz, .sog, .glb, .usdc, .splat), or a JSON"
-        " list of files and their places (docs/files.md)",
+        "file of Gaussians (.ply, .compressed.ply, .spz, .sog, meta.json, .glb, .gltf, .usd, .usdc,"
+        " .splat), or a JSON list of files and their places (docs/files.md)",
     )
     out: Path = argument(
         PathName("OUT"),
-        "file to write; the end of its name says how: as above, or .usda, .usdz; .html: a web page"
-        " to send, with the viewer inside; DIR/lod-meta.json: a run's levels of detail, for"
-        " PlayCanvas",
+        "file to write; the end of its name says how: .ply, .compressed.ply, .spz, .sog, .glb,"
+        " .usdc, .usda, .usdz, .splat; .html: a web page to send, with the viewer inside;"
+        " DIR/lod-meta.json: a run's levels of detail, for PlayCanvas",
     )
     up: str | None = option(
         Choice(choices.AXES),
@@ -97,7 +97,8 @@ class Convert(Boxes, _Page):
     )
     from_up: str | None = option(
         Choice(choices.AXES),
-        "axis that points up in IN (default: as the format has it; -y for .ply)",
+        "axis that points up in IN (default: as the file says, else as the format has it; -y for"
+        " .ply)",
     )
     sh_degree: int | None = option(
         integer(0, 3), "highest degree of view-dependent colour, 0 to 3 (default: as it is)"

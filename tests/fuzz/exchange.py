@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from tests.engine.exchange import foreign_files
 from tests.fuzz.cases import Case, write
 from tests.fuzz.damage import ODD_INTEGERS, bytes_damaged, tree_damaged, words_damaged
 
@@ -66,8 +67,12 @@ def converted(dice: random.Random, folder: Path, suffix: str, data: bytes, **kin
 def spz(dice: random.Random, folder: Path) -> Case:
     """SPZ of versions 1 to 3 (gzip) and 4 (zstd)."""
     bands = dice.choice((1, 4, 16))
-    kind = dice.randrange(10)
-    if kind < 4:
+    kind = dice.randrange(12)
+    if kind >= 10:
+        model = foreign_files.values(dice.randrange(5))
+        more = struct.pack("<III", 0xADBE0003, dice.choice(MANY), dice.choice((*MANY, 6, 17)))
+        data = foreign_files.spz(model, dice.choice((1, 2, 3, 4)), bytes_damaged(dice, more * 2))
+    elif kind < 4:
         raw = bytearray(gzip.decompress(good(".spz", bands)))
         if kind == 0:
             struct.pack_into("<I", raw, 8, dice.choice(MANY))
@@ -178,9 +183,29 @@ def glb_of(record: Any, blob: bytes) -> bytes:
     return head + text + struct.pack("<2I", len(blob), 0x004E4942) + blob
 
 
+@functools.cache
+def foreign_glb() -> bytes:
+    """Several nodes, SPZ inside, values that are sparse."""
+    file, model = foreign_files.Gltf(), foreign_files.values(1)
+    at = file.gaussians(model)
+    rows, place = np.array([1, 3], "<u2").tobytes(), np.ones((2, 3), "<f4").tobytes()
+    file.record["accessors"][at["POSITION"]]["sparse"] = {
+        "count": 2,
+        "indices": {"bufferView": file.view(rows), "componentType": 5123},
+        "values": {"bufferView": file.view(place)},
+    }
+    file.add(at, foreign_files.own(), translation=[1, 2, 3])
+    view = file.view(foreign_files.spz(model, 3))
+    inner = {f"{foreign_files.NAME}_compression_spz_2": {"bufferView": view}}
+    file.add({}, foreign_files.own(extensions=inner, colorSpace="lin_rec709_display"))
+    file.record["nodes"].append({"children": [0], "scale": [2, 2, 2]})
+    file.record["scenes"][0]["nodes"] = [2, 1]
+    return file.glb()
+
+
 def glb(dice: random.Random, folder: Path) -> Case:
     """GLBs with other records, damaged values, and damaged as a whole."""
-    data = good(".glb", dice.choice((1, 4, 16)))
+    data = dice.choice((foreign_glb(), good(".glb", dice.choice((1, 4, 16)))))
     record, blob = glb_parts(data)
     kind = dice.randrange(6)
     if kind < 2:
@@ -212,7 +237,8 @@ def usd(dice: random.Random, folder: Path) -> Case:
 
 def unpacking(dice: random.Random, folder: Path) -> Case:
     """Small files that unpack to gigabytes; nothing of that size may be in memory."""
-    kind = dice.choice(("gzip", "second gzip", "zstd", "zip", "zip of names", "pictures", "glb"))
+    kinds = ("gzip", "second gzip", "zstd", "zip", "zip of names", "pictures", "glb", "zeros")
+    kind = dice.choice(kinds)
     if kind in ("gzip", "second gzip"):
         count = dice.choice((40_000_000, 49_999_999))
         raw = gzip.decompress(good(".spz", 1))
@@ -225,6 +251,17 @@ def unpacking(dice: random.Random, folder: Path) -> Case:
         return converted(dice, folder, ".spz", data, statuses=(2,))
     if kind == "zstd":
         return converted(dice, folder, ".spz", spz_of_zeros(49_999_999), statuses=(2,))
+    if kind == "zeros":  # numbers that are nowhere, or shown by many nodes
+        record, blob = glb_parts(good(".glb", 16))
+        accessors = record["accessors"]
+        if dice.random() < 0.5:
+            for accessor in accessors:
+                del accessor["bufferView"]
+                accessor["count"] = 200_000_000
+        else:
+            record["nodes"] = [{"mesh": 0}] * 200_000
+            record["scenes"] = [{"nodes": list(range(200_000))}]
+        return converted(dice, folder, ".glb", glb_of(record, blob), statuses=(2,))
     if kind == "glb":  # one value that every attribute has, again and again
         record, blob = glb_parts(good(".glb", 16))
         count = 200_000

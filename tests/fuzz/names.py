@@ -103,6 +103,9 @@ def packed(dice: random.Random, folder: Path) -> Case:
             record, blob = exchange.glb_parts(exchange.good(".glb", 1))
             record["buffers"][0]["uri"] = name
             record["images"] = [{"uri": name}]
+            if dice.random() < 0.5:
+                text = json.dumps(record).encode()
+                return exchange.converted(dice, folder, ".gltf", text)
             return exchange.converted(dice, folder, ".glb", exchange.glb_of(record, blob))
         case 1:
             files = exchange.unzipped(exchange.good(".sog", 1))
@@ -113,6 +116,9 @@ def packed(dice: random.Random, folder: Path) -> Case:
             files[name.encode("utf-8", "replace").decode()[:60000] or "x"] = files.pop(named[at])
             named[at] = name
             files["meta.json"] = json.dumps(meta).encode()
+            if dice.random() < 0.5:  # without its pictures
+                source = write(folder / "in" / "meta.json", files["meta.json"])
+                return Case(["convert", str(source), str(folder / "out" / "b.ply")])
             return exchange.converted(dice, folder, ".sog", exchange.zipped(files))
         case _:
             out = folder / "out"

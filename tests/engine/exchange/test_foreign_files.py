@@ -473,6 +473,16 @@ def test_names_of_other_formats_are_not_supported(name: str, tmp_path: Path) -> 
         formats.read(saved(tmp_path / name, b"x"))
 
 
+@pytest.mark.parametrize("ending", [".spz", ".sog", ".glb", ".splat", ".gltf"])
+def test_a_file_of_another_name_is_not_called_damaged(ending: str, tmp_path: Path) -> None:
+    if ending == ".sog":
+        pytest.importorskip("imagecodecs")
+    write_ply(tmp_path / "b.ply", {k: rows.astype("f4") for k, rows in values().items()})
+    source = saved(tmp_path / f"a{ending}", (tmp_path / "b.ply").read_bytes())
+    with pytest.raises(RunFolderError, match=r"by its content a file \.ply\. Rename it to a\.ply"):
+        formats.read(source)
+
+
 @pytest.mark.parametrize("name", ["a.gltf", "meta.json", "a.usd"])
 def test_what_is_only_read_is_not_written(name: str, tmp_path: Path) -> None:
     model = {key: rows.astype(np.float32) for key, rows in values().items()}
