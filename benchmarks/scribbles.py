@@ -69,7 +69,7 @@ def read(path: Path) -> Mask:
 
 def iou(a: Mask, b: Mask) -> float:
     """Intersection over union of two masks."""
-    return float((a & b).sum() / max(1, (a | b).sum()))
+    return float((a & b).sum()) / max(1, int((a | b).sum()))
 
 
 def strokes(mask: Mask, seed: int) -> tuple[Stroke, ...]:

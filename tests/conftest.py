@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -14,8 +15,10 @@ ROOT = Path(__file__).resolve().parent.parent
 # torch and BLAS would use unasked; the kernels' threads are the engine's `--threads`.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
-# A new environment would compile gsply's functions for a minute, in each process.
-os.environ.setdefault("NUMBA_DISABLE_JIT", "1")
+# A new environment would compile gsply's functions for a minute, in each process. With numpy 2 they
+# have to: as plain Python, their small integers overflow.
+if metadata.version("numpy").startswith("1."):
+    os.environ.setdefault("NUMBA_DISABLE_JIT", "1")
 
 # In a checkout whose folder is named 'tests', that name is the top folder's, to pytest.
 if "tests.tests" in sys.modules:

@@ -58,7 +58,7 @@ def read_splats(path: str | Path) -> SplatCloud:
     opacities = 1 / (1 + np.exp(-stored["logit_opacities"]))
     return SplatCloud(
         means=stored["means"].astype(np.float32, copy=False),
-        quats=quats / np.linalg.norm(quats, axis=1, keepdims=True),
+        quats=(quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32, copy=False),
         scales=np.exp(stored["log_scales"]),
         opacities=opacities.astype(np.float32, copy=False),
         sh=stored["sh"].astype(np.float32, copy=False),

@@ -191,7 +191,7 @@ class _Making:
                 photos=names_of(scene, photos[:, index]),
                 rois=boxes[index],
                 points=observed_by(views, photos[:, index]),
-                share=self._share(photos[:, index].sum(), boxes[index]),
+                share=self._share(int(photos[:, index].sum()), boxes[index]),
             )
             for index, label in enumerate(labels)
         )

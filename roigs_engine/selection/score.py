@@ -102,7 +102,7 @@ class DensityOccupancy:
     def gains(self) -> Float64:
         """(V,) f(S + v) - f(S) for every photo v (0 for those in S)."""
         points, voxels = self._counts
-        products = (points + self._points.gains) * (voxels + self._voxels.gains)
+        products: Float64 = (points + self._points.gains) * (voxels + self._voxels.gains)
         return (products - self.product) / (len(self._points.seen) * len(self._voxels.seen))
 
     def add(self, view: int) -> None:

@@ -136,7 +136,7 @@ def _sightings(
         row = [own, patches[..., :3].mean(axis=(1, 2)), rays, camera.fx / depths]
         counted = (patches[..., 3:] == 255).all(axis=(1, 2, 3))  # a mask's pixels, if it has one
         rows.append(np.column_stack(row)[counted])
-    found = np.concatenate(rows) if rows else np.zeros((0, 8))
+    found: Float64 = np.concatenate(rows) if rows else np.zeros((0, 8))
     return found[np.argsort(found[:, POINT], kind="stable")]
 
 

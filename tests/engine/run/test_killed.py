@@ -96,7 +96,9 @@ def test_killed_and_stopped_again_and_again(request_: Request, tmp_path: Path) -
     entries = json.loads((tmp_path / "provenance.json").read_text(encoding="utf-8"))["entries"]
     ended = [entry["ended"] for entry in entries]
     assert ended[1:3] == ["killed", "stopped"] and ended[-1] == "done"
-    assert entries[-1]["versions"]["torch"] == torch.__version__
+    # A build of torch may have a local version (+cu130) that its metadata lack.
+    torch_version = entries[-1]["versions"]["torch"].partition("+")[0]
+    assert torch_version == torch.__version__.partition("+")[0]
     assert entries[-1]["threads"] == 2 and entries[-1]["seed"] == 0
     assert entries[-1]["machine"]["chip"] and entries[-1]["kernels"]
     assert set(entries[-1]["stages"]) == {"full-scene", "scene", "object-thing"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import pkgutil
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -130,4 +131,4 @@ def test_each_says_what_it_earns_and_has_a_name_of_its_own() -> None:
             and each.__module__ == module.__name__
         )
         assert kind.name == name
-        assert "\n    Earns: " in str(kind.__doc__)
+        assert "\nEarns: " in str(inspect.getdoc(kind))
