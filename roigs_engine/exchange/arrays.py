@@ -38,7 +38,7 @@ def opacities(arrays: Arrays) -> Float32:
     return values
 
 
-def logits(opacity: Float32) -> Float32:
+def logits(opacity: Floats) -> Float32:
     """The inverse of `opacities`, for what files round to 0 or 1 too."""
     inside = np.clip(opacity.astype(np.float64), 1e-6, 1 - 1e-6)
     values: Float32 = np.log(inside / (1 - inside)).astype(np.float32)
