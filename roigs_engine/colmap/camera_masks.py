@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from ..photos.mask_images import Mask
 
 STAGE = "masks"
-VERSION = 1  # part of each mask's digest: increase it if masks become others
+VERSION, OBJECT_VERSION = 2, 1  # part of masks' digests: increase them if masks become others
 HIDDEN = "hidden by its mask"
 Key = TypeVar("Key")
 
@@ -68,21 +68,26 @@ class MaskPlan:
         kind = "alpha" if self.file is None else "inverted" if self.inverted else "file"
         kind += " of an object" if self.of_object else ""
         kind += "" if self.turn == AS_STORED else f" turned {self.turn}"
-        text = repr((VERSION, kind, self.content, lens, self.target))
+        version = OBJECT_VERSION if self.of_object else VERSION
+        text = repr((version, kind, self.content, lens, self.target))
         return hashlib.sha256(text.encode("ascii")).hexdigest()[:32]
 
-    def make(self) -> Mask:
-        """The mask for the photo's camera; raises as `read_mask` and `alpha_mask`."""
+    def whole(self) -> Mask:
+        """The mask as the file has it, turned; raises as `read_mask` and `alpha_mask`."""
         from ..photos import mask_images as masks
 
-        least = masks.HALF if self.of_object else masks.ALL
         if self.file is None:
-            mask = turned(masks.alpha_mask(self.photo), self.turn)
-        else:
-            hint = masks.OBJECT_HINT if self.of_object else masks.HINT
-            mask = masks.read_mask(
-                self.file, self.size, inverted=self.inverted, hint=hint, turn=self.turn
-            )
+            return turned(masks.alpha_mask(self.photo), self.turn)
+        hint = masks.OBJECT_HINT if self.of_object else masks.HINT
+        return masks.read_mask(
+            self.file, self.size, inverted=self.inverted, hint=hint, turn=self.turn
+        )
+
+    def make(self) -> Mask:
+        """The mask for the photo's camera; raises as `whole`."""
+        from ..photos import mask_images as masks
+
+        least, mask = masks.HALF if self.of_object else masks.ALL, self.whole()
         if self.undistortion is not None:
             lens = self.undistortion.source
             mask = masks.resized(mask, (lens.width, lens.height), least)
@@ -213,7 +218,13 @@ def make_masks(
         path = folder / f"{plan.digest()}.png"
         mask = plan.kept(path, write=write)
         remake = partial(plan.kept, path, write=True)
-        photo_mask = PhotoMask(digest=plan.digest(), path=path, remake=remake, small=_small(mask))
+        photo_mask = PhotoMask(
+            digest=plan.digest(),
+            path=path,
+            remake=remake,
+            small=_small(mask),
+            whole=remake if plan.undistortion else plan.whole,
+        )
         return photo_mask, float(mask.mean())
 
     with in_parallel(made, [*plans], memory, context, STAGE if write else "") as work:

@@ -219,7 +219,13 @@ class PhotoLoader:
             if not share:
                 self._skip(key, HIDDEN)
             elif share < 1:
-                self.posed[key] = replace(self.posed[key], mask=mask)
+                image, digest = self.posed[key], self.posed[key].digest
+                if key in self._plans:
+                    self._plans[key] = replace(
+                        self._plans[key], counted=plans[key].whole, mask=mask.digest
+                    )
+                    digest = self._plans[key].key()
+                self.posed[key] = replace(image, mask=mask, digest=digest)
         if self._pixels:
             used = sum(0 < share < 1 for _, share in made.values())
             mention_masks(used, self._mask_files, self._names, context)

@@ -52,6 +52,7 @@ CACHE_VERSION = 3  # part of each cached photo's name: increase it if the pixels
 # Measured bytes (docs/reliability.md) of a pixel of the photo's copy at `source`'s size: while it
 # is resampled, beside those of decoding, and while it is undistorted.
 PER_RESAMPLED, PER_SOURCE_PIXEL = 12, 13
+PER_MASKED = 16  # of the larger of file and copy, for weights, beside the others
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +65,8 @@ class UndistortionPlan:
         digest: hash of the file; known before the photo is undistorted.
         turn: see `PosedImage`; `size` is that after it.
         colours: what is done about its colour space (`photos.contents`).
+        counted: makes its mask, by which colours are resampled; None: it has none.
+        mask: hash of all that decides that.
     """
 
     photo: Path
@@ -73,19 +76,25 @@ class UndistortionPlan:
     digest: str = ""
     turn: int = AS_STORED
     colours: str = ""
+    counted: Callable[[], NDArray[np.bool_]] | None = None
+    mask: str = ""
 
     def key(self) -> str:
         """Hash of everything that decides the undistorted photo's pixels."""
         size = (self.target.width, self.target.height)
         turn = () if self.turn == AS_STORED else (self.turn,)
-        text = repr((CACHE_VERSION, self.digest, self.source, size, *turn)) + self.colours
+        text = (
+            repr((CACHE_VERSION, self.digest, self.source, size, *turn)) + self.colours + self.mask
+        )
         return hashlib.sha256(text.encode("ascii")).hexdigest()[:32]
 
     def memory(self) -> int:
         """Most bytes that `undistort` takes."""
         file, source = self.size[0] * self.size[1], self.source.width * self.source.height
         resampling = 0 if source == file else PER_RESAMPLED * source
-        return max(decoding_bytes(self.photo, self.size) + resampling, PER_SOURCE_PIXEL * source)
+        masked = PER_MASKED * max(file, source) if self.counted else 0
+        decoding = decoding_bytes(self.photo, self.size) + resampling
+        return max(decoding, PER_SOURCE_PIXEL * source) + masked
 
     def fitting_side(self, memory: int) -> int:
         """The longest side of a smaller target that needs no more memory; 0: there is none."""
@@ -164,14 +173,24 @@ def undistort(plan: UndistortionPlan, path: Path) -> None:
     """Undistort the photo to a PNG; PhotoError if it cannot be decoded."""
     from PIL import Image  # only for pixels: cameras do not need it
 
-    from ..photos.decode import decode
+    from ..photos.decode import decode, weighted
+    from ..photos.mask_images import resized
 
-    pixels = decode(plan.photo, (plan.source.width, plan.source.height), plan.turn)
+    source = plan.source.width, plan.source.height
+    pixels = decode(plan.photo, source, plan.turn, plan.counted)
     check_unchanged(plan.photo, plan.digest)  # the file is named after the digest
-    result = Image.fromarray(undistorted_pixels(pixels, plan.source))
     size = (plan.target.width, plan.target.height)
-    if result.size != size:
-        result = result.resize(size, Image.Resampling.LANCZOS)
+
+    def flat(values: NDArray[Any]) -> Image.Image:
+        result = Image.fromarray(undistorted_pixels(values, plan.source))
+        return result if result.size == size else result.resize(size, Image.Resampling.LANCZOS)
+
+    if plan.counted is None:
+        result = flat(pixels)
+    else:
+        mask = resized(plan.counted(), source)
+        made = weighted(pixels, mask, lambda picture: flat(np.asarray(picture)))
+        result = Image.fromarray(made)
     with atomic_write(path) as file:
         result.save(file, format="PNG", compress_level=1)
 
@@ -184,9 +203,9 @@ def undistorted_mask(mask: NDArray[np.bool_], camera: ModelCamera, least: int) -
 
 
 def undistorted_pixels(
-    pixels: NDArray[np.uint8], camera: ModelCamera, *, sharp: bool = True
-) -> NDArray[np.uint8]:
-    """A picture (H, W, 3) of the camera's size as the camera's pinhole sees it.
+    pixels: NDArray[Any], camera: ModelCamera, *, sharp: bool = True
+) -> NDArray[Any]:
+    """A picture of the camera's size, (H, W, 3) uint8 or (H, W) float32, as its pinhole sees it.
 
     `sharp`: cubic interpolation; otherwise linear, which has no overshoot (for masks), but blurs:
     half a pixel from a pixel's centre it is the mean of 2 x 2.
@@ -194,7 +213,8 @@ def undistorted_pixels(
     from PIL import Image
 
     pinhole = undistorted_camera(camera)
-    padded = Image.fromarray(np.pad(pixels, ((BORDER,) * 2, (BORDER,) * 2, (0, 0)), mode="edge"))
+    border = ((BORDER,) * 2, (BORDER,) * 2, (0, 0))[: pixels.ndim]
+    padded = Image.fromarray(np.pad(pixels, border, mode="edge"))
     kernel = Image.Resampling.BICUBIC if sharp else Image.Resampling.BILINEAR
     size = (pinhole.width, pinhole.height)
     flat = padded.transform(size, Image.Transform.MESH, _mesh(camera), kernel)

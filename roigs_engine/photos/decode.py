@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
@@ -28,26 +29,43 @@ from .headers import PhotoError, check_unchanged, jpeg_segments, open_photo
 from .rotation import AS_STORED, turned, turned_size
 
 Pixels = NDArray[np.uint8]
+Counted = Callable[[], NDArray[np.bool_]]
+Weights = NDArray[np.bool_] | NDArray[np.float32]
+Change = Callable[[Image.Image], Image.Image]
 
 # A JPEG is decoded at a fraction of its size if that is at least this multiple of the target size.
 GAP = 2.0
+EVEN = 1e-4  # of a sum of weights: all are 1
+# Least sum of weights of a pixel that counts, by a mask, or that can be seen, by an alpha channel.
+LEAST_COUNTED, LEAST_SEEN = 0.35, 0.02
 BLACK, WHITE = "black", "white"
 # Of 255. Values of 14 bits in a 16-bit file end at 63; photos that show anything are brighter.
 BRIGHTEST_BLACK, MEAN_WHITE = 63, 250
 
 
-def decode(path: Path, size: tuple[int, int] | None = None, turn: int = AS_STORED) -> Pixels:
+def decode(
+    path: Path,
+    size: tuple[int, int] | None = None,
+    turn: int = AS_STORED,
+    counted: Counted | None = None,
+) -> Pixels:
     """(H, W, 3) uint8 sRGB of a photo, resampled to `size` = (width, height) if given.
 
     Grey, palette, CMYK, 16-bit and float files are converted; an alpha channel is dropped. White is
     the largest value of the file's type, 1 for floats, whatever the values in the photo: otherwise
     a dark photo would become brighter than the others of its scene.
 
-    `turn`: how the stored pixels are turned (`rotation`); `size` is that after it.
+    Args:
+        turn: how the stored pixels are turned (`rotation`); `size` is that after it.
+        counted: the mask after the turn; called if the photo is resampled, which then leaves out
+            the colours of ignored pixels. Without it, the alpha channel weighs them.
 
     Raises:
         PhotoError: the file is missing or cannot be decoded; names it.
     """
+    if counted is not None and size is not None:
+        pixels = decode(path, turn=turn)  # reduced decoding would mix colours
+        return pixels if pixels.shape[1::-1] == size else _resized(pixels, size, counted())
     if turn != AS_STORED:
         return turned(decode(path, size and turned_size(size, turn)), turn)
     with open_photo(path) as photo:
@@ -57,13 +75,62 @@ def decode(path: Path, size: tuple[int, int] | None = None, turn: int = AS_STORE
         # Draft mode reduces a JPEG by 1, 2, 4 or 8.
         shrink = next((n for n in (1, 2, 4, 8) if -(-full[0] // n) == photo.width), 1)
         colours = colours_of(photo)
-        pixels = _decoded(photo, colours)
-    if size is not None and pixels.size != size:
+        picture = _decoded(photo, colours)
+        alpha = opacity(photo) if size not in (None, picture.size) else None
+    if alpha is not None and alpha.min() < 255 and size is not None:
+        seen = alpha / np.float32(255)
+        return _resized(np.asarray(to_srgb(picture, colours)), size, seen, LEAST_SEEN)
+    if size is not None and picture.size != size:
         # The last column and row of a draft may extend past the photo: exclude that part.
         box = (0.0, 0.0, full[0] / shrink, full[1] / shrink)
-        pixels = pixels.resize(size, Image.Resampling.LANCZOS, box=box)
+        picture = picture.resize(size, Image.Resampling.LANCZOS, box=box)
     # Last, because it takes several times as long as decoding.
-    return np.array(to_srgb(pixels, colours), dtype=np.uint8)
+    return np.array(to_srgb(picture, colours), dtype=np.uint8)
+
+
+def opacity(photo: Image.Image) -> Pixels | None:
+    """(H, W) the alpha channel of an opened photo; None: it has none."""
+    if not photo.has_transparency_data or photo.mode.startswith("I"):
+        return None
+    return np.asarray(photo.convert("RGBA").getchannel("A"))
+
+
+def _resized(
+    pixels: Pixels, size: tuple[int, int], weights: Weights, least: float = LEAST_COUNTED
+) -> Pixels:
+    def change(picture: Image.Image) -> Image.Image:
+        return picture.resize(size, Image.Resampling.LANCZOS)
+
+    return weighted(pixels, weights, change, least)
+
+
+def weighted(
+    pixels: Pixels, weights: Weights, change: Change, least: float = LEAST_COUNTED
+) -> Pixels:
+    """A picture (H, W, 3) after linear resampling in which each pixel counts by its weight.
+
+    A filter reaches some pixels farther than the pixel that it makes. To ignore all that it
+    reaches would cost a rim of three pixels around each mask. So ignored pixels have no weight.
+
+    Pixels all of whose sources have the weight 1 become what they would without weights, and so
+    do those whose weights add up to less than `least`.
+
+    Args:
+        weights: 0 to 1, (h, w) at any size of the same shape.
+        change: resamples a picture of 8 bits, or of floats.
+    """
+    picture = Image.fromarray(pixels)
+    given = Image.fromarray(weights.astype(np.float32))
+    if given.size != picture.size:
+        given = given.resize(picture.size, Image.Resampling.NEAREST)
+    result, share = np.array(change(picture)), np.asarray(given)
+    total = np.asarray(change(given))
+    mixed = (np.abs(total - 1) > EVEN) & (total > least)
+    if mixed.any():
+        for channel in range(pixels.shape[2]):
+            values = np.asarray(change(Image.fromarray(pixels[..., channel] * share)))
+            result[mixed, channel] = (values[mixed] / total[mixed]).round().clip(0, 255)
+    return result
 
 
 def load_photo(image: PosedImage) -> Pixels:
@@ -74,7 +141,7 @@ def load_photo(image: PosedImage) -> Pixels:
     A damaged file that the engine made is made again.
 
     Raises:
-        PhotoError: the file is missing, cannot be decoded, or was changed; names it.
+        PhotoError, MaskError: a file is missing, cannot be decoded, or was changed; names it.
         RunFolderError: a file of the engine cannot be made again.
     """
     size = (image.camera.width, image.camera.height)
@@ -94,13 +161,14 @@ def averaged(pixels: Pixels, n: int) -> Pixels:
 def _load(image: PosedImage, size: tuple[int, int]) -> Pixels:
     if image.remake is None:  # else the engine made the file
         check_unchanged(image.path, image.file_digest)
+    counted = image.mask.whole if image.mask else None
     try:
-        return decode(image.path, size, image.turn)
+        return decode(image.path, size, image.turn, counted)
     except PhotoError:
         if image.remake is None:
             raise
     image.remake()
-    return decode(image.path, size, image.turn)
+    return decode(image.path, size, image.turn, counted)
 
 
 def to_rgb(photo: Image.Image) -> Image.Image:

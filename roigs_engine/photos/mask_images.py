@@ -16,8 +16,8 @@ from PIL import Image, UnidentifiedImageError
 from ..errors import SceneError
 from ..formats.files import atomic_write
 from ..model.scene import PhotoMask, PosedImage
-from .decode import Pixels, load_photo
-from .headers import MAX_PIXELS, open_photo
+from .decode import Pixels, load_photo, opacity
+from .headers import MAX_PIXELS, PhotoError, open_photo
 from .rotation import AS_STORED, turned, turned_size
 
 Mask = NDArray[np.bool_]
@@ -78,7 +78,9 @@ def has_alpha(path: Path) -> bool:
 def alpha_mask(path: Path) -> Mask:
     """The mask in a photo's alpha channel, at its own size; PhotoError if it cannot be decoded."""
     with open_photo(path) as photo:
-        alpha = np.asarray(photo.convert("RGBA").getchannel("A"))
+        alpha = opacity(photo)
+    if alpha is None:
+        raise PhotoError(f"{path} has lost its alpha channel.", "Restore the file.")
     return np.asarray(alpha >= OPAQUE)
 
 
@@ -89,9 +91,21 @@ def resized(mask: Mask, size: tuple[int, int], least: int = ALL) -> Mask:
     """
     if (mask.shape[1], mask.shape[0]) == size:
         return mask
+    if least == ALL:
+        return _all_covered(_all_covered(mask.T, size[0]).T, size[1])
     grey = Image.fromarray(np.where(mask, np.uint8(255), np.uint8(0)))
     smaller = np.array(grey.resize(size, Image.Resampling.BOX))
     return np.asarray(smaller >= least)
+
+
+def _all_covered(mask: Mask, height: int) -> Mask:
+    """The mask (h, W) at `height`: pixels of which all that they cover, even in part, are in it."""
+    given = len(mask)
+    before = np.zeros((given + 1, mask.shape[1]), dtype=np.int32)
+    np.cumsum(~mask, axis=0, out=before[1:])
+    rows = np.arange(height)
+    first, end = rows * given // height, -(-(rows + 1) * given // height)
+    return np.asarray(before[end] == before[first])
 
 
 def mask_png(mask: Mask) -> bytes:

@@ -88,6 +88,30 @@ def test_a_mask_is_undistorted_with_its_photo(tmp_path: Path) -> None:
     assert (photo[~found] > 250).mean() < 0.05  # and hardly more is ignored than they
 
 
+@pytest.mark.parametrize("side", [None, 150])
+def test_ignored_pixels_leave_no_colour_in_undistorted_photos(
+    tmp_path: Path, side: int | None
+) -> None:
+    """They do in the interpolation, and in resampling, of a photo without its mask."""
+    distorted(tmp_path, "OPENCV")
+    mask = np.kron(np.random.default_rng(0).random((18, 24)) > 0.1, np.ones((10, 10), bool))
+    Image.fromarray(np.where(mask, np.uint8(128), np.uint8(0))).save(tmp_path / "images/a.png")
+
+    def loaded() -> np.ndarray:
+        scene = load_colmap(tmp_path, cache=tmp_path / "cache", max_side=side)
+        return load_photo(scene.image("a.png"))[..., 0].astype(int)
+
+    without = loaded()
+    put(tmp_path, "a.png", mask)
+    image = load_colmap(tmp_path, cache=tmp_path / "cache", max_side=side).image("a.png")
+    found = load_mask(image)
+    assert found is not None and found.mean() > 0.5
+    assert np.abs(without[found] - 128).max() > 5
+    assert np.abs(loaded()[found] - 128).max() <= 1
+    image.path.unlink()
+    assert np.abs(loaded()[found] - 128).max() <= 1  # made again in the same way
+
+
 def test_an_alpha_channel_is_a_mask_unless_a_file_is(tmp_path: Path) -> None:
     write_project(tmp_path, names=NAMES)
     for name, alpha in (("b.png", left()), ("c.png", np.ones((72, 96), bool))):

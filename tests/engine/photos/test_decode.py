@@ -5,6 +5,8 @@ from __future__ import annotations
 import struct
 import threading
 import time
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +15,13 @@ from PIL import Image
 
 from roigs_engine.errors import SceneError
 from roigs_engine.machine import machine_memory
-from roigs_engine.model.scene import Camera, PosedImage
+from roigs_engine.model.scene import Camera, PhotoMask, PosedImage
 from roigs_engine.photos import cache as cache_module
 from roigs_engine.photos.cache import PhotoCache
-from roigs_engine.photos.decode import load_photo
+from roigs_engine.photos.decode import decode, load_photo
 from roigs_engine.photos.headers import photo_size
+from roigs_engine.photos.mask_images import load_mask, resized, write_mask
+from roigs_engine.photos.rotation import turned
 
 
 def posed(path: Path, width: int, height: int) -> PosedImage:
@@ -304,3 +308,88 @@ def test_a_closed_cache_holds_nothing(photos: list[PosedImage]) -> None:
 
 def test_machine_memory_is_plausible() -> None:
     assert 64 << 20 <= machine_memory() < 1 << 50
+
+
+# --- masks and alpha ------------------------------------------------------------------------------
+
+
+def covered(ignored: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """(h, w) the pixels at `size` that cover an ignored one, even in part: by looking at each."""
+    height, width = ignored.shape
+    found = np.zeros(size[::-1], bool)
+    for y, x in np.argwhere(ignored):
+        top, left = y * size[1] // height, x * size[0] // width
+        found[top : -(-(y + 1) * size[1] // height), left : -(-(x + 1) * size[0] // width)] = True
+    return found
+
+
+@pytest.mark.parametrize("across", [400, 320, 213, 97, 639, 800, 1000])
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+def test_ignored_pixels_leave_no_colour_at_any_factor(
+    tmp_path: Path, across: int, suffix: str
+) -> None:
+    random = np.random.default_rng(across)
+    size = (across, round(across * 0.75))
+    ignored = np.kron(random.random((30, 40)) < 0.02, np.ones((16, 16), bool))
+    if suffix == "png":  # not within the blocks of a JPEG
+        ignored |= random.random((480, 640)) < 0.0005
+    photo = np.where(ignored, 0, 128).astype(np.uint8)
+    Image.fromarray(photo).save(tmp_path / f"a.{suffix}", quality=100)
+    kept = resized(~ignored, size)
+    assert np.array_equal(kept, ~covered(ignored, size))
+    pixels = decode(tmp_path / f"a.{suffix}", size, counted=lambda: ~ignored)
+    assert np.abs(pixels[kept].astype(int) - 128).max() <= 1
+
+
+def test_a_mask_changes_no_colour_far_from_it(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
+    Image.fromarray(noise).save(tmp_path / "a.png")
+    mask = np.arange(64) < 32 + np.zeros((48, 1), int)
+    plain = decode(tmp_path / "a.png", (40, 30))
+    assert np.array_equal(
+        decode(tmp_path / "a.png", (40, 30), counted=lambda: mask)[:, :15], plain[:, :15]
+    )
+    assert np.array_equal(decode(tmp_path / "a.png", (64, 48), counted=lambda: mask), noise)
+
+
+def test_a_posed_photo_is_resampled_by_its_mask(tmp_path: Path) -> None:
+    """Also at a part of its size, and turned."""
+    mask = np.random.default_rng(0).random((120, 160)) > 0.01
+    Image.fromarray(np.where(mask, 128, 0).astype(np.uint8)).save(tmp_path / "a.png")
+    for turn in (1, 6):
+        size = (100, 75) if turn == 1 else (75, 100)
+        whole = turned(mask, turn)
+        path = tmp_path / f"mask-{turn}.png"
+        made = PhotoMask(
+            digest="m",
+            path=path,
+            remake=partial(write_mask, path, resized(whole, size)),
+            small=np.zeros((1, 1), np.uint8),
+            whole=lambda whole=whole: whole,
+        )
+        image = replace(posed(tmp_path / "a.png", *size), mask=made, turn=turn)
+        for scaled in (image, image.scaled(0.5)):
+            kept = load_mask(scaled)
+            assert kept is not None and 0.2 < kept.mean() < 1
+            assert np.abs(load_photo(scaled)[kept].astype(int) - 128).max() <= 1
+
+
+@pytest.mark.parametrize("mode", ["RGBA", "LA", "P"])
+def test_cut_outs_have_no_dark_rim(tmp_path: Path, mode: str) -> None:
+    y, x = np.mgrid[:96, :128]
+    inside = (x - 64) ** 2 + (y - 48) ** 2 < 30**2
+    grey = np.where(inside, 200, 0).astype(np.uint8)
+    alpha = (inside * 255).astype(np.uint8)
+    if mode == "P":
+        cut = Image.fromarray(inside.astype(np.uint8))
+        cut.putpalette([0, 0, 0, 200, 200, 200])
+        cut.save(tmp_path / "a.png", transparency=0)
+    else:
+        cut = Image.merge(
+            mode, [Image.fromarray(grey)] * (len(mode) - 1) + [Image.fromarray(alpha)]
+        )
+        cut.save(tmp_path / "a.png")
+    small = decode(tmp_path / "a.png", (50, 37))
+    seen = np.asarray(Image.fromarray(alpha).resize((50, 37), Image.Resampling.BOX)) > 25
+    assert np.abs(small[seen].astype(int) - 200).max() <= 1
+    assert (small[:5] == 0).all()  # where nothing is seen, the colours of the file
