@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ConfigError, EngineError
-from ..exchange.formats import format_of
+from ..exchange.formats import writable
 from ..formats.files import UNREADABLE, read_bytes, write_text
 from ..formats.names import first_taken, is_file_name, safe_name
 from ..formats.projects import model_folders
@@ -196,7 +196,7 @@ class Table:
         found = list(dict.fromkeys(f".{item.lstrip('.').lower()}" for item in value))
         for suffix in found:
             try:
-                format_of(Path(f"result{suffix}"))
+                writable(Path(f"result{suffix}"))
             except EngineError as error:
                 text = f"'{where[-1]}' has {shown(suffix.lstrip('.'))}, which is no format."
                 self._say(where, f"{text} {error.hint}")

@@ -53,7 +53,7 @@ def convert(request: Convert, context: Context = QUIET) -> Result:
     if request.out.name == STREAMED:
         _refuse_page_options(request, plain=False)
         return _write_streamed(request, context)
-    target = formats.format_of(request.out)
+    target = formats.writable(request.out)
     plain = request.plain or not target.keeps_antialiased
     _refuse_page_options(request, plain=plain)
     if request.source.suffix.lower() == LIST and not formats.is_named(request.source):

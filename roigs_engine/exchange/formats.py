@@ -103,6 +103,15 @@ def format_of(path: Path) -> FileFormat:
     raise ConfigError(f"{path} is not the name of a file of Gaussians.", f"Use {known}.")
 
 
+def writable(path: Path) -> FileFormat:
+    """As `format_of`; ConfigError also if files of that name are only read."""
+    form = format_of(path)
+    if form in READ_ONLY:
+        known = ", ".join(form.suffix for form in FORMATS)
+        raise ConfigError(f"{path}: {form.suffix} is only read.", f"Write {known}.")
+    return form
+
+
 def write(
     path: Path, arrays: Arrays, check: Check = nothing, *, antialiased: bool = False, **more: Any
 ) -> int:
@@ -115,10 +124,7 @@ def write(
             has no place for it.
         more: what the module's `write` takes besides these; nothing for a plain PLY.
     """
-    form = format_of(path)
-    if form in READ_ONLY:
-        known = ", ".join(form.suffix for form in FORMATS)
-        raise ConfigError(f"{path}: {form.suffix} is only read.", f"Write {known}.")
+    form = writable(path)
     remove_leftovers_of(path)
     if not form.module:
         splat_ply.write_ply(path, arrays, antialiased=antialiased)
