@@ -82,6 +82,16 @@ def test_every_readable_format_can_be_chosen(addon: ModuleType) -> None:
     assert set(GaussiansHandler.bl_file_extensions.split(";")) == dropped
 
 
+def test_the_axis_that_a_file_says_is_up(blender: ModuleType, engine, ply: Path) -> None:
+    """nerfstudio's z; another one that was chosen wins."""
+    means = read_ply(ply)["means"]
+    said = b"\ncomment Vertical Axis: z\nelement"
+    ply.write_bytes(ply.read_bytes().replace(b"\nelement", said, 1))
+    np.testing.assert_allclose(points(bring(blender, ply)), means, atol=1e-6)
+    turned = means @ turn("y", "z")[:3, :3].T
+    np.testing.assert_allclose(points(bring(blender, ply, up="Y")), turned, atol=1e-6)
+
+
 def test_out_and_in_again_is_the_same(blender: ModuleType, engine, ply: Path, tmp_path) -> None:
     item = bring(blender, ply, up="Z")
     np.testing.assert_allclose(points(item), read_ply(ply)["means"], atol=1e-6)
