@@ -28,6 +28,7 @@ MODULES = (
     "properties",
     "jobs.run_folders",
     "scene.active_camera",
+    "scene.backgrounds",
     "scene.edits",
     "scene.former_settings",
     "scene.formerly_hidden",

@@ -88,6 +88,11 @@ def models_folder() -> Path:
     return (_chosen_cache() or extension_folder() / "cache") / "models"
 
 
+def pictures_folder() -> Path:
+    """Where pictures of photos are kept that show them as training sees them."""
+    return (_chosen_cache() or extension_folder() / "cache") / "photos"
+
+
 def unsaved_folder() -> Path:
     """Where runs of files that were never saved are kept."""
     return (_chosen_cache() or data_folder()) / "unsaved"

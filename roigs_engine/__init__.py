@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from .app.scenes import reconstruct as reconstruct
     from .app.scenes import refine_cameras as refine_cameras
     from .app.scenes import select as select
+    from .app.scenes import show_photo as show_photo
     from .app.train import plan_training as plan_training
     from .app.train import train as train
     from .app.train import train_parts as train_parts
@@ -71,6 +72,7 @@ if TYPE_CHECKING:
     from .requests.projects import Reconstruct as Reconstruct
     from .requests.projects import RefineCameras as RefineCameras
     from .requests.projects import Select as Select
+    from .requests.projects import ShowPhoto as ShowPhoto
     from .requests.runs import Batch as Batch
     from .requests.runs import CheckGpu as CheckGpu
     from .requests.runs import Clean as Clean
@@ -101,11 +103,11 @@ _MODULES = {
     "app.masks": "make_masks",
     "app.objects": "compose cut find_floaters",
     "app.render": "render render_frames",
-    "app.scenes": "export inspect reconstruct refine_cameras select",
+    "app.scenes": "export inspect reconstruct refine_cameras select show_photo",
     "app.train": "plan_training train train_parts",
     "app.upkeep": "check_gpu clean make_levels",
     "requests.models": "Compose Convert Cut Floaters Masks Render RenderFrames",
-    "requests.projects": "Export Inspect Reconstruct RefineCameras Select",
+    "requests.projects": "Export Inspect Reconstruct RefineCameras Select ShowPhoto",
     "requests.runs": "Batch CheckGpu Clean Evaluate Levels Train TrainAndEvaluate",
     "colmap.project": "load_colmap",
     "context": "Context",

@@ -24,6 +24,7 @@ PACKAGES = ("numpy", "PIL", "scipy", "sklearn", "pycolmap", "torch", "av", "pill
 FOR_READING = ("numpy",)
 FOR_GAUSSIAN_PROCESS = ("numpy", "scipy", "sklearn")
 FOR_REFINING = ("numpy", "PIL", "scipy", "sklearn", "pycolmap")
+FOR_PICTURES = ("numpy", "PIL")
 FOR_DISTORTION = ("numpy", "PIL", "pycolmap")
 FOR_RECONSTRUCTING = ("numpy", "PIL", "pycolmap")
 FOR_VIDEOS = (*FOR_RECONSTRUCTING, "av")

@@ -26,12 +26,18 @@ class Photo:
         path: of the file; empty if it is missing.
         intrinsics: in pixels.
         world_to_camera: rows of the pose in the COLMAP frame, OpenCV axes.
+        lens: the camera of a photo with distortion, in the words of `cameras.txt`; else empty.
+        turn: the EXIF orientation by which training turns the photo; 1: not.
+        as_stored: whether the file shows what training sees.
     """
 
     name: str
     path: str
     intrinsics: Intrinsics
     world_to_camera: tuple[tuple[float, ...], ...]
+    lens: str = ""
+    turn: int = 1
+    as_stored: bool = True
 
     @property
     def pose(self) -> Matrix:
@@ -55,6 +61,9 @@ class Photo:
             world_to_camera=tuple(
                 tuple(float(v) for v in row) for row in record["world_to_camera"]
             ),
+            lens=str(record.get("lens", "")),
+            turn=int(record.get("turn", 1)),
+            as_stored=bool(record.get("as_stored", True)),
         )
 
     def to_json(self) -> str:

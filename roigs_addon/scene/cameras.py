@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 from mathutils import Matrix as BlenderMatrix
@@ -11,7 +13,7 @@ from ..geometry import frames
 from ..geometry.frames import Intrinsics, Lens, Matrix
 from ..geometry.photo import Photo
 from ..properties import object_props
-from . import lookup
+from . import backgrounds, lookup
 
 LEAST_CLIP = 1e-6
 """Blender's least clip distance."""
@@ -70,7 +72,7 @@ def activate(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
     lens = frames.lens_from_intrinsics(k)
     render.resolution_x, render.resolution_y = k.width, k.height
     render.pixel_aspect_x, render.pixel_aspect_y = lens.aspect_x, lens.aspect_y
-    show_background(camera_of(item), photo)
+    backgrounds.show(camera_of(item), photo)
     _free_others(scene, camera_of(item))
 
 
@@ -83,22 +85,6 @@ def _free_others(scene: bpy.types.Scene, shown: bpy.types.Camera) -> None:
             if image is not None and image not in kept and not image.is_dirty:
                 image.buffers_free()
                 image.gl_free()
-
-
-def show_background(data: bpy.types.Camera, photo: Photo) -> None:
-    """Show the photo behind the camera's view, unless it is there already or cannot be read."""
-    if not photo.path or len(data.background_images):
-        return
-    try:
-        image = bpy.data.images.load(photo.path, check_existing=True)
-    except RuntimeError:  # missing or not a picture: the camera is useful without it
-        return
-    background = data.background_images.new()
-    background.image = image
-    background.frame_method = "STRETCH"
-    background.alpha = 1.0
-    background.display_depth = "BACK"
-    data.show_background_images = True
 
 
 def photo_of(item: bpy.types.Object, root: bpy.types.Object | None) -> Photo | None:
@@ -114,9 +100,7 @@ def photo_of(item: bpy.types.Object, root: bpy.types.Object | None) -> Photo | N
     if _same(pose, photo.pose):
         return photo
     rows = tuple(tuple(float(v) for v in row) for row in pose)
-    return Photo(
-        name=photo.name, path=photo.path, intrinsics=photo.intrinsics, world_to_camera=rows
-    )
+    return replace(photo, world_to_camera=rows)
 
 
 def _same(a: Matrix, b: Matrix) -> bool:

@@ -17,7 +17,7 @@ from ..geometry.photo import Photo
 from ..geometry.rounding import rounding
 from ..properties import object_props, scene_props
 from ..shared import gravity, text
-from . import cameras, clouds, lookup, placement, start_cube
+from . import backgrounds, cameras, clouds, lookup, placement, start_cube
 
 ROOT_NAME = "COLMAP"
 # In units of the cameras' extent.
@@ -70,7 +70,7 @@ def import_folder(
         item = _add_camera(collection, root, photo, extent)
         if scene.camera is None and active is not None and active.name == photo.name:
             scene.camera = item
-            cameras.show_background(camera_of(item), photo)
+            backgrounds.show(camera_of(item), photo)
     if len(points):
         cloud = _new_cloud(f"{name} Points", points, colours, extent)
         cloud.parent = root

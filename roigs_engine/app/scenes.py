@@ -14,7 +14,7 @@ from ..errors import ConfigError
 from ..formats.files import write_json
 from ..formats.text import counted
 from ..model.roi import OrientedBox
-from ..requests.projects import Export, Inspect, Reconstruct, RefineCameras, Select
+from ..requests.projects import Export, Inspect, Reconstruct, RefineCameras, Select, ShowPhoto
 from .event_log import logged
 from .inputs import BoxSource, boxes_of, load_scene, mask_options
 from .outputs import Result, refuse_inputs, refuse_run_files
@@ -87,6 +87,17 @@ def export(request: Export, context: Context = QUIET) -> Result:
     paths = {name: Path(path) for name, path in files.items()}
     cameras, points = counted(len(scene.images), "camera"), counted(len(scene.points), "point")
     return Result(files=paths, text=f"{cameras} and {points} in {request.out}")
+
+
+def show_photo(request: ShowPhoto, context: Context = QUIET) -> Result:
+    """Write a picture of a photo as training sees it; EngineError if that is not possible."""
+    from ..colmap.shown_photo import lens_from_words, write_shown
+
+    refuse_run_files(request.out)
+    refuse_inputs([request.out], [request.photo, request.options_file])
+    lens = lens_from_words(request.lens) if request.lens else None
+    write_shown(request.photo, request.out, lens=lens, turn=request.turn, side=request.max_side)
+    return Result(files={"picture": request.out}).with_places()
 
 
 @dataclass(frozen=True, kw_only=True)

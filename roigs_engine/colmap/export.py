@@ -14,7 +14,9 @@ from ..formats.files import atomic_write, write_json
 from ..formats.scene_transform import read_transforms, transform_among, transform_file
 from ..formats.transforms import scale_of
 from ..model.scene import Float64, SfmScene
+from ..photos.rotation import AS_STORED
 from .inspect import inspect_scene
+from .shown_photo import is_as_stored
 
 SCENE = "scene.json"
 COLMAP, PLACED = "colmap", "placed"
@@ -57,6 +59,9 @@ def write_export(
             **asdict(image.camera),
             "world_to_camera": image.world_to_camera.tolist(),
             "distorted": image.distorted,
+            "lens": image.lens,
+            "turn": image.turn,
+            "as_stored": not image.lens and image.turn == AS_STORED and is_as_stored(image.path),
         }
         for image in scene.images
     ]

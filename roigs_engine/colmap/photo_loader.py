@@ -24,6 +24,7 @@ from ..photos.rotation import AS_STORED, rotation_tag, turned_size
 from .camera_masks import HIDDEN, MaskPlan, find_mask, make_masks, mention_masks, plan_object_masks
 from .records import Model, ModelImage
 from .rotations import Cloud, StoredPhoto, find_turns
+from .shown_photo import lens_in_words
 from .undistort import (
     UndistortionPlan,
     as_pinhole,
@@ -164,6 +165,7 @@ class PhotoLoader:
             world_to_camera=photo.world_to_camera,
             turn=turn,
             distorted=pinhole is None,
+            lens="" if pinhole is not None else lens_in_words(camera),
         )
         return ""
 
@@ -261,7 +263,7 @@ class PhotoLoader:
                 continue
             remake = partial(undistort_again, plan, path)
             self.posed[key] = replace(
-                image, path=path, remake=remake, distorted=False, turn=AS_STORED
+                image, path=path, remake=remake, distorted=False, lens="", turn=AS_STORED
             )
 
 

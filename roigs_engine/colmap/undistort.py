@@ -171,6 +171,16 @@ def undistort_again(plan: UndistortionPlan, path: Path) -> None:
 
 def undistort(plan: UndistortionPlan, path: Path) -> None:
     """Undistort the photo to a PNG; PhotoError if it cannot be decoded."""
+    result = undistorted_photo(plan)
+    with atomic_write(path) as file:
+        result.save(file, format="PNG", compress_level=1)
+
+
+def undistorted_photo(plan: UndistortionPlan) -> Any:
+    """The undistorted photo as a picture of Pillow's.
+
+    PhotoError: it cannot be decoded, or its file does not have the plan's digest.
+    """
     from PIL import Image  # only for pixels: cameras do not need it
 
     from ..photos.decode import decode, weighted
@@ -186,13 +196,9 @@ def undistort(plan: UndistortionPlan, path: Path) -> None:
         return result if result.size == size else result.resize(size, Image.Resampling.LANCZOS)
 
     if plan.counted is None:
-        result = flat(pixels)
-    else:
-        mask = resized(plan.counted(), source)
-        made = weighted(pixels, mask, lambda picture: flat(np.asarray(picture)))
-        result = Image.fromarray(made)
-    with atomic_write(path) as file:
-        result.save(file, format="PNG", compress_level=1)
+        return flat(pixels)
+    mask = resized(plan.counted(), source)
+    return Image.fromarray(weighted(pixels, mask, lambda picture: flat(np.asarray(picture))))
 
 
 def undistorted_mask(mask: NDArray[np.bool_], camera: ModelCamera, least: int) -> NDArray[np.bool_]:

@@ -83,6 +83,16 @@ COMMANDS: dict[str, Command] = {
         ),
         torch=False,
     ),
+    "show-photo": Command(
+        request=projects.ShowPhoto,
+        does="scenes:show_photo",
+        help="write a picture of a photo as training sees it: upright, undistorted, in sRGB",
+        examples=(
+            "garden/images/a.jpg --out a.jpg",
+            "a.jpg --lens 'SIMPLE_RADIAL 4000 3000 2900 2000 1500 -0.08' --out flat.jpg",
+        ),
+        torch=False,
+    ),
     "refine-cameras": Command(
         request=projects.RefineCameras,
         does="scenes:refine_cameras",

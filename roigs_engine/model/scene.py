@@ -93,6 +93,7 @@ class PosedImage:
         turn: how the photo at `path` must be turned, an EXIF orientation; 1: not.
         distorted: whether the photo at `path` still has lens distortion, which `camera` does not
             describe (only in scenes loaded without pixels).
+        lens: of such a photo, its camera as in a line of `cameras.txt`, without the number.
         whole_size: width and height of the photo of which this one is the average; None: this
             one is whole.
     """
@@ -109,6 +110,7 @@ class PosedImage:
     objects: Mapping[str, PhotoMask] = field(default_factory=dict)
     turn: int = 1
     distorted: bool = False
+    lens: str = ""
     whole_size: tuple[int, int] | None = None
 
     @property

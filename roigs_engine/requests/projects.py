@@ -8,7 +8,7 @@ from pathlib import Path
 from . import choices
 from .declare import Request, argument, option
 from .groups import MODEL, Boxes, ObjectMasks, PhotoMasks, Scene, Selection, Threads
-from .values import DIR, FLAG, PATH, Choice, PathName, integer
+from .values import DIR, FILE, FLAG, PATH, Choice, Name, PathName, integer
 
 MOST_FEATURES, LARGEST_SIDE, MOST_NEIGHBOURS, MOST_FRAMES = 32_768, 8_192, 1_000, 10_000
 FEW_PHOTOS, MANY, USUAL = 40, 8192, 2048  # photos, and their features; more photos have the usual
@@ -94,6 +94,23 @@ class Export(Scene):
         False,
     )
     out: Path = option(DIR, "folder to write to", required=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShowPhoto(Request):
+    """A picture of a photo as training sees it."""
+
+    photo: Path = argument(PATH, "file of the photo")
+    lens: str | None = option(
+        Name("CAMERA"),
+        "undistort it from this camera, written as in cameras.txt: 'MODEL WIDTH HEIGHT PARAMS'"
+        " (default: it has no distortion)",
+    )
+    turn: int = option(integer(1, 8), "turn it by this EXIF orientation (default: {default})", 1)
+    max_side: int = option(
+        integer(1, LARGEST_SIDE, metavar="PX"), "longest side (default: {default})", 3000
+    )
+    out: Path = option(FILE, "JPEG to write", required=True)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,216 @@
+"""The photos behind cameras' views, as training sees them.
+
+Most are the user's files. For a photo with lens distortion, a colour profile or a rotation, and for
+files that Blender reads otherwise, the engine makes a picture once, in a process beside Blender.
+Until it is there, the file is shown.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+
+from .. import settings
+from ..blender import camera_of, is_rendering
+from ..engine.process import EngineProcess
+from ..engine.python import FOR_DISTORTION, FOR_PICTURES
+from ..errors import AddonError
+from ..geometry.photo import Photo
+from ..windows import Timer, redraw
+from . import lookup
+
+SIDE = 3000
+"""Longest side of a picture, px: on a screen, the detail of the largest photos."""
+KEPT = 200
+"""Pictures in the cache, about 2 MB each; the oldest are deleted."""
+POLL_SECONDS = 0.1
+END_SECONDS = 5.0
+
+
+@dataclass(frozen=True)
+class _Making:
+    """A picture that the engine makes."""
+
+    photo: Photo
+    picture: Path
+    process: EngineProcess
+
+
+_making: _Making | None = None
+_wanted: Photo | None = None
+"""The photo that was looked through last, if it needs a picture and waits for the engine."""
+_failed: set[Path] = set()
+"""Pictures that cannot be made: not tried again until Blender is started anew."""
+
+
+def show(data: bpy.types.Camera, photo: Photo) -> None:
+    """Show a photo behind the camera's view, unless another picture is there.
+
+    A photo that cannot be read is not shown: the camera is useful without it. In background mode,
+    where Blender calls no timers, the engine is waited for.
+    """
+    global _wanted
+    if not photo.path:
+        return
+    picture = _picture(photo)
+    if picture is None or picture.is_file():
+        _put(data, photo, picture or Path(photo.path))
+        return
+    _put(data, photo, Path(photo.path))
+    if picture in _failed:
+        return
+    _wanted = photo
+    if in_background():
+        while _step(wait=True):
+            pass
+    else:
+        _timer.start()
+
+
+def in_background() -> bool:
+    """Whether Blender calls no timers."""
+    return bool(bpy.app.background)
+
+
+def _picture(photo: Photo) -> Path | None:
+    """The file of a photo's picture, made or not; None: the photo's own file is shown.
+
+    Its name tells all that decides it: a photo that has changed gets another.
+    """
+    if photo.as_stored:
+        return None
+    try:
+        found = os.stat(photo.path)
+    except OSError:
+        return None
+    text = repr((photo.path, found.st_size, found.st_mtime_ns, photo.lens, photo.turn, SIDE))
+    name = hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()[:32]
+    return settings.pictures_folder() / f"{name}.jpg"
+
+
+def _put(data: bpy.types.Camera, photo: Photo, path: Path) -> None:
+    """Make a file the camera's background, in place of the photo's file or an earlier picture."""
+    shown = [*data.background_images]
+    own = [background for background in shown if _is_own(background.image, photo)]
+    if shown and not own:
+        return
+    if own and _path(own[0].image) == path:
+        return
+    try:
+        image = bpy.data.images.load(str(path), check_existing=True)
+    except RuntimeError:  # missing or not a picture
+        return
+    if own:
+        before, own[0].image = own[0].image, image
+        if before is not None and not before.users:
+            bpy.data.images.remove(before)
+        return
+    background = data.background_images.new()
+    background.image = image
+    background.frame_method = "STRETCH"
+    background.alpha = 1.0
+    background.display_depth = "BACK"
+    data.show_background_images = True
+
+
+def _is_own(image: bpy.types.Image | None, photo: Photo) -> bool:
+    """Whether an image was put behind a camera here."""
+    if image is None:
+        return False
+    path = _path(image)
+    return path in (Path(photo.path), _picture(photo)) or path.parent == settings.pictures_folder()
+
+
+def _path(image: bpy.types.Image | None) -> Path:
+    return Path(bpy.path.abspath(image.filepath) if image else "")
+
+
+def _step(*, wait: bool = False) -> bool:
+    """Go on with the pictures; False: there is nothing to do. `wait`: for the engine."""
+    global _making, _wanted
+    if _making is None:
+        if _wanted is None:
+            return False
+        photo, _wanted = _wanted, None
+        _making = _started(photo)
+        return True
+    if wait:
+        _making.process.wait()
+    if _making.process.running() or is_rendering():  # Blender's data must not change then
+        return True
+    made, _making = _making, None
+    result = made.process.result()
+    if result.complete and made.picture.is_file():
+        for data in _cameras_of(made.photo):
+            _put(data, made.photo, made.picture)
+        redraw()
+    else:
+        _give_up(made.picture, result.message)
+    return _wanted is not None
+
+
+def _started(photo: Photo) -> _Making | None:
+    """Have the engine make a photo's picture."""
+    picture = _picture(photo)
+    if picture is None or picture in _failed:
+        return None
+    arguments = ["show-photo", photo.path, "--out", str(picture), "--max-side", str(SIDE)]
+    arguments += ["--turn", str(photo.turn)]
+    if photo.lens:
+        arguments += ["--lens", photo.lens]
+    try:
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        _remove_oldest(picture.parent)
+        engine = settings.engine(FOR_DISTORTION if photo.lens else FOR_PICTURES)
+        process = EngineProcess(engine, arguments)
+    except (AddonError, OSError) as error:
+        _give_up(picture, str(error))
+        return None
+    return _Making(photo, picture, process)
+
+
+def _give_up(picture: Path, reason: str) -> None:
+    _failed.add(picture)
+    print(f"ROI-GS: The photo is shown as it is stored. {reason}".rstrip())
+
+
+def _remove_oldest(folder: Path) -> None:
+    with suppress(OSError):
+        pictures = sorted(folder.glob("*.jpg"), key=lambda file: file.stat().st_mtime)
+        for picture in pictures[: max(0, len(pictures) - KEPT)]:
+            picture.unlink()
+
+
+def _cameras_of(photo: Photo) -> Iterator[bpy.types.Camera]:
+    """The cameras behind which a photo is shown, in all scenes."""
+    for scene in bpy.data.scenes:
+        for item in lookup.of_kind(scene, "CAMERA"):
+            data = camera_of(item)
+            if lookup.photo_record(item) == photo and len(data.background_images):
+                yield data
+
+
+_timer = Timer(_step, POLL_SECONDS, persistent=True)
+
+
+def register() -> None:
+    """Nothing is made until a photo is looked through."""
+
+
+def unregister() -> None:
+    """End the engine's process."""
+    global _making, _wanted
+    _timer.stop()
+    _wanted = None
+    _failed.clear()
+    if _making is not None:
+        _making.process.kill()
+        _making.process.wait(END_SECONDS)
+        _making.process.result()
+        _making = None

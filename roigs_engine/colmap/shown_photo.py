@@ -1,0 +1,99 @@
+"""Pictures of photos as training sees them: upright, without distortion, in sRGB."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..errors import ConfigError
+from ..formats.files import atomic_write
+from ..photos.headers import content_digest, open_photo, photo_size, unreadable
+from ..photos.rotation import AS_STORED, turned_size
+from .records import ModelCamera, checked_camera
+from .undistort import plan_undistortion, undistorted_photo
+
+USUAL_FORMATS = ("JPEG", "MPO", "PNG", "BMP", "WEBP", "TIFF")  # which other programs read
+USUAL_MODES = ("1", "L", "LA", "P", "RGB", "RGBA")
+BITS, PHOTOMETRIC, PLANAR = 258, 262, 284  # tags of a TIFF
+WHITE_IS_ZERO, SEPARATE = 0, 2
+QUALITY = 95
+
+
+def lens_in_words(camera: ModelCamera) -> str:
+    """A camera as a line of `cameras.txt` has it, without its number."""
+    values = camera.width, camera.height, *map(repr, camera.params)
+    return " ".join(map(str, (camera.model, *values)))
+
+
+def lens_from_words(words: str) -> ModelCamera:
+    """The inverse of `lens_in_words`; ConfigError: it is no camera."""
+    try:
+        model, width, height, *params = words.split()
+        return checked_camera(model, int(width), int(height), tuple(map(float, params)))
+    except ValueError as error:
+        text = f"'{words}' is no camera ({error})."
+        raise ConfigError(text, "Write it as in cameras.txt: MODEL WIDTH HEIGHT PARAMS.") from error
+
+
+def is_as_stored(path: Path) -> bool:
+    """Whether programs that ignore profiles show a photo's file as training sees it.
+
+    True also of a file that cannot be opened.
+    """
+    with suppress(Exception):  # such photos are reported by others; Pillow may be missing
+        from ..photos.colours import colours_of
+
+        with open_photo(path) as photo:
+            usual = photo.format in USUAL_FORMATS and photo.mode in USUAL_MODES
+            return bool(usual and not colours_of(photo).profile and _usual_tiff(photo))
+    return True
+
+
+def _usual_tiff(photo: Any) -> bool:
+    """Whether a photo is no TIFF of a kind that programs read in different ways."""
+    if photo.format != "TIFF":
+        return True
+    tags = photo.tag_v2
+    return bool(
+        max(tags.get(BITS, (1,))) <= 8
+        and tags.get(PHOTOMETRIC) != WHITE_IS_ZERO
+        and tags.get(PLANAR) != SEPARATE
+    )
+
+
+def write_shown(
+    path: Path, out: Path, *, lens: ModelCamera | None, turn: int = AS_STORED, side: int
+) -> None:
+    """Write a JPEG of a photo as training sees it, its longer side at most `side`.
+
+    Args:
+        path, out: the photo's file, and the picture's.
+        lens: the camera with the distortion; None: the photo has none.
+        turn: how the stored pixels are turned (`photos.rotation`).
+        side: px.
+
+    Raises:
+        SceneError: the photo cannot be read, or the camera cannot be undistorted.
+    """
+    from PIL import Image
+
+    from ..photos.decode import decode
+
+    def shrink(width: int, height: int) -> tuple[int, int]:
+        share = min(1.0, side / max(width, height))
+        return max(1, round(width * share)), max(1, round(height * share))
+
+    size = turned_size(photo_size(path), turn)
+    if lens is None:
+        picture = Image.fromarray(decode(path, shrink(*size), turn))
+    else:
+        try:
+            digest = content_digest(path)
+        except OSError as error:
+            raise unreadable(path, error) from error
+        plan = plan_undistortion(path, lens, size, shrink, turn)
+        picture = undistorted_photo(replace(plan, digest=digest))
+    with atomic_write(out, durable=False) as file:
+        picture.save(file, format="JPEG", quality=QUALITY, subsampling=0)
