@@ -62,7 +62,9 @@ def colours_of(photo: Image.Image) -> Colours:
         if profile and _transform(profile, _kind(photo)) is None:
             return Colours()
         return Colours(profile=profile)
-    except (ProfileError, ValueError, struct.error, OSError):
+    except MemoryError:
+        raise
+    except Exception:  # of damaged profiles, chunks and boxes
         return Colours(damaged=True)
 
 

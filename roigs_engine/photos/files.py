@@ -15,7 +15,7 @@ from ..formats.files import is_link
 from ..formats.projects import PHOTO_FOLDERS, SPARSE
 
 EXTENSIONS = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2", ".ppm", ".pgm"}
-HEIC = {".heic", ".heif"}  # read by `reconstruct` alone, which converts them
+HEIC = {".heic", ".heif", ".hif"}  # read by `reconstruct` alone, which converts them
 
 UNREAD = {
     *(".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dng", ".erf", ".iiq", ".nef", ".nrw", ".orf"),

@@ -9,6 +9,7 @@ whose first page is a small copy or a mask. As with Pillow, white is the largest
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from ..errors import EngineError
 MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # Tags (TIFF 6.0), and what they say.
 SUBFILE, BITS, COMPRESSION, PHOTOMETRIC, PLANAR, EXTRA, FORMAT = 254, 258, 259, 262, 284, 338, 339
-INKS, PROFILE = 332, 34675
+COLOURS, INKS, PROFILE = 320, 332, 34675
 KEPT = (271, 272, 274)  # maker, model and orientation, as EXIF data have them
 SMALL_OR_MASK = 1 | 4
 MINISWHITE, MINISBLACK, RGB, PALETTE, CMYK, YCBCR, CIELAB, ICCLAB = 0, 1, 2, 3, 5, 6, 8, 9
@@ -54,6 +55,8 @@ def pillow_reads(photo: Image.Image) -> bool:
     formats, compression = {*tags.get(FORMAT, (UNSIGNED,))}, tags.get(COMPRESSION, 1)
     if tags.get(SUBFILE, 0) & SMALL_OR_MASK or compression not in COMPRESSIONS:
         return False
+    if photo.mode in ("P", "PA") and _of_eight_bits(tags.get(COLOURS, ())):
+        return False
     if photo.mode == "La" or not formats <= {UNSIGNED, FLOAT}:
         return False
     chunky, associated = tags.get(PLANAR, 1) == 1, ASSOCIATED in tags.get(EXTRA, ())
@@ -62,6 +65,11 @@ def pillow_reads(photo: Image.Image) -> bool:
     if formats == {FLOAT} and tags.prefix == b"MM" and compression != 1:
         return False
     return chunky and tags.get(PHOTOMETRIC) != MINISWHITE
+
+
+def _of_eight_bits(palette: Sequence[int]) -> bool:
+    """Whether a palette has values of 8 bits, not of 16 as the format demands, as libtiff says."""
+    return max(palette, default=256) < 256
 
 
 def colmap_reads(photo: Image.Image) -> bool:
@@ -182,7 +190,9 @@ def _decoded(page: Any) -> Image.Image:
     values = values.reshape(page.imagelength, page.imagewidth, -1)
     photometric, mode = int(page.photometric), _mode(page)
     if photometric == PALETTE:
-        return Image.fromarray((page.colormap.T[values[..., 0]] >> 8).astype(np.uint8))
+        colours = page.colormap.T[values[..., 0]]
+        shift = 0 if _of_eight_bits(page.colormap.ravel().tolist()) else 8
+        return Image.fromarray((colours >> shift).astype(np.uint8))
     if mode == "LAB":
         return _lab(values[..., :3], signed=photometric == CIELAB)
     scaled = _eight_bits(values[..., : Image.getmodebands(mode)], page.bitspersample)

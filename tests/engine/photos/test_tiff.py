@@ -84,6 +84,10 @@ def kinds() -> Iterator[tuple[str, np.ndarray, np.ndarray, dict[str, Any]]]:
     palette = np.stack([np.arange(256), np.arange(255, -1, -1), np.arange(256)]).astype(np.uint16)
     mirrored = np.stack([GREY, 255 - GREY, GREY], axis=-1)
     yield "palette", mirrored, GREY, {"photometric": "palette", "colormap": palette * 257}
+    eight = {"photometric": "palette", "colormap": palette}  # not of 16 bits, as it must be
+    yield "palette of 8 bits", mirrored, GREY, eight
+    deep = np.stack([np.arange(65536)] * 3).astype(np.uint16)
+    yield "palette of 65,536", GREY, of_type(GREY, "u2"), {**eight, "colormap": deep}
     bits = GREY > 127
     yield "one bit", bits * np.uint8(255), bits, {"photometric": "minisblack"}
     yield "one bit, white is zero", bits * np.uint8(255), ~bits, {"photometric": "miniswhite"}

@@ -153,9 +153,10 @@ def test_photos_that_become_jpeg_become_srgb(tmp_path: Path) -> None:
     (tmp_path / "photos").mkdir()
     p3, exif = cicp_profile(12, 13), Image.Exif()
     exif[0x8769] = {0xA001: 0xFFFF, 0xA005: {1: "R03"}}  # would be Adobe RGB
-    for name in ("a.heic", "b.webp"):
+    for name in ("a.HIF", "b.webp"):
         pixels = Image.new("RGB", (64, 48), (187, 57, 48))  # 200, 40, 40 in sRGB
-        pixels.save(tmp_path / "photos" / name, icc_profile=p3, exif=exif, quality=100)
+        kind = "WEBP" if name.endswith("webp") else "HEIF"
+        pixels.save(tmp_path / "photos" / name, kind, icc_profile=p3, exif=exif, quality=100)
     pixels.save(
         tmp_path / "photos/c.heic", quality=100, color_primaries=12, transfer_characteristics=13
     )
@@ -169,7 +170,7 @@ def test_photos_that_become_jpeg_become_srgb(tmp_path: Path) -> None:
         record = json.loads(folder.work("converted.json").read_text())
         old = {name: value.split()[0] for name, value in record.items()}
         folder.work("converted.json").write_text(json.dumps(old))
-        Image.new("RGB", (64, 48)).save(files["a.heic.jpg"])
+        Image.new("RGB", (64, 48)).save(files["a.HIF.jpg"])
 
 
 def test_heic_in_the_project_itself(tmp_path: Path) -> None:
