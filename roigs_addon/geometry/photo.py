@@ -26,7 +26,8 @@ class Photo:
         path: of the file; empty if it is missing.
         intrinsics: in pixels.
         world_to_camera: rows of the pose in the COLMAP frame, OpenCV axes.
-        lens: the camera of a photo with distortion, in the words of `cameras.txt`; else empty.
+        lens: the camera of a photo with distortion, in the words of `cameras.txt` and at the
+            size of the file; else empty.
         turn: the EXIF orientation by which training turns the photo; 1: not.
         as_stored: whether the file shows what training sees.
     """
@@ -43,6 +44,12 @@ class Photo:
     def pose(self) -> Matrix:
         """`world_to_camera` as a matrix."""
         return np.array(self.world_to_camera)
+
+    @property
+    def lens_size(self) -> tuple[int, int] | None:
+        """Width and height of a photo with distortion as it is stored, after `turn`; else None."""
+        words = self.lens.split()
+        return (int(words[1]), int(words[2])) if words else None
 
     @classmethod
     def from_dict(cls, record: dict[str, Any]) -> Photo:

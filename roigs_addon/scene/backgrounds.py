@@ -73,6 +73,12 @@ def show(data: bpy.types.Camera, photo: Photo) -> None:
         _timer.start()
 
 
+def with_distortion(photo: Photo) -> Path:
+    """The file that shows a photo with its distortion, on which strokes and masks are drawn."""
+    picture = None if photo.lens else _picture(photo)
+    return picture if picture is not None and picture.is_file() else Path(photo.path)
+
+
 def in_background() -> bool:
     """Whether Blender calls no timers."""
     return bool(bpy.app.background)

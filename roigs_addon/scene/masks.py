@@ -86,7 +86,9 @@ def photo_at_hand(context: bpy.types.Context) -> Photo | None:
 
 
 def size_of(photo: Photo) -> tuple[int, int]:
-    """Width and height of a photo's file, if it is loaded; else of its camera."""
+    """Width and height of a photo's file; of its camera, if an old .blend does not tell."""
+    if photo.lens_size is not None:
+        return photo.lens_size
     for image in bpy.data.images:
         if image.filepath and bpy.path.abspath(image.filepath) == photo.path and image.size[0]:
             return image.size[0], image.size[1]

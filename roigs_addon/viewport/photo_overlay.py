@@ -20,7 +20,7 @@ from ..blender import region_of, region_view_of, scene_of, view_3d_of
 from ..geometry.photo_places import Frame, in_region, unit
 from ..jobs import run_folders
 from ..properties import scene_props
-from ..scene import lookup, masks, scribbles
+from ..scene import backgrounds, lookup, masks, scribbles
 from ..windows import Timer, redraw
 from . import targets
 from .handler import ViewHandler
@@ -74,7 +74,7 @@ def _draw(context: bpy.types.Context) -> None:
         return
     gpu.state.depth_test_set("NONE")
     gpu.state.blend_set("ALPHA")
-    _image(_texture(Path(photo.path), mask=False), frame)
+    _image(_texture(backgrounds.with_distortion(photo), mask=False), frame)
     mask = masks.file(scene, run_folders.run_folder(scene), roi, photo.name)
     _image(mask and _texture(mask, mask=True), frame)
     size = masks.size_of(photo)

@@ -30,6 +30,7 @@ from .undistort import (
     as_pinhole,
     has_pycolmap,
     plan_undistortion,
+    resized_lens,
     undistort_again,
     undistort_all,
     without_distortion,
@@ -165,7 +166,7 @@ class PhotoLoader:
             world_to_camera=photo.world_to_camera,
             turn=turn,
             distorted=pinhole is None,
-            lens="" if pinhole is not None else lens_in_words(camera),
+            lens="" if pinhole is not None else lens_in_words(resized_lens(camera, *size)),
         )
         return ""
 

@@ -93,7 +93,8 @@ class PosedImage:
         turn: how the photo at `path` must be turned, an EXIF orientation; 1: not.
         distorted: whether the photo at `path` still has lens distortion, which `camera` does not
             describe (only in scenes loaded without pixels).
-        lens: of such a photo, its camera as in a line of `cameras.txt`, without the number.
+        lens: of such a photo, its camera at its own size, after `turn`, as in a line of
+            `cameras.txt`, without the number.
         whole_size: width and height of the photo of which this one is the average; None: this
             one is whole.
     """

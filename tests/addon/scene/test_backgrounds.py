@@ -57,6 +57,8 @@ def background(scene: object) -> tuple[Path, np.ndarray]:
 def test_a_photo_is_shown_without_its_distortion(
     blender: ModuleType, addon: ModuleType, bent: Path
 ) -> None:
+    from roigs_addon.scene import backgrounds, lookup, masks
+
     scene = imported(blender, bent)
     for photo in ("photo 3.png", "photo 4.png", "photo 3.png"):
         blender.ops.roigs.look_through(photo=photo)
@@ -68,6 +70,9 @@ def test_a_photo_is_shown_without_its_distortion(
     assert found.shape == right.shape
     assert np.abs(found - right).max() < 6
     assert len(scene.camera.data.background_images) == 1
+    shown = lookup.photo_record(scene.camera)
+    assert masks.size_of(shown) == (WIDTH, HEIGHT)  # of the file, on which strokes are drawn
+    assert backgrounds.with_distortion(shown) == bent / "images/photo 3.png"
 
 
 def test_a_changed_photo_and_a_lost_picture_are_made_again(
