@@ -12,7 +12,7 @@ import numpy as np
 from ..formats.files import write_bytes
 from ..formats.splat_ply import ANTIALIASED
 from .arrays import Arrays, unit_quats
-from .libraries import package
+from .libraries import NotSupportedError, package
 
 TITLE = "compressed PLY"
 CHUNK = 256  # Gaussians that share their bounds
@@ -42,8 +42,25 @@ def write(path: Path, arrays: Arrays, *, antialiased: bool = False) -> int:
 def read(path: Path) -> Arrays:
     """See `FileFormat`."""
     gsply: Any = package("gsply", TITLE)
-    _check(path)
-    return arrays_of(gsply.plyread(path))
+    if _check(path) == BYTES["chunk"][0]:
+        return arrays_of(gsply.plyread(path))
+    return arrays_of(gsply.decompress_from_bytes(_with_colours(path.read_bytes())))
+
+
+def _with_colours(data: bytes) -> bytes:
+    """A file of SuperSplat before 1.0, whose chunks have no bounds of colours: with those, 0 to 1.
+
+    gsply reads no other.
+    """
+    head, body = re.split(rb"\r?\nend_header\r?\n", data, maxsplit=1)
+    names = [f"property float {side}_{c}\n".encode() for side in ("min", "max") for c in "rgb"]
+    count = int(re.findall(rb"\nelement chunk ([0-9]+)", head)[0])
+    head = head.replace(b"\r\n", b"\n")
+    head = head.replace(b"element vertex", b"".join(names) + b"element vertex", 1)
+    old = np.frombuffer(body, "<f4", 12 * count).reshape(count, 12)
+    bounds = np.tile(np.array([0, 0, 0, 1, 1, 1], "<f4"), (count, 1))
+    chunks: bytes = np.concatenate((old, bounds), axis=1).tobytes()
+    return head + b"\nend_header\n" + chunks + body[old.nbytes :]
 
 
 def arrays_of(data: Any) -> Arrays:
@@ -61,15 +78,15 @@ def arrays_of(data: Any) -> Arrays:
     return {name: np.ascontiguousarray(values, np.float32) for name, values in found.items()}
 
 
-def _check(path: Path) -> None:
-    """Compare what the header promises with the file's size: gsply trusts it."""
+def _check(path: Path) -> int:
+    """Compare what the header promises with the file's size: gsply trusts it; bytes of a chunk."""
     with open(path, "rb") as file:
         head = file.read(MAX_HEADER)
         size = os.fstat(file.fileno()).st_size
     end = re.search(rb"\nend_header\r?\n", head)
     if not head.startswith(b"ply") or end is None:
         raise ValueError("no header")
-    counts, bytes_of, element = {}, {}, ""
+    counts, bytes_of, element, form = {}, {}, "", ""
     for line in head[: end.start()].decode("ascii", "replace").splitlines():
         words = line.split()
         if words[:1] == ["element"] and len(words) == 3:
@@ -81,10 +98,16 @@ def _check(path: Path) -> None:
             if len(words) != 3:
                 raise ValueError(f"'{line:.40}'")
             bytes_of[element] += {"float": 4, "uint": 4, "uchar": 1}.get(words[1], 1 << 40)
-    if not {"chunk", "vertex"} <= counts.keys() <= BYTES.keys():
+        elif words[:1] == ["format"]:
+            form = " ".join(words[1:2])
+    if form != "binary_little_endian":
+        raise NotSupportedError(f"a compressed PLY in the format '{form:.30}'")
+    if not {"chunk", "vertex"} <= counts.keys():
         raise ValueError("its elements are not those of a compressed PLY")
+    if more := counts.keys() - BYTES.keys():
+        raise NotSupportedError(f"the element '{min(more):.30}' of a compressed PLY")
     if any(bytes_of[name] not in BYTES[name] for name in counts):
-        raise ValueError("its properties are not those of a compressed PLY")
+        raise NotSupportedError("a compressed PLY with other properties than PlayCanvas's")
     if -(-counts["vertex"] // CHUNK) != counts["chunk"]:
         raise ValueError("its chunks do not belong to its Gaussians")
     if counts.get("sh", counts["vertex"]) != counts["vertex"]:
@@ -92,3 +115,4 @@ def _check(path: Path) -> None:
     wanted = sum(counts[name] * bytes_of[name] for name in counts)
     if size - end.end() < wanted:
         raise ValueError(f"it has {size - end.end()} of {wanted} bytes")
+    return bytes_of["chunk"]

@@ -181,6 +181,44 @@ def test_ply_says_any_direction(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, wanted, atol=1e-5)
 
 
+@pytest.mark.parametrize("degree", [0, 1])
+@pytest.mark.parametrize("end", [b"\n", b"\r\n"])
+def test_compressed_ply_without_bounds_of_colours(end: bytes, degree: int, tmp_path: Path) -> None:
+    """As SuperSplat wrote them in its first year: colours are from 0 to 1."""
+    pytest.importorskip("gsply")
+    model = {name: rows.astype(np.float32) for name, rows in values(degree).items()}
+    model["sh"][0, 0], model["sh"][1, 0] = -0.5 / SH_C0, 0.5 / SH_C0  # so the bounds are 0 and 1
+    formats.write(tmp_path / "a.compressed.ply", model)
+    wanted = formats.read(tmp_path / "a.compressed.ply")
+    head, rows = (tmp_path / "a.compressed.ply").read_bytes().split(b"end_header\n", 1)
+    for name in ("min_r", "min_g", "min_b", "max_r", "max_g", "max_b"):
+        head = head.replace(f"property float {name}\n".encode(), b"")
+    data = (head + b"end_header\n").replace(b"\n", end) + rows[:48] + rows[72:]
+    found = formats.read(saved(tmp_path / "b.compressed.ply", data))
+    for name in STEPS:
+        np.testing.assert_allclose(found[name], wanted[name], atol=1e-6, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        (b"little", b"big", "in the format 'binary_big_endian' is not supported"),
+        (b"end_header", b"element camera 0\nend_header", "element 'camera' .* is not supported"),
+        (b"property float max_b\n", b"", "other properties than PlayCanvas's is not supported"),
+    ],
+)
+def test_compressed_ply_of_other_kinds_is_named(
+    old: bytes, new: bytes, why: str, tmp_path: Path
+) -> None:
+    """The first was read as noise."""
+    pytest.importorskip("gsply")
+    model = {name: rows.astype(np.float32) for name, rows in values().items()}
+    formats.write(tmp_path / "a.compressed.ply", model)
+    data = (tmp_path / "a.compressed.ply").read_bytes().replace(old, new, 1)
+    with pytest.raises(RunFolderError, match=why):
+        formats.read(saved(tmp_path / "a.compressed.ply", data))
+
+
 # --- glTF ---
 
 
