@@ -89,7 +89,7 @@ class Video:
             with self._av.open(name, container_options=only) as file:
                 if not file.streams.video:
                     raise SceneError(f"{self.path} has no pictures.", "Give a video.")
-                stream = file.streams.video[0]
+                stream = file.streams.best("video") or file.streams.video[0]
                 stream.thread_type = "AUTO"
                 self.expected, self.damaged, self.deinterlaced = stream.frames, False, False
                 for number, frame in enumerate(self._whole(stream, self._decoded(file, stream))):

@@ -47,7 +47,8 @@ PEAK = 1000.0  # cd/m2 that become sRGB's 1: HLG's nominal peak, and that of mos
 PQ, HLG = 16, 18
 BLACK_OF_255, SPAN_OF_255 = 16, 219  # of limited range
 DEEP = 65535  # largest value of 16 bits
-ACCURATE_BILINEAR = 2 | 0x40000  # SWS_BILINEAR, SWS_ACCURATE_RND
+# Of libswscale: SWS_BILINEAR, SWS_ACCURATE_RND, SWS_FULL_CHR_H_INT
+BILINEAR, ACCURATE, ALL_CHROMA = 2, 0x40000, 0x2000
 ROWS = 256  # at a time
 
 
@@ -224,12 +225,18 @@ def to_srgb(frame: Any, colours: Colours, width: int) -> Pixels:
     """(H, width, 3) sRGB of a frame of PyAV, as stored: neither turned nor mirrored."""
     frame.colorspace = colours.matrix
     frame.color_range = 2 if colours.full or colours.direct else 1
+
+    def rgb(form: str, interpolation: int) -> NDArray[Any]:
+        size = {"width": width, "height": frame.height}
+        made = frame.reformat(**size, format=form, interpolation=interpolation)
+        return np.asarray(made.to_ndarray())
+
     if colours.plain:
-        rgb = frame.reformat(width=width, height=frame.height, format="rgb24")
-        return np.asarray(rgb.to_ndarray(), dtype=np.uint8)
-    deep = frame.reformat(
-        width=width, height=frame.height, format="rgb48le", interpolation=ACCURATE_BILINEAR
-    ).to_ndarray()
+        # Without these, grey gets a tint of up to 3 of 255. Ordinary video, where it is 2 at most,
+        # keeps its values of earlier versions.
+        ordinary = colours.matrix == 1 and not colours.full and frame.format.name == "yuv420p"
+        return rgb("rgb24", BILINEAR if ordinary else BILINEAR | ACCURATE | ALL_CHROMA)
+    deep = rgb("rgb48le", BILINEAR | ACCURATE)  # libswscale has a fault with ALL_CHROMA here
     convert = _Conversion(colours)
     result = np.empty(deep.shape, np.uint8)
     for top in range(0, len(deep), ROWS):

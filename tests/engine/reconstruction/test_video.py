@@ -197,6 +197,23 @@ def test_progressive_frames_are_not_deinterlaced(tmp_path: Path) -> None:
     assert np.abs(found[2] - pictures[2]).max() <= 4
 
 
+def test_a_cover_picture_is_not_the_video(tmp_path: Path) -> None:
+    path = tmp_path / "a.mkv"
+    with av.open(str(path), "w") as video:
+        streams = [video.add_stream("mjpeg", rate=1), video.add_stream("mpeg4", rate=25)]
+        for stream, side, layout in zip(streams, (32, 64), ("yuvj420p", "yuv420p"), strict=True):
+            stream.width, stream.height, stream.pix_fmt = side, side, layout
+        for stream, count in zip(streams, (1, 8), strict=True):
+            picture = np.full((stream.height, stream.width, 3), 90, np.uint8)
+            frame = av.VideoFrame.from_ndarray(picture).reformat(format=stream.pix_fmt)
+            for number in range(count):
+                frame.pts = number
+                video.mux(stream.encode(frame))
+            video.mux(stream.encode(None))
+    found = shot(path)[1]
+    assert len(found) == 8 and found[0].shape == (64, 64, 3)
+
+
 def test_interlaced_hevc_is_one_line(tmp_path: Path) -> None:
     pictures = [np.full((64, 64, 3), 100 + k, np.uint8) for k in range(4)]
     options = {"x265-params": "interlace=tff:log-level=none"}
