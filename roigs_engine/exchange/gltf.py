@@ -44,8 +44,9 @@ COMPONENTS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 DRAFTS = ("KHR_spz_gaussian_splats_compression", "KHR_spz_compression")
 """Extensions of primitives that became one of KHR_gaussian_splatting."""
 INSTANCES = "EXT_mesh_gpu_instancing"
-SRGB, LINEAR = ("srgb_rec709_display", "BT.709-sRGB"), ("lin_rec709_display", "BT.709-linear")
-"""Names of colour spaces: the ratified one, then one of a draft."""
+SRGB = ("srgb_rec709_display", "srgb_rec709_scene", "BT.709-sRGB")
+LINEAR = ("lin_rec709_display", "lin_rec709_scene", "BT.709-linear")
+"""Names of colour spaces: the ratified one, OpenUSD's, and one of a draft."""
 LUF = np.diag((-1.0, 1.0, -1.0))  # from right, up and back
 LEAST = 1e-30  # stands for a size of 0, which has no logarithm
 MAGIC, VERSION, JSON, BIN = 0x46546C67, 2, 0x4E4F534A, 0x004E4942

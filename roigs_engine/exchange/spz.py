@@ -221,7 +221,11 @@ def decoded(raw: bytes) -> Arrays:
     sh = np.concatenate(
         (
             (colours[:, None].astype(np.float32) / 255 - 0.5) / COLOUR,
-            (higher.reshape(count, -1, 3)[:, : SH_ROWS[3]].astype(np.float32) - 128) / 128,
+            (
+                higher.reshape(count, SH_ROWS[parts.degree], 3)[:, : SH_ROWS[3]].astype(np.float32)
+                - 128
+            )
+            / 128,
         ),
         axis=1,
     )
@@ -287,7 +291,7 @@ def _parts(raw: bytes) -> _Parts:
         raise NotSupportedError(f"version {version} of SPZ")
     if gzipped is (version == LATEST) or degree not in SH_ROWS or fraction > BITS:
         raise ValueError("its header is not that of SPZ")
-    if not 0 < count <= MOST:
+    if count > MOST:
         raise ValueError(f"{count} Gaussians")
     sizes = [count * width for width in _widths(version, degree)]
     refuse_bomb(len(raw), sum(sizes))

@@ -114,6 +114,8 @@ def _gaussians(prim: Any) -> Arrays:
     def numbers(name: str, width: int) -> Float32:
         values = (prim.GetAttribute(kind).Get(first) for kind in (name, f"{name}h"))
         found = next((value for value in values if value is not None and len(value)), None)
+        if found is None and name == SH:
+            raise NotSupportedError(f"{KIND} without {name}")
         if found is None:
             raise ValueError(f"no {name}")
         return np.array(found, np.float32).reshape(-1, width)

@@ -322,6 +322,9 @@ def _decode(table: NDArray[np.void], path: str | Path) -> dict[str, Floats]:
     painted = base[0] not in names and set(RGB) <= set(names) and not rest
     missing = [n for n in _columns(rest) if n not in names and not n.startswith("n")]
     missing = [name for name in missing if not (painted and name in base)]
+    if missing == ["scale_2"]:
+        text = f"{path} has 2D Gaussians (scale_0 and scale_1 alone), which are not supported."
+        raise RunFolderError(text, HINT)
     if missing:
         raise RunFolderError(f"{path} is not a Gaussian PLY (no property {missing[0]}).", HINT)
     # One gather of a plain matrix is several times faster than one pass per column.

@@ -49,7 +49,8 @@ def spz(model: dict[str, np.ndarray], version: int, extensions: bytes = b"") -> 
     """An SPZ of any version, with 12 bits behind the point."""
     degree = int(np.sqrt(model["sh"].shape[1])) - 1
     flags = 2 if extensions else 0
-    head = struct.pack("<IIIBBBB", 0x5053474E, version, COUNT, degree, 12, flags, 0)
+    count = len(model["means"])
+    head = struct.pack("<IIIBBBB", 0x5053474E, version, count, degree, 12, flags, 0)
     parts = [
         _positions(model["means"], version),
         np.round(alphas(model) * 255).astype("u1").tobytes(),
@@ -62,7 +63,7 @@ def spz(model: dict[str, np.ndarray], version: int, extensions: bytes = b"") -> 
         return gzip.compress(head + b"".join(parts) + extensions)
     import zstandard
 
-    parts = [part for part in parts if part]
+    parts = parts if degree else parts[:5]
     packed = [zstandard.ZstdCompressor().compress(part) for part in parts]
     head = head[:15] + struct.pack("<BI12x", len(parts), 32 + len(extensions))
     table = b"".join(struct.pack("<QQ", len(a), len(b)) for a, b in zip(packed, parts, strict=True))

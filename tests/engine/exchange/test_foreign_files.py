@@ -137,6 +137,14 @@ def test_the_option_wins_over_what_the_file_says(tmp_path: Path) -> None:
     assert (formats.frame(saved(source, spz(model, 3, unsaid))) == np.eye(4)).all()
 
 
+@pytest.mark.parametrize("version", [3, 4])
+def test_spz_without_gaussians_is_whole(version: int, tmp_path: Path) -> None:
+    with_zstd(version)
+    none = {name: rows[:0] for name, rows in values(1).items()}
+    with pytest.raises(RunFolderError, match="has no Gaussians that can be drawn"):
+        formats.read(saved(tmp_path / "a.spz", spz(none, version)))
+
+
 def test_spz_of_the_future_is_not_called_damaged(tmp_path: Path) -> None:
     whole = bytearray(gzip.decompress(spz(values(), 3)))
     struct.pack_into("<I", whole, 4, 5)
@@ -476,6 +484,11 @@ def test_openusd_of_other_kinds_is_named(tmp_path: Path) -> None:
     (tmp_path / "a.usda").write_text('#usda 1.0\ndef Points "P" {\n}\n')
     with pytest.raises(RunFolderError, match=r"OpenUSD without Particle.* is not supported"):
         formats.read(tmp_path / "a.usda")
+    stage = stage_of(tmp_path / "b.usda", values())
+    stage.GetPrimAtPath("/World/G").RemoveProperty(SH)
+    stage.Save()
+    with pytest.raises(RunFolderError, match=f"without {SH} is not supported"):
+        formats.read(tmp_path / "b.usda")
 
 
 # --- SOG, and other names ---

@@ -237,6 +237,13 @@ def test_missing_property_is_refused(tmp_path: Path, gone: str) -> None:
     refused(tmp_path / "m.ply")
 
 
+def test_2d_gaussians_are_named(tmp_path: Path) -> None:
+    values = columns(arrays())
+    del values["scale_2"]
+    write_foreign(tmp_path / "m.ply", values)
+    assert "2D Gaussians" in refused(tmp_path / "m.ply")
+
+
 def test_missing_file_is_refused(tmp_path: Path) -> None:
     refused(tmp_path / "none.ply")
 
