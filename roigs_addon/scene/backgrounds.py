@@ -29,6 +29,8 @@ SIDE = 3000
 """Longest side of a picture, px: on a screen, the detail of the largest photos."""
 KEPT = 200
 """Pictures in the cache, about 2 MB each; the oldest are deleted."""
+MARK = "roigs_picture"
+"""Custom property of the images of pictures."""
 POLL_SECONDS = 0.1
 END_SECONDS = 5.0
 
@@ -63,7 +65,7 @@ def show(data: bpy.types.Camera, photo: Photo) -> None:
         _put(data, photo, picture or Path(photo.path))
         return
     _put(data, photo, Path(photo.path))
-    if picture in _failed:
+    if picture in _failed or is_rendering():
         return
     _wanted = photo
     if in_background():
@@ -112,6 +114,8 @@ def _put(data: bpy.types.Camera, photo: Photo, path: Path) -> None:
         image = bpy.data.images.load(str(path), check_existing=True)
     except RuntimeError:  # missing or not a picture
         return
+    if path != Path(photo.path):
+        image[MARK] = True
     if own:
         before, own[0].image = own[0].image, image
         if before is not None and not before.users:
@@ -126,11 +130,8 @@ def _put(data: bpy.types.Camera, photo: Photo, path: Path) -> None:
 
 
 def _is_own(image: bpy.types.Image | None, photo: Photo) -> bool:
-    """Whether an image was put behind a camera here."""
-    if image is None:
-        return False
-    path = _path(image)
-    return path in (Path(photo.path), _picture(photo)) or path.parent == settings.pictures_folder()
+    """Whether an image was put behind a camera here; its file may be on another computer."""
+    return image is not None and (MARK in image or _path(image) == Path(photo.path))
 
 
 def _path(image: bpy.types.Image | None) -> Path:
@@ -148,7 +149,7 @@ def _step(*, wait: bool = False) -> bool:
         return True
     if wait:
         _making.process.wait()
-    if _making.process.running() or is_rendering():  # Blender's data must not change then
+    elif _making.process.running() or is_rendering():  # Blender's data must not change then
         return True
     made, _making = _making, None
     result = made.process.result()

@@ -88,6 +88,10 @@ def test_a_changed_photo_and_a_lost_picture_are_made_again(
     second.unlink()
     blender.ops.roigs.look_through(photo="photo 3.png")
     assert second.is_file() and background(scene)[0] == second
+    (shown,) = scene.camera.data.background_images
+    shown.image.filepath = "/another/computer/cache/photos/0.jpg"
+    blender.ops.roigs.look_through(photo="photo 3.png")
+    assert background(scene)[0] == second
 
 
 def test_other_files_are_shown_as_training_sees_them(
