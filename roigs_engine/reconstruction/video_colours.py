@@ -14,46 +14,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SceneError
+from ..photos.profiles import (
+    BRADFORD,
+    CICP_PRIMARIES,
+    D65,
+    HLG_PEAK,
+    REFERENCE_WHITE,
+    SRGB,
+    Primaries,
+    srgb_curve,
+)
 
 Pixels = NDArray[np.uint8]
 Light = NDArray[np.float64]
 
 UNKNOWN = (0, 2, 3)  # reserved or unspecified
-D65, WHITE_C = (0.3127, 0.3290), (0.310, 0.316)
-REC709 = (0.640, 0.330, 0.300, 0.600, 0.150, 0.060, *D65)
-SMPTE_C = (0.630, 0.340, 0.310, 0.595, 0.155, 0.070, *D65)
-P3 = (0.680, 0.320, 0.265, 0.690, 0.150, 0.060)
-PRIMARIES = {  # H.273, table 2: x, y of red, green, blue and white
-    1: ("BT.709", REC709),
-    4: ("BT.470 M", (0.67, 0.33, 0.21, 0.71, 0.14, 0.08, *WHITE_C)),
-    5: ("BT.601 (625 lines)", (0.64, 0.33, 0.29, 0.60, 0.15, 0.06, *D65)),
-    6: ("BT.601 (525 lines)", SMPTE_C),
-    7: ("SMPTE 240M", SMPTE_C),
-    8: ("film", (0.681, 0.319, 0.243, 0.692, 0.145, 0.049, *WHITE_C)),
-    9: ("BT.2020", (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, *D65)),
-    10: ("XYZ", (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3)),
-    11: ("DCI-P3", (*P3, 0.314, 0.351)),
-    12: ("Display P3", (*P3, *D65)),
-    22: ("EBU Tech. 3213", (0.630, 0.340, 0.295, 0.605, 0.155, 0.077, *D65)),
+WHITE_C = (0.310, 0.316)
+NAMES = {  # of primaries: H.273, table 2
+    1: "BT.709",
+    4: "BT.470 M",
+    5: "BT.601 (625 lines)",
+    6: "BT.601 (525 lines)",
+    7: "SMPTE 240M",
+    8: "film",
+    9: "BT.2020",
+    10: "XYZ",
+    11: "DCI-P3",
+    12: "Display P3",
+    22: "EBU Tech. 3213",
+}
+PRIMARIES: dict[int, Primaries] = {
+    **CICP_PRIMARIES,
+    1: SRGB,
+    8: (0.681, 0.319, 0.243, 0.692, 0.145, 0.049, *WHITE_C),
+    10: (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3),
 }
 MATRICES = {1: "BT.709", 4: "FCC", 5: "BT.601", 6: "BT.601", 7: "SMPTE 240M", 9: "BT.2020"}
 DERIVED = {1: 1, 5: 5, 6: 6, 9: 9}  # H.273's matrix 12 follows from the primaries
-BRADFORD = np.array(
-    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
-)
 
-WHITE = 203.0  # cd/m2 of the diffuse white of HDR (BT.2408), sRGB's 1
-PEAK = 1000.0  # cd/m2 that become sRGB's 1: HLG's nominal peak, and that of most PQ masters
+WHITE, PEAK = REFERENCE_WHITE, HLG_PEAK  # cd/m2; PEAK is that of most PQ masters, too
 PQ, HLG = 16, 18
 BLACK_OF_255, SPAN_OF_255 = 16, 219  # of limited range
 DEEP = 65535  # largest value of 16 bits
 # Of libswscale: SWS_BILINEAR, SWS_ACCURATE_RND, SWS_FULL_CHR_H_INT
 BILINEAR, ACCURATE, ALL_CHROMA = 2, 0x40000, 0x2000
 ROWS = 256  # at a time
-
-
-def _srgb(v: Light) -> Light:
-    return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
 
 
 def _from_pq(v: Light) -> Light:
@@ -78,7 +83,7 @@ LIKE_SRGB = (1, 6, 7, 11, 12, 13, 14, 15)
 """Transfers of cameras that are close to BT.709's. Their signals are shown on sRGB screens as they
 are, by browsers, players and editors, so they count as sRGB."""
 TRANSFERS: dict[int, tuple[str, Callable[[Light], Light]]] = {  # H.273, table 3: name, light
-    **dict.fromkeys(LIKE_SRGB, ("", _srgb)),
+    **dict.fromkeys(LIKE_SRGB, ("", srgb_curve)),
     4: ("gamma 2.2", lambda v: v**2.2),
     5: ("gamma 2.8", lambda v: v**2.8),
     8: ("linear", lambda v: v),
@@ -119,7 +124,7 @@ class Colours:
     def words(self) -> list[str]:
         """What users should know, in sentences."""
         said = [f"The video names no {self.assumed}."] if self.assumed else []
-        names = (PRIMARIES[self.primaries][0], TRANSFERS[self.transfer][0])
+        names = (NAMES[self.primaries], TRANSFERS[self.transfer][0])
         if self.transfer in (PQ, HLG):
             said.append(
                 f"Its HDR colours ({', '.join(names)}) are tone-mapped to sRGB: up to {PEAK:.0f}"
@@ -186,9 +191,9 @@ def _assumed(named: tuple[bool, bool, bool], matrix: int, primaries: int) -> str
         return ""
     if named[0] or named[1]:
         what = "primaries" if named[0] else "colour matrix"
-        used = PRIMARIES[primaries][0] if named[0] else MATRICES[matrix]
+        used = NAMES[primaries] if named[0] else MATRICES[matrix]
         return f"{what}: {used} is assumed"
-    return f"colours: {PRIMARIES[primaries][0]} is assumed"
+    return f"colours: {NAMES[primaries]} is assumed"
 
 
 def _usual_matrix(primaries: int, transfer: int, large: bool) -> int:
@@ -254,9 +259,9 @@ class _Conversion:
         self._transfer = colours.transfer
         _, light_of = TRANSFERS[colours.transfer]
         self._light = light_of(np.clip(signal, 0, 1)).astype(np.float32)
-        own = _to_xyz(PRIMARIES[colours.primaries][1])
+        own = _to_xyz(PRIMARIES[colours.primaries])
         self._luminance = own[1].astype(np.float32)
-        self._matrix = (np.linalg.inv(_to_xyz(REC709)) @ own).astype(np.float32)
+        self._matrix = (np.linalg.inv(_to_xyz(SRGB)) @ own).astype(np.float32)
 
     def __call__(self, rgb: NDArray[np.uint16]) -> Pixels:
         light = self._light[rgb]
@@ -271,7 +276,7 @@ class _Conversion:
         return ENCODED[(light * DEEP + 0.5).astype(np.uint16)]
 
 
-def _to_xyz(primaries: tuple[float, ...]) -> Light:
+def _to_xyz(primaries: Primaries) -> Light:
     """3 x 3, from linear RGB to XYZ, adapted to D65 by Bradford's method."""
     places = np.array(primaries).reshape(4, 2)
     columns = np.column_stack([places, 1 - places.sum(axis=1)]).T
