@@ -131,7 +131,7 @@ def _put(data: bpy.types.Camera, photo: Photo, path: Path) -> None:
 
 def _is_own(image: bpy.types.Image | None, photo: Photo) -> bool:
     """Whether an image was put behind a camera here; its file may be on another computer."""
-    return image is not None and (MARK in image or _path(image) == Path(photo.path))
+    return image is not None and (image.get(MARK) is not None or _path(image) == Path(photo.path))
 
 
 def _path(image: bpy.types.Image | None) -> Path:
