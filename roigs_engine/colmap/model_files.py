@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -24,17 +25,24 @@ from ..formats.text import decode_text
 from ..model.scene import Int64
 from .records import (
     CAMERA_MODELS,
+    KNOWN_IDS,
     NO_IDS,
     Model,
     ModelCamera,
     ModelImage,
     Points,
+    UnknownCameraError,
     checked_camera,
     checked_image,
+    relative_names,
 )
 
 T = TypeVar("T")
 
+HINT_CAMERAS = (
+    "Use a model with COLMAP's cameras (PINHOLE, OPENCV, OPENCV_FISHEYE ...); cut panoramas into"
+    " perspective photos before."
+)
 HINT_DAMAGED = "The file is damaged or incomplete: export the model again."
 
 
@@ -60,10 +68,15 @@ def read_model(folder: Path, context: Context = QUIET) -> Model:
 
 
 def read_images(folder: Path, context: Context = QUIET) -> list[ModelImage]:
-    """The photos of the model in `folder`, from their own file alone. Raises as `read_model`."""
+    """The photos of the model in `folder`, from their own file alone. Raises as `read_model`.
+
+    Their names are those of `relative_names`.
+    """
     suffix = _suffix(folder)
     _, read, _ = _READERS[suffix]
-    return _read(folder / f"images{suffix}", lambda data: read(data, context))
+    images = _read(folder / f"images{suffix}", lambda data: read(data, context))
+    names = relative_names([image.name for image in images])
+    return [replace(image, name=name) for image, name in zip(images, names, strict=True)]
 
 
 def _suffix(folder: Path) -> str:
@@ -100,6 +113,8 @@ def _read(path: Path, parse: Callable[[bytes], T]) -> T:
         return parse(data)
     except struct.error as error:
         raise SceneError(f"{path} ends too early ({len(data)} bytes).", HINT_DAMAGED) from error
+    except UnknownCameraError as error:
+        raise SceneError(f"Cannot use {path}: {error}.", HINT_CAMERAS) from error
     except (ValueError, IndexError, OverflowError) as error:
         raise SceneError(f"Cannot read {path} ({error}).", HINT_DAMAGED) from error
 
@@ -132,7 +147,9 @@ def _binary_cameras(data: bytes) -> dict[int, ModelCamera]:
     for _ in range(number):
         (camera_id, model_id, width, height), offset = _unpack(data, offset, "IiQQ")
         if not 0 <= model_id < len(CAMERA_MODELS):
-            raise ValueError(f"unknown camera model {model_id}")
+            if len(CAMERA_MODELS) <= model_id < KNOWN_IDS:
+                raise UnknownCameraError(f"cameras of model {model_id} are not supported")
+            raise ValueError(f"no camera model has the number {model_id}")
         name, length = CAMERA_MODELS[int(model_id)]
         params, offset = _unpack(data, offset, f"{length}d")
         cameras[int(camera_id)] = checked_camera(name, int(width), int(height), params)
@@ -211,6 +228,8 @@ def _parsed(line: str, parse: Callable[[list[str]], T], fields: int = -1) -> T:
     """`parse` of the line's words; a ValueError quotes the line if it is malformed."""
     try:
         return parse(line.split(maxsplit=fields))
+    except UnknownCameraError:
+        raise
     except (ValueError, IndexError) as error:
         raise ValueError(f"at '{line[:60]}': {error}") from error
 

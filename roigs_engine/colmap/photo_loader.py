@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,6 +44,8 @@ UNREADABLE = "unreadable"
 NO_CAMERA = "without a camera"
 DUPLICATE = "twice in the model"
 CANNOT_UNDISTORT = "cannot be undistorted"  # after the camera's model
+HINT_SHAPE = "Give the photos that the model was made from (--images), not cropped or turned."
+HINT_SIDE = "The photos are on their side: give those that the model was made from (--images)."
 Shrink = Callable[[int, int], tuple[int, int]]
 
 
@@ -66,21 +69,29 @@ def pose_of(image: ModelImage) -> Float64 | None:
     return pose
 
 
-def stored_photo(image: ModelImage, model: Model, photos: PhotoFolder) -> StoredPhoto | str:
-    """A model's photo on disk, or the reason why it must be skipped."""
+class Skip(NamedTuple):
+    """Why a photo cannot be used, in few words; and, for one of its reason, more, and a hint."""
+
+    reason: str
+    text: str = ""
+    hint: str = ""
+
+
+def stored_photo(image: ModelImage, model: Model, photos: PhotoFolder) -> StoredPhoto | Skip:
+    """A model's photo on disk, or why it must be skipped."""
     pose, path = pose_of(image), photos.find(image.name)
     camera = model.cameras.get(image.camera_id)
     if pose is None:
-        return UNPOSED
+        return Skip(UNPOSED)
     if camera is None:
-        return NO_CAMERA
+        return Skip(NO_CAMERA)
     if path is None:
-        return MISSING
+        return Skip(MISSING, *photos.missing(photo_name(image)))
     try:
         size = photo_size(path)
         check_complete(path)
-    except SceneError:
-        return UNREADABLE
+    except SceneError as error:
+        return Skip(UNREADABLE, error.message.rstrip("."), error.hint or "")
     return StoredPhoto(
         key=image.image_id,
         name=photo_name(image),
@@ -98,6 +109,7 @@ class PhotoLoader:
     Attributes:
         posed: image id -> photo, with its final camera and the original file.
         skipped: reason -> names.
+        why: reason -> what is wrong with one of these photos.
         approximate: whether lens distortion is ignored, because pycolmap is not installed.
     """
 
@@ -119,6 +131,7 @@ class PhotoLoader:
         self._mask_files = MaskFiles(photos.folder, masks.folder)
         self._names = [photo_name(image) for image in model.images]
         self.skipped: defaultdict[str, list[str]] = defaultdict(list)
+        self.why: dict[str, Skip] = {}
         self.posed: dict[int, PosedImage] = {}
         self._plans: dict[int, UndistortionPlan] = {}
         found: dict[int, StoredPhoto] = {}
@@ -134,19 +147,25 @@ class PhotoLoader:
             if isinstance(photo, StoredPhoto):
                 found[image.image_id] = photo
             else:
-                self.skipped[photo].append(name)
+                self._leave_out(name, photo)
         turns = find_turns([*found.values()], cloud, context)
         for photo in found.values():
             context.check_cancelled()
-            reason = self._add(photo, turns.get(photo.key, AS_STORED), shrink)
-            if reason:
-                self.skipped[reason].append(photo.name)
+            skip = self._add(photo, turns.get(photo.key, AS_STORED), shrink)
+            if skip is not None:
+                self._leave_out(photo.name, skip)
 
-    def _add(self, photo: StoredPhoto, turn: int, shrink: Shrink) -> str:
-        """Add the photo; returns the reason if it must be skipped, else an empty string."""
-        if not photo.fits(turn):
-            return WRONG_SIZE
+    def _leave_out(self, name: str, skip: Skip) -> None:
+        self.skipped[skip.reason].append(name)
+        self.why.setdefault(skip.reason, skip)
+
+    def _add(self, photo: StoredPhoto, turn: int, shrink: Shrink) -> Skip | None:
+        """Add the photo, or return why it must be skipped."""
         path, camera, size = photo.path, photo.camera, turned_size(photo.size, turn)
+        if not photo.fits(turn):
+            text = f"{photo.name} has {size[0]} x {size[1]} pixels, its camera"
+            text += f" {camera.width} x {camera.height}: another shape"
+            return Skip(WRONG_SIZE, text, HINT_SIDE if photo.on_its_side else HINT_SHAPE)
         pinhole = as_pinhole(camera)
         try:
             if pinhole is not None:
@@ -158,7 +177,7 @@ class PhotoLoader:
                 self.approximate = True
                 target = without_distortion(camera).resized(*shrink(*size))
         except SceneError:
-            return f"{camera.model} {CANNOT_UNDISTORT}"
+            return Skip(f"{camera.model} {CANNOT_UNDISTORT}")
         self.posed[photo.key] = PosedImage(
             name=photo.name,
             path=path,
@@ -168,7 +187,7 @@ class PhotoLoader:
             distorted=pinhole is None,
             lens="" if pinhole is not None else lens_in_words(resized_lens(camera, *size)),
         )
-        return ""
+        return None
 
     def load(self, cache: Path | None, context: Context = QUIET) -> None:
         """Look at the photos; with `pixels`, skip damaged ones and undistort distorted ones.

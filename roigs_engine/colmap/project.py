@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,11 @@ from numpy.typing import NDArray
 from ..context import QUIET, Context
 from ..errors import ConfigError, SceneError
 from ..formats.projects import (
+    FIRST_MODEL,
+    PHOTO_FOLDERS,
+    SPARSE,
+    SUFFIXES,
+    folders_above,
     is_refined_model,
     is_refined_name,
     model_folders,
@@ -30,17 +36,20 @@ from .camera_masks import HIDDEN
 from .model_files import HINT_DAMAGED, count_images, read_images, read_model
 from .photo_loader import (
     CANNOT_UNDISTORT,
+    MISSING,
     UNPOSED,
     PhotoLoader,
     Shrink,
+    Skip,
     photo_name,
     pose_of,
     stored_photo,
 )
 from .records import NO_IDS, Model
-from .rotations import Cloud, find_turns
+from .rotations import Cloud, StoredPhoto, find_turns
 from .undistort import HINT_RESAMPLE
 
+MODEL_FILES = ("cameras", "images", "points3D")
 SIMPLE_LENSES = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")  # fewer parameters than OPENCV
 
 
@@ -99,9 +108,10 @@ def load_colmap(
         check(without_outliers(_scene(loader, observed, points, colors)))
     loader.load(cache, context)
     if not loader.posed:
-        raise _no_photos(model, photos, loader.skipped)
+        raise _no_photos(model, folder, photos, loader)
+    _mention_smaller(photos, context)
     loader.skipped[UNPOSED] += photos.others([image.name for image in model.images])
-    return _cleaned(_scene(loader, observed, points, colors), context)
+    return _cleaned(_scene(loader, observed, points, colors), loader.why, context)
 
 
 def _scene(
@@ -136,14 +146,21 @@ def _mention_refined(model: Model, folder: Path, context: Context) -> None:
         )
 
 
-def _cleaned(scene: SfmScene, context: Context) -> SfmScene:
+def _mention_smaller(photos: PhotoFolder, context: Context) -> None:
+    """Say that the photos are reduced copies, by their folder's name."""
+    if photos.folder.name in PHOTO_FOLDERS[1:]:
+        context.info(f"The photos are the smaller ones of {photos.folder.name}.")
+
+
+def _cleaned(scene: SfmScene, why: Mapping[str, Skip], context: Context) -> SfmScene:
     """The scene without outliers; says what was left out: as warnings, but for unposed photos."""
     scene = without_outliers(scene)
     if scene.stray_points:
         context.warn(f"Left out {counted(scene.stray_points, '3D point')} far from all cameras.")
     for reason, names in scene.skipped.items():
         emit = context.info if reason == UNPOSED else context.warn
-        emit(f"Skipped {counted(len(names), 'photo')}, {reason}: {named(names)}.")
+        more = f" {why[reason].text}." if reason in why and why[reason].text else ""
+        emit(f"Skipped {counted(len(names), 'photo')}, {reason}: {named(names)}.{more}")
     return scene
 
 
@@ -155,7 +172,8 @@ def model_turns(
     ids, points, colors = _points(model, folder, quiet)
     cloud = Cloud(points=points, colors=colors, observed=_observations(model, ids, context))
     found = [stored_photo(image, model, photos) for image in model.images]
-    return find_turns([photo for photo in found if not isinstance(photo, str)], cloud, context)
+    photos_ = [photo for photo in found if isinstance(photo, StoredPhoto)]
+    return find_turns(photos_, cloud, context)
 
 
 def find_model(path: Path, context: Context = QUIET) -> Path:
@@ -171,10 +189,7 @@ def find_model(path: Path, context: Context = QUIET) -> Path:
     path = project_folder(path)
     counts = {folder: count_images(folder) for folder in model_folders(path)}
     if not counts:
-        raise SceneError(
-            f"{path} has no COLMAP model.",
-            "Give a folder with sparse/0, or one with cameras, images and points3D files.",
-        )
+        raise _no_model(path)
     best = max(counts, key=lambda folder: counts[folder])
     if len(counts) > 1:
         others = (f"{f.relative_to(path)}: {n}" for f, n in counts.items() if f != best)
@@ -183,6 +198,47 @@ def find_model(path: Path, context: Context = QUIET) -> Path:
             f" {counted(counts[best], 'photo')} (others: {', '.join(others)})."
         )
     return best
+
+
+OTHER_MODELS = {
+    "transforms*.json": "nerfstudio's; give the COLMAP model it was made from (colmap/sparse/0)",
+    "sfm_data*": "OpenMVG's; export it for COLMAP",
+    "reconstruction.json": "OpenSfM's; export it for COLMAP",
+    "*.nvm": "VisualSFM's; reconstruct the photos, or export them for COLMAP",
+    "bundle*.out": "Bundler's; export the cameras for COLMAP",
+    "*.rcproj": "RealityCapture's project; export its registration for COLMAP",
+    "*.psx": "Metashape's project; export its cameras for COLMAP",
+    "*.xml": "perhaps Metashape's cameras; export them for COLMAP",
+    "database.db": "COLMAP's matches; run its mapper, which writes sparse/0",
+}
+"""Files of other software and of unfinished work, and what to do."""
+
+
+def _no_model(path: Path) -> SceneError:
+    """The error for a folder without a model, by what is there instead."""
+    missing = f"{path} has no COLMAP model"
+    for folder in (path, path / SPARSE, path / SPARSE / FIRST_MODEL):
+        stems = {
+            stem
+            for suffix in SUFFIXES
+            for stem in MODEL_FILES
+            if (folder / (stem + suffix)).is_file()
+        }
+        lacks = [stem for stem in MODEL_FILES if stem not in stems]
+        if stems and lacks:
+            hint = "Export the model again: it needs cameras, images and points3D, of one kind."
+            return SceneError(f"{missing}: {folder} lacks {' and '.join(lacks)}.", hint)
+    for pattern, what in OTHER_MODELS.items():
+        found = next(iter(sorted(path.glob(pattern))), None)
+        if found is not None:
+            format_, advice = what.split("; ")
+            return SceneError(
+                f"{missing}: {found.name} is {format_}.", f"{advice[0].upper()}{advice[1:]}."
+            )
+    return SceneError(
+        f"{missing}.",
+        "Give a folder with sparse/0, or one with cameras, images and points3D files.",
+    )
 
 
 def load_poses(path: Path) -> Float64:
@@ -254,7 +310,8 @@ def _observations(model: Model, ids: Int64, context: Context) -> dict[int, Int64
     return observed
 
 
-def _no_photos(model: Model, photos: PhotoFolder, skipped: dict[str, list[str]]) -> SceneError:
+def _no_photos(model: Model, folder: Path, photos: PhotoFolder, loader: PhotoLoader) -> SceneError:
+    skipped = loader.skipped
     if not model.images:
         return SceneError("The model has no posed photos.", "Run COLMAP's mapper to its end.")
     counts = ", ".join(f"{len(names)} {reason}" for reason, names in skipped.items())
@@ -264,8 +321,20 @@ def _no_photos(model: Model, photos: PhotoFolder, skipped: dict[str, list[str]])
     if reason == HIDDEN:
         hint = "Use --invert-masks if black marks what is used, or --no-masks."
         return SceneError(f"The model's photos cannot be used ({counts}).", hint)
-    first = ", ".join(f"'{photo_name(image):.60}'" for image in model.images[:3])
-    return SceneError(
-        f"The model's photos cannot be used ({counts}).",
-        f"Looked in {photos.folder} for {first}: give the photos' folder with --images.",
-    )
+    why = loader.why.get(reason, Skip(reason))
+    text = f"The model's photos cannot be used ({counts})"
+    text += f": {why.text}." if why.text else "."
+    other = _folder_with(model, folder) if reason == MISSING else None
+    hint = f"{other} has such photos: give it with --images." if other else why.hint
+    return SceneError(text, hint or "Export the model again, with its photos.")
+
+
+def _folder_with(model: Model, folder: Path) -> Path | None:
+    """A folder of the project that has the model's first photo; None: not found."""
+    first = photo_name(model.images[0])
+    for root in folders_above(folder):
+        with suppress(OSError):
+            for child in sorted(root.iterdir()):
+                if (child / first).is_file():
+                    return child
+    return None

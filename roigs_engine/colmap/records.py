@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import posixpath
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +42,14 @@ ONE_FOCAL = {
     *("SIMPLE_FISHEYE", "RADIAL", "RADIAL_FISHEYE"),
 }
 NO_IDS = np.empty(0, dtype=np.int64)
+
+KNOWN_IDS = 64
+"""Ids of camera models that a newer COLMAP may write are below; others are damage."""
+
+
+class UnknownCameraError(ValueError):
+    """A valid camera of a model that is not read."""
+
 
 Points = tuple[Int64, Float64, NDArray[np.uint8], Int64, Int64]
 """The fields of `Model` after `images`."""
@@ -92,10 +102,27 @@ class Model:
     track_images: Int64
 
 
+def relative_names(names: Sequence[str]) -> list[str]:
+    """The names of a model's photos, without the folder above all if each leads elsewhere.
+
+    Some software writes absolute names (`/data/a.jpg`, `C:\\data\\a.jpg`), or `../images/a.jpg`.
+    """
+    paths = [name.replace("\\", "/") for name in names]
+    if not all(
+        path.startswith("/") or ":" in path[:2] or ".." in path.split("/") for path in paths
+    ):
+        return list(names)
+    folders = [posixpath.normpath(path).split("/")[:-1] for path in paths]
+    common = len(posixpath.commonprefix(folders))
+    return ["/".join(posixpath.normpath(path).split("/")[common:]) for path in paths]
+
+
 def checked_camera(model: str, width: int, height: int, params: tuple[float, ...]) -> ModelCamera:
     """The camera; ValueError if its numbers are not valid."""
     if model not in PARAMETER_COUNT:
-        raise ValueError(f"unknown camera model {model}")
+        if model.isidentifier():
+            raise UnknownCameraError(f"{model} cameras are not supported")
+        raise ValueError(f"no camera model is called '{model:.40}'")
     if len(params) != PARAMETER_COUNT[model]:
         raise ValueError(f"{model} camera with {len(params)} parameters")
     if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):

@@ -62,6 +62,11 @@ class StoredPhoto:
     size: tuple[int, int]
     tag: int
 
+    @property
+    def on_its_side(self) -> bool:
+        """Whether it would have its camera's shape on its other side."""
+        return self.fits(AS_STORED) != self.fits(6)
+
     def fits(self, turn: int) -> bool:
         """Whether it has its camera's shape after a turn."""
         camera = (self.camera.width, self.camera.height)

@@ -42,6 +42,13 @@ class Parser(argparse.ArgumentParser):
         self.register("action", None, StoreOnce)  # argparse's default action
         self.needed: list[argparse.Action] = []
 
+    def _parse_optional(self, arg_string: str) -> Any:
+        """As argparse; but what is no option, as `-y` and `-1,0,2`, is a value."""
+        single = arg_string.startswith("-") and not arg_string.startswith("--")
+        if single and arg_string not in self._option_string_actions:
+            return None
+        return super()._parse_optional(arg_string)
+
     def error(self, message: str) -> NoReturn:
         message = message.removeprefix("argument ")
         raise ConfigError(f"{message[:1].upper()}{message[1:]}.", f"See {self.prog} --help.")

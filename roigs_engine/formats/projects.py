@@ -12,6 +12,8 @@ VIDEOS = {  # they become photos
     *(".ts", ".mts", ".m2ts", ".m2t", ".mpg", ".mpeg"),
 }
 SPARSE = "sparse"
+INNER = ("", "colmap", "undistorted", "dense/0", "dense")
+"""Where in a project the model may be: nerfstudio's `colmap`; those of undistorted photos."""
 RECONSTRUCTION = "reconstruction"  # what `reconstruct` keeps for itself
 SUFFIXES = (".bin", ".txt")
 FIRST_MODEL, REFINED = "0", "refined"
@@ -32,12 +34,38 @@ def model_suffix(folder: Path) -> str | None:
 
 
 def model_folders(project: Path) -> list[Path]:
-    """The folders with a model: `sparse`, the project itself, and their numbered subfolders."""
-    places: list[Path] = []
-    for parent in (project / SPARSE, project):
-        numbered = [child for child in _children(parent) if child.name.isdecimal()]
-        places += [*sorted(numbered, key=lambda child: int(child.name)), parent]
-    return [folder for folder in places if model_suffix(folder)]
+    """The folders with a model: `sparse`, the project itself, and their numbered subfolders.
+
+    If there is none, those in the first of the folders `INNER` with any.
+    """
+    for root in map(project.joinpath, INNER):
+        places: list[Path] = []
+        for parent in (root / SPARSE, root):
+            numbered = [child for child in _children(parent) if child.name.isdecimal()]
+            places += [*sorted(numbered, key=lambda child: int(child.name)), parent]
+        found = [folder for folder in places if model_suffix(folder)]
+        if found:
+            return found
+    return []
+
+
+def folders_above(model: Path) -> list[Path]:
+    """The model's folder and those above it, up to the project's.
+
+    That is the one that holds `sparse` (at most two up) or, if this is one of `INNER`, the one
+    that holds it.
+    """
+    roots = [model.absolute()]
+    for folder in model.absolute().parents[:2]:
+        roots.append(folder)
+        if roots[-2].name == SPARSE:
+            break
+    project = roots[-1]
+    for inner in filter(None, INNER):
+        parts = Path(inner).parts
+        if project.parts[-len(parts) :] == parts:
+            return [*roots, *project.parents[: len(parts)]]
+    return roots
 
 
 def project_folder(folder: Path) -> Path:
@@ -63,9 +91,9 @@ def refined_folder(colmap: Path) -> Path:
     engine finds the project's photos from there.
     """
     colmap = project_folder(colmap)
-    inside = colmap / SPARSE
-    if os.path.isdir(inside):
-        return inside / REFINED
+    for inside in (colmap / inner / SPARSE for inner in INNER):
+        if os.path.isdir(inside):
+            return inside / REFINED
     if colmap.parent.name != SPARSE:
         return colmap / REFINED
     if is_refined_name(colmap):

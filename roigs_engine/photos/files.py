@@ -6,13 +6,14 @@ import contextlib
 import os
 import unicodedata
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Set
+from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from functools import cached_property
 from pathlib import Path, PurePosixPath
+from typing import TypeVar
 
 from ..errors import SceneError
 from ..formats.files import is_link
-from ..formats.projects import PHOTO_FOLDERS, SPARSE
+from ..formats.projects import PHOTO_FOLDERS, folders_above
 
 EXTENSIONS = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2", ".ppm", ".pgm"}
 HEIC = {".heic", ".heif", ".hif"}  # read by `reconstruct` alone, which converts them
@@ -35,8 +36,12 @@ def is_mask(name: str) -> bool:
 class PhotoFolder:
     """The photos below a folder, by their names in a model.
 
+    If the folder has none of the model's photos where their names say, a photo is the one file
+    below the folder that has the last part of its name, unless the model has two such names.
+
     Attributes:
         folder: need not exist.
+        names: all of the model's; empty: photos are looked for only where their names say.
         extensions: of the files that are photos.
         keep: tells from a file's name whether it counts.
     """
@@ -46,10 +51,12 @@ class PhotoFolder:
         folder: Path,
         extensions: Set[str] = EXTENSIONS,
         keep: Callable[[str], bool] = lambda name: not is_mask(name),
+        names: Sequence[str] = (),
     ) -> None:
         self.folder = folder
         self.extensions = extensions
         self.keep = keep
+        self.names = names
 
     @cached_property
     def _exists(self) -> bool:
@@ -77,7 +84,53 @@ class PhotoFolder:
         return files
 
     def find(self, name: str) -> Path | None:
-        """The path of the photo with that name in the model; None: not found.
+        """The path of the photo with that name in the model; None: not found."""
+        return self.at(name) or self._moved.get(same_name(name))
+
+    @cached_property
+    def _moved(self) -> dict[str, Path]:
+        """Key of a name -> path, of photos in other folders than the model says."""
+        if any(map(self.at, self.names)):
+            return {}
+        wanted = {same_name(name) for name in self.names}
+        by_last = _single((_last(key), key) for key in wanted)
+        files = _single((_last(same_name(name)), path) for name, path in self._files.items())
+        return {key: files[last] for last, key in by_last.items() if last in files}
+
+    def missing(self, name: str) -> tuple[str, str]:
+        """Why there is no photo with that name in the model, and what to do."""
+        path = self.folder / name.replace("\\", "/")
+        if not self._exists:
+            return f"there is no folder {self.folder}", HINT_FOLDER
+        if path.is_dir():
+            return f"{path} is a folder", HINT_FOLDER
+        if path.is_symlink():
+            return f"{path} is a link to a missing file", "Restore the file that it links to."
+        if not os.access(path.parent, os.X_OK) and path.parent.exists():
+            return f"{path.parent} cannot be opened", "Allow it (chmod +rx), and give --images."
+        elsewhere = self.named_as(name)
+        if elsewhere:
+            places = " and ".join(f"'{each}'" for each in elsewhere[:2])
+            return f"{self.folder} has {places}, but no '{name:.60}'", HINT_NAMES
+        stem = _stem(same_name(name))
+        other = next((each for each in self._pictures if _stem(same_name(each)) == stem), None)
+        if other is not None:
+            return f"{self.folder} has '{other}' instead of '{name:.60}'", HINT_OTHER
+        return f"{self.folder} has no '{name:.60}'", HINT_FOLDER
+
+    @cached_property
+    def _pictures(self) -> list[str]:
+        """Names of all pictures below the folder, of formats that are not read, too."""
+        kinds = EXTENSIONS | HEIC | UNREAD
+        return [*PhotoFolder(self.folder, kinds, self.keep)._files]
+
+    def named_as(self, name: str) -> list[str]:
+        """Names on disk of the files with the last part of a name."""
+        last = _last(same_name(name))
+        return [each for each in self._files if _last(same_name(each)) == last]
+
+    def at(self, name: str) -> Path | None:
+        """The path of the photo that is where its name says; None: not found.
 
         If no file has exactly that name, the name may differ in case, in the kind of slash and in
         the Unicode form of accents. Names that lead out of the folder are not found.
@@ -101,6 +154,32 @@ class PhotoFolder:
         paths = (self.find(name) for name in names)
         found = {os.path.realpath(path) for path in paths if path is not None}
         return [name for name, path in self._files.items() if os.path.realpath(path) not in found]
+
+
+HINT_FOLDER = "Give the photos' folder with --images."
+HINT_NAMES = "Put the photos where the model's names say, or give another folder with --images."
+HINT_OTHER = (
+    "Convert the photos to the format that the model names, without turning or cropping them."
+)
+
+
+def _stem(name: str) -> str:
+    return os.path.splitext(name)[0]
+
+
+def _last(name: str) -> str:
+    return name.rpartition("/")[2]
+
+
+Value = TypeVar("Value")
+
+
+def _single(pairs: Iterable[tuple[str, Value]]) -> dict[str, Value]:
+    """The pairs whose key no other pair has."""
+    found: dict[str, list[Value]] = {}
+    for key, value in pairs:
+        found.setdefault(key, []).append(value)
+    return {key: values[0] for key, values in found.items() if len(values) == 1}
 
 
 def _folders(root: Path) -> Iterator[tuple[Path, list[str]]]:
@@ -138,7 +217,8 @@ def find_photos(model: Path, images: Path | str | None, names: list[str]) -> Pho
     Args:
         model: the model's folder; the search covers the folders from it up to its project's.
         images: the folder, if the caller knows it.
-        names: of the model's photos; the first folder that has any of them is used.
+        names: of the model's photos; the first folder that has any of them where it should be is
+            used, else the first one that has any, else a folder with the model or above it.
 
     Raises:
         SceneError: `images` is not a folder.
@@ -146,20 +226,15 @@ def find_photos(model: Path, images: Path | str | None, names: list[str]) -> Pho
     if images is not None:
         if not Path(images).is_dir():
             raise SceneError(f"{images} is not a folder.", "Give --images the photos' folder.")
-        return PhotoFolder(Path(images))
-    candidates = [root / name for root in _roots(model) for name in PHOTO_FOLDERS]
-    existing = [PhotoFolder(folder) for folder in candidates if folder.is_dir()]
+        return PhotoFolder(Path(images), names=names)
+    roots = folders_above(model)
+    folders = [root / name for root in roots for name in PHOTO_FOLDERS]
+    existing = [PhotoFolder(folder, names=names) for folder in folders if folder.is_dir()]
     for photos in existing:
-        if any(photos.find(name) for name in names):
+        if any(map(photos.at, names)):
             return photos
-    return existing[0] if existing else PhotoFolder(_roots(model)[-1] / PHOTO_FOLDERS[0])
-
-
-def _roots(model: Path) -> list[Path]:
-    """The model's folder and those above it, up to the one that holds `sparse` (at most two up)."""
-    roots = [model.absolute()]
-    for folder in model.absolute().parents[:2]:
-        if roots[-1].name == SPARSE:
-            return [*roots, folder]
-        roots.append(folder)
-    return roots
+    beside = [PhotoFolder(root) for root in roots]
+    for photos in (*existing, *beside):
+        if any(map(photos.find, names)):
+            return photos
+    return existing[0] if existing else PhotoFolder(roots[-1] / PHOTO_FOLDERS[0])

@@ -77,7 +77,13 @@ def photo_size(path: Path) -> tuple[int, int]:
                     width, height = photo.size
     except (OSError, ValueError, struct.error) as error:
         raise unreadable(path, error) from error
-    if not 0 < width * height <= MAX_PIXELS:
+    if width * height > MAX_PIXELS:
+        raise PhotoError(
+            f"Cannot read photo {path} ({width} x {height} pixels: more than"
+            f" {MAX_PIXELS // 10**6} million).",
+            "Give smaller copies of the photos with --images, or restore the file.",
+        )
+    if not width * height:
         raise unreadable(path, ValueError(f"its header says {width} x {height} pixels"))
     return width, height
 
@@ -148,9 +154,49 @@ def _opened(path: Path) -> Image:
 def unreadable(path: Path, error: Exception) -> PhotoError:
     """The error for a photo that cannot be opened or decoded."""
     reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-    return PhotoError(
-        f"Cannot read photo {path} ({reason}).", "Restore the file, or remove it from the model."
-    )
+    hint = "Restore the file, or remove it from the model."
+    if isinstance(error, PermissionError):
+        return PhotoError(f"Cannot read photo {path} ({reason}).", "Allow it (chmod +r).")
+    kind = _kind(path)
+    if kind == EMPTY or type(error).__name__ == "UnidentifiedImageError":
+        reason = kind or "it is no picture"
+        hint = hint if kind in ("", EMPTY) else "Convert the photos to JPEG, without turning them."
+    return PhotoError(f"Cannot read photo {path} ({reason}).", hint)
+
+
+EMPTY = "the file is empty"
+BRANDS = {
+    "HEIC": (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1"),
+    "AVIF": (b"avif", b"avis"),
+    "CR3": (b"crx ",),
+    "video": (b"isom", b"iso2", b"mp41", b"mp42", b"qt  "),
+}
+STARTS = {
+    "GIF": (b"GIF8",),
+    "PSD": (b"8BPS",),
+    "OpenEXR": (b"v/1\x01",),
+    "Radiance HDR": (b"#?",),
+    "JPEG XL": (b"\xff\x0a", b"\0\0\0\x0cJXL "),
+    "RAW": (b"FUJIFILM", b"\0MRM"),
+    "PDF": (b"%PDF",),
+    "web page": (b"<!doctype", b"<!DOCTYPE", b"<html"),
+    "Git LFS pointer": (b"version https://git-lfs",),
+}
+
+
+def _kind(path: Path) -> str:
+    """What a file that is no photo holds; empty: not known."""
+    try:
+        with open(path, "rb", opener=regular) as file:
+            start = file.read(32)
+    except OSError:
+        return ""
+    if not start:
+        return EMPTY
+    brand = start[8:12] if start[4:8] == b"ftyp" else b""
+    kinds = [kind for kind, brands in BRANDS.items() if brand in brands]
+    kinds += [kind for kind, starts in STARTS.items() if start.startswith(starts)]
+    return f"its format, {kinds[0]}, is not supported" if kinds else ""
 
 
 def jpeg_segments(file: BinaryIO) -> Iterator[int]:

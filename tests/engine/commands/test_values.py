@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from roigs_engine.cli import main
-from roigs_engine.commands.parser import build_parser
+from roigs_engine.commands.parser import build_parser, parsed
 from roigs_engine.requests.values import Name, Number
 from tests.engine.commands.command_line import BOX, refused
 from tests.engine.synthetic_colmap import Project
@@ -142,3 +142,9 @@ def test_a_model_needs_a_name_and_a_file(
 def test_addresses_are_for_batch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     said = refused(capsys, "run", tmp_path, "--run-dir", "s3://museum/runs")
     assert "'s3://museum/runs' is an address; only `batch` takes one" in said
+
+
+@pytest.mark.parametrize("line", [["--up", "-y"], ["--up=-y"]])
+def test_values_may_begin_with_a_minus(line: list[str]) -> None:
+    _, request = parsed(["convert", "a.ply", "b.ply", *line])
+    assert request.up == "-y"  # type: ignore[attr-defined]
