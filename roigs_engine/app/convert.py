@@ -87,8 +87,14 @@ def _single(request: Convert, target: FileFormat, context: Context, *, plain: bo
         matrix = turn("z", request.up or target.up)
         matrix[:3, :3] = matrix[:3, :3] @ gravity_alignment(poses)
         matrix = matrix @ home
-    elif request.from_up is None and (formats.frame(request.source) == np.eye(4)).all():
-        _warn_of_axes(request.source, formats.format_of(request.source).up, context)
+    elif request.from_up is None:
+        if (formats.frame(request.source) == np.eye(4)).all():
+            _warn_of_axes(request.source, formats.format_of(request.source).up, context)
+        else:
+            context.info(
+                f"{request.source.name} says how its axes point, so it is turned."
+                " If it lies wrong, give --from-up."
+            )
     refuse_inputs([request.out], [request.source], OTHER)
     whole, antialiased = _read(request.source, plain=plain, scene=request.page_scene)
     arrays = _cropped(whole, request, home)

@@ -160,7 +160,9 @@ def test_spz_of_the_future_is_not_called_damaged(tmp_path: Path) -> None:
     ("comment", "up"), [("Vertical Axis: z", "z"), ("Vertical axis: y", "y"), ("other", "-y")]
 )
 @pytest.mark.parametrize("suffix", [".ply", ".compressed.ply"])
-def test_ply_says_its_axis(comment: str, up: str, suffix: str, tmp_path: Path) -> None:
+def test_ply_says_its_axis(
+    comment: str, up: str, suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     if suffix != ".ply":
         pytest.importorskip("gsply")
     source = tmp_path / f"a{suffix}"
@@ -171,6 +173,7 @@ def test_ply_says_its_axis(comment: str, up: str, suffix: str, tmp_path: Path) -
     )
     model = formats.read(source)
     found = converted(tmp_path, source, "--up=z")
+    assert ("says how its axes point" in "".join(capsys.readouterr())) is (up != "-y")
     np.testing.assert_allclose(found["means"], model["means"] @ np.array(UP[up]), atol=1e-5)
     same = converted(tmp_path, source, "--from-up=z", "--up=z")
     np.testing.assert_allclose(same["means"], model["means"], atol=1e-5)
