@@ -195,11 +195,12 @@ def _remove_oldest(folder: Path) -> None:
 
 
 def _cameras_of(photo: Photo) -> Iterator[bpy.types.Camera]:
-    """The cameras behind which a photo is shown, in all scenes."""
+    """The cameras that show a photo or are looked through, in all scenes."""
     for scene in bpy.data.scenes:
         for item in lookup.of_kind(scene, "CAMERA"):
             data = camera_of(item)
-            if lookup.photo_record(item) == photo and len(data.background_images):
+            shown = len(data.background_images) or item == scene.camera
+            if shown and lookup.photo_record(item) == photo:
                 yield data
 
 

@@ -182,7 +182,7 @@ def colours_of(tags: Any, frame: Any) -> Colours:
         transfer=transfer,
         full=full or layout.name.startswith("yuvj"),
         direct=direct,
-        assumed="" if direct else _assumed(named, matrix, primaries),
+        assumed="" if direct or codec == "mjpeg" else _assumed(named, matrix, primaries),
     )
 
 

@@ -16,6 +16,7 @@ from roigs_engine.reconstruction.video import Video, picture_of
 
 av = pytest.importorskip("av")
 
+QUIET_X265 = "log-level=none"
 Colour = tuple[float, float, float]
 COLOURS: tuple[Colour, ...] = (
     *((0.72, 0.35, 0.2), (0.2, 0.6, 0.3), (0.25, 0.3, 0.7)),
@@ -252,3 +253,17 @@ def test_ordinary_video_is_as_ffmpeg_converts_it(tmp_path: Path) -> None:
 def test_an_unsupported_matrix_is_one_line(tmp_path: Path, tags: dict[str, int]) -> None:
     with pytest.raises(SceneError, match="colours are not supported: matrix"):
         filmed(tmp_path / "a.mkv", "yuv420p", [[100, 100, 100]], **tags)
+
+
+def test_dolby_vision_without_a_usual_base_is_one_line(tmp_path: Path) -> None:
+    with av.open(str(tmp_path / "a.mp4"), "w") as video:
+        stream = video.add_stream("libx265", rate=Fraction(25), options={"x265-params": QUIET_X265})
+        stream.width, stream.height, stream.pix_fmt = 64, 64, "yuv420p10le"
+        stream.codec_context.codec_tag = "hvc1"
+        video.mux(stream.encode(av.VideoFrame(64, 64, "yuv420p10le")))
+        video.mux(stream.encode(None))
+    data = (tmp_path / "a.mp4").read_bytes()
+    shots(tmp_path / "a.mp4")
+    (tmp_path / "b.mp4").write_bytes(data.replace(b"hvc1", b"dvh1"))
+    with pytest.raises(SceneError, match="Dolby Vision without HLG or PQ"):
+        shots(tmp_path / "b.mp4")
