@@ -180,11 +180,15 @@ def _binary_points(data: bytes, tracks: bool, context: Context) -> Points:
     # Millions of iterations, so only the necessary work: if a track ends past the end of the file,
     # reading the next head or the check below fails.
     length_of = struct.Struct("<Q").unpack_from
-    for row in range(number):
-        starts[row] = offset
-        offset += size + 8 * length_of(data, offset + length_at)[0]
-        if not row % 100_000:
-            context.check_cancelled()
+    if np.frombuffer(data, POINT_HEAD, number, offset)["length"].any():
+        for row in range(number):
+            starts[row] = offset
+            offset += size + 8 * length_of(data, offset + length_at)[0]
+            if not row % 100_000:
+                context.check_cancelled()
+    else:  # no tracks
+        starts[:] = offset + size * np.arange(number)
+        offset += size * number
     if offset > len(data):
         raise ValueError(f"it should have {number} records, but ends after {len(data)} bytes")
     raw = np.frombuffer(data, dtype=np.uint8)

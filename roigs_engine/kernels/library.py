@@ -145,10 +145,11 @@ def _check_age(folder: Path) -> None:
             f"Run `{_BUILD_COMMAND}`.",
         )
     if any(source != build.source_key() for source, _ in keys):
-        warnings.warn(
-            f"the compiled kernels are older than their sources: run `{_BUILD_COMMAND}`",
-            stacklevel=3,
-        )
+        text = "the compiled kernels are older than their sources"
+        try:
+            warnings.warn(f"{text}: run `{_BUILD_COMMAND}`", stacklevel=3)
+        except UserWarning as error:  # PYTHONWARNINGS=error
+            raise KernelError(f"{text.capitalize()}.", f"Run `{_BUILD_COMMAND}`.") from error
 
 
 def _is_writable(folder: Path) -> bool:
@@ -165,7 +166,8 @@ def refuse_others_code(path: Path) -> None:
     """Refuse a file or folder in the user's cache that others can change: what it holds is run.
 
     Raises:
-        KernelError: it, or a folder above it, belongs to somebody else or is writable for all.
+        KernelError: it, or a folder above it, belongs to somebody else or is writable for all, or
+            for a group that others may be in.
     """
     if not hasattr(os, "getuid"):
         return
@@ -175,12 +177,26 @@ def refuse_others_code(path: Path) -> None:
         with suppress(FileNotFoundError):
             status = place.stat()
             foreign = place.is_relative_to(home) and status.st_uid not in (0, os.getuid())
-            open_to_all = status.st_mode & stat.S_IWOTH and not status.st_mode & stat.S_ISVTX
-            if foreign or open_to_all:
+            others = stat.S_IWOTH | (stat.S_IWGRP if _is_shared(status.st_gid) else 0)
+            if foreign or (status.st_mode & others and not status.st_mode & stat.S_ISVTX):
                 raise KernelError(
                     f"Others can change {place}, from which the engine loads code.",
                     f"Delete {home}, and make {home.parent} writable for yourself only.",
                 )
+
+
+@functools.cache
+def _is_shared(group: int) -> bool:
+    """Whether others may be in a group: it is neither root's nor the one of this user alone."""
+    import grp
+    import pwd
+
+    try:
+        user, record = pwd.getpwuid(os.getuid()), grp.getgrgid(group)
+    except KeyError:
+        return group != 0
+    private = group == user.pw_gid and record.gr_name == user.pw_name
+    return group != 0 and not (private and set(record.gr_mem) <= {user.pw_name})
 
 
 def user_cache() -> Path:

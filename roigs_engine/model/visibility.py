@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..context import QUIET, Context
 from ..errors import RoiError
@@ -31,6 +32,7 @@ MAX_OCCLUDERS = 100_000  # scene points in the depth test
 # Of a box: beyond these, only every second, third ... of its points counts.
 MAX_POINTS, MAX_OBSERVATIONS = 100_000, 20_000_000
 MAX_PROJECTED = 400_000_000  # occluders x photos: the same for the depth test
+EVERYWHERE = np.full(2, -np.inf), np.full(2, np.inf)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -184,36 +186,66 @@ def _by_depth(
     """
     most = min(MAX_OCCLUDERS, max(1, MAX_PROJECTED // max(1, len(images))))
     occluders = np.ascontiguousarray(points[:: -(-len(points) // most) or 1].T)
-    places, last, seen = np.ascontiguousarray(targets.T), np.iinfo(np.int64).max, []
+    places, last, seen = np.ascontiguousarray(targets.T), np.iinfo(np.uint16).max, []
     looked_at = np.zeros((DEPTH_CELLS + 1) ** 2, dtype=bool)  # cells that have a target
     for image in images:
         context.check_cancelled()
-        rows, target_cell, target_depth = _cells(image, places)
+        rows, pixels, target_depth = _projected(image, places)
+        if not len(rows):
+            seen.append(rows)
+            continue
+        target_cell, size = _cells(image, pixels), _cell_size(image)
         looked_at[target_cell] = True
-        _, cell, depth = _cells(image, occluders)
+        # Most occluders are behind all targets, or beside them: they are not sorted into cells.
+        window = pixels.min(axis=1) - size, pixels.max(axis=1) + size
+        _, pixels, depth = _projected(image, occluders, target_depth.max() - slack, window)
+        cell = _cells(image, pixels)
         kept = looked_at[cell]
         looked_at[target_cell] = False
         cell, depth = cell[kept], depth[kept]
-        order = np.lexsort((depth, cell))
+        order = np.argsort(depth)
+        order = order[np.argsort(cell[order], kind="stable")]  # by radix: 16 bits
         # An occluder beyond all others stands for those that a cell does not have.
-        cell, depth = np.append(cell[order], last), np.append(depth[order], np.inf)
+        cell, depth = np.append(cell[order], np.uint16(last)), np.append(depth[order], np.inf)
         nth = np.minimum(np.searchsorted(cell, target_cell) + OCCLUDERS - 1, len(cell) - 1)
         hidden = (cell[nth] == target_cell) & (depth[nth] < target_depth - slack)
         seen.append(rows[~hidden])
     return seen
 
 
-def _cells(image: PosedImage, points: Float64) -> tuple[Int64, Int64, Float64]:
-    """(3, N) world positions -> those in the image: rows, cells of the depth grid, depths."""
+def _projected(
+    image: PosedImage,
+    points: Float64,
+    farthest: float = np.inf,
+    window: tuple[Float64, Float64] = EVERYWHERE,
+) -> tuple[Int64, Float64, Float64]:
+    """World positions (3, N) -> those in the image: rows (M,), pixels (2, M), depths (M,).
+
+    Only those less than `farthest` away, and in a window: its lowest and highest pixels (2,).
+    """
     camera, pose = image.camera, image.world_to_camera
-    x, y, depth = pose[:3, :3] @ points + pose[:3, 3:]
-    with np.errstate(all="ignore"):  # at and behind the camera
+    local = pose[:3, :3] @ points + pose[:3, 3:]
+    rows = np.flatnonzero((local[2] > 0) & (local[2] < farthest))
+    x, y, depth = (values[rows] for values in local)
+    with np.errstate(all="ignore"):  # at the camera
         x, y = x / depth * camera.fx + camera.cx, y / depth * camera.fy + camera.cy
-    within = (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
-    rows = np.flatnonzero(within & (depth > 0))
-    size = max(camera.width, camera.height) / DEPTH_CELLS
-    cell = (y[rows] // size) * (DEPTH_CELLS + 1) + x[rows] // size
-    return rows, cell.astype(np.int64), depth[rows]
+    (left, top), (right, bottom) = window
+    within = (x >= max(left, 0)) & (x < camera.width) & (x <= right)
+    within &= (y >= max(top, 0)) & (y < camera.height) & (y <= bottom)
+    kept = np.flatnonzero(within)
+    return rows[kept], np.stack([x[kept], y[kept]]), depth[kept]
+
+
+def _cell_size(image: PosedImage) -> float:
+    """Side of a cell of the depth test, pixels."""
+    return max(image.camera.width, image.camera.height) / DEPTH_CELLS
+
+
+def _cells(image: PosedImage, pixels: Float64) -> NDArray[np.uint16]:
+    """(2, N) pixels in the image -> (N,) cells of the depth test."""
+    x, y = np.floor(pixels / _cell_size(image))
+    cells: NDArray[np.uint16] = (y * (DEPTH_CELLS + 1) + x).astype(np.uint16)
+    return cells
 
 
 def _position(point: Float64) -> str:

@@ -7,8 +7,10 @@ import os
 import subprocess
 import sys
 import threading
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -268,6 +270,63 @@ def test_a_cache_that_others_can_change_is_not_loaded(
     if code.stat().st_uid:
         with pytest.raises(KernelError, match="Others can change"):
             library.refuse_others_code(kernels)
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="owners and modes of POSIX")
+@pytest.mark.parametrize(
+    ("name", "own", "members", "shared"),
+    [
+        ("ann", True, [], False),
+        ("ann", True, ["ann"], False),
+        ("ann", True, ["ann", "bob"], True),
+        ("staff", True, [], True),  # others may have it as theirs without being listed
+        ("ann", False, [], True),
+        (None, True, [], True),  # a group without a record
+    ],
+)
+def test_a_cache_that_a_group_can_change_is_loaded_if_nobody_else_is_in_it(
+    name: str | None,
+    own: bool,
+    members: list[str],
+    shared: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def record(number: int) -> SimpleNamespace:
+        if name is None:
+            raise KeyError(number)
+        return SimpleNamespace(gr_name=name, gr_mem=members)
+
+    user = SimpleNamespace(pw_name="ann", pw_gid=4000 if own else 4001)
+    monkeypatch.setattr("pwd.getpwuid", lambda number: user)
+    monkeypatch.setattr("grp.getgrgid", record)
+    library._is_shared.cache_clear()
+    try:
+        assert library._is_shared(4000) == shared
+        assert not library._is_shared(0)
+    finally:
+        library._is_shared.cache_clear()
+    monkeypatch.setattr(library, "user_cache", lambda: tmp_path / "roigs")
+    monkeypatch.setattr(library, "_is_shared", lambda group: shared)
+    (tmp_path / "roigs").mkdir()
+    (tmp_path / "roigs").chmod(0o775)
+    if shared:
+        with pytest.raises(KernelError, match="Others can change"):
+            library.refuse_others_code(tmp_path / "roigs")
+    else:
+        library.refuse_others_code(tmp_path / "roigs")
+
+
+def test_old_kernels_where_warnings_are_errors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(library, "available", lambda folder: ["generic"])
+    monkeypatch.setattr(build, "read_keys", lambda *_: ("older", build.interface_key()))
+    with pytest.warns(UserWarning, match="older than their sources"):
+        library._check_age(tmp_path)
+    warnings.simplefilter("error")
+    with pytest.raises(KernelError, match="compiled kernels are older than their sources"):
+        library._check_age(tmp_path)
 
 
 def test_missing_library_and_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -43,13 +43,13 @@ def test_without_tracks_the_points_that_are_projected_are_limited(
     monkeypatch.setattr(visibility, "MAX_OBSERVATIONS", 3000)
     monkeypatch.setattr(visibility, "MAX_PROJECTED", 5000)
     projected = []
-    cells = visibility._cells
+    project = visibility._projected
 
-    def counted(image, points):
+    def counted(image, points, *bounds):
         projected.append(points.shape[1])
-        return cells(image, points)
+        return project(image, points, *bounds)
 
-    monkeypatch.setattr(visibility, "_cells", counted)
+    monkeypatch.setattr(visibility, "_projected", counted)
     found = visibility.find_candidates(scene(photos, 1000), BOX)
     assert len(found) == photos
     assert len(found.obs_view) <= 3000
