@@ -52,7 +52,7 @@ def folders(scene: bpy.types.Scene, run: Path) -> list[Path]:
 
 def of_box(root: Path, roi: bpy.types.Object) -> Path:
     """The folder of a box's masks."""
-    return root / rois.file_name(roi)
+    return mask_record.box_folders(root, rois.file_name(roi))[0]
 
 
 def are_there(scene: bpy.types.Scene, run: Path) -> bool:

@@ -119,6 +119,7 @@ def mask_options(
         inverted=given.invert_masks,
         used=not given.no_masks,
         boxes=() if own.no_object_masks else tuple(boxes),
+        other_boxes=isinstance(request, Boxes) and bool(request.only),
     )
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from ..context import QUIET, Context
 from ..errors import ConfigError
 from ..formats.files import own_folder
+from ..formats.mask_record import box_folders
 from ..formats.scribbles import Scribble, read_scribbles
 from ..formats.splat_ply import check_ply
 from ..photos.mask_paths import MaskOptions
@@ -115,7 +116,7 @@ class _Maker:
             quiet = replace(context, emit=QUIET.emit)
             selection = select_cameras(scene, roi, SelectionConfig(), quiet)
             names = masked_photos(selection.names, selection.candidates, list(scribbles))
-        folder = own_folder(request.out, roi.name)
+        folder = own_folder(request.out, box_folders(request.out, roi.name)[0].name)
         images = [image for image in scene.images if image.name in names]
         work = BoxMasks(
             scene=frame.scene(scene),

@@ -13,6 +13,7 @@ from ..context import QUIET, Context
 from ..errors import ConfigError, RoiError
 from ..formats.drawable import drawable, usable
 from ..formats.files import atomic_write, own_folder
+from ..formats.mask_record import box_folders
 from ..formats.projects import top_folder
 from ..formats.run_files import BACKGROUND, FINE
 from ..formats.splat_ply import check_ply, is_antialiased, read_ply
@@ -104,7 +105,7 @@ def cut(request: Cut, context: Context = QUIET) -> Result:
 
 def _masked_scene(request: Cut, rois: Sequence[OrientedBox], context: Context) -> SfmScene:
     root, names = request.masks or top_folder(request.scene) / MASKS, [roi.name for roi in rois]
-    if not any((root / name).is_dir() for name in names):
+    if not any(box_folders(root, name)[0].is_dir() for name in names):
         raise ConfigError(
             f"{root} has no folder of masks for a box ({', '.join(names)}).",
             f"Put masks into {root / names[0]}, or give --masks the folder above it.",

@@ -6,9 +6,10 @@ Those of the photos themselves say what counts, those of boxes show their object
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from ..context import QUIET, Context
 from ..formats.files import own_folder
+from ..formats.names import same_name
 from ..formats.run_files import MASKS
 from ..formats.text import counted, named
 from ..model.roi import AREA_SIDE
@@ -251,4 +253,17 @@ def mention_masks(used: int, files: MaskFiles, names: list[str], context: Contex
             f"{counted(len(unknown), 'file')} in {files.folder} or among the photos"
             f" {'is' if len(unknown) == 1 else 'are'} the mask of no photo:"
             f" {named(unknown)}. The mask of 012.jpg is 012.jpg.png."
+        )
+
+
+def mention_folders(
+    files: MaskFiles, boxes: Sequence[str], names: list[str], context: Context
+) -> None:
+    """Warn of folders of masks that are those of no box, with the box that each resembles."""
+    spelled = {same_name(box): box for box in boxes}
+    for folder in files.of_no_box(boxes, names):
+        close = get_close_matches(same_name(folder), spelled, 1)
+        meant = f" Is '{spelled[close[0]]}' meant?" if close else ""
+        context.warn(
+            f"The masks in {files.folder / folder} are not used: no box has that name.{meant}"
         )

@@ -22,7 +22,15 @@ from ..photos.files import PhotoFolder
 from ..photos.headers import check_complete, photo_size
 from ..photos.mask_paths import USUAL_MASKS, MaskFiles, MaskOptions
 from ..photos.rotation import AS_STORED, rotation_tag, turned_size
-from .camera_masks import HIDDEN, MaskPlan, find_mask, make_masks, mention_masks, plan_object_masks
+from .camera_masks import (
+    HIDDEN,
+    MaskPlan,
+    find_mask,
+    make_masks,
+    mention_folders,
+    mention_masks,
+    plan_object_masks,
+)
 from .records import Model, ModelImage
 from .rotations import Cloud, StoredPhoto, find_turns
 from .shown_photo import lens_in_words
@@ -264,6 +272,8 @@ class PhotoLoader:
 
     def _mask_objects(self, cache: Path | None, context: Context) -> None:
         """Give the photos the masks of the boxes' objects."""
+        if self._pixels and not self._masks.other_boxes:
+            mention_folders(self._mask_files, self._masks.boxes, self._names, context)
         found = plan_object_masks(self.posed, self._mask_files, self._masks)
         plans = {(key, box): self._for_camera(plan, key) for (key, box), plan in found.items()}
         made = make_masks(plans, cache, context, write=self._pixels)

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from .files import cannot_write, own_folder, read_record, sha256, write_json
-from .names import inner_path
+from .names import inner_path, same_name
 
 MADE = "made.json"
 KEY, WRITING, INPUTS = "masks", "writing", "inputs"
@@ -22,6 +22,22 @@ KEY, WRITING, INPUTS = "masks", "writing", "inputs"
 def mask_name(photo: str) -> str:
     """The name of the mask that is made for a photo, below the folder of its box."""
     return f"{photo}.png"
+
+
+def box_folders(masks: Path, box: str) -> list[Path]:
+    """The folders that can have a box's masks, in that of all: one, or several of like names.
+
+    Their names may differ in case and in the Unicode form of accents (macOS decomposes them), if no
+    folder has exactly the box's. If there is none, the one to make.
+    """
+    exact = masks / box
+    if exact.is_dir():
+        return [exact]
+    try:
+        names = [each.name for each in masks.iterdir() if same_name(each.name) == same_name(box)]
+    except OSError:
+        return [exact]
+    return [masks / name for name in sorted(names)] or [exact]
 
 
 def used_mask(beside: Path | None, in_run: Path | None, folder: Path) -> Path | None:

@@ -69,6 +69,11 @@ def _is_device(name: str) -> bool:
     return name.partition(".")[0].strip().casefold() in DEVICES
 
 
+def same_name(name: str) -> str:
+    """What two names share that differ in case, slashes or the form of accents alone."""
+    return unicodedata.normalize("NFC", name.replace("\\", "/")).casefold()
+
+
 def first_taken(names: Iterable[str]) -> str | None:
     """The first name that repeats an earlier one, ignoring case: their files would collide."""
     seen: set[str] = set()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import unicodedata
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from functools import cached_property
@@ -13,6 +12,7 @@ from typing import TypeVar
 
 from ..errors import SceneError
 from ..formats.files import is_link
+from ..formats.names import same_name
 from ..formats.projects import PHOTO_FOLDERS, folders_above
 
 EXTENSIONS = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2", ".ppm", ".pgm"}
@@ -204,11 +204,6 @@ def _folders(root: Path) -> Iterator[tuple[Path, list[str]]]:
             links += [p for p in map(parent.joinpath, linked) if os.path.realpath(p) not in above]
             folders[:] = [name for name in below if name not in linked]
             yield parent, names
-
-
-def same_name(name: str) -> str:
-    """What two names share that differ in case, slashes or the form of accents alone."""
-    return unicodedata.normalize("NFC", name.replace("\\", "/")).casefold()
 
 
 def find_photos(model: Path, images: Path | str | None, names: list[str]) -> PhotoFolder:

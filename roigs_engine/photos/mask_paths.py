@@ -13,10 +13,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from ..errors import ConfigError
-from ..formats.mask_record import used_mask
+from ..errors import ConfigError, SceneError
+from ..formats.mask_record import box_folders, used_mask
+from ..formats.names import same_name
 from ..formats.projects import RECONSTRUCTION
-from .files import MASK_ENDS, PhotoFolder, is_mask, same_name
+from .files import MASK_ENDS, PhotoFolder, is_mask
 
 MASKS = "masks"
 """The folder's name."""
@@ -31,6 +32,7 @@ class MaskOptions:
     inverted: bool = False  # in files, black marks what is used; alpha channels are not inverted
     used: bool = True  # False: there are no masks
     boxes: tuple[str, ...] = ()  # those whose masks of objects are used, of the folders `masks/BOX`
+    other_boxes: bool = False  # whether the scene has boxes beside these
     objects_inverted: bool = False  # black marks the objects
     objects: Path | None = None  # folder of such masks for photos that have none in `folder`
 
@@ -67,16 +69,28 @@ class MaskFiles:
     def of_object(self, box: str, other: Path | None) -> Callable[[str], Path | None]:
         """The function from a photo's name to its mask of a box's object, if it has one.
 
-        `other`: another folder of masks of objects, that of a run.
+        `other`: another folder of masks of objects, that of a run. SceneError: two folders have
+        the box's name.
         """
-        beside = MaskFiles(self._photos, self.folder / box)
-        in_run = None if other is None else MaskFiles(self._photos, other / box)
+        beside = MaskFiles(self._photos, _only_folder(self.folder, box))
+        in_run = None if other is None else MaskFiles(self._photos, _only_folder(other, box))
 
         def find(photo: str) -> Path | None:
             newer = None if in_run is None else in_run.find(photo, beside=False)
             return used_mask(beside.find(photo, beside=False), newer, beside.folder)
 
         return find
+
+    def of_no_box(self, boxes: Iterable[str], photos: Iterable[str]) -> list[str]:
+        """Names of folders of masks that look like those of a box, but of none of these."""
+        known = {same_name(box) for box in boxes}
+        masks = {same_name(each) for name in photos for kind in mask_names(name) for each in kind}
+        found = {}
+        for name in self._masks.others([]):
+            folder, _, inner = name.partition("/")
+            if same_name(inner) in masks and same_name(name) not in masks:
+                found[folder] = same_name(folder) in known
+        return [folder for folder, is_known in found.items() if not is_known]
 
     def is_made(self, mask: Path) -> bool:
         """Whether `reconstruct` made that mask: in these, black is what is ignored in any case."""
@@ -121,6 +135,17 @@ class MaskFiles:
     @cached_property
     def _beside(self) -> PhotoFolder:
         return PhotoFolder(self._photos, {".png"}, keep=is_mask)
+
+
+def _only_folder(masks: Path, box: str) -> Path:
+    folders = box_folders(masks, box)
+    if len(folders) > 1:
+        raise SceneError(
+            f"{masks} has {len(folders)} folders of masks for the box '{box}':"
+            f" {' and '.join(repr(folder.name) for folder in folders[:2])}.",
+            "Put all masks of the box into one folder.",
+        )
+    return folders[0]
 
 
 def mask_names(photo: str) -> tuple[list[str], list[str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from PIL import Image
 
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.context import Context
+from roigs_engine.errors import SceneError
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.mask_coverage import (
     counted_pixels,
@@ -168,3 +170,46 @@ def test_points_that_masks_show_as_something_else_are_not_the_objects(scene: Sfm
     found = object_points(inside, BOX, [image])
     assert np.array_equal(found[clear], (rows < 36)[clear]) and 0 < found.sum() < len(found)
     assert object_points(inside, BOX, []).all()
+
+
+@pytest.mark.parametrize("folder", ["Bu\u0308ste", "b\u00fcste", "BU\u0308STE"])
+def test_folders_may_differ_from_their_box_in_case_and_the_form_of_accents(
+    tmp_path: Path, folder: str
+) -> None:
+    write_project(tmp_path, names=NAMES)
+    put(tmp_path, f"{folder}/b.png", upper())
+    events: list[Event] = []
+    options = MaskOptions(boxes=("B\u00fcste",))
+    scene = load_colmap(tmp_path, masks=options, context=Context(emit=events.append))
+    assert list(scene.image("b.png").objects) == ["B\u00fcste"]
+    assert not messages(events, "warning")
+
+
+def test_two_folders_for_one_box_are_refused(tmp_path: Path) -> None:
+    write_project(tmp_path, names=NAMES)
+    put(tmp_path, "THING/b.png", upper())
+    put(tmp_path, "Thing/b.png", upper())
+    if len(list((tmp_path / "masks").iterdir())) == 1:
+        pytest.skip("the file system does not tell case")
+    with pytest.raises(SceneError, match="2 folders of masks for the box 'thing'"):
+        load_colmap(tmp_path, masks=VASE)
+    put(tmp_path, "thing/b.png", upper(rows=20))  # the box's very name comes first
+    mask = load_object_mask(load_colmap(tmp_path, masks=VASE).image("b.png"), "thing")
+    assert mask is not None and np.array_equal(mask, upper(rows=20))
+
+
+def test_a_folder_of_no_box_is_named_with_the_box_that_it_resembles(tmp_path: Path) -> None:
+    write_project(tmp_path, names=NAMES)
+    put(tmp_path, "thingy/b.png", upper())
+    put(tmp_path, "zzz/b.png", upper())
+    put(tmp_path, "sub/a.png.png", upper())  # the mask of a photo
+    events: list[Event] = []
+    options = replace(VASE, used=False)
+    load_colmap(tmp_path, masks=options, context=Context(emit=events.append))
+    first, second = messages(events, "warning")
+    assert "thingy are not used" in first and first.endswith("Is 'thing' meant?")
+    assert "zzz are not used" in second and "meant" not in second
+    events.clear()
+    options = replace(options, other_boxes=True)
+    load_colmap(tmp_path, masks=options, context=Context(emit=events.append))
+    assert not messages(events, "warning")
