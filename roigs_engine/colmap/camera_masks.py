@@ -75,7 +75,13 @@ class MaskPlan:
         return hashlib.sha256(text.encode("ascii")).hexdigest()[:32]
 
     def whole(self) -> Mask:
-        """The mask as the file has it, turned; raises as `read_mask` and `alpha_mask`."""
+        """The mask at the photo's `size`; raises as `make`."""
+        from ..photos.mask_images import resized
+
+        return resized(self._given(), self.size)
+
+    def _given(self) -> Mask:
+        """The mask as its file has it, turned; raises as `read_mask` and `alpha_mask`."""
         from ..photos import mask_images as masks
 
         if self.file is None:
@@ -86,10 +92,10 @@ class MaskPlan:
         )
 
     def make(self) -> Mask:
-        """The mask for the photo's camera; raises as `whole`."""
+        """The mask for the photo's camera; raises as `read_mask` and `alpha_mask`."""
         from ..photos import mask_images as masks
 
-        least, mask = masks.HALF if self.of_object else masks.ALL, self.whole()
+        least, mask = masks.HALF if self.of_object else masks.ALL, self._given()
         if self.undistortion is not None:
             lens = self.undistortion.source
             mask = masks.resized(mask, (lens.width, lens.height), least)

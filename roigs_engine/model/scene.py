@@ -64,7 +64,7 @@ class PhotoMask:
         path: the mask for the photo at `PosedImage.path`, made by the engine.
         remake: makes that file again.
         small: (h, w) uint8, the mask at a small size: 255 where all pixels are in it, 0 where none.
-        whole: makes the mask of the file at `PosedImage.path` itself, at any size, by which colours
+        whole: makes the mask at the size of the file at `PosedImage.path`, turned, by which colours
             are resampled; None: they are resampled without it.
     """
 

@@ -14,6 +14,8 @@ the format has no checksum.
 from __future__ import annotations
 
 import io
+import itertools
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -31,6 +33,7 @@ from .rotation import AS_STORED, turned, turned_size
 Pixels = NDArray[np.uint8]
 Counted = Callable[[], NDArray[np.bool_]]
 Weights = NDArray[np.bool_] | NDArray[np.float32]
+Box = tuple[float, float, float, float]
 Change = Callable[[Image.Image], Image.Image]
 
 # A JPEG is decoded at a fraction of its size if that is at least this multiple of the target size.
@@ -38,6 +41,8 @@ GAP = 2.0
 EVEN = 1e-4  # of a sum of weights: all are 1
 # Least sum of weights of a pixel that counts, by a mask, or that can be seen, by an alpha channel.
 LEAST_COUNTED, LEAST_SEEN = 0.35, 0.02
+LANCZOS = 3  # pixels that the filter reaches, of the larger of its two pictures
+TILE = 64  # pixels of a side
 BLACK, WHITE = "black", "white"
 # Of 255. Values of 14 bits in a 16-bit file end at 63; photos that show anything are brighter.
 BRIGHTEST_BLACK, MEAN_WHITE = 63, 250
@@ -98,39 +103,58 @@ def opacity(photo: Image.Image) -> Pixels | None:
 def _resized(
     pixels: Pixels, size: tuple[int, int], weights: Weights, least: float = LEAST_COUNTED
 ) -> Pixels:
-    def change(picture: Image.Image) -> Image.Image:
-        return picture.resize(size, Image.Resampling.LANCZOS)
+    """`weighted`, resampled to `size`: only the tiles in which weights differ take time."""
+    result = np.array(Image.fromarray(pixels).resize(size, Image.Resampling.LANCZOS))
+    scale = pixels.shape[1] / size[0], pixels.shape[0] / size[1]
+    for top, left in itertools.product(range(0, size[1], TILE), range(0, size[0], TILE)):
+        tile = result[top : top + TILE, left : left + TILE]
+        # The sources of the tile, and what the filter reaches beside them.
+        start = [side * k for side, k in zip((left, top), scale, strict=True)]
+        end = [a + k * n for a, k, n in zip(start, scale, tile.shape[1::-1], strict=True)]
+        reach = [math.ceil(LANCZOS * max(k, 1)) + 1 for k in scale]
+        x, y = (max(0, int(a) - n) for a, n in zip(start, reach, strict=True))
+        across, down = (math.ceil(b) + n for b, n in zip(end, reach, strict=True))
+        given = weights[y:down, x:across]
+        if (given.all() and given.min() == 1) or not given.any():
+            continue
+        box = (start[0] - x, start[1] - y, end[0] - x, end[1] - y)
 
-    return weighted(pixels, weights, change, least)
+        def change(picture: Image.Image, tile: Pixels = tile, box: Box = box) -> Image.Image:
+            box = (*box[:2], min(box[2], picture.width), min(box[3], picture.height))
+            return picture.resize((tile.shape[1], tile.shape[0]), Image.Resampling.LANCZOS, box)
+
+        _weigh(tile, pixels[y:down, x:across], given, change, least)
+    return result
 
 
-def weighted(
-    pixels: Pixels, weights: Weights, change: Change, least: float = LEAST_COUNTED
-) -> Pixels:
+def weighted(pixels: Pixels, weights: Weights, change: Change) -> Pixels:
     """A picture (H, W, 3) after linear resampling in which each pixel counts by its weight.
 
     A filter reaches some pixels farther than the pixel that it makes. To ignore all that it
     reaches would cost a rim of three pixels around each mask. So ignored pixels have no weight.
 
-    Pixels all of whose sources have the weight 1 become what they would without weights, and so
-    do those whose weights add up to less than `least`.
-
     Args:
-        weights: 0 to 1, (h, w) at any size of the same shape.
+        weights: (H, W), 0 to 1.
         change: resamples a picture of 8 bits, or of floats.
     """
-    picture = Image.fromarray(pixels)
-    given = Image.fromarray(weights.astype(np.float32))
-    if given.size != picture.size:
-        given = given.resize(picture.size, Image.Resampling.NEAREST)
-    result, share = np.array(change(picture)), np.asarray(given)
-    total = np.asarray(change(given))
+    result = np.array(change(Image.fromarray(pixels)))
+    _weigh(result, pixels, weights, change, LEAST_COUNTED)
+    return result
+
+
+def _weigh(result: Pixels, pixels: Pixels, weights: Weights, change: Change, least: float) -> None:
+    """Weigh the sources in a picture that was resampled without.
+
+    Pixels all of whose sources have the weight 1 stay what they are, and so do those whose weights
+    add up to less than `least`.
+    """
+    share = weights.astype(np.float32)
+    total = np.asarray(change(Image.fromarray(share)))
     mixed = (np.abs(total - 1) > EVEN) & (total > least)
     if mixed.any():
         for channel in range(pixels.shape[2]):
             values = np.asarray(change(Image.fromarray(pixels[..., channel] * share)))
             result[mixed, channel] = (values[mixed] / total[mixed]).round().clip(0, 255)
-    return result
 
 
 def load_photo(image: PosedImage) -> Pixels:

@@ -92,7 +92,8 @@ def resized(mask: Mask, size: tuple[int, int], least: int = ALL) -> Mask:
     if (mask.shape[1], mask.shape[0]) == size:
         return mask
     if least == ALL:
-        return _all_covered(_all_covered(mask.T, size[0]).T, size[1])
+        columns = _all_covered(np.ascontiguousarray(mask.T), size[0])
+        return _all_covered(np.ascontiguousarray(columns.T), size[1])
     grey = Image.fromarray(np.where(mask, np.uint8(255), np.uint8(0)))
     smaller = np.array(grey.resize(size, Image.Resampling.BOX))
     return np.asarray(smaller >= least)
@@ -100,12 +101,10 @@ def resized(mask: Mask, size: tuple[int, int], least: int = ALL) -> Mask:
 
 def _all_covered(mask: Mask, height: int) -> Mask:
     """The mask (h, W) at `height`: pixels of which all that they cover, even in part, are in it."""
-    given = len(mask)
-    before = np.zeros((given + 1, mask.shape[1]), dtype=np.int32)
-    np.cumsum(~mask, axis=0, out=before[1:])
     rows = np.arange(height)
-    first, end = rows * given // height, -(-(rows + 1) * given // height)
-    return np.asarray(before[end] == before[first])
+    first, end = rows * len(mask) // height, -(-(rows + 1) * len(mask) // height)
+    # Of a pixel: all rows before the next one's first, and its own last.
+    return np.asarray(np.logical_and.reduceat(mask, first, axis=0) & mask[end - 1])
 
 
 def mask_png(mask: Mask) -> bytes:

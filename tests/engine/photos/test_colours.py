@@ -188,6 +188,28 @@ def test_grey_photos(tmp_path: Path, mode: str, kind: str) -> None:
     assert np.abs(decode(tmp_path / "a.tif")[..., 1] - right).max() <= 2
 
 
+@pytest.mark.parametrize("suffix", ["jpg", "tif"])
+def test_inks_by_their_profile(tmp_path: Path, suffix: str) -> None:
+    """A table of two values an ink: each is as dark as black, down to L* = 0."""
+    light = 255 * (np.indices((2,) * 4).sum(axis=0) == 0)
+    nodes = np.stack([light, np.full((2,) * 4, 128), np.full((2,) * 4, 128)], axis=-1)
+    table = struct.pack(">4s4x4B9i", b"mft1", 4, 3, 2, 0, *(65536 * np.eye(3, dtype=int)).ravel())
+    table += bytes(range(256)) * 4 + nodes.astype(np.uint8).tobytes() + bytes(range(256)) * 3
+    white = struct.pack(">4s4x3i", b"XYZ ", 63190, 65536, 54061)
+    tags = struct.pack(">I4sII4sII", 2, b"wtpt", 156, 20, b"A2B0", 176, len(table))
+    head = struct.pack(">I4xI4s4s4s12x4s", 176 + len(table), 0x02400000, b"prtr", b"CMYK", b"Lab ",
+                       b"acsp")  # fmt: skip
+    icc = (head.ljust(68, b"\0") + white[8:]).ljust(128, b"\0") + tags + white + table
+    inks = np.zeros((8, 40, 4), np.uint8)
+    inks[..., 3] = np.repeat([0, 64, 128, 192, 255], 8)
+    Image.fromarray(inks, "CMYK").save(tmp_path / f"a.{suffix}", icc_profile=icc, quality=100)
+    lightness = 100 * (1 - np.array([0, 64, 128, 192, 255]) / 255)  # CIE 1976
+    y = np.where(lightness > 8, ((lightness + 16) / 116) ** 3, lightness / 903.3)
+    right = 255 * np.where(y > 0.0031308, 1.055 * y ** (1 / 2.4) - 0.055, 12.92 * y)
+    found = decode(tmp_path / f"a.{suffix}")[4, 4::8].astype(float)
+    assert np.abs(found - right[:, None]).max() <= 3
+
+
 def test_lab_is_read_without_a_profile(tmp_path: Path) -> None:
     lab = ImageCms.buildTransform(
         ImageCms.createProfile("sRGB"), ImageCms.createProfile("LAB"), "RGB", "LAB"

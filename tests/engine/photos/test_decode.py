@@ -18,7 +18,7 @@ from roigs_engine.machine import machine_memory
 from roigs_engine.model.scene import Camera, PhotoMask, PosedImage
 from roigs_engine.photos import cache as cache_module
 from roigs_engine.photos.cache import PhotoCache
-from roigs_engine.photos.decode import decode, load_photo
+from roigs_engine.photos.decode import decode, load_photo, weighted
 from roigs_engine.photos.headers import photo_size
 from roigs_engine.photos.mask_images import load_mask, resized, write_mask
 from roigs_engine.photos.rotation import turned
@@ -350,6 +350,19 @@ def test_a_mask_changes_no_colour_far_from_it(tmp_path: Path) -> None:
         decode(tmp_path / "a.png", (40, 30), counted=lambda: mask)[:, :15], plain[:, :15]
     )
     assert np.array_equal(decode(tmp_path / "a.png", (64, 48), counted=lambda: mask), noise)
+
+
+@pytest.mark.parametrize("size", [(200, 150), (333, 251), (130, 65), (700, 467)])
+def test_tiles_join_without_seams(tmp_path: Path, size: tuple[int, int]) -> None:
+    """The same as weighing the whole photo at once."""
+    random = np.random.default_rng(1)
+    noise = random.integers(0, 256, (240, 320, 3), dtype=np.uint8)
+    mask = random.random((240, 320)) > 0.01
+    mask[:80] = False
+    Image.fromarray(noise).save(tmp_path / "a.png")
+    whole = weighted(noise, mask, lambda picture: picture.resize(size, Image.Resampling.LANCZOS))
+    tiled = decode(tmp_path / "a.png", size, counted=lambda: mask)
+    assert np.abs(tiled.astype(int) - whole).max() <= 1
 
 
 def test_a_posed_photo_is_resampled_by_its_mask(tmp_path: Path) -> None:
