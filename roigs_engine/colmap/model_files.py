@@ -124,6 +124,9 @@ POINT_HEAD = np.dtype(
     [("id", "<i8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("length", "<u8")]
 )
 ROWS_AT_ONCE = 1 << 14  # rows gathered at a time: the index takes 8 bytes for each of their bytes
+FIRST_CAMERA = 32  # offset of the first camera's parameters
+FIRST_NEW = 11  # ids of models from here on are younger than forks
+MOST_PARAMETERS = 20
 SMALLEST_IMAGE = 73  # bytes of a photo in images.bin with an empty name and no observations
 OBSERVATION = np.dtype([("xy", "<f8", 2), ("id", "<i8")])
 
@@ -151,9 +154,22 @@ def _binary_cameras(data: bytes) -> dict[int, ModelCamera]:
                 raise UnknownCameraError(f"cameras of model {model_id} are not supported")
             raise ValueError(f"no camera model has the number {model_id}")
         name, length = CAMERA_MODELS[int(model_id)]
+        if model_id >= FIRST_NEW and offset == FIRST_CAMERA:
+            _check_parameters(name, length, (len(data) - 8) / number - 24)
         params, offset = _unpack(data, offset, f"{length}d")
         cameras[int(camera_id)] = checked_camera(name, int(width), int(height), params)
     return cameras
+
+
+def _check_parameters(name: str, length: int, size: float) -> None:
+    """UnknownCameraError if cameras of a new model have other parameters than COLMAP's.
+
+    Forks have used the ids of their own models for others before COLMAP did (SphereSfM's SPHERE).
+    `size`: bytes of the parameters of a camera.
+    """
+    if size != 8 * length and size % 8 == 0 and 0 < size < 8 * MOST_PARAMETERS:
+        count = int(size / 8)
+        raise UnknownCameraError(f"its cameras have {count} parameters, {name} has {length}")
 
 
 def _binary_images(data: bytes, context: Context) -> list[ModelImage]:

@@ -239,6 +239,17 @@ def test_binary_cameras_of_newer_software(tmp_path: Path, number: int, damaged: 
     assert (caught.value.hint == HINT_DAMAGED) == damaged
 
 
+@pytest.mark.parametrize("number", [11, 16, 17])
+def test_binary_cameras_of_forks(tmp_path: Path, number: int) -> None:
+    """SphereSfM's SPHERE has 3 parameters, and the id of a COLMAP model with more."""
+    write_project(tmp_path, names=NAMES)
+    cameras = b"".join(struct.pack("<IiQQ3d", k, number, 96, 48, 1, 48, 24) for k in (1, 2))
+    (tmp_path / "sparse/0/cameras.bin").write_bytes(struct.pack("<Q", 2) + cameras)
+    with pytest.raises(SceneError, match="cameras have 3 parameters") as caught:
+        load_colmap(tmp_path)
+    assert caught.value.hint != HINT_DAMAGED
+
+
 def test_panoramas_are_not_called_damaged(tmp_path: Path) -> None:
     lens = camera("EQUIRECTANGULAR", width=96, height=48, params=[96.0, 48.0])
     write_project(tmp_path, names=NAMES, cameras=[lens], points=np.ones((3, 3)), tracks=False)
