@@ -28,6 +28,7 @@ FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 BARE = {0x01, *range(0xD0, 0xD8)}
 FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "JPEG2000", "PPM")  # as Pillow calls them
 PNG_END, JPEG_END = b"IEND", b"\xff\xd9"
+ORIENTATION = 0x0112  # EXIF and TIFF tag
 TAIL = 1 << 16  # bytes at the end of a file that are searched for them
 # A larger photo has a damaged or malicious header: the largest cameras today have 150 megapixels,
 # and Pillow rejects more than 179.
@@ -140,6 +141,7 @@ def _opened(path: Path) -> Image:
     try:
         photo: Image.Image = Image.open(path, formats=FORMATS)
         if tiff.pillow_reads(photo):
+            _keep_as_stored(photo)
             return photo
         photo.close()
     except UnidentifiedImageError:
@@ -149,6 +151,13 @@ def _opened(path: Path) -> Image:
     if photo.width * photo.height > MAX_PIXELS:
         raise ValueError(f"its header says {photo.width} x {photo.height} pixels")
     return photo
+
+
+def _keep_as_stored(photo: Image) -> None:
+    """Keep Pillow from turning a TIFF by its tag, which it does with no other format."""
+    if photo.format == "TIFF" and photo.getexif().get(ORIENTATION, 1) != 1:
+        photo.getexif()[ORIENTATION] = 1
+        photo._size = getattr(photo, "_tile_size", photo.size)
 
 
 def unreadable(path: Path, error: Exception) -> PhotoError:

@@ -16,11 +16,10 @@ from typing import BinaryIO, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .headers import PNG, PhotoError, jpeg_segments, open_photo
+from .headers import ORIENTATION, PNG, PhotoError, jpeg_segments, open_photo
 
 AS_STORED = 1
 SIDEWAYS = range(5, 9)  # turns that swap width and height
-ORIENTATION = 0x0112
 EXIF = b"Exif\0\0"
 APP1 = 0xE1
 TIFF_SHORT = 3
@@ -41,8 +40,7 @@ def rotation_tag(path: Path) -> int:
         elif start == PNG:
             tag = _of_png(file)
         elif start[:2] in (b"II", b"MM") or start.startswith(b"RIFF"):
-            with open_photo(path) as photo:
-                tag = photo.getexif().get(ORIENTATION, AS_STORED)
+            tag = _by_pillow(path)
     return tag if tag in range(1, 9) else AS_STORED
 
 
@@ -60,6 +58,18 @@ def turned(pixels: Values, turn: int) -> Values:
     if turn in (3, 4, 7, 8):
         pixels = pixels[::-1]
     return np.ascontiguousarray(pixels)
+
+
+def _by_pillow(path: Path) -> int:
+    """The tag of a TIFF or WebP; `open_photo` takes that of a TIFF away."""
+    from PIL import Image
+
+    try:
+        with Image.open(path, formats=("TIFF", "WEBP")) as photo:
+            return int(photo.getexif().get(ORIENTATION, AS_STORED))
+    except Exception:  # Pillow's readers raise nearly anything on damaged files
+        with open_photo(path) as photo:
+            return int(photo.getexif().get(ORIENTATION, AS_STORED))
 
 
 def _of_jpeg(file: BinaryIO) -> int:

@@ -11,6 +11,7 @@ import pytest
 from PIL import Image, ImageOps
 
 from roigs_engine.photos.decode import decode
+from roigs_engine.photos.headers import photo_size
 from roigs_engine.photos.rotation import AS_STORED, rotation_tag, turned, turned_size
 
 NOISE = np.random.default_rng(0).integers(0, 256, (30, 47, 3), dtype=np.uint8)
@@ -51,6 +52,19 @@ def test_a_smaller_photo_is_turned_too(tmp_path: Path, tag: int) -> None:
 def test_tags_of_each_format(tmp_path: Path, name: str) -> None:
     assert rotation_tag(tagged(tmp_path / name, 6)) == 6
     assert rotation_tag(tagged(tmp_path / name, 99)) == AS_STORED
+
+
+@pytest.mark.parametrize("tag", [3, 6])
+@pytest.mark.parametrize("compression", ["raw", "tiff_lzw"])
+def test_a_tiff_is_not_turned_by_its_reader(tmp_path: Path, tag: int, compression: str) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = tag
+    path = tmp_path / "a.tif"
+    Image.fromarray(NOISE).save(path, exif=exif, compression=compression)
+    assert photo_size(path) == (47, 30)
+    np.testing.assert_array_equal(decode(path), NOISE)
+    np.testing.assert_array_equal(decode(path, turn=tag), turned(NOISE, tag))
+    assert decode(path, (20, 13)).shape == (13, 20, 3)
 
 
 def test_a_png_can_have_its_tag_after_the_pixels(tmp_path: Path) -> None:
