@@ -24,7 +24,7 @@ from ..model.scene import Float64
 from . import spz
 from .arrays import Arrays, joined, logits, opacities, unit_quats
 from .colours import recoloured
-from .libraries import NotSupportedError, package, read_beside, refuse_bomb
+from .libraries import MOST_PARTS, NotSupportedError, package, read_beside, refuse_bomb
 from .transform import moved
 
 TITLE = "glTF"
@@ -104,10 +104,12 @@ def _columns(arrays: Arrays) -> dict[str, NDArray[Any]]:
 def read(path: Path) -> Arrays:
     """See `FileFormat`: all Gaussians of the scene as one model, where their nodes have them."""
     file = _File(path)
-    found = [moved(file.gaussians(item), matrix) for matrix, item in _shown(file.record)]
-    if not found:
+    shown = _shown(file.record)
+    if not shown:
         raise NotSupportedError(f"glTF without {NAME}")
-    return joined(found)
+    if len(shown) > MOST_PARTS:
+        raise NotSupportedError(f"glTF with {len(shown):,} primitives of Gaussians")
+    return joined([moved(file.gaussians(item), matrix) for matrix, item in shown])
 
 
 def _shown(record: dict[str, Any]) -> list[tuple[Float64, dict[str, Any]]]:

@@ -40,6 +40,7 @@ MAGIC = {
     b"#usda 1.": ".usda",
 }
 """First bytes of files of Gaussians, where they tell the format."""
+MOST_PARTS = 4096  # of a file; each takes some milliseconds
 OPENUSD = re.compile(r" at line \d+ in file .*? : '(.*?)\n?'(?:\n|$)", re.DOTALL)
 """Its errors begin with the place in its source."""
 

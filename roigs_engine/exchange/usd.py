@@ -13,7 +13,7 @@ from ..formats.files import write_bytes
 from ..model.scene import Float64
 from .arrays import Arrays, Float32, joined, logits, opacities, turn, unit_quats
 from .colours import encoded, recoloured
-from .libraries import NotSupportedError, package, refuse_bomb, scratch
+from .libraries import MOST_PARTS, NotSupportedError, package, refuse_bomb, scratch
 from .transform import moved
 
 TITLE = "OpenUSD"
@@ -22,6 +22,7 @@ ARCS = ("references", "payload", "inheritPaths", "specializes", "variantSetNames
 """What makes OpenUSD open other files, or the same prims again and again."""
 KIND = "ParticleField3DGaussianSplat"
 SH = "radiance:sphericalHarmonicsCoefficients"
+SPACE = "colorSpace:name"
 SRGB = ("srgb_rec709_scene", "srgb_rec709_display", "identity", "raw", "unknown")
 """Names of colour spaces of which nothing is changed: other programs write the second, too."""
 LINEAR = ("lin_rec709_scene", "lin_rec709_display", "lin_rec709")
@@ -91,6 +92,8 @@ def read(path: Path) -> Arrays:
         )
     if not prims:
         raise NotSupportedError(f"OpenUSD without {KIND}")
+    if len(prims) > MOST_PARTS:
+        raise NotSupportedError(f"OpenUSD with {len(prims):,} prims of Gaussians")
     world = turn(str(geom.GetStageUpAxis(stage)).lower(), "y")
     if geom.StageHasAuthoredMetersPerUnit(stage):
         world[:3] *= geom.GetStageMetersPerUnit(stage)
@@ -135,10 +138,12 @@ def _in_srgb(prim: Any, sh: Float32) -> Float32:
 
     That is how trainers have them, though OpenUSD's own default is linear.
     """
-    usd, gf, vt = (package(f"pxr.{name}", TITLE, "usd-core") for name in ("Usd", "Gf", "Vt"))
+    gf, vt = (package(f"pxr.{name}", TITLE, "usd-core") for name in ("Gf", "Vt"))
     attribute = prim.GetAttribute(SH if prim.GetAttribute(SH).HasValue() else f"{SH}h")
-    cache = usd.ColorSpaceHashCache()
-    name = str(usd.ColorSpaceAPI.ComputeColorSpaceName(attribute, cache))
+    name, place = str(attribute.GetColorSpace() or ""), prim
+    while not name and not place.IsPseudoRoot():  # ColorSpaceAPI knows fewer names
+        name = str((place.HasAttribute(SPACE) and place.GetAttribute(SPACE).Get()) or "")
+        place = place.GetParent()
     if not name or name in SRGB:
         return sh
     if name in LINEAR:

@@ -436,6 +436,7 @@ def test_openusd_in_centimetres_and_z_up(tmp_path: Path) -> None:
     ("space", "colour"),
     [
         ("lin_rec709_scene", encoded),
+        ("lin_rec709_display", encoded),
         ("srgb_rec709_scene", lambda c: c),
         ("srgb_rec709_display", lambda c: c),
         # ACEScg to BT.709, of the ACES documents
@@ -454,15 +455,18 @@ def test_openusd_in_centimetres_and_z_up(tmp_path: Path) -> None:
         ),
     ],
 )
-@pytest.mark.parametrize("where", ["/World", "/World/G"])
+@pytest.mark.parametrize("where", ["/World", "/World/G", f"/World/G.{SH}"])
 def test_openusd_says_its_colour_space(space: str, colour: Any, where: str, tmp_path: Path) -> None:
     pytest.importorskip("pxr")
     from pxr import Usd
 
     model = values(0)
     stage = stage_of(tmp_path / "a.usda", model)
-    api = Usd.ColorSpaceAPI.Apply(stage.GetPrimAtPath(where))
-    api.CreateColorSpaceNameAttr(space)
+    if where.endswith(SH):
+        stage.GetAttributeAtPath(where).SetColorSpace(space)
+    else:
+        api = Usd.ColorSpaceAPI.Apply(stage.GetPrimAtPath(where))
+        api.CreateColorSpaceNameAttr(space)
     stage.Save()
     found = 0.5 + SH_C0 * formats.read(tmp_path / "a.usda")["sh"]
     np.testing.assert_allclose(found, colour(0.5 + SH_C0 * model["sh"]), atol=2e-3)
