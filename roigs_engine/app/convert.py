@@ -14,6 +14,7 @@ from ..exchange.arrays import turn
 from ..formats.drawable import usable
 from ..formats.gravity import gravity_alignment
 from ..formats.text import counted
+from ..machine import machine_memory
 from ..model.roi import load_rois
 from ..requests.models import Convert
 from .inputs import boxes_of
@@ -22,6 +23,8 @@ from .outputs import Result, refuse_inputs, refuse_run_files
 from .run_scene import cameras_of_result, levelled_run, poses_of_run, up_in_run
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from ..exchange.arrays import Arrays
     from ..exchange.formats import FileFormat
     from ..exchange.page import Extras
@@ -31,6 +34,7 @@ PAGE, STREAMED = ".html", "lod-meta.json"
 SCENE_UP = "-y"
 """The axis that points up in formats that keep the frame of a scene."""
 OTHER = "Choose another OUT."
+COPIES = 5  # of a list's Gaussians in memory at once
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,14 +120,18 @@ def _listed(request: Convert, target: FileFormat, context: Context, *, plain: bo
 
     if boxes_of(request, required=False):
         raise ConfigError("A list of models cannot be cropped.", "Leave out the boxes.")
-    wanted, poses = read_list(request.source)
+    wanted, poses = read_list(request.source, context)
     refuse_inputs([request.out], [request.source, *(Path(item.file) for item in wanted)], OTHER)
     names = dict.fromkeys(item.file for item in wanted)
     models = {}
     for name in names:
         context.check_cancelled()
         models[name] = _read(Path(name), plain=plain, scene=request.page_scene)
-    read = {name: Gaussians.framed(usable(arrays)) for name, (arrays, _) in models.items()}
+    _refuse_too_many(request.source, [models[item.file][0] for item in wanted])
+    read = {}
+    for name, (arrays, _) in models.items():
+        context.check_cancelled()
+        read[name] = Gaussians.framed(usable(arrays))
     if not any(len(gaussians) for gaussians, _ in read.values()):
         raise ConfigError(f"{request.source} has no Gaussians.", "Give models that have some.")
     if plain:
@@ -139,6 +147,19 @@ def _listed(request: Convert, target: FileFormat, context: Context, *, plain: bo
         poses=poses,
         matrix=matrix,
     )
+
+
+def _refuse_too_many(source: Path, models: Sequence[Arrays]) -> None:
+    """Raise ConfigError if the models of a list, each as often as it is named, need too much."""
+    count = sum(len(arrays["means"]) for arrays in models)
+    bands = max(arrays["sh"].shape[1] for arrays in models)
+    needed, memory = COPIES * 4 * (11 + 3 * bands) * count, machine_memory()
+    if needed > memory:
+        raise ConfigError(
+            f"{source} names {counted(count, 'Gaussian')} in all, which need {needed / 1e9:.1f} GB"
+            f" of memory; this machine has {memory / 1e9:.1f} GB.",
+            "Name fewer models, or smaller ones.",
+        )
 
 
 def _home(request: Convert, path: Path) -> Float64:

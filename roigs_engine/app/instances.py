@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from ..context import QUIET, Context
 from ..errors import ConfigError
 from ..formats.drawable import usable
 from ..formats.files import read_json
@@ -48,7 +49,7 @@ class InstanceRecord(NamedTuple):
         )
 
 
-def read_list(path: Path) -> tuple[list[InstanceRecord], Float64 | None]:
+def read_list(path: Path, context: Context = QUIET) -> tuple[list[InstanceRecord], Float64 | None]:
     """The models of a list, and (N, 4, 4) world_to_camera of its photos, in the list's world.
 
     ConfigError: the file cannot be read, or is malformed.
@@ -57,25 +58,26 @@ def read_list(path: Path) -> tuple[list[InstanceRecord], Float64 | None]:
     try:
         photos = record.get("photos", ())
         poses = np.array([_affine(rows) for rows in photos]) if photos else None
-        return instances(record, path.parent), poses
+        return instances(record, path.parent, context), poses
     except (AttributeError, TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{path} is malformed ({error}).", HINT) from error
 
 
-def instances(record: Any, folder: Path) -> list[InstanceRecord]:
+def instances(record: Any, folder: Path, context: Context = QUIET) -> list[InstanceRecord]:
     """The models of a record's `models`; relative paths start at `folder`.
 
     TypeError, ValueError, OverflowError: it is malformed.
     """
-    wanted = [
-        InstanceRecord(
+    wanted = []
+    for item in _needed(record, "models", "it"):
+        context.check_cancelled()
+        model = InstanceRecord(
             str(folder / _needed(item, "ply", "a model")),
             _affine(_needed(item, "matrix", "a model")),
             _gains(item.get("gains", (1, 1, 1))),
             _density(item.get("density", 1)),
         )
-        for item in _needed(record, "models", "it")
-    ]
+        wanted.append(model)
     if not wanted:
         raise ValueError("it has no model")
     return wanted

@@ -10,7 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from roigs_engine.app.instances import read_list
 from roigs_engine.cli import main
+from roigs_engine.context import Context
+from roigs_engine.errors import Stopped
 from roigs_engine.exchange.formats import is_antialiased
 from roigs_engine.formats.splat_ply import read_ply
 from roigs_engine.model.gaussians import Gaussians
@@ -89,6 +92,33 @@ def test_a_list_without_models_is_one_line(
         (tmp_path / "placed.json").write_text(text)
         said = refused(capsys, "convert", tmp_path / "placed.json", tmp_path / "out.ply")
         assert "placed.json is malformed" in said
+
+
+def test_a_list_for_which_memory_is_too_small_is_one_line(
+    ply: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.ply"
+    out.write_bytes(b"earlier")
+    model = {"ply": str(ply), "matrix": np.eye(4).tolist()}
+    monkeypatch.setattr("roigs_engine.app.convert.machine_memory", lambda: 1_000_000)
+    said = refused(capsys, "convert", listed(tmp_path, *[model] * 1000), out)
+    assert "names 60,000 Gaussians in all, which need 0.1 GB of memory" in said
+    assert out.read_bytes() == b"earlier"
+    assert main(["convert", str(listed(tmp_path, model)), str(out)]) == 0
+
+
+def test_a_long_list_is_stopped_while_it_is_read(ply: Path, tmp_path: Path) -> None:
+    models = listed(tmp_path, *[{"ply": str(ply), "matrix": np.eye(4).tolist()}] * 20)
+    calls = 0
+
+    def stop() -> bool:
+        nonlocal calls
+        calls += 1
+        return calls > 10
+
+    with pytest.raises(Stopped):
+        read_list(models, Context(should_stop=stop))
+    assert calls == 11
 
 
 def test_relative_paths_of_a_list_start_at_its_folder(
