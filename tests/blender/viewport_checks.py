@@ -73,10 +73,10 @@ def check_hidden(a: bpy.types.Object, b: bpy.types.Object) -> None:
     b.hide_viewport = False
     path, b.roigs.ply = b.roigs.ply, str(FOLDER / "nothing.ply")
     assert (seen(a, b) == alone).all()
-    (FOLDER / "broken.ply").write_bytes(b"ply\nformat ascii 1.0\nend_header\n")
+    (FOLDER / "broken.ply").write_bytes(b"ply\nformat binary_little_endian 1.0\nend_header\n")
     b.roigs.ply = str(FOLDER / "broken.ply")
     assert (seen(a, b) == alone).all()
-    assert "ascii" in draw.problems()[b.roigs.ply]
+    assert "broken.ply" in draw.problems()[b.roigs.ply]
     b.roigs.ply = path
     assert not (seen(a, b) == alone).all() and not draw.problems()
 
