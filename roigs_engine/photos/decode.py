@@ -247,7 +247,7 @@ def tone_if_deep(photo: Image.Image) -> str:
 
 def _packing(photo: Image.Image) -> str:
     """How a file stores values, in Pillow's words: "RGB;16B" for 16 bits a channel."""
-    return " ".join(str(tile.args) for tile in getattr(photo, "tile", ()))
+    return " ".join(str(tile[3]) for tile in getattr(photo, "tile", ()))
 
 
 NOISE = np.random.default_rng(0).integers(1, 255, 1 << 15, dtype=np.uint8).tobytes()

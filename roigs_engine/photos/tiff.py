@@ -94,6 +94,7 @@ class TiffPhoto(ImageFile.ImageFile):
     def __init__(self, path: Path) -> None:
         """Raises as the class; on damaged files, tifffile raises many kinds of errors."""
         self._path = path
+        self._loaded = False
         super().__init__(path)
 
     def _open(self) -> None:
@@ -114,10 +115,11 @@ class TiffPhoto(ImageFile.ImageFile):
 
     def load(self) -> Any:
         """Decode the pixels, once."""
-        if self._im is None:
+        if not self._loaded:
             with _library(self._path).TiffFile(self._path) as file:
                 try:
-                    self._im = _decoded(_photo_page(file)).im
+                    self.im = _decoded(_photo_page(file)).im
+                    self._loaded = True
                 except ValueError as error:
                     if "imagecodecs" in str(error):
                         raise _missing(self._path, "imagecodecs") from error
@@ -202,8 +204,8 @@ def _decoded(page: Any) -> Image.Image:
         with np.errstate(divide="ignore", invalid="ignore"):
             straight = scaled[..., :-1] * (255 / scaled[..., -1:])
         scaled[..., :-1] = np.nan_to_num(straight, nan=0, posinf=0).clip(0, 255)
-    rounded = scaled.round().astype(np.uint8)
-    return Image.fromarray(rounded[..., 0] if mode == "L" else rounded, mode)
+    size, rounded = (page.imagewidth, page.imagelength), scaled.round().astype(np.uint8)
+    return Image.frombytes(mode, size, rounded.tobytes())
 
 
 def _eight_bits(values: NDArray[Any], bits: int) -> NDArray[np.float32]:
