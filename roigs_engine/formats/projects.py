@@ -12,8 +12,8 @@ VIDEOS = {  # they become photos
     *(".ts", ".mts", ".m2ts", ".m2t", ".mpg", ".mpeg"),
 }
 SPARSE = "sparse"
-INNER = ("", "colmap", "undistorted", "dense/0", "dense")
-"""Where in a project the model may be: nerfstudio's `colmap`; those of undistorted photos."""
+INNER = ("", "colmap", "undistorted", "dense/0", "dense", "distorted")
+"""Where a project may have its model: `colmap` is nerfstudio's, `distorted` 3DGS's."""
 RECONSTRUCTION = "reconstruction"  # what `reconstruct` keeps for itself
 SUFFIXES = (".bin", ".txt")
 FIRST_MODEL, REFINED = "0", "refined"

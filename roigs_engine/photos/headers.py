@@ -169,11 +169,16 @@ def unreadable(path: Path, error: Exception) -> PhotoError:
     kind = _kind(path)
     if kind == EMPTY or type(error).__name__ == "UnidentifiedImageError":
         reason = kind or "it is no picture"
-        hint = hint if kind in ("", EMPTY) else "Convert the photos to JPEG, without turning them."
+        hint = (
+            hint
+            if kind in ("", EMPTY, NOT_FETCHED)
+            else "Convert the photos to JPEG, without turning them."
+        )
     return PhotoError(f"Cannot read photo {path} ({reason}).", hint)
 
 
 EMPTY = "the file is empty"
+NOT_FETCHED = "it is a pointer of Git LFS; git lfs pull fetches the photo"
 BRANDS = {
     "HEIC": (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1"),
     "AVIF": (b"avif", b"avis"),
@@ -189,7 +194,6 @@ STARTS = {
     "RAW": (b"FUJIFILM", b"\0MRM"),
     "PDF": (b"%PDF",),
     "web page": (b"<!doctype", b"<!DOCTYPE", b"<html"),
-    "Git LFS pointer": (b"version https://git-lfs",),
 }
 
 
@@ -202,6 +206,8 @@ def _kind(path: Path) -> str:
         return ""
     if not start:
         return EMPTY
+    if start.startswith(b"version https://git-lfs"):
+        return NOT_FETCHED
     brand = start[8:12] if start[4:8] == b"ftyp" else b""
     kinds = [kind for kind, brands in BRANDS.items() if brand in brands]
     kinds += [kind for kind, starts in STARTS.items() if start.startswith(starts)]

@@ -82,7 +82,7 @@ def test_names_are_shortened_only_if_all_lead_elsewhere() -> None:
 # --- folders --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("inner", ["colmap", "undistorted", "dense/0", "dense"])
+@pytest.mark.parametrize("inner", ["colmap", "undistorted", "dense/0", "dense", "distorted"])
 @pytest.mark.parametrize("beside", [True, False])
 def test_models_below_the_project(tmp_path: Path, inner: str, beside: bool) -> None:
     """As nerfstudio (`colmap/sparse/0` beside `images`) and COLMAP's undistorter have them."""
@@ -173,6 +173,10 @@ REASONS: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
     "too large": (too_large, ("20000 x 15000 pixels: more than 178 million", "smaller")),
     "no picture": (lambda path: path.write_text("hello"), ("is no picture", "Restore")),
     "empty": (lambda path: path.write_bytes(b""), ("the file is empty", "Restore")),
+    "Git LFS": (
+        lambda path: path.write_text("version https://git-lfs.github.com/spec/v1\n"),
+        ("git lfs pull",),
+    ),
     "folder": (as_folder, ("a.png is a folder", "--images")),
     "broken link": (as_broken_link, ("link to a missing file", "Restore")),
     "ambiguous": (
