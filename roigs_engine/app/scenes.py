@@ -94,9 +94,11 @@ def show_photo(request: ShowPhoto, context: Context = QUIET) -> Result:
     from ..colmap.shown_photo import lens_from_words, write_shown
 
     refuse_run_files(request.out)
-    refuse_inputs([request.out], [request.photo, request.options_file])
+    refuse_inputs([request.out], [request.photo_file, request.options_file])
     lens = lens_from_words(request.lens) if request.lens else None
-    write_shown(request.photo, request.out, lens=lens, turn=request.turn, side=request.max_side)
+    write_shown(
+        request.photo_file, request.out, lens=lens, turn=request.turn, side=request.max_side
+    )
     return Result(files={"picture": request.out}).with_places()
 
 

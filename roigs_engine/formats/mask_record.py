@@ -31,9 +31,9 @@ def box_folders(masks: Path, box: str) -> list[Path]:
     folder has exactly the box's. If there is none, the one to make.
     """
     exact = masks / box
-    if exact.is_dir():
-        return [exact]
     try:
+        if exact.is_dir():
+            return [exact]
         names = [each.name for each in masks.iterdir() if same_name(each.name) == same_name(box)]
     except OSError:
         return [exact]

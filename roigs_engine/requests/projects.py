@@ -100,7 +100,7 @@ class Export(Scene):
 class ShowPhoto(Request):
     """A picture of a photo as training sees it."""
 
-    photo: Path = argument(PATH, "file of the photo")
+    photo_file: Path = argument(PATH, "file of the photo")
     lens: str | None = option(
         Name("CAMERA"),
         "undistort it from this camera, written as in cameras.txt: 'MODEL WIDTH HEIGHT PARAMS'"

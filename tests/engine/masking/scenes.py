@@ -73,7 +73,7 @@ def ball_scene(folder: Path) -> BallScene:
             )
         )
         photos[name] = PhotoPixels(
-            name=name, path=folder / name, size=(160, 120), camera=CAMERA, lens=None
+            name=name, path=folder / name, size=(160, 120), camera=CAMERA, lens=None, turn=1
         )
     scene = SfmScene(
         images=tuple(images),
