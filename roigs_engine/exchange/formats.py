@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -46,15 +46,18 @@ class FileFormat:
     keeps_antialiased: bool = True  # whether a file says if its Gaussians are drawn with it
 
 
+USD = FileFormat(
+    title="OpenUSD", suffix=".usdc", up="y", module="usd", says_axes=True, keeps_antialiased=False
+)
 FORMATS = (
     FileFormat(title="compressed PLY", suffix=COMPRESSED, up="-y", module="compressed_ply"),
     FileFormat(title="PLY", suffix=".ply", up="-y"),
     FileFormat(title="SPZ", suffix=".spz", up="y", module="spz", checks=True, says_axes=True),
     FileFormat(title="SOG", suffix=".sog", up="-y", module="sog", checks=True),
     FileFormat(title="glTF", suffix=".glb", up="y", module="gltf", keeps_antialiased=False),
-    FileFormat(title="OpenUSD", suffix=".usdc", up="y", module="usd", keeps_antialiased=False),
-    FileFormat(title="OpenUSD", suffix=".usda", up="y", module="usd", keeps_antialiased=False),
-    FileFormat(title="OpenUSD", suffix=".usdz", up="y", module="usd", keeps_antialiased=False),
+    USD,
+    replace(USD, suffix=".usda"),
+    replace(USD, suffix=".usdz"),
     FileFormat(title=".splat", suffix=".splat", up="-y", module="splat", keeps_antialiased=False),
     FileFormat(title="web page", suffix=".html", up="y", module="page", reads=False),
 )
@@ -62,7 +65,7 @@ FORMATS = (
 READ_ONLY = (
     FileFormat(title="SOG", suffix="meta.json", up="-y", module="sog"),
     FileFormat(title="glTF", suffix=".gltf", up="y", module="gltf", keeps_antialiased=False),
-    FileFormat(title="OpenUSD", suffix=".usd", up="y", module="usd", keeps_antialiased=False),
+    replace(USD, suffix=".usd"),
 )
 """Other names of files that are read. A whole name has no dot in front."""
 

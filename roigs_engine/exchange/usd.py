@@ -79,7 +79,7 @@ def write(path: Path, arrays: Arrays) -> int:
 def read(path: Path) -> Arrays:
     """See `FileFormat`: all Gaussians of a stage as one model, where their prims have them.
 
-    In metres and y up, by what the stage says of both. Of an animation, the first frame.
+    In metres, by what the stage says. Of an animation, the first frame.
     """
     usd, geom, *_ = _modules()
     layer, others = _alone(path)
@@ -94,7 +94,7 @@ def read(path: Path) -> Arrays:
         raise NotSupportedError(f"OpenUSD without {KIND}")
     if len(prims) > MOST_PARTS:
         raise NotSupportedError(f"OpenUSD with {len(prims):,} prims of Gaussians")
-    world = turn(str(geom.GetStageUpAxis(stage)).lower(), "y")
+    world = np.eye(4)
     if geom.StageHasAuthoredMetersPerUnit(stage):
         world[:3] *= geom.GetStageMetersPerUnit(stage)
     first = usd.TimeCode.EarliestTime()
@@ -108,6 +108,13 @@ def read(path: Path) -> Arrays:
             path.stat().st_size, sum(rows.nbytes for each in found for rows in each.values())
         )
     return joined(found)
+
+
+def frame(path: Path) -> Float64:
+    """(3, 3) from a file's axes to those of its format: from the stage's upAxis to y."""
+    usd, geom, *_ = _modules()
+    stage = usd.Stage.Open(_alone(path)[0], usd.Stage.LoadNone)
+    return turn(str(geom.GetStageUpAxis(stage)).lower(), "y")[:3, :3]
 
 
 def _gaussians(prim: Any) -> Arrays:

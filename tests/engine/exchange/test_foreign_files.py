@@ -424,8 +424,16 @@ def test_openusd_in_centimetres_and_z_up(tmp_path: Path) -> None:
     model = values(0)
     stage_of(tmp_path / "a.usda", model, upAxis="Z", metersPerUnit=0.01).Save()
     found = formats.read(tmp_path / "a.usda")
-    wanted = model["means"][:, (0, 2, 1)] * (0.01, 0.01, -0.01)
-    np.testing.assert_allclose(found["means"], wanted, atol=1e-6)
+    metres = 0.01 * model["means"]
+    np.testing.assert_allclose(found["means"], metres, atol=1e-6)
+    upright = metres[:, (0, 2, 1)] * (1, 1, -1)
+    for wanted, options in (
+        (upright, ("--up=y",)),
+        (upright, ("--from-up=z", "--up=y")),
+        (metres, ("--from-up=y", "--up=y")),  # the option wins
+    ):
+        raw = converted(tmp_path, tmp_path / "a.usda", *options)
+        np.testing.assert_allclose(raw["means"], wanted, atol=1e-6)
     sizes = np.sort(found["log_scales"], axis=1)
     np.testing.assert_allclose(
         sizes, np.sort(model["log_scales"], axis=1) + np.log(0.01), atol=1e-4
