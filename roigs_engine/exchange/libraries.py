@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import EngineError, RunFolderError
+from ..formats.contents import FIRST_BYTES, held_instead
 from ..formats.files import read_bytes, regular
 from ..formats.names import inner_path
 from ..formats.text import in_gb
@@ -31,15 +32,6 @@ HINT = "Write or download the file again."
 CONVERT = "Save it as .ply with the program that it is from, or with SuperSplat."
 MOST_RATIO, SMALL = 100, 64 << 20
 """Files of Gaussians unpack to some ten times their size; bombs to a thousand times."""
-MAGIC = {
-    b"ply\n": ".ply",
-    b"ply\r": ".ply",
-    b"NGSP": ".spz",
-    b"glTF": ".glb",
-    b"PXR-USDC": ".usdc",
-    b"#usda 1.": ".usda",
-}
-"""First bytes of files of Gaussians, where they tell the format."""
 MOST_PARTS = 4096  # of a file; each takes some milliseconds
 OPENUSD = re.compile(r" at line \d+ in file .*? : '(.*?)\n?'(?:\n|$)", re.DOTALL)
 """Its errors begin with the place in its source."""
@@ -86,19 +78,15 @@ def reading(path: Path, title: str) -> Iterator[None]:
         ) from error
     except Exception as error:  # of struct, zlib, json, numpy, and of the libraries themselves
         text = " ".join(_words(error).split())[:120]
-        if (ending := _ending_of(path)) and ending != path.suffix.lower():
-            hint = f"Rename it to {path.stem}{ending}."
-            raise RunFolderError(f"{path} is by its content a file {ending}.", hint) from error
+        if (held := _held_instead(path)) is not None:
+            raise RunFolderError(f"{path} {held[0]}.", held[1]) from error
         raise RunFolderError(f"{path} is not a whole {title} file ({text}).", HINT) from error
 
 
-def _ending_of(path: Path) -> str:
-    """What the name of a file should end in, by its first bytes; empty: they tell nothing."""
-    with suppress(OSError):
-        with open(path, "rb", opener=regular) as file:
-            head = file.read(8)
-        return next((ending for magic, ending in MAGIC.items() if head.startswith(magic)), "")
-    return ""
+def _held_instead(path: Path) -> tuple[str, str] | None:
+    with suppress(OSError), open(path, "rb", opener=regular) as file:
+        return held_instead(path, file.read(FIRST_BYTES))
+    return None
 
 
 def _words(error: Exception) -> str:

@@ -320,7 +320,7 @@ def _gunzipped(unpacker: Any, wanted: int, *, extended: bool) -> tuple[bytes, by
         found += part
     if len(found) < wanted or len(found) > most or not unpacker.eof:
         raise ValueError(f"it has {len(found)} of {wanted} bytes")
-    if unpacker.unused_data:
+    if unpacker.unused_data.strip(b"\0"):  # gzip itself ignores zeros
         raise ValueError("something follows its end")
     return bytes(found[:wanted]), bytes(found[wanted:])
 

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RunFolderError
+from .contents import held_instead
 from .files import UNREADABLE, atomic_write, regular
 
 HINT = "Give a PLY of 3D Gaussians, as training programs write them."
@@ -266,7 +267,8 @@ def _read_header(file: BinaryIO, path: str | Path) -> tuple[str, list[_Element]]
     head = file.read(MAX_HEADER)
     end = re.search(rb"\nend_header\r?\n", head)
     if not re.match(rb"ply\r?\n", head) or (end is None and len(head) < MAX_HEADER):
-        raise RunFolderError(f"{path} is not a PLY file.", HINT)
+        what, hint = held_instead(Path(path), head) or ("is not a PLY file", HINT)
+        raise RunFolderError(f"{path} {what}.", hint)
     if end is None:
         text = f"{path}: the header of this PLY is longer than {MAX_HEADER >> 20} MB."
         raise RunFolderError(text, "Write it again with shorter comments.")

@@ -139,7 +139,7 @@ def test_missing_and_empty_files(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="Cannot read"):
         read_splats(tmp_path / "nothing.ply")
     (tmp_path / "empty.ply").touch()
-    with pytest.raises(ValueError, match="is not a PLY file"):
+    with pytest.raises(ValueError, match="is empty"):
         read_splats(tmp_path / "empty.ply")
 
 

@@ -147,4 +147,4 @@ def test_render_draws_what_a_view_needs(
         np.testing.assert_allclose(near, whole, atol=1)
     capsys.readouterr()
     assert main([*line, str(tmp_path / "far"), "--levels", "--quality", "0.01"]) == 2
-    assert "thing.ply is not a PLY file" in capsys.readouterr().err.splitlines()[-1]
+    assert "thing.ply is empty" in capsys.readouterr().err.splitlines()[-1]

@@ -549,6 +549,29 @@ def test_a_file_of_another_name_is_not_called_damaged(ending: str, tmp_path: Pat
         formats.read(source)
 
 
+@pytest.mark.parametrize(
+    ("start", "message"),
+    [
+        (b"", "is empty"),
+        (b"version https://git-lfs.github.com/spec/v1", "Git LFS. Fetch the file: git lfs pull"),
+        (b"\n<!DOCTYPE html>", "is a web page"),
+        (b"PK\x03\x04", "is a ZIP archive"),
+        (b"glTF\2\0\0\0", r"by its content a file \.glb\. Rename it"),
+    ],
+)
+def test_what_is_no_model_is_named(start: bytes, message: str, tmp_path: Path) -> None:
+    for ending in (".ply", ".gltf") if start else (".ply",):
+        with pytest.raises(RunFolderError, match=message):
+            formats.read(saved(tmp_path / f"a{ending}", start))
+
+
+def test_zeros_after_an_spz_are_padding(tmp_path: Path) -> None:
+    model = values(0)
+    whole = spz(model, 3)
+    found = formats.read(saved(tmp_path / "a.spz", whole + bytes(64)))
+    assert len(found["means"]) == len(model["means"])
+
+
 @pytest.mark.parametrize("name", ["a.gltf", "meta.json", "a.usd"])
 def test_what_is_only_read_is_not_written(name: str, tmp_path: Path) -> None:
     model = {key: rows.astype(np.float32) for key, rows in values().items()}
