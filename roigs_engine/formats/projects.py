@@ -130,7 +130,7 @@ def weakly_observed(points: Mapping[str, int]) -> list[str]:
 
 
 def is_video(path: Path) -> bool:
-    return path.suffix.lower() in VIDEOS and not path.is_dir()
+    return path.suffix.lower() in VIDEOS and not os.path.isdir(path)
 
 
 def _children(folder: Path) -> list[Path]:

@@ -60,7 +60,7 @@ class PhotoFolder:
 
     @cached_property
     def _exists(self) -> bool:
-        return self.folder.is_dir()
+        return os.path.isdir(self.folder)
 
     @cached_property
     def _files(self) -> dict[str, Path]:
@@ -102,12 +102,13 @@ class PhotoFolder:
         path = self.folder / name.replace("\\", "/")
         if not self._exists:
             return f"there is no folder {self.folder}", HINT_FOLDER
-        if path.is_dir():
-            return f"{path} is a folder", HINT_FOLDER
-        if path.is_symlink():
-            return f"{path} is a link to a missing file", "Restore the file that it links to."
-        if not os.access(path.parent, os.X_OK) and path.parent.exists():
-            return f"{path.parent} cannot be opened", "Allow it (chmod +rx), and give --images."
+        with contextlib.suppress(OSError, ValueError):  # no file can have the name
+            if path.is_dir():
+                return f"{path} is a folder", HINT_FOLDER
+            if path.is_symlink():
+                return f"{path} is a link to a missing file", "Restore the file that it links to."
+            if not os.access(path.parent, os.X_OK) and path.parent.exists():
+                return f"{path.parent} cannot be opened", "Allow it (chmod +rx), and give --images."
         elsewhere = self.named_as(name)
         if elsewhere:
             places = " and ".join(f"'{each}'" for each in elsewhere[:2])
@@ -144,7 +145,7 @@ class PhotoFolder:
             path = self.folder / spelling
             if not path.is_relative_to(self.folder):  # a drive, on Windows
                 return None
-            with contextlib.suppress(OSError):  # a name too long for the file system
+            with contextlib.suppress(OSError, ValueError):  # no file can have the name
                 if path.is_file():
                     return path
         return self._by_key.get(same_name(name))
@@ -219,7 +220,7 @@ def find_photos(model: Path, images: Path | str | None, names: list[str]) -> Pho
         SceneError: `images` is not a folder.
     """
     if images is not None:
-        if not Path(images).is_dir():
+        if not os.path.isdir(images):
             raise SceneError(f"{images} is not a folder.", "Give --images the photos' folder.")
         return PhotoFolder(Path(images), names=names)
     roots = folders_above(model)

@@ -38,7 +38,7 @@ class MaskOptions:
 
     def check(self) -> None:
         """Raise ConfigError if the folder is none."""
-        if self.folder is not None and not self.folder.is_dir():
+        if self.folder is not None and not os.path.isdir(self.folder):
             raise ConfigError(f"{self.folder} is not a folder.", "Give --masks the masks' folder.")
 
 

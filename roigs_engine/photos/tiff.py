@@ -9,7 +9,8 @@ whose first page is a small copy or a mask. As with Pillow, white is the largest
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,7 @@ ZSTD, JPEG = 50000, (6, 7)
 COMPRESSIONS = {1, 2, 3, 4, 5, *JPEG, 8, 32773, 32946, 34925, ZSTD}
 CHANNELS = {MINISWHITE: 1, MINISBLACK: 1, RGB: 3, PALETTE: 1, CMYK: 4, CIELAB: 3, ICCLAB: 3}
 MODES = {RGB: "RGB", PALETTE: "RGB", CMYK: "CMYK", CIELAB: "LAB", ICCLAB: "LAB", YCBCR: "RGB"}
+MOST_PAGES = 64
 HINT = "Save it as a TIFF of 8 or 16 bits, grey or RGB, or as PNG."
 
 
@@ -145,9 +147,24 @@ def _missing(path: Path, package: str) -> EngineError:
 
 def _photo_page(file: Any) -> Any:
     """The first page that is neither a small copy nor a mask; also one below the first."""
+    pages = _pages(file)
+    return next(
+        (page for page in pages if not int(page.subfiletype) & SMALL_OR_MASK), file.pages[0]
+    )
+
+
+def _pages(file: Any) -> Iterator[Any]:
+    """The pages of a file, those below the first one after it; of each kind, `MOST_PAGES`."""
     first = file.pages[0]
-    pages = [first, *(first.pages or ()), *(file.pages[k] for k in range(1, len(file.pages)))]
-    return next((page for page in pages if not int(page.subfiletype) & SMALL_OR_MASK), first)
+    yield first
+    places = {offset: k for k, offset in reversed([*enumerate(first.subifds or ())])}
+    below: Any = first.pages if places else None
+    with suppress(IndexError):  # their number is known only once all are read
+        for k in sorted(places.values())[:MOST_PAGES]:
+            yield below[k]
+    with suppress(IndexError):
+        for k in range(1, MOST_PAGES):
+            yield file.pages[k]
 
 
 def _check(page: Any) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from roigs_engine.photos.files import PhotoFolder
+from roigs_engine.photos.mask_paths import MaskFiles
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="links need rights on Windows")
 
@@ -37,3 +38,15 @@ def test_a_photo_that_a_model_has_by_another_link_is_no_other(tmp_path: Path) ->
     (images / "rig").symlink_to(tmp_path / "disk", target_is_directory=True)
     (images / "left").symlink_to(tmp_path / "disk/left", target_is_directory=True)
     assert PhotoFolder(images).others(["rig/left/c.jpg"]) == ["a.jpg"]
+
+
+@pytest.mark.parametrize(
+    "name", ["a\0b/c.jpg", "\0.jpg", "x" * 300 + ".jpg", "d/" * 3000 + "a.jpg", "\ud800/a.jpg"]
+)
+def test_a_name_that_no_file_can_have_is_that_of_a_missing_photo(tmp_path: Path, name: str) -> None:
+    written(tmp_path / "images/a.jpg")
+    photos = PhotoFolder(tmp_path / "images")
+    assert photos.at(name) is None and photos.find(name) is None
+    assert "images has" in photos.missing(name)[0]
+    assert MaskFiles(tmp_path / "images").find(name) is None
+    assert not PhotoFolder(tmp_path / name)._exists

@@ -7,7 +7,13 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from roigs_engine.photos.headers import MAX_PIXELS, PhotoError, check_complete, photo_size
+from roigs_engine.photos.headers import (
+    MAX_PIXELS,
+    PhotoError,
+    check_complete,
+    open_photo,
+    photo_size,
+)
 from tests.fuzz.inputs import jpeg_of_claimed_size, png_of_claimed_size
 
 
@@ -73,3 +79,23 @@ def test_photos_that_claim_to_be_larger_than_any(tmp_path: Path, side: int) -> N
         path.write_bytes(jpeg_of_claimed_size(side, side))
         with pytest.raises(PhotoError, match=f"{side} x {side} pixels"):
             photo_size(path)
+
+
+@pytest.mark.parametrize("progressive", [True, False])
+def test_a_jpeg_of_hundreds_of_scans_is_not_decoded(tmp_path: Path, progressive: bool) -> None:
+    """Each scan takes the time of all pixels, however short it is."""
+    path = tmp_path / "a.jpg"
+    Image.effect_noise((64, 48), 80).convert("RGB").save(path, progressive=progressive)
+    data = path.read_bytes()
+    if not progressive:  # the scan of one channel of three
+        at = data.index(b"\xff\xda")
+        data = data[:at] + b"\xff\xda\0\x08\x01" + data[at + 5 : at + 7] + data[at + 11 :]
+    last = data[data.rindex(b"\xff\xda") : -2]
+    for count in (20, 300):
+        path.write_bytes(data[:-2] + last * count + b"\xff\xd9" + b"\xff\xda" * 500)
+        if count == 20:
+            with open_photo(path):
+                pass
+            continue
+        with pytest.raises(PhotoError, match=r"a\.jpg \(a JPEG of 3\d\d scans\)"), open_photo(path):
+            pass

@@ -220,3 +220,27 @@ def test_a_missing_package_is_one_line(
     with pytest.raises(EngineError, match=f"needs {package}") as caught:
         read_contents({"a": path})
     assert not isinstance(caught.value, PhotoError) and "pip install" in caught.value.hint
+
+
+@pytest.mark.parametrize("kind", ["below", "after"])
+def test_only_so_many_pages_are_looked_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    """A file may name one page any number of times, or hold any number of small ones."""
+    path = tmp_path / "a.tif"
+    small = {"subfiletype": 1, "photometric": "minisblack"}
+    with tifffile.TiffWriter(path) as file:
+        if kind == "below":
+            file.write(of_type(GREY, "i2"), **small, subifds=1000)
+        for _ in range(1000):
+            file.write(of_type(GREY[:2, :2], "i2"), **small)
+    made = []
+    first = tifffile.TiffPage.__init__
+
+    def counting(page: Any, *args: Any, **options: Any) -> None:
+        made.append(page)
+        first(page, *args, **options)
+
+    monkeypatch.setattr(tifffile.TiffPage, "__init__", counting)
+    decode(path)
+    assert len(made) < 200
