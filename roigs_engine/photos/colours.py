@@ -10,7 +10,7 @@ A file's colour space is that of the first of these that it has:
 Colours are converted relative to white, with black-point compensation: those that sRGB has stay
 exact. Perceptual conversion would change them too, by tables that each profile has of its own. What
 lies outside sRGB is clipped. A profile that differs from sRGB by no more than rounding changes
-nothing.
+nothing. Photos of more than 8 bits are converted at their full depth, except by profiles of tables.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import numpy as np
 from PIL import Image, ImageCms
 
 from .headers import CONVERTED, DAMAGED, PNG, open_photo
-from .profiles import ADOBE_GAMMA, ADOBE_RGB, SRGB, cicp_profile, gamma_profile
+from .profiles import ADOBE_GAMMA, ADOBE_RGB, SRGB, Deep, cicp_profile, gamma_profile, space_of
 
 # Of EXIF: the table of the photo's tags, its colour space, the table of interoperability, its index
 EXIF_IFD, COLOUR_SPACE, INTEROPERABILITY_IFD, INDEX = 0x8769, 0xA001, 0xA005, 1
@@ -59,7 +59,7 @@ def colours_of(photo: Image.Image) -> Colours:
     """The colour space of an opened photo, before it is decoded."""
     try:
         profile = _profile(photo)
-        if profile and _transform(profile, _kind(photo)) is None:
+        if profile and _transform(profile, kind_of(photo)) is None:
             return Colours()
         return Colours(profile=profile)
     except MemoryError:
@@ -88,17 +88,36 @@ def to_srgb(pixels: Image.Image, colours: Colours) -> Image.Image:
     return converted
 
 
+def deep_to_srgb(values: Deep, colours: Colours) -> Image.Image | None:
+    """RGB of values (grey or RGB) at their full depth; None: the profile is of tables."""
+    with suppress(struct.error, ValueError, IndexError, ArithmeticError):  # LittleCMS may read it
+        if space := space_of(colours.profile):
+            return Image.fromarray(space.to_srgb(values))
+    return None
+
+
 def say_srgb(exif: Image.Exif) -> None:
     """Change EXIF data of a photo to those of one in sRGB."""
     exif.get_ifd(EXIF_IFD)[COLOUR_SPACE] = SAYS_SRGB
 
 
-def _kind(photo: Image.Image) -> str:
-    """The mode in which a photo's pixels are converted."""
+def kind_of(photo: Image.Image) -> str:
+    """The mode in which the pixels of an opened photo are converted, before it is decoded."""
     if photo.mode in ("CMYK", "LAB"):
         return photo.mode
     grey = photo.mode in ("1", "L", "LA", "La", "F") or photo.mode.startswith("I")
-    return "L" if grey else "RGB"
+    return "L" if grey or packing(photo).startswith("LA;16") else "RGB"
+
+
+def packing(photo: Image.Image) -> str:
+    """How a file stores values, in Pillow's words: "RGB;16B" for 16 bits a channel.
+
+    Empty once the photo is decoded.
+    """
+    return " ".join(
+        str(tile[3][0] if isinstance(tile[3], tuple) else tile[3])
+        for tile in getattr(photo, "tile", ())
+    )
 
 
 @lru_cache(maxsize=32)
@@ -144,7 +163,7 @@ def _profile(photo: Image.Image) -> bytes:
         return _lab()
     path = getattr(photo, "filename", "")
     if photo.format == "PNG" and (code := _png_chunk(path, b"cICP")):
-        return cicp_profile(code[0], code[1])
+        return cicp_profile(code[0], code[1], limited=code[3] == 0)
     embedded: bytes | None = photo.info.get("icc_profile", b"")
     if embedded is None:  # parts of it are missing, or it cannot be unpacked
         raise ProfileError("an incomplete profile")

@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..model.scene import PosedImage
-from .colours import Colours, colours_of, to_srgb
+from .colours import Colours, colours_of, deep_to_srgb, kind_of, packing, to_srgb
+from .deep import deep_values, transparent
 from .headers import PhotoError, check_unchanged, jpeg_segments, open_photo
 from .rotation import AS_STORED, turned, turned_size
 
@@ -80,7 +81,7 @@ def decode(
         # Draft mode reduces a JPEG by 1, 2, 4 or 8.
         shrink = next((n for n in (1, 2, 4, 8) if -(-full[0] // n) == photo.width), 1)
         colours = colours_of(photo)
-        picture = _decoded(photo, colours)
+        picture, colours = _decoded(photo, colours)
         alpha = opacity(photo) if size not in (None, picture.size) else None
     if alpha is not None and alpha.min() < 255 and size is not None:
         seen = alpha / np.float32(255)
@@ -95,8 +96,11 @@ def decode(
 
 def opacity(photo: Image.Image) -> Pixels | None:
     """(H, W) the alpha channel of an opened photo; None: it has none."""
-    if not photo.has_transparency_data or photo.mode.startswith("I"):
+    if not photo.has_transparency_data:
         return None
+    clear = transparent(photo)
+    if clear is not None:
+        return np.where(clear, np.uint8(0), np.uint8(255))
     return np.asarray(photo.convert("RGBA").getchannel("A"))
 
 
@@ -198,11 +202,19 @@ def _load(image: PosedImage, size: tuple[int, int]) -> Pixels:
 def to_rgb(photo: Image.Image) -> Image.Image:
     """The photo, decoded, as 8-bit sRGB; on damaged files Pillow raises many kinds of errors."""
     colours = colours_of(photo)
-    return to_srgb(_decoded(photo, colours), colours)
+    return to_srgb(*_decoded(photo, colours))
 
 
-def _decoded(photo: Image.Image, colours: Colours) -> Image.Image:
-    """The photo in 8 bits: RGB, or the mode that `to_srgb` converts from the photo's profile."""
+def _decoded(photo: Image.Image, colours: Colours) -> tuple[Image.Image, Colours]:
+    """The photo in 8 bits, RGB or a mode that `to_srgb` converts, and the colours that it is in."""
+    kind = kind_of(photo)  # before decoding
+    deep = deep_values(photo) if colours.profile else None
+    if deep is not None:
+        converted = deep_to_srgb(deep, colours)
+        if converted is not None:
+            return converted, Colours()
+        eight = ((deep.astype(np.uint32) + 128) // 257).astype(np.uint8)
+        return Image.fromarray(eight[..., 0] if kind == "L" else eight), colours
     if photo.mode == "F":
         values = np.nan_to_num(np.array(photo), copy=False)  # one copy of a large photo
         np.multiply(values.clip(0, 1, out=values), 255, out=values)
@@ -216,17 +228,18 @@ def _decoded(photo: Image.Image, colours: Colours) -> Image.Image:
         pixels = photo
     modes = ("L", "RGB", "CMYK", "LAB") if colours.profile else ("RGB",)
     if pixels.mode in modes:
-        return pixels
-    return pixels.convert("L" if colours.profile and pixels.mode in ("1", "LA") else "RGB")
+        return pixels, colours
+    grey = colours.profile and pixels.mode in ("1", "LA")
+    return pixels.convert("L" if grey else "RGB"), colours
 
 
 def _grey(photo: Image.Image) -> Pixels:
     """(H, W): the values of a grey photo of 12, 16 or 32 bits, as 8 bits."""
-    packing = _packing(photo)  # before decoding, which clears it
+    stored = packing(photo)  # before decoding, which clears it
     values = np.asarray(photo)
-    if re.search(r"I;32[BN]?\b", packing):  # unsigned; signed ones hold 16 bits in a wider type
+    if re.search(r"I;32[BN]?\b", stored):  # unsigned; signed ones hold 16 bits in a wider type
         return (values.view(np.uint32) >> 24).astype(np.uint8)
-    return (values >> (4 if "I;12" in packing else 8)).clip(0, 255).astype(np.uint8)
+    return (values >> (4 if "I;12" in stored else 8)).clip(0, 255).astype(np.uint8)
 
 
 def tone_if_deep(photo: Image.Image) -> str:
@@ -235,7 +248,7 @@ def tone_if_deep(photo: Image.Image) -> str:
     Its values then probably do not fill their type: 12 bits in a file of 16, or floats up to 255.
     Decodes the photo, which must be freshly opened; raises as `to_rgb`.
     """
-    deep = photo.mode[0] in "IF" or ";16" in _packing(photo) or photo.info.get("bits", 8) > 8
+    deep = photo.mode[0] in "IF" or ";16" in packing(photo) or photo.info.get("bits", 8) > 8
     rgb = to_rgb(photo)
     if not deep:
         return ""
@@ -243,11 +256,6 @@ def tone_if_deep(photo: Image.Image) -> str:
     if pixels.max(initial=0) <= BRIGHTEST_BLACK:
         return BLACK
     return WHITE if pixels.mean() > MEAN_WHITE else ""
-
-
-def _packing(photo: Image.Image) -> str:
-    """How a file stores values, in Pillow's words: "RGB;16B" for 16 bits a channel."""
-    return " ".join(str(tile[3]) for tile in getattr(photo, "tile", ()))
 
 
 NOISE = np.random.default_rng(0).integers(1, 255, 1 << 15, dtype=np.uint8).tobytes()

@@ -17,6 +17,7 @@ from ..errors import SceneError
 from ..formats.files import atomic_write
 from ..model.scene import PhotoMask, PosedImage
 from .decode import Pixels, load_photo, opacity
+from .deep import deep_values
 from .headers import MAX_PIXELS, PhotoError, open_photo
 from .rotation import AS_STORED, turned, turned_size
 
@@ -70,7 +71,7 @@ def has_alpha(path: Path) -> bool:
     """Whether a photo's file has an alpha channel, by its header."""
     try:
         with open_photo(path) as photo:
-            return photo.has_transparency_data and not photo.mode.startswith("I")
+            return bool(photo.has_transparency_data)
     except Exception:  # the photo is reported where it is decoded
         return False
 
@@ -194,11 +195,12 @@ def _check(path: Path, image: Image.Image, photo: tuple[int, int]) -> None:
 
 def _bright(image: Image.Image) -> Mask:
     """(H, W) the pixels of an opened file that are neither black nor transparent."""
-    if image.mode.startswith("I"):  # 16 bits, which do not become RGBA
-        deep: Mask = np.asarray(image) > 0
-        return deep
-    rgba = np.asarray(image.convert("RGBA"))
-    return np.asarray((rgba[..., :3] > 0).any(axis=2) & (rgba[..., 3] >= OPAQUE))
+    deep = deep_values(image)  # 1 of 65,535 is not black
+    alpha = opacity(image)
+    if deep is None:
+        deep = np.asarray(image.convert("RGBA"))[..., :3]
+    bright: Mask = (deep > 0).any(axis=2)
+    return bright if alpha is None else bright & (alpha >= OPAQUE)
 
 
 def _reason(path: Path, error: Exception) -> str:

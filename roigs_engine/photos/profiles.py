@@ -1,15 +1,18 @@
-"""ICC profiles of colour spaces that files name by numbers: primaries and a transfer function."""
+"""ICC profiles of primaries and curves: made of the numbers that files name, and read as such."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 Values = NDArray[np.float64]
+Deep = NDArray[np.uint16]
+"""(H, W, channels) encoded values, 65,535 for white."""
 Curve = Callable[[Values], Values]
 """Encoded values, 0 to 1 -> linear light, 1 for white."""
 Primaries = tuple[float, float, float, float, float, float, float, float]
@@ -33,6 +36,7 @@ CICP_PRIMARIES: dict[int, Primaries] = {
 }
 REFERENCE_WHITE = 203.0  # cd/m2 of PQ and HLG that become white: ITU-R BT.2408
 HLG_PEAK = 1000.0  # cd/m2 of the screen that HLG is meant for: ITU-R BT.2100
+BAND = 64  # rows that are converted at once
 SAMPLES = 255 * 16 + 1  # of a curve: the values of 8 bits are among them
 # CIE XYZ of ICC's white, and Bradford's matrix, which adapts other whites to it (ICC.1, annex E).
 D50 = np.array([0.9642, 1.0, 0.8249])
@@ -76,12 +80,16 @@ CICP_CURVES: dict[int, Curve] = {
 
 
 @lru_cache(maxsize=16)
-def cicp_profile(primaries: int, transfer: int) -> bytes:
-    """The profile of two code points of ITU-T H.273; empty: sRGB."""
-    if primaries not in CICP_PRIMARIES and transfer not in CICP_CURVES:
+def cicp_profile(primaries: int, transfer: int, *, limited: bool = False) -> bytes:
+    """The profile of two code points of ITU-T H.273; empty: sRGB.
+
+    `limited`: black is 16 of 255, white 235 (H.273, 8.3), which the curves then undo.
+    """
+    if primaries not in CICP_PRIMARIES and transfer not in CICP_CURVES and not limited:
         return b""
     curve = CICP_CURVES.get(transfer, srgb_curve)
-    return profile(CICP_PRIMARIES.get(primaries, SRGB), curve)
+    used = (lambda v: curve(np.clip((255 * v - 16) / 219, 0, 1))) if limited else curve
+    return profile(CICP_PRIMARIES.get(primaries, SRGB), used)
 
 
 @lru_cache(maxsize=16)
@@ -116,6 +124,88 @@ def profile(primaries: Primaries, curve: Curve) -> bytes:
     head = struct.pack(">I4xI4s4s4s", size, 0x02400000, b"mntr", b"RGB ", b"XYZ ")
     head = (head + struct.pack(">12x4s28x", b"acsp") + _xyz(D50)[8:]).ljust(128, b"\0")
     return head + struct.pack(">I", len(parts)) + tags + body
+
+
+@dataclass(frozen=True)
+class Space:
+    """A colour space of curves and a matrix, with which values of 16 bits are converted.
+
+    `curves`: for each channel, (65536,) float32 linear light of all values. `matrix`: (3, 3),
+    linear light of the channels -> that of sRGB; None: the only channel is grey.
+    """
+
+    curves: tuple[NDArray[np.float32], ...]
+    matrix: NDArray[np.float32] | None
+
+    def to_srgb(self, values: Deep) -> NDArray[np.uint8]:
+        """(H, W, 3) sRGB of (H, W, 1 or 3) values, rounded; what lies outside is clipped."""
+        encoded = _encoded()
+        result = np.empty((*values.shape[:2], 3), np.uint8)
+        for top in range(0, len(values), BAND):  # else ten times the memory of the photo
+            band = values[top : top + BAND]
+            channels = range(len(self.curves))
+            light = np.stack([self.curves[k][band[..., min(k, band.shape[2] - 1)]]
+                              for k in channels], axis=-1)  # fmt: skip
+            if self.matrix is not None:
+                light = light @ self.matrix.T
+            result[top : top + BAND] = encoded[(light.clip(0, 1) * 65535 + 0.5).astype(np.uint16)]
+        return result
+
+
+@lru_cache(maxsize=1)
+def _encoded() -> NDArray[np.uint8]:
+    """(65536,) linear light -> sRGB (IEC 61966-2-1)."""
+    light = np.linspace(0, 1, 65536)
+    values = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    return np.asarray((255 * values).round().astype(np.uint8))
+
+
+@lru_cache(maxsize=8)
+def space_of(icc: bytes) -> Space | None:
+    """The space of a profile that LittleCMS reads; None: it has tables instead (ICC.1, 8.3).
+
+    On tags that are damaged: struct.error, ValueError, IndexError or ArithmeticError.
+    """
+    (count,) = struct.unpack_from(">I", icc, 128)
+    entries = [struct.unpack_from(">4sII", icc, 132 + 12 * k) for k in range(count)]
+    tags = {name: icc[start : start + size] for name, start, size in entries}
+    if icc[20:24] != b"XYZ " or any(name[:3] in (b"A2B", b"D2B") for name in tags):
+        return None
+    names = (b"k",) if icc[16:20] == b"GRAY" else (b"r", b"g", b"b")
+    if not all(name + b"TRC" in tags for name in names):
+        return None
+    curves = [_curve(tags[name + b"TRC"]) for name in names]
+    matrix = None
+    black = curves[0][0]
+    if len(names) == 3:
+        xyz = [struct.unpack_from(">3i", tags[name + b"XYZ"], 8) for name in names]
+        to_xyz = np.array(xyz, dtype=np.float64).T / 65536
+        black = (to_xyz @ [curve[0] for curve in curves])[1]
+        matrix = (np.linalg.inv(_to_d50(SRGB)) @ to_xyz).astype(np.float32)
+    compensated = [(curve - black) / (1 - black) for curve in curves]  # for the black point
+    if not np.isfinite(compensated).all():
+        return None
+    return Space(tuple(curve.astype(np.float32) for curve in compensated), matrix)
+
+
+def _curve(tag: bytes) -> Values:
+    """(65536,) linear light of a tag: curveType or parametricCurveType (ICC.1, 10.6 and 10.18)."""
+    values = np.linspace(0, 1, 65536)
+    if tag[:4] == b"curv":
+        (count,) = struct.unpack_from(">I", tag, 8)
+        table = np.frombuffer(tag, ">u2", count, 12)
+        if count <= 1:
+            return values ** (table[0] / 256) if count else values
+        return np.interp(values, np.linspace(0, 1, count), table / 65535)
+    kind = struct.unpack_from(">H", tag, 8)[0]
+    numbers = np.frombuffer(tag, ">i4", (1, 3, 4, 5, 7)[kind], 12) / 65536
+    g, a, b, c, d, e, f = (*numbers, *np.zeros(7 - len(numbers)))
+    if kind == 0:
+        return np.asarray(values**g)
+    if kind < 3:  # c is added to both parts
+        d, e, f, c = -b / a, c, c, 0.0
+    power = np.maximum(a * values + b, 0) ** g + e
+    return np.clip(np.where(values >= d, power, c * values + f), 0, 1)
 
 
 def _to_d50(primaries: Primaries) -> Values:

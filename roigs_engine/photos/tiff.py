@@ -9,11 +9,11 @@ whose first page is a small copy or a mask. As with Pillow, white is the largest
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,7 @@ CHANNELS = {MINISWHITE: 1, MINISBLACK: 1, RGB: 3, PALETTE: 1, CMYK: 4, CIELAB: 3
 MODES = {RGB: "RGB", PALETTE: "RGB", CMYK: "CMYK", CIELAB: "LAB", ICCLAB: "LAB", YCBCR: "RGB"}
 MOST_PAGES = 64
 HINT = "Save it as a TIFF of 8 or 16 bits, grey or RGB, or as PNG."
+Result = TypeVar("Result")
 
 
 class UnsupportedError(ValueError):
@@ -118,15 +119,22 @@ class TiffPhoto(ImageFile.ImageFile):
     def load(self) -> Any:
         """Decode the pixels, once."""
         if not self._loaded:
-            with _library(self._path).TiffFile(self._path) as file:
-                try:
-                    self.im = _decoded(_photo_page(file)).im
-                    self._loaded = True
-                except ValueError as error:
-                    if "imagecodecs" in str(error):
-                        raise _missing(self._path, "imagecodecs") from error
-                    raise
+            self.im = self._read(_decoded).im
+            self._loaded = True
         return Image.Image.load(self)
+
+    def deep(self) -> NDArray[np.uint16] | None:
+        """(H, W, 1 or 3) grey or RGB of more than 8 bits, 65,535 for white; None: it is another."""
+        return self._read(_deep)
+
+    def _read(self, read: Callable[[Any], Result]) -> Result:
+        with _library(self._path).TiffFile(self._path) as file:
+            try:
+                return read(_photo_page(file))
+            except ValueError as error:
+                if "imagecodecs" in str(error):
+                    raise _missing(self._path, "imagecodecs") from error
+                raise
 
 
 def _library(path: Path) -> Any:
@@ -201,28 +209,46 @@ def _mode(page: Any) -> str:
     return {"L": "LA", "RGB": "RGBA"}.get(mode, mode) if _alpha(page) else mode
 
 
-def _decoded(page: Any) -> Image.Image:
-    """The pixels of a page in 8 bits, with Pillow's mode for them."""
+def _values(page: Any) -> NDArray[Any]:
+    """(H, W, channels) the values of a page as they are stored."""
     values: NDArray[Any] = page.asarray()
     if page.axes.startswith("S"):  # planes
         values = np.moveaxis(values, 0, -1)
-    values = values.reshape(page.imagelength, page.imagewidth, -1)
+    return values.reshape(page.imagelength, page.imagewidth, -1)
+
+
+def _decoded(page: Any) -> Image.Image:
+    """The pixels of a page in 8 bits, with Pillow's mode for them."""
     photometric, mode = int(page.photometric), _mode(page)
     if photometric == PALETTE:
-        colours = page.colormap.T[values[..., 0]]
+        colours = page.colormap.T[_values(page)[..., 0]]
         shift = 0 if _of_eight_bits(page.colormap.ravel().tolist()) else 8
         return Image.fromarray((colours >> shift).astype(np.uint8))
     if mode == "LAB":
-        return _lab(values[..., :3], signed=photometric == CIELAB)
-    scaled = _eight_bits(values[..., : Image.getmodebands(mode)], page.bitspersample)
-    if photometric == MINISWHITE:
+        return _lab(_values(page)[..., :3], signed=photometric == CIELAB)
+    size, rounded = (page.imagewidth, page.imagelength), _straight(page).round().astype(np.uint8)
+    return Image.frombytes(mode, size, rounded.tobytes())
+
+
+def _deep(page: Any) -> NDArray[np.uint16] | None:
+    mode = _mode(page)
+    eight = page.bitspersample <= 8 or int(page.photometric) == PALETTE
+    if eight or mode not in ("L", "LA", "RGB", "RGBA"):
+        return None
+    colours = _straight(page)[..., : 1 if mode[0] == "L" else 3]
+    return np.asarray((colours * 257).round().astype(np.uint16))
+
+
+def _straight(page: Any) -> NDArray[np.float32]:
+    """(H, W, channels of the mode) of a page, 0 to 255; colours are not multiplied by alpha."""
+    scaled = _eight_bits(_values(page)[..., : Image.getmodebands(_mode(page))], page.bitspersample)
+    if int(page.photometric) == MINISWHITE:
         scaled[..., 0] = 255 - scaled[..., 0]
     if _alpha(page) == ASSOCIATED:
         with np.errstate(divide="ignore", invalid="ignore"):
             straight = scaled[..., :-1] * (255 / scaled[..., -1:])
         scaled[..., :-1] = np.nan_to_num(straight, nan=0, posinf=0).clip(0, 255)
-    size, rounded = (page.imagewidth, page.imagelength), scaled.round().astype(np.uint8)
-    return Image.frombytes(mode, size, rounded.tobytes())
+    return scaled
 
 
 def _eight_bits(values: NDArray[Any], bits: int) -> NDArray[np.float32]:
