@@ -28,7 +28,8 @@ from PIL import Image
 from ..model.scene import PosedImage
 from .colours import Colours, colours_of, deep_to_srgb, kind_of, packing, to_srgb
 from .deep import deep_values, transparent
-from .headers import PhotoError, check_unchanged, jpeg_segments, open_photo
+from .headers import PhotoError, check_unchanged, open_photo
+from .jpeg import jpeg_segments
 from .rotation import AS_STORED, turned, turned_size
 
 Pixels = NDArray[np.uint8]

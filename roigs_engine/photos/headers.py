@@ -14,27 +14,23 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING
 
 from ..errors import EngineError, SceneError
 from ..formats.files import regular
+from .jpeg import JPEG_END, check_scans, jpeg_segments, jpeg_size
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 PNG = b"\x89PNG\r\n\x1a\n"
-# JPEG markers: those with the frame's size, and those without a length.
-FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
-PROGRESSIVE = {0xC2, 0xC6, 0xCA, 0xCE}
-BARE = {0x01, *range(0xD0, 0xD8)}
 FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "JPEG2000", "PPM")  # as Pillow calls them
-PNG_END, JPEG_END, SCAN = b"IEND", b"\xff\xd9", b"\xff\xda"
+PNG_END = b"IEND"
 ORIENTATION = 0x0112  # EXIF and TIFF tag
 TAIL = 1 << 16  # bytes at the end of a file that are searched for them
 # A larger photo has a damaged or malicious header: the largest cameras today have 150 megapixels,
 # and Pillow rejects more than 179.
 MAX_PIXELS = 178_000_000
-MOST_SCANS = 100  # of a JPEG, in each of which all pixels may change; usual ones have up to 20
 # What is done about a photo's colour space if it is not sRGB (`colours`).
 CONVERTED, DAMAGED = "converted", "damaged profile"
 # The user can do nothing about Pillow's warnings on a photo's metadata.
@@ -72,9 +68,7 @@ def photo_size(path: Path) -> tuple[int, int]:
             if start.startswith(PNG):
                 width, height = struct.unpack(">II", start[16:])
             elif start.startswith(b"\xff\xd8"):
-                if not any(marker in FRAMES for marker in jpeg_segments(file)):
-                    raise ValueError("a JPEG without a frame header")
-                height, width = struct.unpack(">3xHH", file.read(7))
+                width, height = jpeg_size(file)
             else:
                 with open_photo(path) as photo:
                     width, height = photo.size
@@ -146,6 +140,7 @@ def _opened(path: Path) -> Image:
             with open(path, "rb") as file:
                 check_scans(file)
         if tiff.pillow_reads(photo):
+            tiff.check_parts(photo)
             _keep_as_stored(photo)
             return photo
         photo.close()
@@ -217,52 +212,3 @@ def _kind(path: Path) -> str:
     kinds = [kind for kind, brands in BRANDS.items() if brand in brands]
     kinds += [kind for kind, starts in STARTS.items() if start.startswith(starts)]
     return f"its format, {kinds[0]}, is not supported" if kinds else ""
-
-
-def check_scans(file: BinaryIO) -> None:
-    """Raise ValueError if a JPEG has so many scans that decoding it would take minutes or hours.
-
-    The file is read to its end only if its first scan does not hold the whole photo.
-    """
-    with suppress(ValueError, IndexError, struct.error):  # others say what is damaged
-        progressive, components = False, 0
-        for marker in jpeg_segments(file):
-            if marker in FRAMES:
-                progressive = marker in PROGRESSIVE
-                components = file.read(8)[-1]
-        if not progressive and file.read(3)[-1] >= components:
-            return
-    data = file.read()
-    if data.count(SCAN) < MOST_SCANS:  # also in other parts of the file
-        return
-    at, scans = data.find(b"\xff"), 1
-    while 0 <= at < len(data) - 3 and data[at + 1] != JPEG_END[1]:
-        length = 1
-        if data[at + 1] not in (0, 0xFF, *BARE):
-            length = 2 + int.from_bytes(data[at + 2 : at + 4])
-            scans += data[at + 1] == SCAN[1]
-        at = data.find(b"\xff", at + length)
-    if scans > MOST_SCANS:
-        raise ValueError(f"a JPEG of {scans} scans")
-
-
-def jpeg_segments(file: BinaryIO) -> Iterator[int]:
-    """The markers of the headers, with the file at the segment's length; ends at the image data."""
-    file.seek(2)
-    while True:
-        (lead, marker) = struct.unpack(">BB", file.read(2))
-        if lead != 0xFF:
-            raise ValueError("a damaged JPEG header")
-        while marker == 0xFF:  # padding
-            (marker,) = file.read(1) or (0,)
-        if marker in BARE:
-            continue
-        if marker in (0xD9, 0xDA):  # the end, or the pixels
-            return
-        at = file.tell()
-        yield marker
-        file.seek(at)
-        (length,) = struct.unpack(">H", file.read(2))
-        if length < 2:
-            raise ValueError("a damaged JPEG header")
-        file.seek(length - 2, 1)

@@ -16,7 +16,8 @@ from typing import BinaryIO, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .headers import ORIENTATION, PNG, PhotoError, jpeg_segments, open_photo
+from .headers import ORIENTATION, PNG, PhotoError, open_photo
+from .jpeg import jpeg_segments
 
 AS_STORED = 1
 SIDEWAYS = range(5, 9)  # turns that swap width and height

@@ -8,18 +8,22 @@ whose first page is a small copy or a mask. As with Pillow, white is the largest
 
 from __future__ import annotations
 
+import io
 import logging
-from collections.abc import Callable, Iterator, Sequence
+import re
+import struct
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageFile, TiffImagePlugin
 
 from ..errors import EngineError
+from .jpeg import check_scans, jpeg_size
 
 MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # Tags (TIFF 6.0), and what they say.
@@ -36,6 +40,11 @@ COMPRESSIONS = {1, 2, 3, 4, 5, *JPEG, 8, 32773, 32946, 34925, ZSTD}
 CHANNELS = {MINISWHITE: 1, MINISBLACK: 1, RGB: 3, PALETTE: 1, CMYK: 4, CIELAB: 3, ICCLAB: 3}
 MODES = {RGB: "RGB", PALETTE: "RGB", CMYK: "CMYK", CIELAB: "LAB", ICCLAB: "LAB", YCBCR: "RGB"}
 MOST_PAGES = 64
+MOST_SIDE = 4096  # of a tile, unless the page is larger
+MOST_BYTES = 2_900_000_000  # of a decoded page: 178 million pixels of 4 x 4 bytes
+PADDING = 16  # pixels that a codec may add to a strip
+JPEG_2000, WEBP, PNG = (33003, 33004, 33005, 34712), 50001, 34933
+READ = COMPRESSIONS | {*JPEG_2000, WEBP, PNG}
 HINT = "Save it as a TIFF of 8 or 16 bits, grey or RGB, or as PNG."
 Result = TypeVar("Result")
 
@@ -181,6 +190,15 @@ def _check(page: Any) -> None:
     end = page.parent.filehandle.size
     if any(o + n > end for o, n in zip(page.dataoffsets, page.databytecounts, strict=False)):
         raise ValueError("its data end before the photo does")
+    piece = (page.tilewidth, page.tilelength) if page.is_tiled else None
+    size, header = (page.imagewidth, page.imagelength), getattr(page, "jpegheader", None) or b""
+    _check_memory(size, piece, page.samplesperpixel, page.bitspersample)
+    if page.compression not in READ:
+        raise UnsupportedError(f"a TIFF with the compression {page.compression!r:.40}")
+    places = zip(page.dataoffsets, page.databytecounts, strict=False)
+    piece = piece or _strip(*size, page.rowsperstrip)
+    codec, samples = int(page.compression), page.samplesperpixel
+    _check_codec(page.parent.filehandle, places, piece, codec, samples, header)
     channels = CHANNELS.get(photometric, 0)
     if photometric == YCBCR and int(page.compression) in JPEG:
         channels = 3
@@ -191,6 +209,86 @@ def _check(page: Any) -> None:
         raise UnsupportedError(
             f"a TIFF of {page.samplesperpixel} channels, {page.bitspersample} bits, {name}"
         )
+
+
+def check_parts(photo: Image.Image) -> None:
+    """Raise as `_check` if decoding a photo that Pillow has opened would take far too long."""
+    if not isinstance(photo, TiffImagePlugin.TiffImageFile):
+        return
+    tags = photo.tag_v2
+    piece = (tags[322], tags[323]) if 322 in tags else None
+    size, samples = (tags[256], tags[257]), tags.get(277, 1)
+    _check_memory(size, piece, samples, max(tags.get(BITS, (1,))))
+    if tags.get(COMPRESSION) == 7 and photo.fp is not None:
+        first = 324 if piece else 273  # offsets; the counts
+        places = zip(tags[first], tags[325 if piece else 279], strict=False)
+        _check_codec(photo.fp, places, piece or _strip(*size, tags.get(278, 0)), 7, samples)
+
+
+def _strip(width: int, height: int, rows: int) -> tuple[int, int]:
+    """Width and height of the strips of a page; `rows`: 0: it has one."""
+    return width, min(rows or height, height)
+
+
+def _check_memory(
+    size: tuple[int, int], piece: tuple[int, int] | None, samples: int, bits: int
+) -> None:
+    """Raise UnsupportedError if a page or a tile would take far more memory than a photo."""
+    if piece and any(
+        b > max(a + MOST_SIDE // 4, MOST_SIDE) for a, b in zip(size, piece, strict=True)
+    ):
+        raise UnsupportedError(f"a TIFF of tiles of {piece[0]} x {piece[1]} pixels")
+    for width, height in (size, piece or size):
+        if width * height * samples * max(8, bits) // 8 > MOST_BYTES:
+            text = f"a TIFF of {width} x {height} pixels, {samples} channels, {bits} bits"
+            raise UnsupportedError(text)
+
+
+def _check_codec(
+    file: Any,
+    places: Iterable[tuple[int, int]],
+    piece: tuple[int, int],
+    compression: int,
+    samples: int,
+    header: bytes = b"",
+) -> None:
+    """Raise ValueError if a strip or tile that is a picture says that it is larger than one.
+
+    Args:
+        file, places: an open file; offsets and lengths of strips or tiles in it.
+        piece: width and height of the largest.
+        header: what the file has of all of them.
+    """
+    if compression not in (*JPEG, *JPEG_2000, WEBP, PNG):
+        return
+    distinct = [(offset, count) for offset, count in dict.fromkeys(places) if count]
+    at, total = file.tell(), file.seek(0, io.SEEK_END)
+    if sum(count for _, count in distinct) > total:
+        raise ValueError("its strips overlap")
+    for offset, count in distinct:
+        file.seek(offset)
+        inner = io.BytesIO(header + file.read(count))
+        width, height = _own_size(inner, compression, samples)
+        if width > piece[0] + PADDING or height > piece[1] + PADDING:
+            raise ValueError(f"a part of {piece} pixels says that it has {width} x {height}")
+    file.seek(at)
+
+
+def _own_size(inner: BinaryIO, compression: int, samples: int) -> tuple[int, int]:
+    """Width and height that a strip says; of JPEG 2000, the largest (ISO/IEC 15444-1, A.5.1)."""
+    if compression in JPEG:
+        check_scans(inner)
+        return jpeg_size(inner)
+    if compression not in JPEG_2000:
+        with Image.open(inner, formats=("WEBP", "PNG")) as picture:
+            return picture.size
+    data, largest = inner.read(), (0, 0)
+    for found in re.finditer(rb"\xff\x4f\xff\x51", data):
+        right, low, left, top, count = struct.unpack_from(">4x4I16xH", data, found.end())
+        if count > samples:
+            raise ValueError(f"a part has {count} channels, not {samples}")
+        largest = max(largest[0], right - left), max(largest[1], low - top)
+    return largest
 
 
 def _other_inks(page: Any) -> bool:

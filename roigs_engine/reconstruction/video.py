@@ -22,7 +22,7 @@ from ..errors import EngineError, SceneError
 from ..formats.events import StageStarted
 from ..formats.files import atomic_write, own_folder, read_record, regular, write_json
 from ..formats.text import counted
-from ..photos.headers import content_digest
+from ..photos.headers import MAX_PIXELS, content_digest
 from .folder import IMAGES, Folder
 from .photo_checks import BLURRED, fine_detail
 from .video_colours import Colours, colours_of, to_srgb
@@ -86,10 +86,12 @@ class Video:
             # The prefix keeps names such as "concat:..." from being more than names, the list a
             # playlist that is called a video from naming other files.
             name, only = f"file:{self.path.absolute()}", {"format_whitelist": CONTAINERS}
-            with self._av.open(name, container_options=only) as file:
+            most = {"max_pixels": str(MAX_PIXELS)}
+            with self._av.open(name, options=most, container_options=only) as file:
                 if not file.streams.video:
                     raise SceneError(f"{self.path} has no pictures.", "Give a video.")
                 stream = file.streams.best("video") or file.streams.video[0]
+                stream.codec_context.options = most  # a frame may have another size
                 stream.thread_type = "AUTO"
                 self.expected, self.damaged, self.deinterlaced = stream.frames, False, False
                 for number, frame in enumerate(self._whole(stream, self._decoded(file, stream))):
@@ -104,7 +106,9 @@ class Video:
                 "Copy it again, or convert it to MP4.",
             ) from error
         if number < 0:
-            raise SceneError(f"No frame of {self.path} can be decoded.", "Convert it to MP4.")
+            limit = f"of up to {MAX_PIXELS // 10**6} million pixels"
+            text = f"No frame of {self.path} can be decoded ({limit})."
+            raise SceneError(text, "Convert it to MP4.")
         self.damaged = self.damaged or number + 1 < ENDS_EARLY * self.expected
 
     def _check_shape(self, stream: Any) -> None:

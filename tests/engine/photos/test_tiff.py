@@ -244,3 +244,35 @@ def test_only_so_many_pages_are_looked_at(
     monkeypatch.setattr(tifffile.TiffPage, "__init__", counting)
     decode(path)
     assert len(made) < 200
+
+
+@pytest.mark.parametrize("kind", ["u1", "i2"])
+def test_a_tile_much_larger_than_the_photo_is_not_supported(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, of_type(GREY, kind), tile=(64, 64), compression="zlib")
+    assert decode(path).shape == (24, 32, 3)
+    with tifffile.TiffFile(path, mode="r+") as file:
+        for name in ("TileWidth", "TileLength"):
+            file.pages[0].tags[name].overwrite(16000)
+    with pytest.raises(PhotoError, match="not supported: a TIFF of tiles of 16000 x 16000 pixels"):
+        decode(path)
+
+
+@pytest.mark.parametrize("codec", ["jpeg", "jpeg2000", "webp", "png", "lerc"])
+def test_a_strip_that_says_that_it_is_larger_is_not_decoded(tmp_path: Path, codec: str) -> None:
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, COLOUR, photometric="rgb", compression=codec)
+    with tifffile.TiffFile(path) as file:
+        page = file.pages[0]
+        if codec == "lerc":
+            with pytest.raises(PhotoError, match="not supported: a TIFF with the compression"):
+                decode(path)
+            return
+        assert np.abs(decode(path).astype(int) - COLOUR).mean() < 9
+        lines = page.tags["ImageLength"].valueoffset, page.tags["RowsPerStrip"].valueoffset
+    data = bytearray(path.read_bytes())
+    for at in lines:  # the photo has fewer than its strip
+        data[at : at + 2] = (4).to_bytes(2, sys.byteorder)
+    path.write_bytes(data)
+    with pytest.raises(PhotoError, match=r"a\.tif"):
+        decode(path)

@@ -316,6 +316,15 @@ def test_what_is_no_video_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "is no video" in line
 
 
+def test_frames_larger_than_photos_can_be_are_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = film(tmp_path / "large.mp4", [0, 50])
+    monkeypatch.setattr("roigs_engine.reconstruction.video.MAX_PIXELS", SIZE[0] * SIZE[1] - 1)
+    with pytest.raises(SceneError, match=r"No frame of .*large\.mp4 can be decoded \(of up to"):
+        next(Video(path).frames())
+
+
 def test_frames_of_another_video_are_not_mixed_in(tmp_path: Path) -> None:
     taken(film(tmp_path / "one.mp4", list(range(0, 200, 8))), tmp_path / "scene", 4)
     before = {file: file.read_bytes() for file in (tmp_path / "scene/images").iterdir()}

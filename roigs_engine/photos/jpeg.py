@@ -1,0 +1,72 @@
+"""Segments of JPEG files: the size of the photo, and the number of its scans."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import BinaryIO
+
+# JPEG markers: those with the frame's size, and those without a length.
+FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
+PROGRESSIVE = {0xC2, 0xC6, 0xCA, 0xCE}
+BARE = {0x01, *range(0xD0, 0xD8)}
+JPEG_END, SCAN = b"\xff\xd9", b"\xff\xda"
+MOST_SCANS = 100  # of a JPEG, in each of which all pixels may change; usual ones have up to 20
+
+
+def jpeg_size(file: BinaryIO) -> tuple[int, int]:
+    """(width, height) that the header of a JPEG says; ValueError, struct.error: it is damaged."""
+    if not any(marker in FRAMES for marker in jpeg_segments(file)):
+        raise ValueError("a JPEG without a frame header")
+    height, width = struct.unpack(">3xHH", file.read(7))
+    return width, height
+
+
+def check_scans(file: BinaryIO) -> None:
+    """Raise ValueError if a JPEG has so many scans that decoding it would take minutes or hours.
+
+    The file is read to its end only if its first scan does not hold the whole photo.
+    """
+    with suppress(ValueError, IndexError, struct.error):  # others say what is damaged
+        progressive, components = False, 0
+        for marker in jpeg_segments(file):
+            if marker in FRAMES:
+                progressive = marker in PROGRESSIVE
+                components = file.read(8)[-1]
+        if not progressive and file.read(3)[-1] >= components:
+            return
+    data = file.read()
+    if data.count(SCAN) < MOST_SCANS:  # also in other parts of the file
+        return
+    at, scans = data.find(b"\xff"), 1
+    while 0 <= at < len(data) - 3 and data[at + 1] != JPEG_END[1]:
+        length = 1
+        if data[at + 1] not in (0, 0xFF, *BARE):
+            length = 2 + int.from_bytes(data[at + 2 : at + 4])
+            scans += data[at + 1] == SCAN[1]
+        at = data.find(b"\xff", at + length)
+    if scans > MOST_SCANS:
+        raise ValueError(f"a JPEG of {scans} scans")
+
+
+def jpeg_segments(file: BinaryIO) -> Iterator[int]:
+    """The markers of the headers, with the file at the segment's length; ends at the image data."""
+    file.seek(2)
+    while True:
+        (lead, marker) = struct.unpack(">BB", file.read(2))
+        if lead != 0xFF:
+            raise ValueError("a damaged JPEG header")
+        while marker == 0xFF:  # padding
+            (marker,) = file.read(1) or (0,)
+        if marker in BARE:
+            continue
+        if marker in (0xD9, 0xDA):  # the end, or the pixels
+            return
+        at = file.tell()
+        yield marker
+        file.seek(at)
+        (length,) = struct.unpack(">H", file.read(2))
+        if length < 2:
+            raise ValueError("a damaged JPEG header")
+        file.seek(length - 2, 1)
