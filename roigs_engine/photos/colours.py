@@ -115,7 +115,7 @@ def packing(photo: Image.Image) -> str:
     Empty once the photo is decoded.
     """
     return " ".join(
-        str(tile[3][0] if isinstance(tile[3], tuple) else tile[3])
+        str(tile[3][0] if tile[3] and isinstance(tile[3], tuple) else tile[3])
         for tile in getattr(photo, "tile", ())
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageFile
 
 from .colours import packing
+from .headers import open_photo
 from .profiles import Deep
 from .tiff import TiffPhoto
 
@@ -79,7 +81,7 @@ def _grey(values: NDArray[Any], stored: str) -> Deep:
 
 def _read_as(photo: Image.Image, packed: str) -> NDArray[np.uint8]:
     """(H, W, channels) of a photo's file, its bytes taken as another packing of as many bits."""
-    with Image.open(getattr(photo, "filename", "")) as again:
+    with open_photo(Path(getattr(photo, "filename", ""))) as again:  # not turned by its tag
         assert isinstance(again, ImageFile.ImageFile)
         again.tile = [_packed(tile, packed) for tile in again.tile]
         again.load()

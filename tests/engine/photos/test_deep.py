@@ -110,6 +110,35 @@ def test_shadows_of_a_linear_tiff_stay(tmp_path: Path, kind: str) -> None:
     assert np.abs(decode(path)[1].astype(int) - DARK).max() <= (kind == "associated")
 
 
+def test_a_deep_tiff_is_not_turned_by_its_tag(tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    values = stored(srgb_curve(DARK / 255))
+    turned = [(274, 3, 1, 6, True)]
+    tifffile.imwrite(
+        tmp_path / "a.tif", values, photometric="rgb", iccprofile=LINEAR, extratags=turned
+    )
+    assert np.array_equal(decode(tmp_path / "a.tif")[1], DARK)
+
+
+def test_an_interlaced_png(tmp_path: Path) -> None:
+    values = np.tile(stored(srgb_curve(DARK / 255)), (4, 3, 1))
+    passes = [
+        (0, 0, 8, 8),
+        (0, 4, 8, 8),
+        (4, 0, 8, 4),
+        (0, 2, 4, 4),
+        (2, 0, 4, 2),
+        (0, 1, 2, 2),
+        (1, 0, 2, 1),
+    ]  # first row and column, and steps: PNG, 8.1
+    rows = [row for y, x, down, across in passes for row in values[y::down, x::across]]
+    data = b"".join(b"\0" + row.astype(">u2").tobytes() for row in rows)
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 18, 16, 16, 2, 0, 0, 1))
+    parts = [header, embedded(LINEAR), chunk(b"IDAT", zlib.compress(data)), chunk(b"IEND", b"")]
+    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(parts))
+    assert np.array_equal(decode(tmp_path / "a.png")[1], np.tile(DARK, (3, 1)))
+
+
 @pytest.mark.parametrize("alpha", [False, True])
 @pytest.mark.parametrize("exponent", [1.0, 1.8])
 def test_a_grey_png_with_a_profile_of_grey(tmp_path: Path, exponent: float, alpha: bool) -> None:
