@@ -12,6 +12,7 @@ from ..context import QUIET, Context
 from ..errors import ConfigError
 from ..formats.drawable import usable
 from ..formats.files import read_json
+from ..formats.names import usable_path
 from ..formats.splat_ply import is_antialiased, read_ply
 from ..formats.text import counted
 from ..formats.transforms import numbers
@@ -72,7 +73,7 @@ def instances(record: Any, folder: Path, context: Context = QUIET) -> list[Insta
     for item in _needed(record, "models", "it"):
         context.check_cancelled()
         model = InstanceRecord(
-            str(folder / _needed(item, "ply", "a model")),
+            str(folder / usable_path(_needed(item, "ply", "a model"))),
             _affine(_needed(item, "matrix", "a model")),
             _gains(item.get("gains", (1, 1, 1))),
             _density(item.get("density", 1)),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import json
+import os
 import struct
 from collections.abc import Iterable
 from pathlib import Path
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ..formats.files import write_bytes
+from ..formats.names import inner_path
 from ..model.gaussians import SH_C0
 from ..model.scene import Float64
 from . import spz
@@ -107,8 +109,6 @@ def read(path: Path) -> Arrays:
     shown = _shown(file.record)
     if not shown:
         raise NotSupportedError(f"glTF without {NAME}")
-    if len(shown) > MOST_PARTS:
-        raise NotSupportedError(f"glTF with {len(shown):,} primitives of Gaussians")
     return joined([moved(file.gaussians(item), matrix) for matrix, item in shown])
 
 
@@ -130,6 +130,7 @@ def _shown(record: dict[str, Any]) -> list[tuple[Float64, dict[str, Any]]]:
             return found
     if any(meshes[node["mesh"]] for node in nodes if "mesh" in node):
         raise ValueError("its nodes form a circle")
+    _refuse_many(sum(map(len, meshes)))
     return [(np.eye(4), item) for mesh in meshes for item in mesh]
 
 
@@ -137,7 +138,8 @@ def _placed(
     nodes: list[dict[str, Any]], roots: Iterable[int], meshes: list[list[dict[str, Any]]]
 ) -> list[tuple[Float64, dict[str, Any]]]:
     """See `_shown`: what these nodes and those below them show."""
-    found, seen = [], set()
+    found: list[tuple[Float64, dict[str, Any]]] = []
+    seen = set()
     waiting = [(number, np.eye(4)) for number in reversed(list(roots))]
     while waiting:
         number, above = waiting.pop()
@@ -150,8 +152,15 @@ def _placed(
         items = meshes[node["mesh"]] if "mesh" in node else []
         if items and INSTANCES in node.get("extensions", {}):
             raise NotSupportedError(INSTANCES)
+        _refuse_many(len(found) + len(items))
         found += [(matrix, item) for item in items]
     return found
+
+
+def _refuse_many(count: int) -> None:
+    """Raise NotSupportedError for so many primitives, before each gets its place."""
+    if count > MOST_PARTS:
+        raise NotSupportedError(f"glTF with {count:,} primitives of Gaussians or more")
 
 
 def _is_gaussians(item: dict[str, Any]) -> bool:
@@ -179,6 +188,7 @@ class _File:
         raw = path.read_bytes()
         self.size, self.values_read = len(raw), 0
         self.buffers: dict[int, bytes] = {}
+        self.beside: dict[str, bytes] = {}  # content of files by their names
         if path.suffix.lower() == ".gltf":
             self.record: dict[str, Any] = json.loads(raw)
             if not isinstance(self.record, dict):
@@ -328,10 +338,17 @@ class _File:
             uri = self.record["buffers"][number].get("uri")
             if not isinstance(uri, str):
                 raise ValueError("no binary part")
+            # A buffer of `data:` is within the size of the file already.
             if uri.startswith("data:"):
-                data = base64.b64decode(uri.partition(",")[2], validate=True)
+                self.buffers[number] = base64.b64decode(uri.partition(",")[2], validate=True)
             else:
-                data = read_beside(self.path, unquote(uri))
-            self.buffers[number] = data
-            self.size += len(data)
+                self.buffers[number] = self._beside(unquote(uri))
         return self.buffers[number]
+
+    def _beside(self, name: str) -> bytes:
+        """The content of a file beside it, which any number of buffers may name."""
+        key = os.path.realpath(self.path.parent / (inner_path(name) or ""))
+        if key not in self.beside:
+            self.beside[key] = read_beside(self.path, name)
+            self.size += len(self.beside[key])
+        return self.beside[key]

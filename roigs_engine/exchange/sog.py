@@ -19,6 +19,7 @@ from sklearn.cluster import KMeans
 
 from ..errors import ConfigError
 from ..formats.files import atomic_write
+from ..formats.names import inner_path
 from ..model.scene import Float64
 from .arrays import Arrays, Check, Float32, extent, in_morton_order, nothing, opacities, unit_quats
 from .compressed_ply import arrays_of
@@ -36,6 +37,7 @@ ROUNDS = 8  # of k-means
 MOST = 50_000_000  # Gaussians
 MOST_PALETTE = 1 << 24  # pixels: 65,536 sets of 15 are a million
 MOST_META = 16 << 20  # bytes
+MOST_FILES = 16  # that a meta.json names: the format has up to eight
 META = "meta.json"
 GENERATOR = "ROI-GS"
 """What `asset` in a `meta.json` says of our files."""
@@ -43,6 +45,7 @@ ANTIALIASED = "antialiased"
 """The `model` of a `meta.json` whose Gaussians are drawn with anti-aliasing; others have none."""
 COARSEST = 2e-3  # of the model's size: a step of its positions that is still hard to see
 
+KINDS = ("WEBP", "PNG")  # of pictures
 Bytes = NDArray[np.uint8]
 
 
@@ -278,6 +281,8 @@ def _packed(path: Path) -> bytes:
     meta = json.loads(data[:MOST_META])
     parts = [part for part in meta.values() if isinstance(part, dict)]
     names = {str(name) for part in parts for name in part.get("files", [])} - {META}
+    if len({inner_path(name) for name in names}) < len(names) or len(names) > MOST_FILES:
+        raise ValueError("a file under two names, or too many files")
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w") as packed:
         packed.writestr(META, data)
@@ -316,7 +321,7 @@ def _pixels(packed: zipfile.ZipFile, name: str) -> int:
     """How many pixels a picture of the archive has."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # Pillow's, of pictures that are far too large
-        with packed.open(name) as file, Image.open(file) as picture:
+        with packed.open(name) as file, Image.open(file, formats=KINDS) as picture:
             return int(picture.width) * int(picture.height)
 
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,16 +13,37 @@ import numpy as np
 
 from ..errors import EngineError
 from ..formats.files import write_bytes
+from ..machine import child_environment
 from ..model.scene import Float64
 from .arrays import Arrays, Float32, joined, logits, opacities, turn, unit_quats
 from .colours import encoded, recoloured
-from .libraries import MOST_PARTS, NotSupportedError, package, refuse_bomb, scratch
+from .libraries import (
+    MOST_PARTS,
+    MOST_RATIO,
+    SMALL,
+    NotSupportedError,
+    package,
+    refuse_bomb,
+    scratch,
+)
 from .transform import moved
+from .usd_probe import FINE, TOO_DEEP, TOO_LARGE
 
 TITLE = "OpenUSD"
 PRIM = "/Gaussians"
 ARCS = ("references", "payload", "inheritPaths", "specializes", "variantSetNames", "clips")
 """What makes OpenUSD open other files, or the same prims again and again."""
+DEEPEST = 200
+"""Prims, dictionaries or lists in each other; at some thousands OpenUSD's recursion crashes."""
+NO_BRACKETS = re.compile(
+    rb'"""(?:[^"\\]++|\\.|"(?!""))*+"""|"(?:[^"\\\n]++|\\.)*+"'
+    rb"|'''(?:[^'\\]++|\\.|'(?!''))*+'''|'(?:[^'\\\n]++|\\.)*+'"
+    rb"|#[^\r\n]*+|@@@.*?@@@|@[^@\n]*+@|<[^<>\n]*+>",
+    re.DOTALL,
+)
+"""Strings, comments, names of files and paths of a .usda: brackets in them open nothing."""
+STEPS = np.zeros(256, np.int8)
+STEPS[np.frombuffer(b"([{", np.uint8)], STEPS[np.frombuffer(b")]}", np.uint8)] = 1, -1
 KIND = "ParticleField3DGaussianSplat"
 SH = "radiance:sphericalHarmonicsCoefficients"
 SPACE = "colorSpace:name"
@@ -173,6 +197,7 @@ def _alone(path: Path) -> tuple[Any, bool]:
     A small file may name a pipe, any file of the computer, or itself a billion times.
     """
     sdf = package("pxr.Sdf", TITLE, "usd-core")
+    _refuse_crash(path)
     layer = sdf.Layer.OpenAsAnonymous(os.fspath(path))
     if layer is None:
         raise ValueError("there is no layer in it")
@@ -188,3 +213,35 @@ def _alone(path: Path) -> tuple[Any, bool]:
 
     layer.Traverse(sdf.Path.absoluteRootPath, cut)
     return layer, others
+
+
+def _refuse_crash(path: Path) -> None:
+    """Raise ValueError for a file that would end this process, or fill its memory.
+
+    Of text it is enough to count brackets. Other files are opened by a process of its own first.
+    """
+    with open(path, "rb") as file:
+        if file.read(1) == b"#":
+            deepest = _depth(b"#" + file.read())
+            if deepest > DEEPEST:
+                raise ValueError(f"its parts are nested {deepest:,} deep")
+            return
+    limit = max(SMALL, MOST_RATIO * path.stat().st_size)
+    command = [sys.executable, "-m", f"{__package__}.usd_probe", str(path), str(limit)]
+    command.append(str(DEEPEST))
+    # Each of many threads would take addresses.
+    env = child_environment() | {"PXR_WORK_THREAD_LIMIT": "1", "MALLOC_ARENA_MAX": "2"}
+    env["PYTHONPATH"] = os.pathsep.join(filter(os.path.isabs, sys.path))
+    code = subprocess.run(command, env=env, capture_output=True, check=False).returncode
+    if code == TOO_DEEP:
+        raise ValueError(f"its prims are nested more than {DEEPEST} deep")
+    if code == TOO_LARGE:
+        raise ValueError("it would unpack to far more than it holds")
+    if code != FINE:
+        raise ValueError("OpenUSD cannot open it")
+
+
+def _depth(text: bytes) -> int:
+    """How many brackets of a .usda are open at once, at most."""
+    steps = STEPS[np.frombuffer(NO_BRACKETS.sub(b"", text), np.uint8)]
+    return int(np.cumsum(steps[steps != 0], dtype=np.int64).max(initial=0))

@@ -45,6 +45,13 @@ def inner_path(name: object) -> PurePosixPath | None:
     return None if leads_out or not path.parts else path
 
 
+def usable_path(name: object) -> str:
+    """A path that a file says, of any folder; ValueError: no system has it."""
+    if not isinstance(name, str) or "\0" in name or not _is_encodable(name):
+        raise ValueError(f"{name!a:.60} is not a path")
+    return name
+
+
 def _is_encodable(name: str) -> bool:
     """Whether a file system can have the name: half of a surrogate pair is in none."""
     try:

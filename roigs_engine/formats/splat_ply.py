@@ -13,10 +13,13 @@ with anti-aliasing, and as they are stored, they lack a blur in space that belon
 
 from __future__ import annotations
 
+import mmap
 import os
 import re
-from collections.abc import Mapping
+import struct
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -217,17 +220,42 @@ def _skip(file: BinaryIO, elements: list[_Element], order: str, path: str | Path
             length = element.count * sum(kind.itemsize for kind in kinds.values())
             file.seek(min(file.tell() + length, size))
             continue
-        for _ in range(element.count):
-            for name, kind in kinds.items():
-                length = 1
-                if name in element.lists:
-                    said = np.dtype(order + element.lists[name])
-                    read = file.read(said.itemsize)
-                    length = int(np.frombuffer(read, said)[0]) if len(read) == said.itemsize else -1
-                if length < 0 or file.tell() >= size:
-                    text = f"{path} is truncated: its element {element.name:.40} is cut off."
-                    raise RunFolderError(text, HINT_DAMAGED)
-                file.seek(min(file.tell() + length * kind.itemsize, size))
+        lengths = {name: np.dtype(order + kind) for name, kind in element.lists.items()}
+        try:
+            file.seek(_behind_lists(file, element.count, kinds, lengths))
+        except ValueError as error:
+            text = f"{path} is truncated: its element {element.name:.40} is cut off."
+            raise RunFolderError(text, HINT_DAMAGED) from error
+
+
+def _behind_lists(
+    file: BinaryIO, count: int, kinds: dict[str, np.dtype[Any]], lengths: dict[str, np.dtype[Any]]
+) -> int:
+    """Where rows with lists end that begin where `file` is; ValueError: not in the file."""
+    at, size = file.tell(), os.fstat(file.fileno()).st_size
+    steps, ahead = [], 0  # bytes before a list, how its length is stored, bytes of a value
+    for name, kind in kinds.items():
+        if name in lengths:
+            order = ">" if lengths[name].byteorder == ">" else "<"
+            number = struct.Struct(order + lengths[name].char)
+            steps.append((ahead, number, kind.itemsize))
+            ahead = 0
+        else:
+            ahead += kind.itemsize
+    shortest = ahead + sum(before + number.size for before, number, _ in steps)
+    if count * shortest > size - at:
+        raise ValueError("more rows than bytes")
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        for _ in range(count):
+            for before, number, width in steps:
+                at += before
+                if at + number.size > size or (values := number.unpack_from(data, at)[0]) < 0:
+                    raise ValueError("a list that does not end")
+                at += number.size + values * width
+            at += ahead
+    if at > size:
+        raise ValueError("a row that does not end")
+    return at
 
 
 def _text_table(
@@ -244,7 +272,13 @@ def _text_table(
     names = row.names or ()
     if not rows:
         return np.zeros(0, row)
-    lines = (line for line in file if line.strip())
+    lines: Iterator[bytes] = (line for line in file if line.strip())
+    first = next(lines, b"")
+    # Before memory is taken for so many numbers in every row.
+    if first and (width := len(first.split())) != len(names):
+        text = f"{path} is damaged: its Gaussians have {width} of {len(names)} numbers."
+        raise RunFolderError(text, HINT_DAMAGED)
+    lines = chain([first], lines) if first else lines
     try:
         numbers = np.loadtxt(lines, np.float64, comments=None, max_rows=rows, ndmin=2)
     except ValueError as error:
@@ -252,9 +286,6 @@ def _text_table(
         raise RunFolderError(text, HINT_DAMAGED) from error
     if len(numbers) < rows:
         raise _truncated(path, len(numbers), elements[-1].count)
-    if numbers.shape[1] != len(names):
-        text = f"{path} is damaged: its Gaussians have {numbers.shape[1]} of {len(names)} numbers."
-        raise RunFolderError(text, HINT_DAMAGED)
     table = np.empty(len(numbers), row)
     with np.errstate(over="ignore", invalid="ignore"):
         for index, name in enumerate(names):

@@ -6,6 +6,7 @@ tests/fuzz/exchange.py has thousands of them.
 from __future__ import annotations
 
 import gzip
+import io
 import json
 import os
 import struct
@@ -13,10 +14,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from roigs_engine.cli import main
 from roigs_engine.errors import EngineError
-from roigs_engine.exchange import formats
+from roigs_engine.exchange import formats, gltf
 from roigs_engine.formats.splat_ply import read_ply, write_ply
 from tests.fuzz import exchange
 
@@ -139,3 +141,95 @@ def test_openusd_opens_no_other_file_and_nothing_twice(tmp_path: Path) -> None:
             formats.read(tmp_path / f"{name}.usda")
     (tmp_path / "good.usda").write_text(f"{head}\n subLayers = [@pipe.usda@]\n)\n{rest}")
     assert len(formats.read(tmp_path / "good.usda")["means"]) == exchange.GAUSSIANS
+
+
+@pytest.mark.parametrize(
+    ("head", "opening"),
+    [
+        ("", 'def "a" (\n doc = """}"}"""\n) { # }\n'),
+        ("(customLayerData = {\n", "dictionary a = { # }}\n string b = '}'\n"),
+    ],
+)
+def test_openusd_text_that_is_nested_too_deep(head: str, opening: str, tmp_path: Path) -> None:
+    """OpenUSD's recursion ended the whole process."""
+    pytest.importorskip("pxr")
+    data = f"#usda 1.0\n{head}{opening * 100_000}".encode()
+    refused(tmp_path / "a.usda", data, r"its parts are nested 100,00\d deep")
+
+
+def test_brackets_in_words_open_nothing(tmp_path: Path) -> None:
+    pytest.importorskip("pxr")
+    good = exchange.good(".usda", 1).decode()
+    brackets = "{" * 1000
+    words = f'# {brackets}\n#usda\ndef "b" (\n doc = """{brackets}\n"{brackets}"""\n) {{\n}}\n'
+    (tmp_path / "a.usda").write_text(f"{good}\n{words}")
+    assert len(formats.read(tmp_path / "a.usda")["means"]) == exchange.GAUSSIANS
+
+
+def test_openusd_that_is_nested_or_packed_too_far(tmp_path: Path) -> None:
+    """Compressed arrays have a thousandth of their size."""
+    usd, vt = pytest.importorskip("pxr.Usd"), pytest.importorskip("pxr.Vt")
+    stage = usd.Stage.CreateNew(str(tmp_path / "deep.usdc"))
+    stage.DefinePrim("/a" * 300)
+    stage.GetRootLayer().Save()
+    stage = usd.Stage.CreateNew(str(tmp_path / "packed.usdc"))
+    prim = stage.DefinePrim("/G", "ParticleField3DGaussianSplat")
+    prim.GetAttribute("opacities").Set(vt.FloatArray.FromNumpy(np.ones(20_000_000, np.float32)))
+    stage.GetRootLayer().Save()
+    for name, said in (("deep", "nested more than 200 deep"), ("packed", "unpack to far more")):
+        with pytest.raises(EngineError, match=said):
+            formats.read(tmp_path / f"{name}.usdc")
+
+
+def test_gltf_with_every_primitive_in_every_node(tmp_path: Path) -> None:
+    """120 million places of a file of 1 MB filled the memory."""
+    pytest.importorskip("pygltflib")
+    primitives = [{"extensions": {"KHR_gaussian_splatting": {}}}] * 300
+    record = {"meshes": [{"primitives": primitives}], "nodes": [{"mesh": 0}] * 1000}
+    record |= {"scenes": [{"nodes": list(range(1000))}]}
+    refused(tmp_path / "a.glb", exchange.glb_of(record, b""), r"glTF with 4,200 primitives")
+
+
+def test_gltf_that_names_one_file_again_and_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("pygltflib")
+    record, blob = exchange.glb_parts(exchange.good(".glb", 1))
+    (tmp_path / "a.bin").write_bytes(blob)
+    views = record["bufferViews"]
+    names = ["./" * k + "a.bin" for k in range(len(views))]
+    record["buffers"] = [{"uri": name, "byteLength": len(blob)} for name in names]
+    record["bufferViews"] = [view | {"buffer": k} for k, view in enumerate(views)]
+    (tmp_path / "a.gltf").write_text(json.dumps(record))
+    read = []
+    monkeypatch.setattr(gltf, "read_beside", lambda _, name: read.append(name) or blob)
+    assert len(formats.read(tmp_path / "a.gltf")["means"]) == exchange.GAUSSIANS
+    assert len(read) == 1
+
+
+@pytest.mark.parametrize("names", [["a.webp", "./a.webp"], [f"{k}.webp" for k in range(50)]])
+def test_sog_that_names_files_again_and_again(names: list[str], tmp_path: Path) -> None:
+    for package in ("gsply", "imagecodecs"):
+        pytest.importorskip(package)
+    for name in names:
+        (tmp_path / name).write_bytes(b"")
+    data = json.dumps({"version": 2, "count": 1, "means": {"files": names}}).encode()
+    refused(tmp_path / "meta.json", data, "a file under two names, or too many files")
+
+
+def test_sog_with_pictures_of_another_kind(tmp_path: Path) -> None:
+    for package in ("gsply", "imagecodecs"):
+        pytest.importorskip(package)
+    files = exchange.unzipped(exchange.good(".sog", 1))
+    with Image.open(io.BytesIO(files["means_l.webp"])) as picture:
+        out = io.BytesIO()
+        picture.save(out, "TIFF")
+    files["means_l.webp"] = out.getvalue()
+    refused(tmp_path / "a.sog", exchange.zipped(files), "cannot identify image file")
+
+
+@pytest.mark.parametrize("name", ["a\0.ply", "\ud800.ply", 7])
+def test_a_list_with_a_name_that_is_none(name: object, tmp_path: Path) -> None:
+    matrix = np.eye(4).tolist()
+    (tmp_path / "a.json").write_text(json.dumps({"models": [{"ply": name, "matrix": matrix}]}))
+    assert main(["convert", str(tmp_path / "a.json"), str(tmp_path / "out.ply")]) == 2

@@ -371,3 +371,39 @@ def test_long_headers(tmp_path: Path) -> None:
 def test_antialiasing_of_a_file_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(RunFolderError, match="Cannot read"):
         is_antialiased(tmp_path / "no.ply")
+
+
+def with_lists(path: Path, rows: bytes, count: int) -> None:
+    """Our PLY with an element of lists ahead of the vertices."""
+    write_ply(path, arrays(5, 1))
+    head, _, rest = path.read_bytes().partition(b"element vertex")
+    more = f"element face {count}\nproperty list uchar int i\nproperty short s\n".encode()
+    head, vertex, rest = head + more, *rest.split(b"end_header\n", 1)
+    path.write_bytes(head + b"element vertex" + vertex + b"end_header\n" + rows + rest)
+
+
+def test_lists_of_all_lengths_are_skipped(tmp_path: Path) -> None:
+    path = tmp_path / "a.ply"
+    rows = b"".join(bytes([k, *range(4 * k), 9, 9]) for k in (3, 0, 4, 60, 3))
+    with_lists(path, rows, 5)
+    values = arrays(5, 1)
+    assert read_ply(path)["means"].tobytes() == values["means"].tobytes()
+
+
+@pytest.mark.parametrize("count", [10**17, 10**7])
+def test_more_lists_than_bytes(count: int, tmp_path: Path) -> None:
+    """Each was read in turn, for ever."""
+    with_lists(tmp_path / "a.ply", bytes(4 << 20), count)
+    with pytest.raises(RunFolderError, match="its element face is cut off"):
+        read_ply(tmp_path / "a.ply")
+
+
+def test_a_line_of_far_too_many_numbers(tmp_path: Path) -> None:
+    """Memory was taken for so many in every line; what was said was that it is full."""
+    write_ply(tmp_path / "a.ply", arrays(4000, 1))
+    head = (tmp_path / "a.ply").read_bytes().partition(b"end_header\n")[0]
+    head = head.replace(b"binary_little_endian", b"ascii") + b"end_header\n"
+    text = b"1 " * 300_000 + b"\n" + (b"1 " * 17 + b"\n") * 4000
+    (tmp_path / "a.ply").write_bytes(head + text)
+    with pytest.raises(RunFolderError, match="damaged: its Gaussians have 300000 of 17 numbers"):
+        read_ply(tmp_path / "a.ply")
