@@ -171,7 +171,10 @@ def model_turns(
     quiet = replace(context, emit=QUIET.emit)  # damage is said by whoever uses the model
     ids, points, colors = _points(model, folder, quiet)
     cloud = Cloud(points=points, colors=colors, observed=_observations(model, ids, context))
-    found = [stored_photo(image, model, photos) for image in model.images]
+    found = []
+    for image in model.images:
+        context.check_cancelled()
+        found.append(stored_photo(image, model, photos))
     photos_ = [photo for photo in found if isinstance(photo, StoredPhoto)]
     return find_turns(photos_, cloud, context)
 

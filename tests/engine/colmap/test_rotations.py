@@ -10,12 +10,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from roigs_engine.colmap.model_files import read_model
+from roigs_engine.colmap.photo_loader import stored_photo
 from roigs_engine.colmap.photo_pixels import photo_pixels
-from roigs_engine.colmap.project import load_colmap
+from roigs_engine.colmap.project import load_colmap, model_turns
 from roigs_engine.context import Context
+from roigs_engine.errors import Stopped
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.photos.decode import load_photo
+from roigs_engine.photos.files import PhotoFolder
 from roigs_engine.photos.mask_images import load_mask, load_object_mask
 from roigs_engine.photos.mask_paths import MaskOptions
 from tests.engine.synthetic_colmap import Project, camera, write_project
@@ -182,3 +186,18 @@ def test_pixels_that_a_person_draws_on_are_turned(tmp_path: Path) -> None:
     photo = photo_pixels(tmp_path / "sparse/0", scene.images)["2.png"]
     np.testing.assert_array_equal(photo.pixels(), seen["2.png"])
     assert photo.size == (96, 72)
+
+
+def test_a_stop_between_photos_is_heard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    painted(tmp_path)
+    looked = []
+
+    def look(*args: Any) -> Any:
+        looked.append(args)
+        return stored_photo(*args)
+
+    monkeypatch.setattr("roigs_engine.colmap.project.stored_photo", look)
+    sparse, stop = tmp_path / "sparse/0", Context(should_stop=lambda: len(looked) > 1)
+    with pytest.raises(Stopped):
+        model_turns(read_model(sparse), sparse, PhotoFolder(tmp_path / "images"), stop)
+    assert len(looked) == 2
