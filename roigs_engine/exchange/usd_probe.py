@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import Any
 
 FINE, TOO_LARGE, TOO_DEEP = 0, 3, 4
-ROOM = 4 << 30  # bytes of addresses for the libraries themselves
+LIBRARIES = 4 << 30  # bytes of addresses for the libraries themselves
 STACK = 1 << 20  # bytes: less than the process has that opens the file afterwards
 
 
@@ -52,7 +52,7 @@ def main(path: str, limit: int, deepest: int) -> int:
     with suppress(ImportError, OSError, ValueError):  # not on Windows; or there is a limit already
         import resource
 
-        resource.setrlimit(resource.RLIMIT_AS, (ROOM + limit, ROOM + limit))
+        resource.setrlimit(resource.RLIMIT_AS, (LIBRARIES + limit, LIBRARIES + limit))
     found = [TOO_LARGE]  # of a thread that ends by an error of memory
 
     def run() -> None:
