@@ -361,7 +361,7 @@ def _eight_bits(values: NDArray[Any], bits: int) -> NDArray[np.float32]:
         # Programs write 16 bits as signed 32; by its type, such a photo would be black.
         if values.dtype == np.int32 and values.max(initial=0) <= 65535:
             most = 65535
-    return (np.clip(values.astype(np.float32) / np.float32(most), 0, 1) * 255).astype(np.float32)
+    return np.asarray(np.clip(values.astype(np.float32) / np.float32(most), 0, 1) * 255, np.float32)
 
 
 def _lab(values: NDArray[Any], *, signed: bool) -> Image.Image:
