@@ -83,8 +83,9 @@ def convert(request: Convert, context: Context = QUIET) -> Result:
 def _single(request: Convert, target: FileFormat, context: Context, *, plain: bool) -> _Model:
     from ..exchange import formats
 
-    home, poses = _home(request, request.source), None
-    matrix = turn(SCENE_UP, request.up or target.up) @ _upright(request, request.source)
+    upright, poses = _upright(request, request.source), None
+    home = _home(request, request.source, upright)
+    matrix = turn(SCENE_UP, request.up or target.up) @ upright
     if target.suffix == PAGE:
         poses = _page_poses(request)
     if poses is not None:
@@ -92,8 +93,9 @@ def _single(request: Convert, target: FileFormat, context: Context, *, plain: bo
         matrix[:3, :3] = matrix[:3, :3] @ gravity_alignment(poses)
         matrix = matrix @ home
     elif request.from_up is None:
-        if (formats.frame(request.source) == np.eye(4)).all():
-            _warn_of_axes(request.source, formats.format_of(request.source).up, context)
+        usual = formats.format_of(request.source).up
+        if (upright == turn(usual, SCENE_UP)).all():
+            _warn_of_axes(request.source, usual, context)
         else:
             context.info(
                 f"{request.source.name} says how its axes point, so it is turned."
@@ -162,11 +164,12 @@ def _refuse_too_many(source: Path, models: Sequence[Arrays]) -> None:
         )
 
 
-def _home(request: Convert, path: Path) -> Float64:
+def _home(request: Convert, path: Path, upright: Float64) -> Float64:
     """(4, 4) from a file's frame to that of the scene, in which boxes and photos are.
 
     Formats with -y up keep the scene's frame, whichever axis points up in it. A file of another
     format was turned; OUT, if it is one that keeps the scene's frame, tells how to turn it back.
+    `upright`: see `_upright`.
     """
     from ..exchange import formats
 
@@ -174,7 +177,7 @@ def _home(request: Convert, path: Path) -> Float64:
     if form.up == SCENE_UP:
         return np.eye(4)
     up = request.up if request.up and target.up == SCENE_UP else SCENE_UP
-    return turn(SCENE_UP, up) @ _upright(request, path)
+    return turn(SCENE_UP, up) @ upright
 
 
 def _upright(request: Convert, path: Path) -> Float64:
@@ -313,11 +316,10 @@ def _before(request: Convert, up: str, model: _Model) -> Arrays | None:
     from ..exchange import formats
 
     refuse_inputs([request.out], [request.before], OTHER)
-    home = _home(request, request.before)
-    if model.upright:
-        matrix = model.matrix @ home
-    else:
-        matrix = turn(SCENE_UP, request.up or up) @ _upright(request, request.before)
+    upright = _upright(request, request.before)
+    home = _home(request, request.before, upright)
+    own = turn(SCENE_UP, request.up or up) @ upright
+    matrix = model.matrix @ home if model.upright else own
     arrays = _cropped(formats.read(request.before), request, home)
     return _shortened(turned(arrays, matrix), request)
 

@@ -204,16 +204,19 @@ def find_model(path: Path, context: Context = QUIET) -> Path:
 
 
 OTHER_MODELS = {
-    "transforms*.json": "nerfstudio's; give the COLMAP model it was made from (colmap/sparse/0)",
-    "sfm_data*": "OpenMVG's; export it for COLMAP",
-    "reconstruction.json": "OpenSfM's; export it for COLMAP",
-    "*.nvm": "VisualSFM's; reconstruct the photos, or export them for COLMAP",
-    "*.out": "Bundler's; export the cameras for COLMAP",
-    "*.csv": "perhaps RealityCapture's registration; export it for COLMAP",
-    "*.rcproj": "RealityCapture's project; export its registration for COLMAP",
-    "*.psx": "Metashape's project; export its cameras for COLMAP",
-    "*.xml": "perhaps Metashape's cameras; export them for COLMAP",
-    "database.db": "COLMAP's matches; run its mapper, which writes sparse/0",
+    "transforms*.json": (
+        "nerfstudio's",
+        "Give the COLMAP model it was made from (colmap/sparse/0).",
+    ),
+    "sfm_data*": ("OpenMVG's", "Export it for COLMAP."),
+    "reconstruction.json": ("OpenSfM's", "Export it for COLMAP."),
+    "*.nvm": ("VisualSFM's", "Reconstruct the photos, or export them for COLMAP."),
+    "*.out": ("Bundler's", "Export the cameras for COLMAP."),
+    "*.csv": ("perhaps RealityCapture's registration", "Export it for COLMAP."),
+    "*.rcproj": ("RealityCapture's project", "Export its registration for COLMAP."),
+    "*.psx": ("Metashape's project", "Export its cameras for COLMAP."),
+    "*.xml": ("perhaps Metashape's cameras", "Export them for COLMAP."),
+    "database.db": ("COLMAP's matches", "Run its mapper, which writes sparse/0."),
 }
 """Files of other software and of unfinished work, and what to do."""
 
@@ -232,13 +235,10 @@ def _no_model(path: Path) -> SceneError:
         if stems and lacks:
             hint = "Export the model again: it needs cameras, images and points3D, of one kind."
             return SceneError(f"{missing}: {folder} lacks {' and '.join(lacks)}.", hint)
-    for pattern, what in OTHER_MODELS.items():
+    for pattern, (what, hint) in OTHER_MODELS.items():
         found = next(iter(sorted(path.glob(pattern))), None)
         if found is not None:
-            format_, advice = what.split("; ")
-            return SceneError(
-                f"{missing}: {found.name} is {format_}.", f"{advice[0].upper()}{advice[1:]}."
-            )
+            return SceneError(f"{missing}: {found.name} is {what}.", hint)
     return SceneError(
         f"{missing}.",
         "Give a folder with sparse/0, or one with cameras, images and points3D files.",

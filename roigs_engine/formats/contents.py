@@ -13,8 +13,10 @@ MAGIC = {
     b"#usda 1.": ".usda",
 }
 """First bytes of files of Gaussians, where they tell the format."""
+LFS = b"version https://git-lfs"
+"""How a pointer of Git LFS begins."""
 OTHERS = {
-    b"version https://git-lfs": ("is a pointer of Git LFS", "Fetch the file: git lfs pull."),
+    LFS: ("is a pointer of Git LFS", "Fetch the file: git lfs pull."),
     b"<!DOCTYPE": ("is a web page", "Download the file itself, not the page about it."),
     b"<html": ("is a web page", "Download the file itself, not the page about it."),
     b"PK\x03\x04": ("is a ZIP archive", "Unpack it, or rename it if it is a .sog or .usdz."),

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import EngineError, SceneError
+from ..formats.contents import LFS
 from ..formats.files import regular
 from .jpeg import JPEG_END, check_scans, jpeg_segments, jpeg_size
 
@@ -206,7 +207,7 @@ def _kind(path: Path) -> str:
         return ""
     if not start:
         return EMPTY
-    if start.startswith(b"version https://git-lfs"):
+    if start.startswith(LFS):
         return NOT_FETCHED
     brand = start[8:12] if start[4:8] == b"ftyp" else b""
     kinds = [kind for kind, brands in BRANDS.items() if brand in brands]

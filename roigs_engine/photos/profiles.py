@@ -55,19 +55,27 @@ def power_curve(exponent: float) -> Curve:
     return lambda values: np.asarray(values**exponent)
 
 
-def pq_curve(values: Values) -> Values:
-    """SMPTE ST 2084; what is brighter than the reference white becomes white."""
+def pq_light(values: Values) -> Values:
+    """cd/m2 of a PQ signal (SMPTE ST 2084)."""
     m1, m2, c1, c2, c3 = 0.1593017578125, 78.84375, 0.8359375, 18.8515625, 18.6875
     root = values ** (1 / m2)
-    light = (np.maximum(root - c1, 0) / (c2 - c3 * root)) ** (1 / m1)
-    return np.asarray(np.minimum(10_000 * light / REFERENCE_WHITE, 1))
+    return np.asarray(10_000 * (np.maximum(root - c1, 0) / (c2 - c3 * root)) ** (1 / m1))
+
+
+def hlg_scene(values: Values) -> Values:
+    """Light of the scene of an HLG signal (ITU-R BT.2100, table 5), 0 to 1."""
+    a, b, c = 0.17883277, 0.28466892, 0.55991073
+    return np.where(values <= 0.5, values**2 / 3, (np.exp((values - c) / a) + b) / 12)
+
+
+def pq_curve(values: Values) -> Values:
+    """Light of a PQ signal; what is brighter than the reference white becomes white."""
+    return np.asarray(np.minimum(pq_light(values) / REFERENCE_WHITE, 1))
 
 
 def hlg_curve(values: Values) -> Values:
-    """ITU-R BT.2100, with the screen's gamma of 1.2 for each channel; white as in `pq_curve`."""
-    a, b, c = 0.17883277, 0.28466892, 0.55991073
-    scene = np.where(values <= 0.5, values**2 / 3, (np.exp((values - c) / a) + b) / 12)
-    return np.minimum(HLG_PEAK * scene**1.2 / REFERENCE_WHITE, 1)
+    """Light of an HLG signal on a screen, of gamma 1.2 for each channel; white as in `pq_curve`."""
+    return np.minimum(HLG_PEAK * hlg_scene(values) ** 1.2 / REFERENCE_WHITE, 1)
 
 
 CICP_CURVES: dict[int, Curve] = {

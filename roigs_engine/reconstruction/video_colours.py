@@ -22,6 +22,8 @@ from ..photos.profiles import (
     REFERENCE_WHITE,
     SRGB,
     Primaries,
+    hlg_scene,
+    pq_light,
     srgb_curve,
 )
 
@@ -61,22 +63,9 @@ BILINEAR, ACCURATE, ALL_CHROMA = 2, 0x40000, 0x2000
 ROWS = 256  # at a time
 
 
-def _from_pq(v: Light) -> Light:
-    """cd/m2 of a PQ signal (SMPTE ST 2084)."""
-    root = v ** (32 / 2523)
-    base = np.maximum(root - 0.8359375, 0) / (18.8515625 - 18.6875 * root)
-    return np.asarray(1e4 * base ** (8192 / 1305))
-
-
 def _to_pq(light: Light) -> Light:
     root = (light / 1e4) ** (1305 / 8192)
     return np.asarray(((0.8359375 + 18.8515625 * root) / (1 + 18.6875 * root)) ** (2523 / 32))
-
-
-def _hlg_scene(v: Light) -> Light:
-    """Light of the scene of an HLG signal (BT.2100, table 5), 0..1."""
-    a, b, c = 0.17883277, 0.28466892, 0.55991073
-    return np.where(v <= 0.5, v * v / 3, (np.exp((v - c) / a) + b) / 12)
 
 
 LIKE_SRGB = (1, 6, 7, 11, 12, 13, 14, 15)
@@ -89,9 +78,9 @@ TRANSFERS: dict[int, tuple[str, Callable[[Light], Light]]] = {  # H.273, table 3
     8: ("linear", lambda v: v),
     9: ("logarithmic", lambda v: np.where(v > 0, 10 ** (2 * (v - 1)), 0)),
     10: ("logarithmic", lambda v: np.where(v > 0, 10 ** (2.5 * (v - 1)), 0)),
-    PQ: ("PQ", lambda v: _from_pq(v) / WHITE),
+    PQ: ("PQ", lambda v: pq_light(v) / WHITE),
     17: ("SMPTE ST 428", lambda v: 52.37 / 48 * v**2.6),
-    HLG: ("HLG", _hlg_scene),
+    HLG: ("HLG", hlg_scene),
 }
 
 
@@ -301,7 +290,7 @@ def _tone_mapped(light: Light) -> Light:
         + (t**3 - 2 * t**2 + t) * (1 - knee)
         + (3 * t**2 - 2 * t**3) * most
     )
-    return np.where(value < knee, light, _from_pq(np.maximum(spline, 0) * peak) / WHITE)
+    return np.where(value < knee, light, pq_light(np.maximum(spline, 0) * peak) / WHITE)
 
 
 LIGHTS = np.geomspace(1e-4, 1e4 / WHITE * 2, 4096)
