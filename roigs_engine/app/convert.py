@@ -69,7 +69,7 @@ def convert(request: Convert, context: Context = QUIET) -> Result:
     if model.antialiased and plain:
         _say_photos_unknown(target, context)
     if target.suffix == PAGE:
-        extras = _page_extras(request, _before(request, target.up, model), model)
+        extras = _page_extras(request, _before(request, target.up, model, context), model)
         written = formats.write(request.out, arrays, antialiased=model.antialiased, extras=extras)
     else:
         check = context.check_cancelled
@@ -102,7 +102,7 @@ def _single(request: Convert, target: FileFormat, context: Context, *, plain: bo
                 " If it lies wrong, give --from-up."
             )
     refuse_inputs([request.out], [request.source], OTHER)
-    whole, antialiased = _read(request.source, plain=plain, scene=request.page_scene)
+    whole, antialiased = _read(request.source, context, plain=plain, scene=request.page_scene)
     arrays = _cropped(whole, request, home)
     context.check_cancelled()
     return _Model(
@@ -128,7 +128,7 @@ def _listed(request: Convert, target: FileFormat, context: Context, *, plain: bo
     models = {}
     for name in names:
         context.check_cancelled()
-        models[name] = _read(Path(name), plain=plain, scene=request.page_scene)
+        models[name] = _read(Path(name), context, plain=plain, scene=request.page_scene)
     _refuse_too_many(request.source, [models[item.file][0] for item in wanted])
     read = {}
     for name, (arrays, _) in models.items():
@@ -241,7 +241,9 @@ def turned(arrays: Arrays, matrix: Float64) -> Arrays:
 # --- viewers without anti-aliasing ---
 
 
-def _read(path: Path, *, plain: bool, scene: Path | None = None) -> tuple[Arrays, bool]:
+def _read(
+    path: Path, context: Context, *, plain: bool, scene: Path | None = None
+) -> tuple[Arrays, bool]:
     """The Gaussians of a file, and whether they are drawn with anti-aliasing.
 
     With `plain`, they are made about right without it, as far as photos tell how: those of `scene`,
@@ -251,7 +253,8 @@ def _read(path: Path, *, plain: bool, scene: Path | None = None) -> tuple[Arrays
     from ..exchange.transform import without_antialiasing
     from ..model.gaussians import Gaussians
 
-    arrays, antialiased = formats.read(path), formats.is_antialiased(path)
+    antialiased = formats.is_antialiased(path)
+    arrays = formats.read(path, context.check_cancelled)
     photos = cameras_of_result(path, scene) if antialiased and plain else None
     if photos is None:
         return arrays, antialiased
@@ -309,7 +312,7 @@ def _page_poses(request: Convert) -> Float64 | None:
     return None if request.from_up else poses_of_run(request.source.absolute().parent)
 
 
-def _before(request: Convert, up: str, model: _Model) -> Arrays | None:
+def _before(request: Convert, up: str, model: _Model, context: Context) -> Arrays | None:
     """The model of `--before`, as the first one is shown."""
     if request.before is None:
         return None
@@ -320,7 +323,7 @@ def _before(request: Convert, up: str, model: _Model) -> Arrays | None:
     home = _home(request, request.before, upright)
     own = turn(SCENE_UP, request.up or up) @ upright
     matrix = model.matrix @ home if model.upright else own
-    arrays = _cropped(formats.read(request.before), request, home)
+    arrays = _cropped(formats.read(request.before, context.check_cancelled), request, home)
     return _shortened(turned(arrays, matrix), request)
 
 
@@ -374,7 +377,8 @@ def _write_streamed(request: Convert, context: Context) -> Result:
             file = folder / level.ply
             refuse_inputs([request.out], [file], OTHER)
             context.check_cancelled()
-            levels.append(_shortened(turned(formats.read(file), matrix), request))
+            arrays = formats.read(file, context.check_cancelled)
+            levels.append(_shortened(turned(arrays, matrix), request))
             files.append(file)
         parts.append(levels)
     check, antialiased = context.check_cancelled, formats.are_antialiased(files)

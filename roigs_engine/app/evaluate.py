@@ -66,7 +66,9 @@ def evaluate(request: Evaluate, context: Context = QUIET) -> Evaluated:
     context = on_device(context, request.device)
     models: list[EvaluatedModel] = []
     for name, path in files.items():
-        loaded = Gaussians.load_ply(path, frame).to(torch.device(context.device))
+        loaded = Gaussians.load_ply(path, frame, context.check_cancelled).to(
+            torch.device(context.device)
+        )
         models.append(EvaluatedModel(name=name, gaussians=loaded, seconds=0.0, stages={}))
     evaluation = evaluation_module.evaluate(
         models, scene, test, rois, context=context, baseline=models[0].name, photos=photos

@@ -13,7 +13,7 @@ from ..errors import ConfigError
 from ..formats.drawable import usable
 from ..formats.files import read_json
 from ..formats.names import usable_path
-from ..formats.splat_ply import is_antialiased, read_ply
+from ..formats.splat_ply import Check, is_antialiased, read_ply
 from ..formats.text import counted
 from ..formats.transforms import numbers
 
@@ -84,14 +84,18 @@ def instances(record: Any, folder: Path, context: Context = QUIET) -> list[Insta
     return wanted
 
 
-def drawable_model(path: Path, say: Callable[[str], None]) -> tuple[Gaussians, LocalFrame]:
+def drawable_model(
+    path: Path, say: Callable[[str], None], check: Check
+) -> tuple[Gaussians, LocalFrame]:
     """The Gaussians of a PLY that can be drawn, and the frame they are in; `say` is told of others.
+
+    `check` is called while reading.
 
     RunFolderError: the file is missing or damaged.
     """
     from ..model.gaussians import Gaussians
 
-    stored = read_ply(path)
+    stored = read_ply(path, check)
     arrays = usable(stored)
     there, kept = len(stored["means"]), len(arrays["means"])
     if kept < there:

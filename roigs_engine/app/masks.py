@@ -58,7 +58,9 @@ def make_masks(request: Masks, context: Context = QUIET) -> Result:
     _check_photos([*request.photo, *(each.photo for each in scribbles)], scene)
     frame, model = LocalFrame.of_scene(scene), None
     if request.model is not None:
-        model = Gaussians.load_ply(request.model, frame).to(torch.device(context.device))
+        model = Gaussians.load_ply(request.model, frame, context.check_cancelled).to(
+            torch.device(context.device)
+        )
     else:
         context.info("Without --model, masks follow the sparse points and colours: check each.")
     maker = _Maker(request=request, scene=scene, rois=rois, frame=frame, model=model)

@@ -54,9 +54,9 @@ def compose(request: Compose, context: Context = QUIET) -> Result:
     if request.out.suffix.lower() != ".ply":
         raise ConfigError(f"--out {request.out} is not the name of a PLY.", "Write FILE.ply.")
     refuse_inputs([request.out], [request.scene_ply, *objects.values()])
-    scene, frame = Gaussians.load_framed(request.scene_ply, scaled=False)
+    scene, frame = Gaussians.load_framed(request.scene_ply, context.check_cancelled, scaled=False)
     pairs = [
-        (frame.box(by_name[name]), Gaussians.load_ply(path, frame))
+        (frame.box(by_name[name]), Gaussians.load_ply(path, frame, context.check_cancelled))
         for name, path in objects.items()
     ]
     for (roi, model), path in zip(pairs, objects.values(), strict=True):
@@ -93,7 +93,9 @@ def cut(request: Cut, context: Context = QUIET) -> Result:
     check_ply(request.model)
     scene = _masked_scene(request, rois, context)
     frame, context = LocalFrame.of_scene(scene), on_device(context, request.device)
-    model = Gaussians.load_ply(request.model, frame).to(torch.device(context.device))
+    model = Gaussians.load_ply(request.model, frame, context.check_cancelled).to(
+        torch.device(context.device)
+    )
     local, images = [frame.box(roi) for roi in rois], frame.scene(scene).images
     owner = object_owners(model, local, images, context)
     _say_owned(owner, count_owned(model, local), local, images, context)
@@ -169,7 +171,7 @@ def find_floaters(request: Floaters, context: Context = QUIET) -> Result:
     rois, scene = boxes_of(request, required=False), load_scene(request, context)
     frame = LocalFrame.of_scene(scene)
     local = frame.scene(scene)
-    model, there = _as_one(wanted, frame)
+    model, there = _as_one(wanted, frame, context)
     context = on_device(context, request.device)
     found = np.zeros(len(there), bool)
     if len(model):
@@ -188,7 +190,9 @@ def find_floaters(request: Floaters, context: Context = QUIET) -> Result:
     return Result(files={"floaters": request.out}, text=text)
 
 
-def _as_one(wanted: list[InstanceRecord], frame: LocalFrame) -> tuple[Gaussians, NDArray[np.bool_]]:
+def _as_one(
+    wanted: list[InstanceRecord], frame: LocalFrame, context: Context
+) -> tuple[Gaussians, NDArray[np.bool_]]:
     """All models as one in a frame, and which rows of the files can be drawn: those it has."""
     from ..exchange.transform import merged
     from ..model.gaussians import Gaussians
@@ -198,7 +202,7 @@ def _as_one(wanted: list[InstanceRecord], frame: LocalFrame) -> tuple[Gaussians,
     masks, models = [], []
     for item in wanted:
         path = Path(item.file)
-        arrays = read_ply(path)
+        arrays = read_ply(path, context.check_cancelled)
         mask = drawable(arrays)
         masks.append(mask)
         if mask.any():

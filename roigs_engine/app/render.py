@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..context import QUIET, Context
-from ..errors import ConfigError, EngineError
+from ..errors import ConfigError, EngineError, Stopped
 from ..formats.events import Preview
 from ..formats.files import read_json
 from ..formats.frame_requests import REQUEST, colour_file, depth_file
@@ -40,7 +40,7 @@ def render(request: Render, context: Context = QUIET) -> Result:
     refuse_run_files(request.out)
     if request.path and request.images:
         raise ConfigError("--images has no meaning with --path.", "Leave it out.")
-    whole, frame = drawable_model(request.ply, context.warn)
+    whole, frame = drawable_model(request.ply, context.warn, context.check_cancelled)
     context = on_device(context, request.device)
     device = torch.device(context.device)
     whole = whole.to(device)
@@ -113,6 +113,8 @@ def render_frames(request: RenderFrames, context: Context = QUIET) -> Result:
         try:
             out = answer(waiting[0], models, context)
             context.emit(Preview(path=str(out)))
+        except Stopped:
+            break
         except EngineError as error:
             if request.once:
                 raise
@@ -143,7 +145,7 @@ class Models:
         for step, path in enumerate(different, start=1):
             key, entry = _state(path), known.get(path)
             if entry is None or entry[0] != key:
-                entry = key, *drawable_model(Path(path), self._say)
+                entry = key, *drawable_model(Path(path), self._say, context.check_cancelled)
                 context.progress(STAGE, step, len(different), started)
             self._read[path] = entry
         return [self._read[path][1:] for path in paths]

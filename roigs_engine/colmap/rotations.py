@@ -84,7 +84,7 @@ def find_turns(photos: Sequence[StoredPhoto], cloud: Cloud, context: Context) ->
     if unclear:
         obeys: bool | None = bool(obeyed)
         if bool(obeyed) == ignored:
-            obeys = _look_turned(unclear, photos, turns, cloud)
+            obeys = _look_turned(unclear, photos, turns, cloud, context)
         if obeys:
             turns |= {photo.key: photo.tag for photo in unclear}
         elif obeys is None:
@@ -108,13 +108,15 @@ def _look_turned(
     photos: Sequence[StoredPhoto],
     turns: Mapping[int, int],
     cloud: Cloud,
+    context: Context,
 ) -> bool | None:
     """Whether the photos fit the points' colours better if turned; None: that is not clear."""
-    chosen, rows = _compared(unclear, photos, cloud)
+    chosen, rows = _compared(unclear, photos, cloud, context)
     keys = {photo.key for photo in unclear}
     samples: dict[bool, list[Float64]] = {False: [], True: []}
     try:
         for photo in chosen:
+            context.check_cancelled()
             usual = turns.get(photo.key, AS_STORED)
             ways = (AS_STORED, photo.tag) if photo.key in keys else (usual, usual)
             pictures = _sampled(photo, ways, rows, cloud)
@@ -130,7 +132,7 @@ def _look_turned(
 
 
 def _compared(
-    unclear: Sequence[StoredPhoto], photos: Sequence[StoredPhoto], cloud: Cloud
+    unclear: Sequence[StoredPhoto], photos: Sequence[StoredPhoto], cloud: Cloud, context: Context
 ) -> tuple[list[StoredPhoto], Int64]:
     """Some unclear photos with those that share most points with them; and rows of points."""
     places = np.linspace(0, len(unclear) - 1, min(ANCHORS, len(unclear))).round().astype(int)
@@ -141,7 +143,10 @@ def _compared(
     for anchor in anchors:
         rows = cloud.observed.get(anchor.key, NO_IDS)
         some.append(rng.permutation(rows)[: POINTS // len(anchors)])
-        shared = [len(np.intersect1d(some[-1], cloud.observed.get(p.key, NO_IDS))) for p in fits]
+        shared = []
+        for photo in fits:
+            context.check_cancelled()
+            shared.append(len(np.intersect1d(some[-1], cloud.observed.get(photo.key, NO_IDS))))
         others = [k for k in np.argsort(shared, kind="stable")[::-1] if fits[k] is not anchor]
         chosen |= {fits[k].key: fits[k] for k in others[:PARTNERS]}
     found = np.unique(np.concatenate(some))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +13,6 @@ from ..model.scene import Float64
 Float32 = NDArray[np.float32]
 Arrays = Mapping[str, Floats]
 """`means` (N, 3), `quats` (N, 4), `log_scales` (N, 3), `logit_opacities` (N,), `sh` (N, K, 3)."""
-
-
-Check = Callable[[], None]
-"""Called between the parts of long work; it raises `Stopped` if a stop was requested."""
-
-
-def nothing() -> None:
-    """The default of `check`."""
 
 
 def unit_quats(arrays: Arrays) -> Float32:

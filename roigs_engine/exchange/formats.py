@@ -14,8 +14,9 @@ from ..errors import ConfigError, RunFolderError
 from ..formats import splat_ply
 from ..formats.drawable import usable
 from ..formats.files import regular, remove_leftovers_of
+from ..formats.splat_ply import Check, nothing
 from ..model.scene import Float64
-from .arrays import Arrays, Check, extent, flaw, nothing, upright
+from .arrays import Arrays, extent, flaw, upright
 from .libraries import CONVERT, HINT, reading
 
 FAR = 1e4
@@ -155,13 +156,16 @@ def storable(arrays: Arrays, title: str) -> Arrays:
     return arrays
 
 
-def read(path: Path) -> Arrays:
-    """Read Gaussians in the format that the name says; ConfigError if it is only written."""
+def read(path: Path, check: Check = nothing) -> Arrays:
+    """Read Gaussians in the format that the name says; ConfigError if it is only written.
+
+    `check` is called while a plain PLY is read, which may be large.
+    """
     form = _readable(path)
     if not form.module and _is_compressed(path):  # whatever its name says
         form = format_of(Path(COMPRESSED))
     if not form.module:
-        return splat_ply.read_ply(path)
+        return splat_ply.read_ply(path, check)
     reader: Callable[[Path], Arrays] = import_module(f".{form.module}", __package__).read
     with reading(path, form.title):
         found = reader(path)

@@ -20,8 +20,9 @@ from sklearn.cluster import KMeans
 from ..errors import ConfigError
 from ..formats.files import atomic_write
 from ..formats.names import inner_path
+from ..formats.splat_ply import Check, nothing
 from ..model.scene import Float64
-from .arrays import Arrays, Check, Float32, extent, in_morton_order, nothing, opacities, unit_quats
+from .arrays import Arrays, Float32, extent, in_morton_order, opacities, unit_quats
 from .compressed_ply import arrays_of
 from .libraries import NotSupportedError, package, read_beside, refuse_bomb
 

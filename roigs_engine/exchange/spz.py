@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from ..errors import ConfigError
 from ..formats.drawable import FLAT
 from ..formats.files import write_bytes
+from ..formats.splat_ply import Check, nothing
 from ..model.scene import Float64
-from .arrays import Arrays, Check, Float32, in_morton_order, logits, nothing, unit_quats
+from .arrays import Arrays, Float32, in_morton_order, logits, unit_quats
 from .libraries import NotSupportedError, package, refuse_bomb, scratch
 
 TITLE = "SPZ"

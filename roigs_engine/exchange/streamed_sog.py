@@ -30,8 +30,9 @@ from ..formats.files import (
     write_json,
 )
 from ..formats.lock import locked
+from ..formats.splat_ply import Check, nothing
 from . import sog
-from .arrays import Arrays, Check, nothing
+from .arrays import Arrays
 from .formats import storable
 
 NAME = "lod-meta.json"

@@ -17,9 +17,9 @@ import mmap
 import os
 import re
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import chain
+from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -34,6 +34,9 @@ HINT = "Give a PLY of 3D Gaussians, as training programs write them."
 HINT_DAMAGED = "Write or download the file again."
 Float32 = NDArray[np.float32]
 Floats = NDArray[np.float32] | NDArray[np.float64]
+Check = Callable[[], None]
+"""Called between the parts of long work; it raises `Stopped` if a stop was requested."""
+ROWS, LINES = 1 << 18, 1 << 14  # Gaussians that are read at once; those of an ASCII PLY
 # What a PLY may call its scalar types, and how numpy reads them.
 SCALARS = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
@@ -63,6 +66,10 @@ RGB = ("red", "green", "blue")
 FILTER = "filter_3D"
 """Property of Mip-Splatting: standard deviation of the blur in space."""
 FILTER_LINE = re.compile(rb"^property\s+\S+\s+" + FILTER.encode() + rb"\s*$", re.MULTILINE)
+
+
+def nothing() -> None:
+    """The default of a `Check`."""
 
 
 def _columns(rest: int) -> list[str]:
@@ -109,19 +116,28 @@ def write_ply(path: Path, arrays: Mapping[str, Floats], *, antialiased: bool = F
         file.write(rows.data)
 
 
-def read_ply(path: str | Path) -> dict[str, Floats]:
+def read_ply(path: str | Path, check: Check = nothing) -> dict[str, Floats]:
     """The arrays of `write_ply`, read by property name.
 
     `means` is float64 if the file has double `x y z`; everything else is float32. Files without
     normals and with fewer SH bands are accepted; of SH above degree 3, the lower ones are kept.
     Colours may be bytes `red green blue`, as nerfstudio writes them with `--ply-color-mode rgb`.
     Mip-Splatting's `filter_3D` is applied; other extra properties and elements are ignored.
+    `check` is called while reading.
 
     Raises:
         RunFolderError: the file is missing, truncated, or not a PLY of Gaussians; one line that
             says which.
     """
-    return _decode(_table(path), path)
+    parts = []
+    for rows in _tables(path, check):
+        check()
+        parts.append(_decode(rows, path))
+    if len(parts) == 1:
+        return parts[0]
+    # The parts of an array are freed when it is whole: a file may fill half of the memory.
+    names = list(parts[0])
+    return {name: np.concatenate([part.pop(name) for part in parts]) for name in names}
 
 
 def up_axis(path: str | Path) -> tuple[float, float, float] | None:
@@ -172,7 +188,7 @@ def _head(path: str | Path) -> bytes:
 
 def check_ply(path: str | Path) -> None:
     """Raise as `read_ply`, from the header and the size of the file alone."""
-    _decode(_table(path, rows=0), path)
+    _decode(next(_tables(path, nothing, only_header=True)), path)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,8 +201,10 @@ class _Element:
     lists: dict[str, str]  # name -> type of the length, of the fields that are lists
 
 
-def _table(path: str | Path, rows: int | None = None) -> NDArray[np.void]:
-    """The rows of the vertices, all or the first ones."""
+def _tables(
+    path: str | Path, check: Check, *, only_header: bool = False
+) -> Iterator[NDArray[np.void]]:
+    """The rows of the vertices, in one part or more; with `only_header`, a part without rows."""
     try:
         with open(path, "rb", opener=regular) as file:
             form, elements = _read_header(file, path)
@@ -195,13 +213,20 @@ def _table(path: str | Path, rows: int | None = None) -> NDArray[np.void]:
             row = np.dtype([(name, order + kind) for name, kind in vertex.fields.items()])
             count = vertex.count
             if form == "ascii":
-                return _text_table(file, elements, count if rows is None else rows, row, path)
-            _skip(file, elements[:-1], order, path)
+                _check_lines(file, elements, row, path, check)
+            else:
+                _skip(file, elements[:-1], order, path, check)
             # Before memory is allocated for what a header promises.
             there = max(os.fstat(file.fileno()).st_size - file.tell(), 0) // row.itemsize
-            if there < count:
+            if form != "ascii" and there < count:
                 raise _truncated(path, there, count)
-            return np.fromfile(file, row, count if rows is None else rows)
+            if only_header or not count:
+                yield np.zeros(0, row)
+            elif form == "ascii":
+                yield from _text_rows(file, count, row, path)
+            else:
+                for start in range(0, count, ROWS):
+                    yield np.fromfile(file, row, min(ROWS, count - start))
     except OSError as error:
         raise RunFolderError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
 
@@ -211,7 +236,9 @@ def _truncated(path: str | Path, there: int, count: int) -> RunFolderError:
     return RunFolderError(text, HINT_DAMAGED)
 
 
-def _skip(file: BinaryIO, elements: list[_Element], order: str, path: str | Path) -> None:
+def _skip(
+    file: BinaryIO, elements: list[_Element], order: str, path: str | Path, check: Check
+) -> None:
     """Move `file` behind binary elements that come before the vertices."""
     size = os.fstat(file.fileno()).st_size
     for element in elements:
@@ -222,14 +249,18 @@ def _skip(file: BinaryIO, elements: list[_Element], order: str, path: str | Path
             continue
         lengths = {name: np.dtype(order + kind) for name, kind in element.lists.items()}
         try:
-            file.seek(_behind_lists(file, element.count, kinds, lengths))
+            file.seek(_behind_lists(file, element.count, kinds, lengths, check))
         except ValueError as error:
             text = f"{path} is truncated: its element {element.name:.40} is cut off."
             raise RunFolderError(text, HINT_DAMAGED) from error
 
 
 def _behind_lists(
-    file: BinaryIO, count: int, kinds: dict[str, np.dtype[Any]], lengths: dict[str, np.dtype[Any]]
+    file: BinaryIO,
+    count: int,
+    kinds: dict[str, np.dtype[Any]],
+    lengths: dict[str, np.dtype[Any]],
+    check: Check,
 ) -> int:
     """Where rows with lists end that begin where `file` is; ValueError: not in the file."""
     at, size = file.tell(), os.fstat(file.fileno()).st_size
@@ -246,7 +277,9 @@ def _behind_lists(
     if count * shortest > size - at:
         raise ValueError("more rows than bytes")
     with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        for _ in range(count):
+        for index in range(count):
+            if not index % LINES:
+                check()
             for before, number, width in steps:
                 at += before
                 if at + number.size > size or (values := number.unpack_from(data, at)[0]) < 0:
@@ -258,39 +291,52 @@ def _behind_lists(
     return at
 
 
-def _text_table(
-    file: BinaryIO, elements: list[_Element], rows: int, row: np.dtype[np.void], path: str | Path
-) -> NDArray[np.void]:
-    """The first rows of the vertices of an ASCII PLY, each in a line of its own."""
+def _check_lines(
+    file: BinaryIO,
+    elements: list[_Element],
+    row: np.dtype[np.void],
+    path: str | Path,
+    check: Check,
+) -> None:
+    """Move `file` behind the lines before the vertices; RunFolderError if these cannot follow."""
+    count = elements[-1].count
     # As short as a line can be: a digit and a space or line break for each number.
     most = (os.fstat(file.fileno()).st_size - file.tell() + 1) // (2 * len(row.names or ()))
-    if most < elements[-1].count:
-        raise _truncated(path, most, elements[-1].count)
-    for _ in range(sum(element.count for element in elements[:-1])):
+    if most < count:
+        raise _truncated(path, most, count)
+    for index in range(sum(element.count for element in elements[:-1])):
+        if not index % LINES:
+            check()
         if not file.readline():
-            raise _truncated(path, 0, elements[-1].count)
+            raise _truncated(path, 0, count)
+
+
+def _text_rows(
+    file: BinaryIO, count: int, row: np.dtype[np.void], path: str | Path
+) -> Iterator[NDArray[np.void]]:
+    """The vertices of an ASCII PLY, each in a line of its own, in parts."""
     names = row.names or ()
-    if not rows:
-        return np.zeros(0, row)
-    lines: Iterator[bytes] = (line for line in file if line.strip())
-    first = next(lines, b"")
-    # Before memory is taken for so many numbers in every row.
-    if first and (width := len(first.split())) != len(names):
-        text = f"{path} is damaged: its Gaussians have {width} of {len(names)} numbers."
-        raise RunFolderError(text, HINT_DAMAGED)
-    lines = chain([first], lines) if first else lines
-    try:
-        numbers = np.loadtxt(lines, np.float64, comments=None, max_rows=rows, ndmin=2)
-    except ValueError as error:
-        text = f"{path} is damaged: a line of its Gaussians has other than {len(names)} numbers."
-        raise RunFolderError(text, HINT_DAMAGED) from error
-    if len(numbers) < rows:
-        raise _truncated(path, len(numbers), elements[-1].count)
-    table = np.empty(len(numbers), row)
-    with np.errstate(over="ignore", invalid="ignore"):
-        for index, name in enumerate(names):
-            table[name] = numbers[:, index]
-    return table
+    lines = (line for line in file if line.strip())
+    for start in range(0, count, LINES):
+        part = [*islice(lines, min(LINES, count - start))]
+        # Before memory is taken for so many numbers in every row.
+        if part and (width := len(part[0].split())) != len(names):
+            text = f"{path} is damaged: its Gaussians have {width} of {len(names)} numbers."
+            raise RunFolderError(text, HINT_DAMAGED)
+        if len(part) < min(LINES, count - start):
+            raise _truncated(path, start + len(part), count)
+        try:
+            numbers = np.loadtxt(part, np.float64, comments=None, ndmin=2)
+        except ValueError as error:
+            text = (
+                f"{path} is damaged: a line of its Gaussians has other than {len(names)} numbers."
+            )
+            raise RunFolderError(text, HINT_DAMAGED) from error
+        table = np.empty(len(numbers), row)
+        with np.errstate(over="ignore", invalid="ignore"):
+            for index, name in enumerate(names):
+                table[name] = numbers[:, index]
+        yield table
 
 
 def _read_header(file: BinaryIO, path: str | Path) -> tuple[str, list[_Element]]:

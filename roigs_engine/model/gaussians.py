@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from ..errors import ConfigError
-from ..formats.splat_ply import Floats, is_antialiased, read_ply, write_ply
+from ..formats.splat_ply import Check, Floats, is_antialiased, nothing, read_ply, write_ply
 from .local_frame import LocalFrame
 from .roi import OrientedBox
 from .scene import Float64
@@ -150,16 +150,23 @@ class Gaussians:
         return arrays if frame is None else _to_world(arrays, frame)
 
     @classmethod
-    def load_ply(cls, path: Path, frame: LocalFrame | None = None) -> Gaussians:
-        """Read a 3DGS PLY, into a frame if one is given; RunFolderError if the file is not one."""
-        arrays = read_ply(path)
+    def load_ply(
+        cls, path: Path, frame: LocalFrame | None = None, check: Check = nothing
+    ) -> Gaussians:
+        """Read a 3DGS PLY, into a frame if one is given; RunFolderError if the file is not one.
+
+        `check` is called while reading.
+        """
+        arrays = read_ply(path, check)
         local = arrays if frame is None else _to_local(arrays, frame)
         return cls.from_arrays(local, antialiased=is_antialiased(path))
 
     @classmethod
-    def load_framed(cls, path: Path, *, scaled: bool = True) -> tuple[Gaussians, LocalFrame]:
-        """Read a 3DGS PLY with `framed`; RunFolderError if the file is not one."""
-        return cls.framed(read_ply(path), scaled=scaled, antialiased=is_antialiased(path))
+    def load_framed(
+        cls, path: Path, check: Check = nothing, *, scaled: bool = True
+    ) -> tuple[Gaussians, LocalFrame]:
+        """As `load_ply`, but with `framed`."""
+        return cls.framed(read_ply(path, check), scaled=scaled, antialiased=is_antialiased(path))
 
     @classmethod
     def framed(

@@ -73,7 +73,10 @@ def look_at(files: Mapping[str, Path], remembered: Path, context: Context) -> Fo
             f" ({len(unreadable)} unreadable, {len(copies)} copies).",
             "Add photos of the same place from other sides.",
         )
-    sizes = {name: photo_size(files[name]) for name in kept}
+    sizes = {}
+    for name in kept:
+        context.check_cancelled()
+        sizes[name] = photo_size(files[name])
     memory = max(decoding_bytes(files[name], sizes[name]) for name in kept)
 
     def look(name: str) -> Photo:

@@ -18,7 +18,7 @@ from roigs_engine.context import Context
 from roigs_engine.errors import Stopped
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.photos.decode import load_photo
+from roigs_engine.photos.decode import decode, load_photo
 from roigs_engine.photos.files import PhotoFolder
 from roigs_engine.photos.mask_images import load_mask, load_object_mask
 from roigs_engine.photos.mask_paths import MaskOptions
@@ -201,3 +201,22 @@ def test_a_stop_between_photos_is_heard(tmp_path: Path, monkeypatch: pytest.Monk
     with pytest.raises(Stopped):
         model_turns(read_model(sparse), sparse, PhotoFolder(tmp_path / "images"), stop)
     assert len(looked) == 2
+
+
+def test_a_stop_while_photos_are_compared_is_heard(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    painted(tmp_path)
+    for name in NAMES:
+        tag(tmp_path / "images" / name, 3, turn_pixels=False)
+    decoded = []
+
+    def look(*args: Any) -> Any:
+        decoded.append(args)
+        return decode(*args)
+
+    monkeypatch.setattr("roigs_engine.photos.decode.decode", look)
+    sparse, stop = tmp_path / "sparse/0", Context(should_stop=lambda: len(decoded) > 1)
+    with pytest.raises(Stopped):
+        model_turns(read_model(sparse), sparse, PhotoFolder(tmp_path / "images"), stop)
+    assert len(decoded) == 2

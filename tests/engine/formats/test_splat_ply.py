@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roigs_engine.errors import RunFolderError
+from roigs_engine.errors import RunFolderError, Stopped
+from roigs_engine.formats import splat_ply
 from roigs_engine.formats.splat_ply import is_antialiased, read_ply, up_axis, write_ply
 from roigs_engine.model.gaussians import NAMES, Gaussians
 from tests.engine.formats.gaussian_arrays import arrays
@@ -406,4 +407,45 @@ def test_a_line_of_far_too_many_numbers(tmp_path: Path) -> None:
     text = b"1 " * 300_000 + b"\n" + (b"1 " * 17 + b"\n") * 4000
     (tmp_path / "a.ply").write_bytes(head + text)
     with pytest.raises(RunFolderError, match="damaged: its Gaussians have 300000 of 17 numbers"):
+        read_ply(tmp_path / "a.ply")
+
+
+def as_text(path: Path, model: dict[str, np.ndarray]) -> None:
+    """The model as an ASCII PLY, with numbers that come back bit for bit."""
+    write_ply(path, model)
+    head, end, rows = path.read_bytes().partition(b"end_header\n")
+    numbers = np.frombuffer(rows, "<f4").reshape(len(model["means"]), -1)
+    lines = [" ".join(repr(float(value)) for value in row) for row in numbers]
+    head = head.replace(b"binary_little_endian", b"ascii") + end
+    path.write_bytes(head + "\n".join(lines).encode() + b"\n")
+
+
+@pytest.mark.parametrize("kind", ["binary", "ascii", "lists"])
+def test_a_stop_while_reading_is_heard(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    monkeypatch.setattr(splat_ply, "ROWS", 10)
+    monkeypatch.setattr(splat_ply, "LINES", 10)
+    path, model, asked = tmp_path / "a.ply", arrays(35, 4), [0]
+    if kind == "lists":
+        with_lists(path, bytes([0, 9, 9]) * 35, 35)
+        model = arrays(5, 1)
+    else:
+        (write_ply if kind == "binary" else as_text)(path, model)
+
+    def stop_at_third() -> None:
+        asked[0] += 1
+        if asked[0] == 3:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        read_ply(path, stop_at_third)
+    assert_same(model, read_ply(path))  # whatever the number of parts
+
+
+def test_an_ascii_file_without_its_rows(tmp_path: Path) -> None:
+    as_text(tmp_path / "a.ply", arrays(3, 1))
+    head, end, rows = (tmp_path / "a.ply").read_bytes().partition(b"end_header\n")
+    (tmp_path / "a.ply").write_bytes(head + end + b"\n" * len(rows))
+    with pytest.raises(RunFolderError, match="truncated: it has 0 of 3"):
         read_ply(tmp_path / "a.ply")

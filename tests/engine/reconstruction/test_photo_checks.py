@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 from PIL import Image, ImageFilter
 
-from roigs_engine.context import QUIET
-from roigs_engine.errors import SceneError
+from roigs_engine.context import QUIET, Context
+from roigs_engine.errors import SceneError, Stopped
 from roigs_engine.formats.text import named
+from roigs_engine.photos.headers import photo_size
 from roigs_engine.reconstruction.photo_checks import Found, camera_groups, look_at, warnings_of
 from tests.engine.reconstruction.photo_sets import demo_photos, write_noise
 
@@ -83,3 +84,21 @@ def test_photos_share_a_camera_by_size_device_and_focal_length(tmp_path: Path) -
 
 def test_long_lists_of_names_are_cut() -> None:
     assert named(list("abcdef")) == "a, b, c, d and 2 more"
+
+
+def test_a_stop_between_the_sizes_of_photos_is_heard(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in range(4):
+        write_noise(tmp_path / f"photos/{number}.png", number, (64, 48))
+    looked_at: list[Path] = []
+
+    def size(path: Path) -> tuple[int, int]:
+        looked_at.append(path)
+        return photo_size(path)
+
+    monkeypatch.setattr("roigs_engine.reconstruction.photo_checks.photo_size", size)
+    files = {path.name: path for path in sorted((tmp_path / "photos").iterdir())}
+    with pytest.raises(Stopped):
+        look_at(files, tmp_path / "photos.json", Context(should_stop=lambda: bool(looked_at)))
+    assert len(looked_at) == 1
