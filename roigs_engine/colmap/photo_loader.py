@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,6 +14,7 @@ import numpy as np
 
 from ..context import QUIET, Context
 from ..errors import SceneError
+from ..formats.names import same_name
 from ..formats.rois import FAR
 from ..model.rotations import rotation_entries
 from ..model.scene import Float64, PosedImage, SfmScene
@@ -111,6 +113,29 @@ def stored_photo(image: ModelImage, model: Model, photos: PhotoFolder) -> Stored
     )
 
 
+class _Files:
+    """Files of photos, each of which counts once, whatever the spellings of its name.
+
+    As `a.jpg`, `./a.jpg`, a path through a link to a folder, and `A.JPG` where case is ignored.
+    Links to a file are photos of their own.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[int, int, str], Path] = {}
+
+    def add(self, path: Path) -> bool:
+        """Add a file; returns whether it is new."""
+        try:
+            state = path.stat()
+        except OSError:  # gone since it was looked at; its reader will say so
+            return True
+        key = state.st_dev, state.st_ino, same_name(path.name)
+        known = self._known.setdefault(key, path)
+        return known is path or same_name(os.path.realpath(known)) != same_name(
+            os.path.realpath(path)
+        )
+
+
 class PhotoLoader:
     """Separates a model's usable photos from skipped ones, and plans to undistort distorted ones.
 
@@ -144,6 +169,7 @@ class PhotoLoader:
         self._plans: dict[int, UndistortionPlan] = {}
         found: dict[int, StoredPhoto] = {}
         names: set[str] = set()
+        files = _Files()
         for image in sorted(model.images, key=lambda image: image.image_id):
             context.check_cancelled()
             name = photo_name(image)
@@ -152,10 +178,12 @@ class PhotoLoader:
                 continue
             names.add(name)
             photo = stored_photo(image, model, photos)
-            if isinstance(photo, StoredPhoto):
-                found[image.image_id] = photo
-            else:
+            if isinstance(photo, Skip):
                 self._leave_out(name, photo)
+            elif not files.add(photo.path):
+                self.skipped[DUPLICATE].append(name)
+            else:
+                found[image.image_id] = photo
         turns = find_turns([*found.values()], cloud, context)
         for photo in found.values():
             context.check_cancelled()

@@ -8,6 +8,7 @@ EPS file named 'photo.jpg'.
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import struct
 import warnings
@@ -28,6 +29,7 @@ PNG = b"\x89PNG\r\n\x1a\n"
 FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "JPEG2000", "PPM")  # as Pillow calls them
 PNG_END = b"IEND"
 ORIENTATION = 0x0112  # EXIF and TIFF tag
+EXIF = b"Exif\0\0"
 TAIL = 1 << 16  # bytes at the end of a file that are searched for them
 # A larger photo has a damaged or malicious header: the largest cameras today have 150 megapixels,
 # and Pillow rejects more than 179.
@@ -135,8 +137,14 @@ def _opened(path: Path) -> Image:
 
     from . import tiff
 
+    with open(path, "rb") as file:
+        tiff.check_tags(file)
     try:
         photo: Image.Image = Image.open(path, formats=FORMATS)
+        try:
+            tiff.check_tags(io.BytesIO((photo.info.get("exif") or b"").removeprefix(EXIF)))
+        except ValueError:  # the pixels are good
+            del photo.info["exif"]
         if photo.format in ("JPEG", "MPO"):
             with open(path, "rb") as file:
                 check_scans(file)

@@ -16,12 +16,11 @@ from typing import BinaryIO, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .headers import ORIENTATION, PNG, PhotoError, open_photo
+from .headers import EXIF, ORIENTATION, PNG, PhotoError, open_photo
 from .jpeg import jpeg_segments
 
 AS_STORED = 1
 SIDEWAYS = range(5, 9)  # turns that swap width and height
-EXIF = b"Exif\0\0"
 APP1 = 0xE1
 TIFF_SHORT = 3
 Values = TypeVar("Values", NDArray[np.uint8], NDArray[np.bool_])

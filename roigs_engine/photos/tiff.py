@@ -45,6 +45,11 @@ MOST_BYTES = 2_900_000_000  # of a decoded page: 178 million pixels of 4 x 4 byt
 PADDING = 16  # pixels that a codec may add to a strip
 JPEG_2000, WEBP, PNG = (33003, 33004, 33005, 34712), 50001, 34933
 READ = COMPRESSIONS | {*JPEG_2000, WEBP, PNG}
+TYPE_BYTES = np.array([0, 1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8, 4, 0, 0, 8, 8, 8])
+"""Bytes of a value, by the number of its type (TIFF 6.0, section 2, and BigTIFF)."""
+MOST_TAGS = 4096  # of a page
+MOST_PLACES = 1 << 22  # numbers in a page's lists: the places of strips and tiles, and below it
+LISTS, BELOW = (273, 279, 324, 325, 330), (330, 34665, 34853, 40965)  # BELOW: of other pages
 HINT = "Save it as a TIFF of 8 or 16 bits, grey or RGB, or as PNG."
 Result = TypeVar("Result")
 
@@ -91,6 +96,64 @@ def colmap_reads(photo: Image.Image) -> bool:
     tags = photo.tag_v2
     associated = ASSOCIATED in tags.get(EXTRA, ())
     return tags.get(COMPRESSION) != ZSTD and not associated and photo.mode != "LAB"
+
+
+def check_tags(file: BinaryIO) -> None:
+    """Raise ValueError if the data of a page's tags overlap, or if there are far too many.
+
+    Pillow and tifffile read all of them, and 4,096 tags may share a gigabyte. Damage is left to
+    them, and so is what is no TIFF.
+
+    Args:
+        file: TIFF or EXIF data. Its first pages are checked, and those below the first.
+    """
+    head = file.read(16)
+    order = {b"II": "<", b"MM": ">"}.get(head[:2], "")
+    if head[:4] not in MAGIC:
+        return
+    big, size = head[2:4] in (b"+\0", b"\0+"), file.seek(0, io.SEEK_END)
+    with suppress(struct.error):  # the data end
+        (at,) = struct.unpack_from(order + ("8xQ" if big else "4xI"), head)
+        for page in range(MOST_PAGES):
+            at = _check_directory(file, at, (order, big, size), 0 if page else 2) if at else 0
+
+
+def _check_directory(file: BinaryIO, at: int, kind: tuple[str, bool, int], depth: int) -> int:
+    """`check_tags` of the page at `at`; returns the place of the next one, 0 for none.
+
+    `kind`: byte order, whether it is a BigTIFF, bytes of the file; `depth`: of pages below.
+    """
+    order, big, size = kind
+    width = 8 if big else 4
+    file.seek(at)
+    (count,) = struct.unpack(order + ("Q" if big else "H"), file.read(8 if big else 2))
+    if count > MOST_TAGS:
+        raise ValueError(f"a page has {count:,} tags")
+    names = [("code", "u2"), ("type", "u2"), ("count", f"u{width}"), ("value", f"u{width}")]
+    entry = np.dtype([(name, order + form) for name, form in names])
+    data = file.read(count * entry.itemsize)
+    following = file.read(width)
+    entries = np.frombuffer(data, entry, len(data) // entry.itemsize)
+    bytes_ = TYPE_BYTES[np.where(entries["type"] < len(TYPE_BYTES), entries["type"], 0)]
+    lengths = bytes_ * entries["count"].astype(np.float64)
+    read = (lengths > width) & (entries["value"].astype(np.float64) + lengths <= size)
+    if lengths[read].sum() > size:
+        raise ValueError("the data of its tags overlap")
+    listed = read & np.isin(entries["code"], LISTS) & (bytes_ > 1)
+    if entries["count"][listed].astype(np.float64).sum() > MOST_PLACES:
+        raise ValueError("its pixels are in far too many parts")
+    for row in np.flatnonzero(np.isin(entries["code"], BELOW) & (depth > 0)):
+        places = [int(entries["value"][row])]
+        if read[row] and bytes_[row] in (4, 8):
+            file.seek(places[0])
+            form = f"{order}u{bytes_[row]}"
+            places = np.frombuffer(file.read(int(lengths[row])), form).tolist()
+        elif big and order == ">" and bytes_[row] == 4:
+            places = [places[0] >> 32]
+        for place in [*dict.fromkeys(places)][:MOST_PAGES]:
+            with suppress(struct.error):
+                _check_directory(file, place, kind, depth - 1)
+    return int(struct.unpack(order + ("Q" if big else "I"), following)[0])
 
 
 class TiffPhoto(ImageFile.ImageFile):

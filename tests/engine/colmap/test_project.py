@@ -173,3 +173,18 @@ def test_one_name_twice(tmp_path: Path) -> None:
     assert [image.name for image in scene.images] == ["a.png"]
     np.testing.assert_allclose(scene.images[0].world_to_camera, ring(2)[0], atol=1e-12)
     assert scene.skipped == {"twice in the model": ("a.png",), "without a pose": ("b.png",)}
+
+
+def test_one_photo_under_many_spellings(tmp_path: Path) -> None:
+    """Each spelling counted as a photo, with its own weight in training."""
+    write_project(tmp_path, names=["d/a.png", "d/b1.png", "d/c123.png", "d/d4567.png"])
+    (tmp_path / "images/link").symlink_to("d")
+    images_bin = tmp_path / "sparse/0/images.bin"
+    data = images_bin.read_bytes()
+    spellings = ((b"d/b1.png", b"d//a.png"), (b"d/c123.png", b"link/a.png"))
+    for old, new in (*spellings, (b"d/d4567.png", b"d/././a.png")):
+        data = data.replace(old + b"\0", new + b"\0")
+    images_bin.write_bytes(data)
+    scene = load_colmap(tmp_path)
+    assert [image.name for image in scene.images] == ["d/a.png"]
+    assert scene.skipped["twice in the model"] == ("d/././a.png", "d//a.png", "link/a.png")

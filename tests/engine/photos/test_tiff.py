@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,9 +14,10 @@ from PIL import Image, ImageCms
 
 from roigs_engine.context import QUIET
 from roigs_engine.errors import EngineError
+from roigs_engine.photos import tiff
 from roigs_engine.photos.contents import read_contents
 from roigs_engine.photos.decode import BLACK, check_whole, decode
-from roigs_engine.photos.headers import PhotoError, photo_size
+from roigs_engine.photos.headers import PhotoError, open_photo, photo_size
 from roigs_engine.photos.mask_images import alpha_mask, has_alpha
 from roigs_engine.reconstruction.convert import converted
 from roigs_engine.reconstruction.folder import Folder
@@ -276,3 +278,61 @@ def test_a_strip_that_says_that_it_is_larger_is_not_decoded(tmp_path: Path, code
     path.write_bytes(data)
     with pytest.raises(PhotoError, match=r"a\.tif"):
         decode(path)
+
+
+def with_tags(path: Path, codes: list[int], kind: int, count: int, *, big: bool) -> None:
+    """A TIFF of 16-bit planes with tags of a type, which all have the same data."""
+    planes = of_type(COLOUR, "u2").transpose(2, 0, 1)
+    options = {"photometric": "rgb", "planarconfig": "separate", "byteorder": "<"}
+    tifffile.imwrite(path, planes, bigtiff=big, **options)
+    data = path.read_bytes()
+    head, number, entry = (16, "<Q", "<HHQQ") if big else (8, "<H", "<HHII")
+    (at,) = struct.unpack_from("<8xQ" if big else "<4xI", data)
+    (before,) = struct.unpack_from(number, data, at)
+    start = at + struct.calcsize(number)
+    rows = data[start : start + before * struct.calcsize(entry)]
+    shared = len(data)
+    data += bytes(1 << 20)
+    rows += b"".join(struct.pack(entry, code, kind, count, shared) for code in codes)
+    where = struct.pack("<Q" if big else "<I", len(data))
+    page = struct.pack(number, before + len(codes)) + rows + bytes(8)
+    path.write_bytes(data[: head - len(where)] + where + data[head:] + page)
+
+
+@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize(
+    ("codes", "kind", "count", "said"),
+    [
+        ([273] * 40, 4, 1 << 18, "the data of its tags overlap"),
+        ([*range(50000, 50040)], 7, 1 << 20, "the data of its tags overlap"),
+        ([*range(40000, 44097)], 3, 1, r"a page has 4,\d+ tags"),
+    ],
+)
+def test_tags_that_share_their_data_are_not_read(
+    tmp_path: Path, codes: list[int], kind: int, count: int, said: str, big: bool
+) -> None:
+    """Each was read, and kept: a file of 100 MB took hundreds of GB."""
+    path = tmp_path / "a.tif"
+    with_tags(path, codes[:2], kind, 1 if count == 1 else count // 4, big=big)
+    assert np.array_equal(decode(path), COLOUR)
+    with_tags(path, codes, kind, count, big=big)
+    with pytest.raises(PhotoError, match=said):
+        decode(path)
+
+
+def test_lists_of_far_too_many_strips(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tiff, "MOST_PLACES", 1000)
+    with_tags(tmp_path / "a.tif", [324], 4, 1001, big=False)
+    with pytest.raises(PhotoError, match="its pixels are in far too many parts"):
+        decode(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("suffix", [".png", ".webp"])
+def test_exif_data_whose_tags_overlap_are_not_read(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    tags = b"".join(struct.pack("<HHII", 40000 + k, 7, 1000, 8) for k in range(500))
+    exif = b"Exif\0\0II*\0\x08\0\0\0" + struct.pack("<H", 500) + tags + bytes(1000)
+    Image.fromarray(COLOUR).save(path, exif=exif, lossless=True)
+    with open_photo(path) as photo:
+        assert len(photo.getexif()) == 0
+    assert np.array_equal(decode(path), COLOUR)
