@@ -140,3 +140,24 @@ def close_shots(
         else:
             print(f"no free place for close photo {k} of {name}")
     return shots
+
+
+def table_shots(probe: Probe, count: int = 250, seed: int = 11) -> list[Shot]:
+    """Photos all around the table, from near: its top fills most of most of them."""
+    rng = np.random.default_rng(seed)
+    shots: list[Shot] = []
+    for k in range(count):
+        turn = 2 * math.pi * ((k * 0.618034) % 1)
+        rise = math.radians((14, 24, 34, 46, 60)[k % 5] + rng.uniform(-4, 4))
+        reach = (0.95, 1.1, 1.3)[k % 3] + rng.uniform(-0.08, 0.08)
+        target = Vector((*rng.uniform(-0.12, 0.12, 2), 0.86))
+        for extra in np.radians((0, 6, -6, 12, 18, 26)):
+            up = rise + extra
+            way = Vector(
+                (math.cos(turn) * math.cos(up), 0.8 * math.sin(turn) * math.cos(up), math.sin(up))
+            )
+            shot = Shot(f"table/table_{k:03d}.jpg", target + reach * way, target)
+            if probe.free(shot, 0.25):
+                shots.append(shot)
+                break
+    return shots

@@ -29,6 +29,13 @@ def arguments() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=HERE / "scene", help="folder of the scene")
+    parser.add_argument(
+        "--capture",
+        choices=("room", "table", "moved"),
+        default="room",
+        help="room: the demo's photos; table: 250 around the table, whose top is a box; "
+        "moved: the demo's, with things moved in a third of the wide and half of the close ones",
+    )
     parser.add_argument("--samples", type=int, default=16, help="Cycles samples per pixel")
     parser.add_argument("--quality", type=int, default=80, help="JPEG quality")
     parser.add_argument("--threads", type=int, default=0, help="threads; 0 takes all")
@@ -76,16 +83,27 @@ def prepare(samples: int, quality: int, threads: int) -> bpy.types.Object:
     return obj
 
 
-def plan() -> tuple[list[cameras.Shot], cameras.Bounds]:
-    """All photos and the bounds of the boxed objects."""
+def plan(capture: str) -> tuple[list[cameras.Shot], cameras.Bounds]:
+    """All photos of a capture and the bounds of the boxed objects."""
     bounds = objects.bounds()
     fov = 2 * math.atan(SENSOR / 2 / LENS), 2 * math.atan(SENSOR / 2 / LENS * HEIGHT / WIDTH)
     probe = cameras.Probe(fov)
+    if capture == "table":
+        ends = list(zip(bounds["vase"], bounds["tin"], strict=True))
+        low = [min(both) for both in zip(*ends[0], strict=True)]
+        high = [max(both) for both in zip(*ends[1], strict=True)]
+        return cameras.table_shots(probe), {"table": (low, high), "clock": bounds["clock"]}
     shots = cameras.wide_shots(probe)
     shots += cameras.close_shots(probe, "vase", bounds, 11)
     shots += cameras.close_shots(probe, "tin", bounds, 10)
     shots += cameras.close_shots(probe, "clock", bounds, 10, half=True)
     return shots, bounds
+
+
+def is_after_the_move(shot: cameras.Shot) -> bool:
+    """Whether the capture "moved" takes this photo after things were moved."""
+    kind, _, number = shot.name.removesuffix(".jpg").rpartition("_")
+    return int(number) >= 40 if kind == "wide/wide" else int(number) % 2 == 1
 
 
 def write_truth(path: Path, shots: list[cameras.Shot], bounds: cameras.Bounds) -> None:
@@ -121,17 +139,23 @@ def main() -> None:
     room.build_room(lib)
     objects.build_objects(lib)
     print(f"scene built in {time.time() - started:.0f} s")
-    shots, bounds = plan()
+    shots, bounds = plan(args.capture)
     print(f"{len(shots)} places found after {time.time() - started:.0f} s")
     args.out.mkdir(parents=True, exist_ok=True)
     if args.blend:
         bpy.ops.wm.save_as_mainfile(filepath=str(args.blend.resolve()))
     write_truth(args.out / "truth.json", shots, bounds)
     wanted = [s for s in shots if not args.only or s.name.removesuffix(".jpg") in args.only]
+    if args.capture == "moved":  # those after the move last
+        wanted.sort(key=is_after_the_move)
+    moved = False
     for number, shot in enumerate(wanted, 1):
         path = args.out / "images" / shot.name
         if args.keep and path.exists():
             continue
+        if args.capture == "moved" and is_after_the_move(shot) and not moved:
+            objects.move_things()
+            moved = True
         path.parent.mkdir(parents=True, exist_ok=True)
         camera.matrix_world = shot.matrix()
         bpy.context.scene.render.filepath = str(path)

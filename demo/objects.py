@@ -11,7 +11,7 @@ import numpy as np
 from build import place
 from clock import clock
 from materials import Library
-from mathutils import Matrix
+from mathutils import Matrix, Vector
 from measures import SIDEBOARD, TABLE_TOP
 from tin import tin
 from vase import vase
@@ -24,6 +24,21 @@ def build_objects(lib: Library) -> None:
     x, y = SIDEBOARD["centre"]
     spot = place((x, y + 0.05, SIDEBOARD["top"] + 0.003), (0, 0, 180))
     clock(lib, spot @ Matrix.Scale(0.82, 4))
+
+
+def move_things() -> None:
+    """Move what people move between photos: two chairs, a newspaper, a bowl of fruit."""
+    moves = {"0": (0.22, 0.1, 0.0), "1": (-0.18, 0.16, 0.0)}
+    for obj in bpy.context.scene.objects:
+        kind, _, rest = obj.name.partition(" ")
+        part = rest.split()[-1][:1] if rest else ""
+        if kind in ("seat", "chair") and part in moves:
+            obj.location = obj.location + Vector(moves[part])
+        elif obj.name == "newspaper":
+            obj.location = obj.location + Vector((-0.12, 0.05, 0.0))
+        elif obj.name == "bowl" or kind == "fruit":
+            obj.location = obj.location + Vector((0.1, -0.04, 0.0))
+    bpy.context.view_layer.update()
 
 
 def bounds() -> dict[str, tuple[list[float], list[float]]]:
