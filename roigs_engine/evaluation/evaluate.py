@@ -213,6 +213,7 @@ def _row(
         roi_flip=average(views, "roi_flip"),
         mask_psnr=average(views, "mask_psnr"),
         corrected_psnr=average(views, "corrected_psnr"),
+        detail_psnr=average(views, "detail_psnr"),
         near_psnr=average(near, "roi_psnr"),
         far_psnr=average(far, "roi_psnr"),
         near_object_psnr=average(near, "object_psnr"),

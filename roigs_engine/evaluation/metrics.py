@@ -17,6 +17,7 @@ from ..training.losses import photo_loss
 # finite, and is far above what 8-bit photos can reach.
 MAX_PSNR = 100.0
 SSIM_RADIUS = 5  # half of the 11 x 11 window
+DETAIL_SIGMA = 2.0  # pixels; structures of less than about 10 pixels are detail
 
 
 def psnr_from_mse(mse: float) -> float:
@@ -43,6 +44,26 @@ def corrected_error(image: Tensor, target: Tensor, mask: Tensor) -> float:
     shown, wanted = image[mask].double(), target[mask].double()
     factors = (shown * wanted).sum(dim=0) / (shown**2).sum(dim=0).clamp(min=1e-10)
     return mean_in(((shown * factors).clamp(0, 1) - wanted) ** 2)
+
+
+def detail_error(image: Tensor, target: Tensor, mask: Tensor) -> float:
+    """Mean squared error in a mask of what a blur takes away (Gaussian, sigma `DETAIL_SIGMA`).
+
+    Errors of light and of large areas hardly count, so a blurred render is worse than one in
+    another light. NaN for an empty mask.
+    """
+    radius = math.ceil(3 * DETAIL_SIGMA)
+    box = bounding_box(mask, margin=radius)
+    if box is None:
+        return math.nan
+    error = (image[box] - target[box]).permute(2, 0, 1)[:, None].double()
+    at = torch.arange(-radius, radius + 1, dtype=error.dtype, device=error.device)
+    window = torch.exp(-0.5 * (at / DETAIL_SIGMA) ** 2)
+    window /= window.sum()
+    padded = torch.nn.functional.pad(error, (radius,) * 4, mode="replicate")
+    blurred = torch.nn.functional.conv2d(padded, window[None, None, :, None])
+    blurred = torch.nn.functional.conv2d(blurred, window[None, None, None, :])
+    return mean_in(((error - blurred)[:, 0] ** 2).mean(dim=0), mask[box])
 
 
 def ssim(

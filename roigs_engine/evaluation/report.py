@@ -18,9 +18,10 @@ Column = tuple[str, Key, str, int]
 FLIP: Column = ("ROI FLIP", lambda row: row.roi_flip, ".4f", -1)
 MASK: Column = ("mask PSNR (dB)", lambda row: row.mask_psnr, ".2f", 1)
 CORRECTED: Column = ("corrected (dB)", lambda row: row.corrected_psnr, ".2f", 1)
+DETAIL: Column = ("detail (dB)", lambda row: row.detail_psnr, ".2f", 1)
 MARKDOWN = re.compile(r"[\\`*_\[\]<>|~]")
 """What a name may hold that Markdown or HTML would take as its own."""
-OPTIONAL = (FLIP, MASK, CORRECTED)
+OPTIONAL = (FLIP, MASK, CORRECTED, DETAIL)
 """Columns that are there if they have a number."""
 COLUMNS: tuple[Column, ...] = (
     ("ROI PSNR (dB)", lambda row: row.roi_psnr, ".2f", 1),
@@ -29,6 +30,7 @@ COLUMNS: tuple[Column, ...] = (
     MASK,
     ("ROI SSIM", lambda row: row.roi_ssim, ".4f", 1),
     FLIP,
+    DETAIL,
     ("image PSNR (dB)", lambda row: row.image_psnr, ".2f", 1),
     ("Gaussians", lambda row: row.gaussians, ",d", -1),
     ("in box", lambda row: row.gaussians_in_box, ",d", 0),
@@ -50,6 +52,10 @@ FLIP_MEASURED = (
 CORRECTED_MEANS = (
     "Corrected: ROI PSNR after each channel of the render is multiplied, in the silhouette, by the "
     "factor that fits the photo best, so that another exposure or white balance is no error. "
+)
+DETAIL_MEANS = (
+    "Detail: ROI PSNR of what remains of render and photo after a blur (Gaussian, sigma 2 pixels) "
+    "is subtracted from each, so that sharpness alone counts. "
 )
 FLIP_MISSING = "No FLIP: `pip install flip-evaluator` adds this column."
 
@@ -78,6 +84,7 @@ def format_markdown(evaluation: Evaluation) -> str:
         "PSNR: mean squared error over the mask's pixels and 3 channels, in dB, for each photo, "
         "then the mean over photos. "
         + (CORRECTED_MEANS if has_number(seen, CORRECTED) else "")
+        + (DETAIL_MEANS if has_number(seen, DETAIL) else "")
         + "SSIM: Wang et al. 2004, 11 x 11 Gaussian window, sigma 1.5, "
         "on RGB in [0, 1], computed on the full images, mean over the channels and the "
         "silhouette's pixels. "

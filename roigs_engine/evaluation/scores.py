@@ -28,6 +28,7 @@ class ViewScore:
         mask_psnr: on the pixels that the photo's mask shows as the box's object; None: the photo
             has no such mask, or it shows fewer than `MIN_OBJECT`.
         corrected_psnr: on the silhouette, after the colours' correction (`metrics`).
+        detail_psnr: on the silhouette, of what a blur takes away (`metrics`).
     """
 
     view: str
@@ -38,6 +39,7 @@ class ViewScore:
     distance: float | None = None
     mask_psnr: float | None = None
     corrected_psnr: float | None = None
+    detail_psnr: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +79,7 @@ class ModelScore(Gains):
 
     Attributes:
         roi_psnr, object_psnr, roi_ssim, roi_flip: means over the box's views; PSNR in dB.
-        mask_psnr, corrected_psnr: the same, see `ViewScore`.
+        mask_psnr, corrected_psnr, detail_psnr: the same, see `ViewScore`.
         near_psnr, far_psnr: means of ROI PSNR over the near and the far third of the views, dB.
         near_object_psnr: mean of object PSNR over the near third, dB.
         image_psnr: mean over all test views, dB.
@@ -103,6 +105,7 @@ class ModelScore(Gains):
     roi_flip: float | None = None
     mask_psnr: float | None = None
     corrected_psnr: float | None = None
+    detail_psnr: float | None = None
     near_psnr: float | None = None
     far_psnr: float | None = None
     near_object_psnr: float | None = None

@@ -219,6 +219,7 @@ def measure_view(
                 distance=box.distance,
                 mask_psnr=box.psnr_in(box.shown),
                 corrected_psnr=metrics.psnr_from_mse(corrected),
+                detail_psnr=metrics.psnr_from_mse(metrics.detail_error(picture, target, pixels)),
             )
             box.scores.append(score)
     return whole, [boxes[index].sample() if index in boxes else None for index in range(len(plans))]

@@ -321,7 +321,7 @@ def test_markdown_table(result: Evaluation) -> None:
     assert len(tables) == 4
     for table, scores in zip(tables[::2], result.rois, strict=True):
         header, rule, *rows = table
-        assert len(cells(header)) == 10
+        assert len(cells(header)) == 11
         assert all(set(cell) <= set("-:") for cell in cells(rule))
         assert [cells(row)[0] for row in rows] == [row.model for row in scores.rows]
         assert len({len(line) for line in table}) == 1
@@ -330,7 +330,7 @@ def test_markdown_table(result: Evaluation) -> None:
         assert values == pytest.approx([row.roi_psnr for row in scores.rows], abs=0.005)
         bold = [cell.startswith("**") for cell in psnr]
         assert bold == [value == max(values) for value in values]
-        seconds = [cells(row)[8] for row in rows]
+        seconds = [cells(row)[9] for row in rows]
         assert seconds[1] in ("**40**", "**41**")
     assert "scene 60 + object 40" in text
     assert "sigma 1.5" in text

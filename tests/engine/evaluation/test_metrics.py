@@ -9,7 +9,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from roigs_engine.evaluation import metrics
 from tests.engine.training.reference_loss import ssim_map
@@ -104,6 +104,27 @@ def test_bounding_box_stays_in_the_image() -> None:
     mask = block()
     assert metrics.bounding_box(mask) == (slice(12, 25), slice(20, 41))
     assert metrics.bounding_box(mask, 10) == (slice(2, 35), slice(10, 50))
+
+
+def test_detail_sees_blur_and_no_light() -> None:
+    random = torch.Generator().manual_seed(0)
+    coarse = torch.rand(1, 3, 8, 10, generator=random)
+    target = torch.nn.functional.interpolate(coarse, scale_factor=4, mode="nearest")[0]
+    target = target.permute(1, 2, 0) * 0.8
+    mask = torch.ones(32, 40, dtype=torch.bool)
+    soft = torch.nn.functional.avg_pool2d(target.permute(2, 0, 1), 5, 1, 2, False, False)
+    soft = soft.permute(1, 2, 0)
+    brighter = target + 0.1
+    blurred, light = (metrics.detail_error(x, target, mask) for x in (soft, brighter))
+    assert light == pytest.approx(0, abs=1e-12)
+    assert blurred > 1e-3
+    assert math.isnan(metrics.detail_error(soft, target, ~mask))
+    # of a part of the picture, that of the whole picture there
+    error, part = (soft - target).double(), torch.zeros_like(mask)
+    part[3:9, 30:40] = True
+    smooth = gaussian_filter(error.numpy(), (2, 2, 0), mode="nearest", truncate=3)
+    expected = float(((error.numpy() - smooth)[part.numpy()] ** 2).mean())
+    assert metrics.detail_error(soft, target, part) == pytest.approx(expected, rel=1e-6)
 
 
 def test_a_correction_multiplies_channels() -> None:
