@@ -10,15 +10,21 @@ from importlib import import_module
 
 from PIL import Image
 
+from roigs_engine.commands.parser import build_parser
+from roigs_engine.commands.table import COMMANDS
+
 MODULES = (
     *("torch", "sklearn.gaussian_process"),
     *("roigs_engine.cli", "roigs_engine.run.folder", "roigs_engine.evaluation.crops"),
     *(f"roigs_engine.app.{name}" for name in ("convert", "evaluate", "objects", "render")),
     *(f"roigs_engine.app.{name}" for name in ("scenes", "train", "upkeep")),
+    *(f"roigs_engine.colmap.{name}" for name in ("export", "inspect", "project")),
 )
 
 for _name in MODULES:
     import_module(_name)
 with suppress(ImportError):  # the extra `flip`
     import_module("flip_evaluator")
+for _name in COMMANDS:
+    build_parser(_name)
 Image.init()  # Pillow's readers of formats

@@ -64,8 +64,11 @@ class Parser(argparse.ArgumentParser):
 
 
 @functools.cache
-def build_parser() -> tuple[Parser, dict[str, Parser]]:
-    """The main parser, and the parser of each command by name."""
+def build_parser(only: str = "") -> tuple[Parser, dict[str, Parser]]:
+    """The main parser, and the parser of each command by name.
+
+    If a command is named, the others have no options: declaring all takes longer than reading.
+    """
     parser = Parser(
         prog="python -m roigs_engine",
         description="Sharp boxed objects in 3D Gaussian Splatting scenes (ROI-GS).",
@@ -83,7 +86,8 @@ def build_parser() -> tuple[Parser, dict[str, Parser]]:
             formatter_class=argparse.RawDescriptionHelpFormatter,
             argument_default=argparse.SUPPRESS,
         )
-        _add_options(parsers[name], command)
+        if only in ("", name):
+            _add_options(parsers[name], command)
         parsers[name].add_argument(
             "--events",
             action="store_true",
@@ -143,7 +147,7 @@ def parsed(argv: Sequence[str]) -> tuple[Command, Request]:
 
     A scene that is an options file gives what the command line leaves out.
     """
-    parser, parsers = build_parser()
+    parser, parsers = build_parser(next((word for word in argv if word in COMMANDS), ""))
     given = vars(parser.parse_args(argv))
     name = given.pop("command")
     del given["events"]

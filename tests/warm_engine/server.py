@@ -8,6 +8,7 @@ it forks goes on as `python -m roigs_engine` begins.
 
 from __future__ import annotations
 
+import gc
 import marshal
 import os
 import runpy
@@ -15,6 +16,7 @@ import select
 import signal
 import socket
 import sys
+import weakref
 from contextlib import suppress
 from importlib import import_module
 
@@ -87,10 +89,19 @@ class Server:
         client.close()
 
 
+def _spare_commands() -> None:
+    """Leave commands no work on what is imported here: not in collections, and not at their end."""
+    for finalizer in list(weakref.finalize._registry):
+        finalizer.atexit = False
+    gc.collect()
+    gc.freeze()
+
+
 def main() -> None:
     """Serve; in a forked command, be that."""
     del sys.path[0]  # this script's folder
     import_module("tests.preloaded")
+    _spare_commands()
     server = Server(sys.argv[1])
     os.write(1, b"ready\n")
     arguments = server.serve()
