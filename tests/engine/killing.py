@@ -10,7 +10,6 @@ from __future__ import annotations
 import functools
 import io
 import json
-import multiprocessing
 import os
 import random
 import re
@@ -26,6 +25,7 @@ from typing import Any
 
 from roigs_engine import cli
 from roigs_engine.commands.console import Console
+from roigs_engine.commands.parser import build_parser
 from roigs_engine.commands.process import run_process
 from roigs_engine.commands.stopping import StopRequest
 from roigs_engine.formats import files
@@ -41,9 +41,8 @@ from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
 from tests.engine.faults import FAULTS, WITH_EVENTS, connect
 from tests.engine.settings import adjusted
 from tests.engine.synthetic_colmap import camera, write_project
+from tests.warm_engine import Process
 
-CONTEXT = multiprocessing.get_context("forkserver" if os.name == "posix" else "spawn")
-CONTEXT.set_forkserver_preload([__name__, "tests.preloaded"])
 KILLED = 9  # the exit status of a process of `killed_everywhere`
 CHANGES = ("os.rename", "os.mkdir", "os.rmdir", "os.remove", "os.link", "os.truncate")
 """What Python calls changes of names in its audit events; `os.replace` is a renaming, too."""
@@ -86,7 +85,7 @@ def engine(arguments: Sequence[object], at: Moment | None = None) -> Ended:
     texts = [str(argument) for argument in arguments]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        process = CONTEXT.Process(target=_engine, args=(texts, at, folder))
+        process = Process(target=_engine, args=(texts, at, folder))
         process.start()
         process.join()
         assert process.exitcode is not None
@@ -117,7 +116,7 @@ def killed_everywhere(
     for number in count(1, step):
         shutil.rmtree(folder, ignore_errors=True)
         shutil.copytree(start, folder)
-        process = CONTEXT.Process(target=_dying, args=(number, str(folder), work))
+        process = Process(target=_dying, args=(number, str(folder), work))
         process.start()
         process.join()
         assert process.exitcode in (0, KILLED), "it failed by itself"
@@ -244,6 +243,7 @@ def _engine(arguments: list[str], at: Moment | None, folder: Path) -> None:
     presets.PRESETS["tiny"] = tiny
     kind = options_of(Train)["preset"].kind
     object.__setattr__(kind, "words", (*PRESETS, "tiny"))
+    build_parser.cache_clear()  # the server has built it
     clock = _Clock(at)
     stage_folder.PeriodicCallback = functools.partial(_EverySoManySteps, clock)  # type: ignore[misc, assignment]
     _before(trainer.Trainer, "train_step", lambda *_: clock.tick("step"))

@@ -5,28 +5,37 @@ does, and not about how its process starts, runs `client.py` instead: a small pr
 its streams, folder and variables to a server and ends as the command does. Its signals reach the
 command, and when it is killed, so is the command. Linux alone has what this needs; elsewhere, and
 for other Pythons and other sources, commands start as always.
+
+`Process` has a function called in such a fork, with no process between. All test processes of a run
+share one server.
 """
 
 from __future__ import annotations
 
-import atexit
 import functools
+import marshal
+import multiprocessing
 import os
-import shutil
+import pickle
+import socket
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
+
+from filelock import FileLock
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
+CAN_FORK = sys.platform == "linux" and "python" in Path(sys.executable).name
 
 
 def command(arguments: Sequence[object]) -> list[str]:
     """The command line of an engine command that starts at once, where that can be."""
     words = [str(argument) for argument in arguments]
-    if sys.platform != "linux" or "python" not in Path(sys.executable).name:
+    if not CAN_FORK:
         return [sys.executable, "-m", "roigs_engine", *words]
     return [sys.executable, "-I", "-S", str(HERE / "client.py"), _address(), *words]
 
@@ -43,30 +52,70 @@ def quick(usual: Callable[..., list[str]]) -> Callable[..., list[str]]:
     return quick_command
 
 
+class ForkedProcess:
+    """A function of a module that a fork of the server calls; as `multiprocessing.Process`."""
+
+    def __init__(
+        self,
+        target: Callable[..., object],
+        args: Sequence[object] = (),
+        streams: Sequence[int] = (0, 1, 2),
+    ) -> None:
+        self._call = [target.__module__, target.__qualname__, pickle.dumps(tuple(args))]
+        self._streams, self._server = list(streams), socket.socket(socket.AF_UNIX)
+        self.exitcode: int | None = None
+
+    def start(self) -> None:
+        """Start it with descriptors for its three streams, which this process may close then."""
+        self._server.connect(_address())
+        request = marshal.dumps((self._call, os.getcwd(), dict(os.environ)))
+        socket.send_fds(self._server, [len(request).to_bytes(8, "little")], self._streams)
+        self._server.sendall(request)
+
+    def join(self) -> None:
+        """Wait for its end."""
+        answer = self._server.recv(8)
+        self._server.close()
+        assert answer, "the server of engines is gone"
+        self.exitcode = int.from_bytes(answer, "little", signed=True)
+
+
+Process: Any = ForkedProcess if CAN_FORK else multiprocessing.get_context("spawn").Process
+
+
 @functools.cache
 def _address() -> str:
-    """The socket of this process's server; it starts here, and ends with this process."""
-    folder = tempfile.mkdtemp(prefix="roigs-warm-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    address = str(Path(folder) / "socket")
-    server = subprocess.Popen(
-        [sys.executable, str(HERE / "server.py"), address],
-        cwd=ROOT,
-        stdin=subprocess.PIPE,  # it ends when this is closed
-        stdout=subprocess.PIPE,
-        env=os.environ
-        | {
-            "PYTHONPATH": str(ROOT),
-            "PYTHONUNBUFFERED": "1",
-            "PYTHONUTF8": "1",
-            "PYTHONNOUSERSITE": "1",
-        },
-    )
+    """The socket of this test run's server: it starts with the first process that asks.
+
+    It ends when nobody holds its standard input open, a named pipe.
+    """
+    run = os.environ.get("PYTEST_XDIST_TESTRUNUID", "")
+    folder = Path(tempfile.gettempdir(), f"roigs-warm-{run or os.getpid()}")
+    folder.mkdir(mode=0o700, exist_ok=True)
+    address, pipe = folder / "socket", folder / "pipe"
+    with FileLock(folder / "lock"):
+        if not pipe.exists():
+            os.mkfifo(pipe, 0o600)
+        _held.append(os.open(pipe, os.O_RDWR))
+        if not address.exists():
+            _start(address, pipe)
+    return str(address)
+
+
+def _start(address: Path, pipe: Path) -> None:
+    variables = {"PYTHONUNBUFFERED": "1", "PYTHONUTF8": "1", "PYTHONNOUSERSITE": "1"}
+    with pipe.open("rb") as held:
+        server = subprocess.Popen(
+            [sys.executable, str(HERE / "server.py"), str(address)],
+            cwd=ROOT,
+            stdin=held,
+            stdout=subprocess.PIPE,
+            env=os.environ | {"PYTHONPATH": str(ROOT)} | variables,
+        )
     assert server.stdout is not None
     assert server.stdout.readline() == b"ready\n", "the server of engines does not start"
-    _servers.append(server)
-    return address
+    _held.append(server)
 
 
-_servers: list[subprocess.Popen[bytes]] = []
-"""Kept, as their standard inputs must stay open."""
+_held: list[object] = []
+"""The open end of the pipe, as long as this process lives."""

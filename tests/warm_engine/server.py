@@ -3,7 +3,8 @@
     python server.py SOCKET
 
 It says `ready` once everything is imported, and ends when its standard input does. A command that
-it forks goes on as `python -m roigs_engine` begins.
+it forks goes on as `python -m roigs_engine` begins. What it is asked for is a list of such a
+command's arguments, or of a module, a function's name and the function's arguments as bytes.
 """
 
 from __future__ import annotations
@@ -11,31 +12,38 @@ from __future__ import annotations
 import gc
 import marshal
 import os
+import pickle
 import runpy
 import select
+import shutil
 import signal
 import socket
 import sys
 import weakref
 from contextlib import suppress
 from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock
 
 
 class Server:
     """The commands that run, each with the connection of its client and a descriptor of it."""
 
     def __init__(self, address: str) -> None:
+        self._folder = Path(address).parent
         self._listener = socket.socket(socket.AF_UNIX)
         self._listener.bind(address)
         self._listener.listen(64)
         self._clients: dict[int, tuple[socket.socket, int]] = {}  # by the process's descriptor
 
-    def serve(self) -> list[str] | None:
-        """Until the end of standard input: None. In a forked command: its arguments."""
+    def serve(self) -> list[Any] | None:
+        """Until the end of standard input: None. In a forked command: what it is asked for."""
         while True:
             clients = {client: process for process, (client, _) in self._clients.items()}
             ready, _, _ = select.select([0, self._listener, *clients, *self._clients], [], [])
-            if 0 in ready and not os.read(0, 1):
+            if 0 in ready and self._unused():
                 return None
             for found in ready:
                 if found in self._clients:
@@ -47,13 +55,24 @@ class Server:
                 if arguments is not None:
                     return arguments
 
-    def _start(self) -> list[str] | None:
-        """Fork a command; its arguments in the new process, else None."""
+    def _unused(self) -> bool:
+        """Whether nobody holds standard input open; nobody comes then any more."""
+        with FileLock(self._folder / "lock"):
+            if os.read(0, 1) or select.select([0], [], [], 0)[0] == []:
+                return False
+            shutil.rmtree(self._folder, ignore_errors=True)
+        return True
+
+    def _start(self) -> list[Any] | None:
+        """Fork a command; what it is asked for in the new process, else None."""
         client, _ = self._listener.accept()
         head, streams, _, _ = socket.recv_fds(client, 8, 3)
         length, request = int.from_bytes(head, "little"), b""
         while len(request) < length:
             request += client.recv(length - len(request))
+        asked, folder, variables = marshal.loads(request)
+        if isinstance(asked[-1], bytes):
+            import_module(asked[0])  # once for all
         pid = os.fork()
         if pid:
             for stream in streams:
@@ -68,11 +87,10 @@ class Server:
             other.close()
         client.close()
         self._listener.close()
-        arguments, folder, variables = marshal.loads(request)
         os.chdir(folder)
         os.environ.clear()
         os.environ.update(variables)
-        return list(arguments)
+        return list(asked)
 
     def _signal(self, client: socket.socket, process: int) -> None:
         """Hand on a signal, or end a command whose client is gone."""
@@ -104,9 +122,12 @@ def main() -> None:
     _spare_commands()
     server = Server(sys.argv[1])
     os.write(1, b"ready\n")
-    arguments = server.serve()
-    if arguments is not None:
-        sys.argv = ["roigs_engine", *arguments]
+    asked = server.serve()
+    if asked and isinstance(asked[-1], bytes):
+        module, name, arguments = asked
+        getattr(import_module(module), name)(*pickle.loads(arguments))
+    elif asked is not None:
+        sys.argv = ["roigs_engine", *asked]
         runpy.run_module("roigs_engine", run_name="__main__", alter_sys=True)
 
 
