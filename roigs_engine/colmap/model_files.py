@@ -192,19 +192,18 @@ def _binary_images(data: bytes, context: Context) -> list[ModelImage]:
 def _binary_points(data: bytes, tracks: bool, context: Context) -> Points:
     number, offset = _record_count(data, 0, POINT_HEAD.itemsize)
     size, length_at = POINT_HEAD.itemsize, POINT_HEAD.itemsize - 8
+    heads = np.frombuffer(data, POINT_HEAD, number, offset)
+    if not heads["length"].any():  # no tracks
+        return heads["id"].copy(), heads["xyz"].copy(), heads["rgb"].copy(), NO_IDS, NO_IDS
     starts = np.empty(number, dtype=np.int64)
     # Millions of iterations, so only the necessary work: if a track ends past the end of the file,
     # reading the next head or the check below fails.
     length_of = struct.Struct("<Q").unpack_from
-    if np.frombuffer(data, POINT_HEAD, number, offset)["length"].any():
-        for row in range(number):
-            starts[row] = offset
-            offset += size + 8 * length_of(data, offset + length_at)[0]
-            if not row % 100_000:
-                context.check_cancelled()
-    else:  # no tracks
-        starts[:] = offset + size * np.arange(number)
-        offset += size * number
+    for row in range(number):
+        starts[row] = offset
+        offset += size + 8 * length_of(data, offset + length_at)[0]
+        if not row % 100_000:
+            context.check_cancelled()
     if offset > len(data):
         raise ValueError(f"it should have {number} records, but ends after {len(data)} bytes")
     raw = np.frombuffer(data, dtype=np.uint8)

@@ -290,8 +290,12 @@ def _points(
         )
     if not good.all():
         context.warn(f"Skipped {counted(int((~good).sum()), '3D point')}: {reasons}.")
-    ids, rows = np.unique(model.point_ids[good], return_index=True)
-    return ids, model.points[good][rows], model.colors[good][rows]
+    rows = slice(None) if good.all() else np.flatnonzero(good)
+    ids = model.point_ids[rows]
+    if not (ids[1:] > ids[:-1]).all():  # usually they ascend
+        ids, first = np.unique(ids, return_index=True)
+        rows = np.flatnonzero(good)[first]
+    return ids, model.points[rows], model.colors[rows]
 
 
 def _observations(model: Model, ids: Int64, context: Context) -> dict[int, Int64]:

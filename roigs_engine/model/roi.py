@@ -136,7 +136,7 @@ def parse_roi(text: str) -> OrientedBox:
     return roi_from_dict({"name": name, "min": corners[0], "max": corners[1]})
 
 
-PIXELS_AT_ONCE = 1 << 20  # of a silhouette: limits the memory of float64 intermediates
+PIXELS_AT_ONCE = 1 << 22  # of a silhouette, times edges: limits the memory of intermediates
 
 
 def convex_hull(points: Float64) -> Float64:
@@ -144,15 +144,16 @@ def convex_hull(points: Float64) -> Float64:
 
     Corners that exist only due to rounding are dropped; points on a line give fewer than three.
     """
-    order = points[np.lexsort((points[:, 1], points[:, 0]))]
+    order = sorted(map(tuple, points.tolist()))  # numbers of Python: few points, many photos
     slack = 1e-14 * float(np.ptp(points, axis=0).max()) ** 2
 
-    def half(walk: Float64) -> list[Float64]:
-        chain: list[Float64] = []
+    def half(walk: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
+        chain: list[tuple[float, ...]] = []
         for point in walk:
             while len(chain) > 1:
-                (a, b), (c, d) = chain[-1] - chain[-2], point - chain[-2]
-                if a * d - b * c > slack:  # a turn to the left: twice the triangle's area
+                (x, y), (ax, ay), (bx, by) = chain[-2], chain[-1], point
+                # A turn to the left: twice the triangle's area.
+                if (ax - x) * (by - y) - (ay - y) * (bx - x) > slack:
                     break
                 chain.pop()
             chain.append(point)
@@ -170,14 +171,15 @@ def fill_convex(polygon: Float64, height: int, width: int) -> NDArray[np.bool_]:
         return mask
     following = np.roll(polygon, -1, axis=0)
     signed_area = np.sum(polygon[:, 0] * following[:, 1] - following[:, 0] * polygon[:, 1])
-    x, rows = np.arange(x0, x1) + 0.5, max(1, PIXELS_AT_ONCE // (x1 - x0))
+    edges = (following - polygon) * np.sign(signed_area)
+    # A pixel is inside if it is to the left of all edges (M, ...): down >= across.
+    across = edges[:, 1:] * (np.arange(x0, x1) + 0.5 - polygon[:, :1])
+    rows = max(1, PIXELS_AT_ONCE // (len(polygon) * (x1 - x0)))
     for top in range(y0, y1, rows):
-        y = (np.arange(top, min(top + rows, y1)) + 0.5)[:, None]
-        inside = mask[top : top + len(y), x0:x1]
-        inside[:] = True
-        for a, b in zip(polygon, following, strict=True):
-            side = (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
-            inside &= side * np.sign(signed_area) >= 0
+        y = np.arange(top, min(top + rows, y1)) + 0.5
+        down = edges[:, :1] * (y - polygon[:, 1:])
+        inside = down[:, :, None] >= across[:, None, :]
+        mask[top : top + len(y), x0:x1] = inside.all(axis=0)
     return mask
 
 

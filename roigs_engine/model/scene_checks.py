@@ -70,8 +70,11 @@ def _without_far_points(scene: SfmScene) -> SfmScene:
     if not len(centres) or not len(scene.points):
         return scene
     distances = np.linalg.norm(scene.points - np.median(centres, axis=0), axis=1)
+    usual = float(np.median(distances))
+    if distances.max() <= FAR_POINT * usual:
+        return scene
     # Cameras close together, as of a panorama, may see a wide scene.
-    near = distances <= FAR_POINT * max(scene.extent(), float(np.median(distances)))
+    near = distances <= FAR_POINT * max(scene.extent(), usual)
     if near.all() or not near.any():
         return scene
     new_rows = np.cumsum(near) - 1

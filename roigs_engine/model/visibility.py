@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..context import QUIET, Context
 from ..errors import RoiError
 from ..formats.text import counted
+from .leaves import leaves_of
 from .roi import OrientedBox
 from .scene import Float64, Int64, PosedImage, SfmScene
 
@@ -184,8 +185,10 @@ def _by_depth(
     sparse points of its cell (`DEPTH_CELLS` cells along the longer side) are more than `slack`, in
     world units, in front of it.
     """
+    if not len(targets):
+        return [np.zeros(0, np.int64)] * len(images)
     most = min(MAX_OCCLUDERS, max(1, MAX_PROJECTED // max(1, len(images))))
-    occluders = np.ascontiguousarray(points[:: -(-len(points) // most) or 1].T)
+    occluders = _Occluders(points[:: -(-len(points) // most) or 1])
     places, last, seen = np.ascontiguousarray(targets.T), np.iinfo(np.uint16).max, []
     looked_at = np.zeros((DEPTH_CELLS + 1) ** 2, dtype=bool)  # cells that have a target
     for image in images:
@@ -198,19 +201,51 @@ def _by_depth(
         looked_at[target_cell] = True
         # Most occluders are behind all targets, or beside them: they are not sorted into cells.
         window = pixels.min(axis=1) - size, pixels.max(axis=1) + size
-        _, pixels, depth = _projected(image, occluders, target_depth.max() - slack, window)
+        farthest = float(target_depth.max() - slack)
+        near = occluders.near(image, farthest, window)
+        _, pixels, depth = _projected(image, near, farthest, window)
         cell = _cells(image, pixels)
         kept = looked_at[cell]
         looked_at[target_cell] = False
         cell, depth = cell[kept], depth[kept]
         order = np.argsort(depth)
         order = order[np.argsort(cell[order], kind="stable")]  # by radix: 16 bits
+        counts = np.bincount(cell, minlength=len(looked_at))
         # An occluder beyond all others stands for those that a cell does not have.
         cell, depth = np.append(cell[order], np.uint16(last)), np.append(depth[order], np.inf)
-        nth = np.minimum(np.searchsorted(cell, target_cell) + OCCLUDERS - 1, len(cell) - 1)
+        starts = np.cumsum(counts) - counts
+        nth = np.minimum(starts[target_cell] + OCCLUDERS - 1, len(cell) - 1)
         hidden = (cell[nth] == target_cell) & (depth[nth] < target_depth - slack)
         seen.append(rows[~hidden])
     return seen
+
+
+class _Occluders:
+    """Points in groups of neighbours, so that those outside a photo's window cost nothing."""
+
+    def __init__(self, points: Float64) -> None:
+        """Args: `points`: (N, 3), at least one."""
+        groups = leaves_of(points)
+        self._points = np.ascontiguousarray(points[np.concatenate(groups)].T)
+        self._sizes = [len(group) for group in groups]
+        low = np.array([points[group].min(axis=0) for group in groups])
+        high = np.array([points[group].max(axis=0) for group in groups])
+        self._centres = np.ascontiguousarray((low + high).T / 2)
+        # Somewhat larger than they are, as all is rounded.
+        self._radii = np.linalg.norm(high - low, axis=1) * (0.5 + 1e-6) + 1e-9 * np.abs(high).max()
+
+    def near(self, image: PosedImage, farthest: float, window: tuple[Float64, Float64]) -> Float64:
+        """(3, M) all points that `_projected` finds with the same arguments, and some more."""
+        camera, pose, radii = image.camera, image.world_to_camera, self._radii
+        x, y, depth = pose[:3, :3] @ self._centres + pose[:3, 3:]
+        kept = (depth > -radii) & (depth < farthest + radii)
+        axes = (x, camera.fx, camera.cx), (y, camera.fy, camera.cy)
+        for axis, (across, focal, centre) in enumerate(axes):
+            for sign, bound in zip((1, -1), (low_high[axis] for low_high in window), strict=True):
+                slope = bound - centre
+                beyond = sign * (across * focal - depth * slope)  # 0 on the plane of the bound
+                kept &= beyond >= -radii * math.hypot(focal, slope)
+        return self._points.take(np.flatnonzero(np.repeat(kept, self._sizes)), axis=1)
 
 
 def _projected(

@@ -153,8 +153,10 @@ class PhotoFolder:
     def others(self, names: Iterable[str]) -> list[str]:
         """Names of the photos on disk that a model's `names` do not include."""
         paths = (self.find(name) for name in names)
-        found = {os.path.realpath(path) for path in paths if path is not None}
-        return [name for name, path in self._files.items() if os.path.realpath(path) not in found]
+        found = {path for path in paths if path is not None}
+        rest = {name: path for name, path in self._files.items() if path not in found}
+        real = {os.path.realpath(path) for path in found} if rest else set()
+        return [name for name, path in rest.items() if os.path.realpath(path) not in real]
 
 
 HINT_FOLDER = "Give the photos' folder with --images."

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..context import QUIET, Context
+from ..model.leaves import LEAF, leaves_of
 from ..model.mask_coverage import object_points
 from ..model.scene import Float64, Int64
 from ..model.visibility import Candidates
@@ -163,7 +164,6 @@ def _normals(candidates: Candidates, context: Context) -> tuple[Float64, NDArray
     return np.where(away[:, None], -normals, normals), known
 
 
-LEAF = 64  # most points of a leaf; a leaf has at least half of it, the largest number of neighbours
 MANY = 100  # leaves to search
 
 
@@ -173,7 +173,7 @@ def nearest_neighbours(points: Float64, count: int, context: Context = QUIET) ->
     `count` is at most P and `LEAF` / 2.
     """
     assert count <= min(len(points), LEAF // 2)
-    leaves = _leaves(points)
+    leaves = leaves_of(points)
     low = np.array([points[leaf].min(axis=0) for leaf in leaves])
     high = np.array([points[leaf].max(axis=0) for leaf in leaves])
     found = np.empty((len(points), count), dtype=np.int64)
@@ -199,21 +199,6 @@ def nearest_neighbours(points: Float64, count: int, context: Context = QUIET) ->
                 others = others[np.argpartition(distance, count - 1, axis=1)[:, :count]]
             found[leaf[group]] = others
     return found
-
-
-def _leaves(points: Float64) -> list[Int64]:
-    """Rows of the points, in groups of at most `LEAF` neighbouring points."""
-    todo, leaves = [np.arange(len(points))], []
-    while todo:
-        rows = todo.pop()
-        if len(rows) <= LEAF:
-            leaves.append(rows)
-            continue
-        axis = int(np.ptp(points[rows], axis=0).argmax())
-        middle = len(rows) // 2
-        order = np.argpartition(points[rows, axis], middle)
-        todo += [rows[order[:middle]], rows[order[middle:]]]
-    return leaves
 
 
 def _squared(a: Float64, b: Float64) -> Float64:

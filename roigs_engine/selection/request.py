@@ -61,7 +61,7 @@ def static_features(candidates: Candidates, context: Context = QUIET) -> StaticF
         distance=np.linalg.norm(candidates.centres() - roi.centre, axis=1),
         area=np.array(area),
         keypoints=np.bincount(candidates.obs_view, minlength=len(images)).astype(float),
-        inside=np.array([roi.camera_inside(image.world_to_camera) for image in images]),
+        inside=roi.contains(candidates.centres()),
     )
 
 
