@@ -26,13 +26,13 @@ Manual = Mapping[str, Sequence[str]]
 def tiny(strategy: str, **changes: object) -> RunConfig:
     """A preset of so few steps that a run takes a second."""
     config = preset("paper" if strategy == "independent" else "draft")
-    quick = {"every": 5, "grad_threshold": 1e-5, "reset_every": 0}
+    quick = {"every": 4, "grad_threshold": 1e-5, "reset_every": 0}
     scene_stage = TrainConfig(
-        steps=20,
+        steps=12,
         antialiased=config.roi.antialiased,
-        mechanisms=(DensityControl(start=5, until=15, **quick),),
+        mechanisms=(DensityControl(start=3, until=9, **quick),),
     )
-    roi_stage = replace(adjusted(config.roi, DensityControl, until=20, **quick), steps=30)
+    roi_stage = replace(adjusted(config.roi, DensityControl, until=12, **quick), steps=18)
     selection = replace(config.selection, count=5)
     config = replace(config, scene=scene_stage, roi=roi_stage, selection=selection, test_every=4)
     return replace(config, **changes)

@@ -106,7 +106,7 @@ def test_a_refined_composition_takes_no_more_steps_and_no_more_gaussians(
         name: json.loads((folder / "stage.json").read_text())["steps"]
         for name, folder in read_stage_list(tmp_path / "refined").items()
     }
-    assert steps == {"scene": 20, "object-thing": 24, "refine": 6}
+    assert steps == {"scene": 12, "object-thing": 14, "refine": 4}
     assert [row.name for row in rows[:-1]] == [row.name for row in plain]
     composed, refined = (row.gaussians for row in rows[-2:])
     assert 0 < len(refined) <= len(composed)

@@ -105,7 +105,7 @@ def test_the_first_stage_is_the_runs_own_where_it_is_the_same(scene: SfmScene) -
     independent = by_name(planned(scene, tiny("independent")))
     first, own = independent["tuned-coarse-scene"], independent["scene"]
     assert first.images[0].camera.width == own.images[0].camera.width // 2
-    assert first.config.steps == own.config.steps == 20
+    assert first.config.steps == own.config.steps == config.scene.steps
 
 
 def test_full_object_sees_the_photos_of_its_box(scene: SfmScene) -> None:

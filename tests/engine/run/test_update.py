@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,20 @@ MOVED = OrientedBox.between("thing", [-0.4, -0.6, -0.6], [0.7, 0.6, 0.6])
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
     return make_scene(tmp_path_factory.mktemp("photos"))
+
+
+@pytest.fixture(scope="module")
+def trained(scene: SfmScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of the one box, to copy."""
+    folder = tmp_path_factory.mktemp("trained")
+    train(folder, scene, [BOX], production())
+    return folder
+
+
+@pytest.fixture
+def run(trained: Path, tmp_path: Path) -> Path:
+    """A copy of `trained`."""
+    return shutil.copytree(trained, tmp_path / "run")
 
 
 def written(folder: Path, name: str) -> tuple[Path, int]:
@@ -175,7 +190,9 @@ def test_a_box_less_leaves_no_stage_that_clean_does_not_find(
     assert written(tmp_path, "object-second") == before
 
 
-def test_an_unfinished_stage_is_kept_and_gone_on_with(scene: SfmScene, tmp_path: Path) -> None:
+def test_an_unfinished_stage_is_kept_and_gone_on_with(
+    scene: SfmScene, trained: Path, tmp_path: Path
+) -> None:
     asked = 0
 
     def soon() -> bool:
@@ -193,44 +210,39 @@ def test_an_unfinished_stage_is_kept_and_gone_on_with(scene: SfmScene, tmp_path:
     train(tmp_path, scene, [BOX], production(), update=True, context=Context(emit=events.append))
     texts = messages(events)
     assert f"joint: resumes at step {step}." in texts
-    train(tmp_path / "whole", scene, [BOX], production())
-    result = (tmp_path / "result.ply").read_bytes()
-    assert result == (tmp_path / "whole" / "result.ply").read_bytes()
+    assert (tmp_path / "result.ply").read_bytes() == (trained / "result.ply").read_bytes()
 
 
-def test_other_points_are_another_start(scene: SfmScene, tmp_path: Path) -> None:
-    train(tmp_path, scene, [BOX], production())
-    before = stage_of(tmp_path, "scene")
+def test_other_points_are_another_start(scene: SfmScene, run: Path) -> None:
+    before = stage_of(run, "scene")
     other = replace(scene, colors=255 - scene.colors)
     with pytest.raises(RunFolderError, match="--update"):
-        train(tmp_path, other, [BOX], production())
-    train(tmp_path, other, [BOX], production(), update=True)
-    assert stage_of(tmp_path, "scene") != before
+        train(run, other, [BOX], production())
+    train(run, other, [BOX], production(), update=True)
+    assert stage_of(run, "scene") != before
 
 
 def test_another_model_of_the_same_photos_is_refused_before_anything_is_written(
-    scene: SfmScene, tmp_path: Path
+    scene: SfmScene, run: Path
 ) -> None:
-    train(tmp_path, scene, [BOX], production())
-    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
     moved = [
         replace(image, world_to_camera=image.world_to_camera + np.eye(4)[3][:, None] * 0.01)
         for image in scene.images
     ]
     other = replace(scene, images=tuple(moved))
     with pytest.raises(RunFolderError, match=r"model was .* --update"):
-        opened(tmp_path, other, [BOX], production())
-    assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    opened(tmp_path, other, [BOX], production(), update=True)
-    assert not (tmp_path / "result.ply").exists()
-    (former,) = (tmp_path / "earlier").iterdir()
+        opened(run, other, [BOX], production())
+    assert before == {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    opened(run, other, [BOX], production(), update=True)
+    assert not (run / "result.ply").exists()
+    (former,) = (run / "earlier").iterdir()
     assert {"result.ply", "split.json"} <= {path.name for path in former.iterdir()}
 
 
-def test_updating_what_fits_changes_nothing(scene: SfmScene, tmp_path: Path) -> None:
-    train(tmp_path, scene, [BOX], production())
-    train(tmp_path, scene, [BOX], production(), update=True)
-    assert not (tmp_path / "earlier").exists()
+def test_updating_what_fits_changes_nothing(scene: SfmScene, run: Path) -> None:
+    train(run, scene, [BOX], production(), update=True)
+    assert not (run / "earlier").exists()
 
 
 @pytest.mark.parametrize("strategy", ["joint", "independent"])
@@ -265,22 +277,15 @@ def test_stages_that_are_the_same_are_trained_once(scene: SfmScene, tmp_path: Pa
 # --- previews and stops ---
 
 
-def test_previews_change_nothing(scene: SfmScene, tmp_path: Path) -> None:
-    train(tmp_path / "a", scene, [BOX], production())
+def test_previews_change_nothing(scene: SfmScene, trained: Path, tmp_path: Path) -> None:
     events: list[Event] = []
-    train(
-        tmp_path / "b",
-        scene,
-        [BOX],
-        production(),
-        preview_seconds=1e-6,
-        context=Context(emit=events.append),
-    )
+    context = Context(emit=events.append)
+    train(tmp_path, scene, [BOX], production(), preview_seconds=1e-6, context=context)
     shown = [event.path for event in events if isinstance(event, Preview)]
-    assert set(shown) == {str(tmp_path / "b" / "preview.ply")}
-    made = plys(tmp_path / "b")
+    assert set(shown) == {str(tmp_path / "preview.ply")}
+    made = plys(tmp_path)
     assert made.pop("preview.ply")
-    assert made == plys(tmp_path / "a")
+    assert made == plys(trained)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -309,28 +314,27 @@ def test_every_selection_stops(scene: SfmScene, method: str, tracks: bool) -> No
             select_cameras(scene, BOX, config, Context(should_stop=soon))
 
 
-def test_update_moves_the_results_of_the_other_strategy(scene: SfmScene, tmp_path: Path) -> None:
-    train_run(opened(tmp_path, scene, [BOX], production()), compare=("independent",))
-    compared = tmp_path / "compare-independent" / "result.ply"
+def test_update_moves_the_results_of_the_other_strategy(scene: SfmScene, run: Path) -> None:
+    train(run, scene, [BOX], production(), ["independent"])
+    compared = run / "compare-independent" / "result.ply"
     before = compared.read_bytes()
-    train(tmp_path, scene, [MOVED], production(), update=True)
+    train(run, scene, [MOVED], production(), update=True)
     assert not compared.exists()  # it belongs to the box before
-    train(tmp_path, scene, [BOX], production(), update=True)
+    train(run, scene, [BOX], production(), update=True)
     assert compared.read_bytes() == before
 
 
 def test_the_other_strategys_run_and_a_stage_of_its_name_do_not_meet(
-    scene: SfmScene, tmp_path: Path
+    scene: SfmScene, run: Path
 ) -> None:
     joint, independent = production(), production("independent")
-    train(tmp_path, scene, [BOX], joint)
-    before, made = written(tmp_path, "joint"), plys(tmp_path)
-    train(tmp_path, scene, [BOX], independent, ["joint"], update=True)
-    assert (stage_of(tmp_path, "compare-joint/joint") / "model.ply").exists()
-    train(tmp_path, scene, [MOVED], independent, ["joint"], update=True)
-    train(tmp_path, scene, [BOX], joint, update=True)
-    assert written(tmp_path, "joint") == before
-    assert {name: data for name, data in plys(tmp_path).items() if name in made} == made
+    before, made = written(run, "joint"), plys(run)
+    train(run, scene, [BOX], independent, ["joint"], update=True)
+    assert (stage_of(run, "compare-joint/joint") / "model.ply").exists()
+    train(run, scene, [MOVED], independent, ["joint"], update=True)
+    train(run, scene, [BOX], joint, update=True)
+    assert written(run, "joint") == before
+    assert {name: data for name, data in plys(run).items() if name in made} == made
 
 
 def test_other_blocks_and_groups_in_words() -> None:
