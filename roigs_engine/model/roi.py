@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -75,7 +76,7 @@ class OrientedBox(RoiRecord):
         near = NEAR_SHARE * self.diagonal
         front = corners[:, 2] >= near
         vertices = [corners[front]]
-        for a, b in EDGES:
+        for a, b in () if front.all() else EDGES:
             if front[a] != front[b]:
                 t = (near - corners[a, 2]) / (corners[b, 2] - corners[a, 2])
                 vertices.append((corners[a] + t * (corners[b] - corners[a]))[None])
@@ -165,11 +166,13 @@ def convex_hull(points: Float64) -> Float64:
 def fill_convex(polygon: Float64, height: int, width: int) -> NDArray[np.bool_]:
     """(H, W) pixels whose centre lies in a convex polygon (M, 2) of either orientation."""
     mask = np.zeros((height, width), dtype=bool)
-    x0, y0 = np.clip(np.floor(polygon.min(axis=0)), 0, (width, height)).astype(int)
-    x1, y1 = np.clip(np.ceil(polygon.max(axis=0)), 0, (width, height)).astype(int)
+    (x0, x1), (y0, y1) = (
+        (math.floor(min(most, max(0, min(values)))), math.ceil(min(most, max(0, max(values)))))
+        for values, most in zip(polygon.T.tolist(), (width, height), strict=True)
+    )
     if x0 >= x1 or y0 >= y1:
         return mask
-    following = np.roll(polygon, -1, axis=0)
+    following = np.concatenate([polygon[1:], polygon[:1]])
     signed_area = np.sum(polygon[:, 0] * following[:, 1] - following[:, 0] * polygon[:, 1])
     edges = (following - polygon) * np.sign(signed_area)
     # A pixel is inside if it is to the left of all edges (M, ...): down >= across.

@@ -7,7 +7,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from functools import cached_property
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TypeVar
 
 from ..errors import SceneError
@@ -139,15 +139,11 @@ class PhotoFolder:
         if not self._exists:
             return None
         for spelling in dict.fromkeys((name, name.replace("\\", "/"))):
-            parts = PurePosixPath(spelling)
-            if parts.is_absolute() or ".." in parts.parts or "\0" in spelling:
+            if spelling.startswith("/") or ".." in spelling.split("/") or "\0" in spelling:
                 return None
-            path = self.folder / spelling
-            if not path.is_relative_to(self.folder):  # a drive, on Windows
-                return None
-            with contextlib.suppress(OSError, ValueError):  # no file can have the name
-                if path.is_file():
-                    return path
+            if os.path.isfile(os.path.join(self.folder, spelling)):
+                path = self.folder / spelling
+                return path if path.is_relative_to(self.folder) else None  # a drive, on Windows
         return self._by_key.get(same_name(name))
 
     def others(self, names: Iterable[str]) -> list[str]:
