@@ -155,7 +155,9 @@ class Trainer:
         if counted is not None:
             weights, share = counted_weights(weights, counted)
             loss_weight = share if loss_weight is None else loss_weight * share
-        loss.loss.backward(loss_weight)  # type: ignore[no-untyped-call]
+        # As a factor: given to backward(), a weight has torch import sympy, for half a second.
+        weighted = loss.loss if loss_weight is None else loss.loss * loss_weight
+        weighted.backward()  # type: ignore[no-untyped-call]
         visible = output.visible[0]
         with torch.no_grad():
             for each in self._running.values():

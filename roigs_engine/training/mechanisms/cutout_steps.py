@@ -88,7 +88,7 @@ class _Running(Running):
             counted=sent(cutout.counted[window], target.device),
         )
         weight = number(cutout.loss_weight, target.device)
-        loss.loss.backward(weight)  # type: ignore[no-untyped-call]
+        (loss.loss * weight).backward()  # type: ignore[no-untyped-call]
         training.optimizer.put(part, cutout.rows)
         return cutout.photo, loss.loss.detach()
 
