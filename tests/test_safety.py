@@ -26,6 +26,7 @@ from roigs_engine.model.roi import roi_from_dict
 from roigs_engine.model.scene import Camera, PosedImage
 from roigs_engine.photos.decode import load_photo
 from roigs_engine.photos.headers import PhotoError, photo_size
+from tests import warm_engine
 from tests.addon.colmap_project import write_project
 from tests.addon.fake_engine import PYTHON, fake, finished
 
@@ -108,6 +109,7 @@ def test_secrets_of_the_environment_are_not_written(
     monkeypatch.setenv("FAKE_TOKEN", secret)
     scene, run = write_project(tmp_path / "scene"), tmp_path / "run"
     box = "thing=-0.5,-0.5,-0.5,0.5,0.5,0.5"
+    monkeypatch.setattr(Engine, "command", warm_engine.quick(Engine.command))
     engine = Engine(python=PYTHON, source=ROOT)
     common = ["train", str(scene), "--roi", box, "--run-dir", str(run), "--max-side", "24"]
     for arguments in (

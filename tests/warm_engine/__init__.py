@@ -29,6 +29,10 @@ from filelock import FileLock
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
+SERVER = "ROIGS_TESTS_SERVER"
+"""The variable with the server's socket."""
+IMPORTED_FIRST = "ROIGS_TESTS_IMPORT"
+"""The variable with a module that a forked command imports before it begins."""
 CAN_FORK = sys.platform == "linux" and "python" in Path(sys.executable).name
 
 
@@ -89,6 +93,8 @@ def _address() -> str:
 
     It ends when nobody holds its standard input open, a named pipe.
     """
+    if SERVER in os.environ:  # a process that a test has started
+        return os.environ[SERVER]
     run = os.environ.get("PYTEST_XDIST_TESTRUNUID", "")
     folder = Path(tempfile.gettempdir(), f"roigs-warm-{run or os.getpid()}")
     folder.mkdir(mode=0o700, exist_ok=True)
@@ -99,6 +105,7 @@ def _address() -> str:
         _held.append(os.open(pipe, os.O_RDWR))
         if not address.exists():
             _start(address, pipe)
+    os.environ[SERVER] = str(address)
     return str(address)
 
 

@@ -127,6 +127,8 @@ def main() -> None:
         module, name, arguments = asked
         getattr(import_module(module), name)(*pickle.loads(arguments))
     elif asked is not None:
+        if "ROIGS_TESTS_IMPORT" in os.environ:
+            import_module(os.environ["ROIGS_TESTS_IMPORT"])
         sys.argv = ["roigs_engine", *asked]
         runpy.run_module("roigs_engine", run_name="__main__", alter_sys=True)
 

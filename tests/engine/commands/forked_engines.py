@@ -22,10 +22,13 @@ def _popen(command: Sequence[str], **options: Any) -> subprocess.Popen[bytes]:
     return subprocess.Popen(warm_engine.command(arguments), **options)
 
 
+FORKED = SimpleNamespace(Popen=_popen, PIPE=subprocess.PIPE)
+
+
 @pytest.fixture(scope="module")
 def forked_engines() -> Iterator[None]:
-    """The batches of a module's tests that are called in this process fork their engines."""
+    """The batches of a module's tests, in this process or forked, fork their engines."""
     with pytest.MonkeyPatch.context() as patch:
-        forked = SimpleNamespace(Popen=_popen, PIPE=subprocess.PIPE)
-        patch.setattr(engine_process, "subprocess", forked)
+        patch.setattr(engine_process, "subprocess", FORKED)
+        patch.setenv(warm_engine.IMPORTED_FIRST, "tests.engine.commands.forked_parts")
         yield

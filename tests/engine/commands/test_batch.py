@@ -149,7 +149,7 @@ def test_a_stop_and_a_scene_that_fails(
 
 @pytest.mark.skipif(os.name != "posix", reason="sends signals")
 def test_a_second_interrupt_ends_a_batch_and_its_engines_at_once(
-    scans: Path, tmp_path: Path
+    scans: Path, tmp_path: Path, forked_engines: None
 ) -> None:
     """As after a kill, which `batch/test_kills.py` resumes."""
     table, run = table_of(tmp_path, scans), tmp_path / "run"

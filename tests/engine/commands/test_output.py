@@ -17,6 +17,7 @@ import pytest
 
 from roigs_engine.commands.stopping import StopRequest
 from roigs_engine.commands.streams import Stream
+from tests import warm_engine
 from tests.engine.commands.command_line import BOX, ROOT, python, start
 from tests.engine.synthetic_colmap import Project
 
@@ -25,9 +26,10 @@ NEEDS_FULL = pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux's 
 CLOSED = (">&-", "2>&-", "<&-", ">&- 2>&- <&-", ">&- <&-")
 
 
-def shell(text: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+def shell(text: str, *arguments: object, cold: bool = True) -> subprocess.CompletedProcess[str]:
     """A line for a shell in which `engine` stands for the command line with these arguments."""
-    command = [sys.executable, "-m", "roigs_engine", *map(str, arguments)]
+    new = [sys.executable, "-m", "roigs_engine", *map(str, arguments)]
+    command = new if cold else warm_engine.command(arguments)
     return subprocess.run(
         ["sh", "-c", text.replace("engine", '"$@"'), "sh", *command],
         cwd=ROOT,
@@ -84,7 +86,8 @@ def training(project: Project, folder: Path) -> list[object]:
     ],
 )
 def test_training_goes_on_without_output(project: Project, tmp_path: Path, ends: str) -> None:
-    result = shell(f"engine {ends}", *training(project, tmp_path), "--steps-factor", 0.002)
+    words = [*training(project, tmp_path), "--steps-factor", 0.002]
+    result = shell(f"engine {ends}", *words, cold="&-" in ends)
     assert result.returncode == 0 and fine(result)
     assert (tmp_path / "result.ply").exists()
 
