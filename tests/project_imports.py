@@ -46,7 +46,7 @@ def imports(path: Path) -> tuple[Import, ...]:
 def _walk(
     node: ast.AST, package: tuple[str, ...], *, late: bool, typing: bool = False
 ) -> Iterator[Import]:
-    if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+    if isinstance(node, ast.If) and _is_for_types(node.test):
         for child in node.body:
             yield from _walk(child, package, late=late, typing=True)
         for child in node.orelse:
@@ -62,9 +62,20 @@ def _walk(
             deeper = f"{stem}.{alias.name}"
             target = deeper if deeper in files(stem.split(".")[0]) else stem
             yield Import(target, late, typing)
-    late = late or isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda))
+    late = late or isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
     for child in ast.iter_child_nodes(node):
-        yield from _walk(child, package, late=late, typing=typing)
+        if isinstance(child, STATEMENTS):
+            yield from _walk(child, package, late=late, typing=typing)
+
+
+STATEMENTS = (ast.stmt, ast.ExceptHandler, ast.match_case)
+"""What an import can be, or can be in."""
+
+
+def _is_for_types(test: ast.expr) -> bool:
+    return any(
+        getattr(node, "id", getattr(node, "attr", "")) == "TYPE_CHECKING" for node in ast.walk(test)
+    )
 
 
 def unit(module: str) -> str:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import ast
-import io
-import tokenize
 from collections import Counter
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -23,34 +21,32 @@ LOOKED_UP = ("__main__", "app", "cli", "commands", "exchange", "selection", "tra
 # Blender fixes the arguments of `draw_item`; the one way to draw has those of gsplat's function.
 # The one way to load a scene says which photos, masks and sizes it uses.
 MORE_PARAMETERS = {"draw_item": PARAMETERS + 1, "load_colmap": PARAMETERS + 1, "rasterize": 22}
-LAYOUT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
 
 
 def modules(package: str) -> list[Path]:
     return sorted((ROOT / package).rglob("*.py"))
 
 
-def code_lines(path: Path) -> int:
-    """Lines with code: no comments, blank lines and docstrings."""
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+@cache
+def measured(path: Path) -> tuple[int, list[Function]]:
+    """A file's lines with code (no comments, blank lines and docstrings), and its functions."""
     text = path.read_text(encoding="utf-8")
-    lines: set[int] = set()
-    for token in tokenize.generate_tokens(io.StringIO(text).readline):
-        if token.type not in LAYOUT | {tokenize.ENDMARKER}:
-            lines |= set(range(token.start[0], token.end[0] + 1))
+    rows = (line.strip() for line in text.splitlines())
+    lines = {number for number, row in enumerate(rows, start=1) if row and row[0] != "#"}
+    functions: list[Function] = []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
             assert node.end_lineno is not None
             lines -= set(range(node.lineno, node.end_lineno + 1))
-    return len(lines)
+        elif isinstance(node, Function):
+            functions.append(node)
+    return len(lines), functions
 
 
-def functions(path: Path) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
-            yield node
-
-
-def parameters(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+def parameters(function: Function) -> int:
     """Without `self` and `cls`."""
     given = function.args
     names = [a.arg for a in (*given.posonlyargs, *given.args, *given.kwonlyargs)]
@@ -60,14 +56,14 @@ def parameters(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_files_are_small(package: str) -> None:
-    sizes = {path: code_lines(path) for path in modules(package)}
+    sizes = {path: measured(path)[0] for path in modules(package)}
     assert not {str(path): size for path, size in sizes.items() if size > MOST_LINES}
 
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_functions_are_short_and_take_few_arguments(package: str) -> None:
     for path in modules(package):
-        for function in functions(path):
+        for function in measured(path)[1]:
             assert function.end_lineno is not None
             lines = function.end_lineno - function.lineno + 1
             assert lines <= FUNCTION_LINES, f"{path}: {function.name} has {lines} lines"

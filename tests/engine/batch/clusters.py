@@ -17,8 +17,8 @@ ENVIRONMENT = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_USAGE_STATS_ENABLE
 
 
 @contextmanager
-def a_cluster(**head: Any) -> Iterator[Any]:
-    """A Ray of two nodes; `second` is the one that is not its head."""
+def a_cluster(*, second: bool = True, **head: Any) -> Iterator[Any]:
+    """A Ray of two nodes; `second` is the one that is not its head, and may be left out."""
     place = tempfile.mkdtemp(prefix="roigs-ray-")  # short: sockets are in it
     (Path(place) / "ray").mkdir()
     wanted = {**ENVIRONMENT, "RAY_TMPDIR": place}
@@ -32,7 +32,7 @@ def a_cluster(**head: Any) -> Iterator[Any]:
             settings = {**EACH, "include_dashboard": False, "node_ip_address": "127.0.0.1"}
             made = Cluster(initialize_head=True, head_node_args={**settings, **head})
             try:
-                made.second = made.add_node(**EACH)
+                made.second = made.add_node(**EACH) if second else None
                 yield made
             finally:
                 made.shutdown()

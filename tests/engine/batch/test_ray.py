@@ -39,9 +39,16 @@ device = "cpu"
 
 
 @pytest.fixture(scope="module")
-def cluster() -> Iterator[Any]:
-    with a_cluster() as made:
+def head() -> Iterator[Any]:
+    """A cluster that may be its head alone."""
+    with a_cluster(second=False) as made:
         yield made
+
+
+@pytest.fixture(scope="module")
+def cluster(head: Any) -> Any:
+    head.second = head.add_node(**EACH)
+    return head
 
 
 @pytest.fixture
@@ -182,7 +189,7 @@ def test_a_machine_without_the_gpu_that_it_promised(
 
 
 def test_machines_with_another_version_are_refused(
-    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    head: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sign = tmp_path / "batch.lock"
     sign.touch()
@@ -190,12 +197,12 @@ def test_machines_with_another_version_are_refused(
     context = Context(emit=lambda event: said.append(event.text))  # type: ignore[union-attr]
     monkeypatch.setattr(ray_executor, "__version__", "99.0")
     with pytest.raises(ConfigError, match="No machine of the Ray cluster"):
-        ray_executor.RayExecutor(cluster.address, sign, context)
+        ray_executor.RayExecutor(head.address, sign, context)
     assert said and all("is not used: it has roigs" in text for text in said)
     monkeypatch.undo()
     said.clear()
     with pytest.raises(ConfigError, match="No machine"):
-        ray_executor.RayExecutor(cluster.address, tmp_path / "elsewhere" / "batch.lock", context)
+        ray_executor.RayExecutor(head.address, tmp_path / "elsewhere" / "batch.lock", context)
     assert said and all("does not see" in text for text in said)
 
 

@@ -17,7 +17,7 @@ from roigs_engine.cli import main
 from roigs_engine.colmap import refine_by_matches
 from roigs_engine.colmap.adjustment import has_rigs, is_sound, with_own_cameras
 from roigs_engine.colmap.project import load_colmap
-from roigs_engine.colmap.refine import _write, refine_cameras
+from roigs_engine.colmap.refine import Refinement, _write, refine_cameras
 from roigs_engine.colmap.refine_by_matches import fit_to_matches
 from roigs_engine.colmap.track_matching import PhotoFile
 from roigs_engine.context import QUIET, Context
@@ -128,22 +128,33 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Project]:
     return folder, captured(folder)
 
 
-def test_cameras_agree_several_times_as_well(scene: tuple[Path, Project], tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def refined(
+    scene: tuple[Path, Project], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, Refinement]:
+    """The model that is made of the scene's, and what was said of it."""
+    new = tmp_path_factory.mktemp("refined") / "new"
+    return new, refine_cameras(scene[0] / "sparse" / "0", new)
+
+
+def test_cameras_agree_several_times_as_well(
+    scene: tuple[Path, Project], refined: tuple[Path, Refinement], tmp_path: Path
+) -> None:
     folder, made = scene
     old = folder / "sparse" / "0"
     by_tracks = refine_cameras(old, tmp_path / "tracks", look=False)
     assert by_tracks.matched is None
-    done = refine_cameras(old, tmp_path / "new")
+    new, done = refined
     assert done.better and done.matched is not None and "poses" in done.matched.changed
     assert done.matched.photos == len(NAMES)
     assert done.matched.after < 0.1 and done.matched.after < done.matched.before / 1.5
     tracks = tmp_path / "tracks" if by_tracks.better else old
-    assert inconsistency(tmp_path / "new", made) < inconsistency(tracks, made) / 2
+    assert inconsistency(new, made) < inconsistency(tracks, made) / 2
     before, after = (
         load_colmap(model, pixels=False, images=folder / "images")
         for model in (
             old,
-            tmp_path / "new",
+            new,
         )
     )
     assert [image.name for image in after.images] == NAMES
@@ -154,9 +165,9 @@ def test_cameras_agree_several_times_as_well(scene: tuple[Path, Project], tmp_pa
 
 
 def test_photos_get_focal_lengths_of_their_own_only_if_that_fits_better(
-    scene: tuple[Path, Project], tmp_path: Path
+    refined: tuple[Path, Refinement], tmp_path: Path
 ) -> None:
-    done = refine_cameras(scene[0] / "sparse" / "0", tmp_path / "same")
+    _, done = refined
     assert done.matched is not None and "focal lengths" not in done.matched.changed
     captured(tmp_path / "zoomed", zoom=0.01)
     done = refine_cameras(tmp_path / "zoomed" / "sparse" / "0", tmp_path / "new")

@@ -45,7 +45,8 @@ MASKS = MaskedSteps(full_every=2, seeing=(0, 1))
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
-    return make_scene(tmp_path_factory.mktemp("photos"), views=VIEWS)
+    made = make_scene(tmp_path_factory.mktemp("photos"), views=VIEWS)
+    return replace(made, images=tuple(image.scaled(0.5) for image in made.images))
 
 
 @pytest.fixture
@@ -89,7 +90,7 @@ class MaskedPhotos:
     def __getitem__(self, index: int) -> NDArray[np.uint8]:
         colours = self._photos[index]
         mask = np.full((*colours.shape[:2], 1), 255, np.uint8)
-        mask[:, :20] = 0
+        mask[:, :10] = 0
         return np.concatenate([colours, mask], axis=2)
 
     def prefetch(self, indices: Sequence[int]) -> None:
@@ -133,8 +134,8 @@ def test_no_step_waits(scene: SfmScene, card: PretendCard, inputs: Inputs) -> No
 def test_steps_on_an_object_alone_do_not_wait(
     scene: SfmScene, card: PretendCard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write_mask(tmp_path / "mask.png", np.ones((48, 64), bool))
-    small = np.full((48, 64), 255, np.uint8)
+    write_mask(tmp_path / "mask.png", np.ones((24, 32), bool))
+    small = np.full((24, 32), 255, np.uint8)
     mask = PhotoMask(digest="m", path=tmp_path / "mask.png", remake=lambda: None, small=small)
     images = tuple(replace(image, objects={BOX.name: mask}) for image in scene.images)
     seen = replace(scene, images=images)

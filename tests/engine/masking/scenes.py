@@ -17,9 +17,11 @@ from roigs_engine.model.scene import Camera, PosedImage, SfmScene
 from roigs_engine.rasterize.view import render_view
 from tests.poses import look_at
 
-CAMERA = Camera(width=160, height=120, fx=150.0, fy=150.0, cx=80.0, cy=60.0)
+WIDTH, HEIGHT, FOCAL = 112, 84, 105.0
+CAMERA = Camera(width=WIDTH, height=HEIGHT, fx=FOCAL, fy=FOCAL, cx=WIDTH / 2, cy=HEIGHT / 2)
 BOX = OrientedBox.between("ball", [-0.5, -0.5, -0.56], [0.5, 0.5, 0.5])
 COUNT = 6
+BALL, PLATE = 1500, 6000  # Gaussians
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,19 +38,19 @@ class BallScene:
 def ball_scene(folder: Path) -> BallScene:
     """Render and write it."""
     rng = np.random.default_rng(0)
-    ball = rng.normal(size=(3000, 3))
-    ball *= (0.4 * rng.uniform(0, 1, 3000) ** (1 / 3) / np.linalg.norm(ball, axis=1))[:, None]
-    plate = np.column_stack([rng.uniform(-1.6, 1.6, (12000, 2)), rng.normal(-0.45, 0.01, 12000)])
+    ball = rng.normal(size=(BALL, 3))
+    ball *= (0.4 * rng.uniform(0, 1, BALL) ** (1 / 3) / np.linalg.norm(ball, axis=1))[:, None]
+    plate = np.column_stack([rng.uniform(-1.6, 1.6, (PLATE, 2)), rng.normal(-0.45, 0.01, PLATE)])
     places = np.concatenate([ball, plate])
     colours = np.empty(places.shape)
-    colours[:3000] = (190, 70, 60)
+    colours[:BALL] = (190, 70, 60)
     checked = (np.floor(plate[:, :2] * 3).sum(axis=1) % 2 > 0)[:, None]
-    colours[3000:] = np.where(checked, (70, 110, 80), (200, 205, 190))
+    colours[BALL:] = np.where(checked, (70, 110, 80), (200, 205, 190))
     colours += rng.normal(0, 12, places.shape)
     model = Gaussians.from_points(places, colours.clip(0, 255).astype(np.uint8))
-    model.log_scales.fill_(float(np.log(0.03)))
+    model.log_scales.fill_(float(np.log(0.04)))
     model.logit_opacities.fill_(3.0)
-    is_ball = torch.arange(len(places)) < 3000
+    is_ball = torch.arange(len(places)) < BALL
     images, photos, true = [], {}, {}
     sparse = rng.choice(len(places), 900, replace=False)
     for k in range(COUNT):
@@ -61,8 +63,8 @@ def ball_scene(folder: Path) -> BallScene:
         alone.sh.zero_()
         true[name] = render_view(alone, CAMERA, pose).image[..., 0].numpy() > 0.25
         local = places[sparse] @ pose[:3, :3].T + pose[:3, 3]
-        x, y = (local[:, :2] / local[:, 2:] * 150 + (80, 60)).T
-        seen = np.flatnonzero((x > 0) & (x < 160) & (y > 0) & (y < 120))
+        x, y = (local[:, :2] / local[:, 2:] * FOCAL + (WIDTH / 2, HEIGHT / 2)).T
+        seen = np.flatnonzero((x > 0) & (x < WIDTH) & (y > 0) & (y < HEIGHT))
         images.append(
             PosedImage(
                 name=name,
@@ -73,7 +75,7 @@ def ball_scene(folder: Path) -> BallScene:
             )
         )
         photos[name] = PhotoPixels(
-            name=name, path=folder / name, size=(160, 120), camera=CAMERA, lens=None, turn=1
+            name=name, path=folder / name, size=(WIDTH, HEIGHT), camera=CAMERA, lens=None, turn=1
         )
     scene = SfmScene(
         images=tuple(images),
