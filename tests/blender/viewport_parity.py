@@ -1,9 +1,9 @@
 """Splats of the viewport against pictures of the engine; run by a Blender or its `bpy` module.
 
-    blender -b --factory-startup --python viewport_parity.py -- CASE
-    python viewport_parity.py CASE        (with bpy)
+    blender -b --factory-startup --python viewport_parity.py -- CASE...
+    python viewport_parity.py CASE...        (with bpy)
 
-CASE is a folder with `splats.ply`, and maybe more whose names begin so, `cameras.json` (the
+Each CASE is a folder with `splats.ply`, and maybe more whose names begin so, `cameras.json` (the
 engine's camera path file) and, for each camera, the engine's picture `<name>.png`. Every camera is
 drawn with the objects as they are and with the objects turned, scaled and moved, the camera going
 with them, and with the picture as a part of wider windows: the picture must stay the same. One line
@@ -64,6 +64,8 @@ def main(folder: Path) -> bool:
             quality = psnr(draw_window(items, camera, beyond)[..., :3], wanted)
             good &= quality >= LEAST_IN_WINDOW
             print(f"{camera['name']} {name} {quality:.2f}", flush=True)
+    for item in items:
+        bpy.data.objects.remove(item)
     return good
 
 
@@ -101,7 +103,8 @@ def draw_camera(items: list[bpy.types.Object], camera: dict, pose: Matrix) -> np
 if __name__ == "__main__":
     properties.register()
     try:
-        passed = with_gpu(lambda: main(Path(sys.argv[-1])))
+        given = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
+        passed = with_gpu(lambda: all(main(Path(folder)) for folder in given))
     finally:
         draw.unregister()
         properties.unregister()

@@ -25,7 +25,7 @@ def checkpoints(folder: Path) -> list[Path]:
 
 
 def training(state) -> bool:
-    return state.stage in ("scene", "joint") and state.step > 5
+    return state.stage in ("scene", "joint") and state.step > 0
 
 
 @pytest.fixture

@@ -164,10 +164,10 @@ def test_a_stopped_training_resumes_to_the_same_bytes(
     from roigs_addon.jobs import current
 
     bpy, run = blender, tmp_path / "run"
-    scene = ready(bpy, project, run, factor=0.2)
+    scene = ready(bpy, project, run, factor=0.1)
     job = start_training(engine, scene)
     state = current.state()
-    while job.poll() and not (state.stage in ("scene", "joint") and state.step > 5):
+    while job.poll() and not (state.stage in ("scene", "joint") and state.step > 0):
         time.sleep(0.02)
     assert job.poll(), "it ended before it could be stopped"
     bpy.ops.roigs.stop()

@@ -35,16 +35,16 @@ def blender(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-def run(blender: str, script: str, folder: Path) -> str:
-    """Output of a script of tests/blender in a folder; fails when the script does."""
-    command = [blender, str(ROOT / "tests" / "blender" / script), str(folder)]
+def run(blender: str, script: str, *folders: Path) -> str:
+    """Output of a script of tests/blender for folders; fails when the script does."""
+    command = [blender, str(ROOT / "tests" / "blender" / script), *map(str, folders)]
     if "python" not in Path(blender).name:
         command = [blender, "-b", "--factory-startup", "--python-exit-code", "1"]
-        command += ["--python", str(ROOT / "tests" / "blender" / script), "--", str(folder)]
-    (folder / "resources").mkdir()
+        command += ["--python", str(ROOT / "tests" / "blender" / script), "--", *map(str, folders)]
+    (folders[0] / "resources").mkdir()
     environment = {
         **os.environ,
-        "BLENDER_USER_RESOURCES": str(folder / "resources"),
+        "BLENDER_USER_RESOURCES": str(folders[0] / "resources"),
         "LIBGL_ALWAYS_SOFTWARE": "1",
         "PYTHONUNBUFFERED": "1",
     }
@@ -73,26 +73,30 @@ def cameras() -> list[dict]:
     ]
 
 
-@pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
-def test_the_viewport_draws_what_the_engine_draws(
-    blender: str, tmp_path: Path, coefficients: int
-) -> None:
+def test_the_viewport_draws_what_the_engine_draws(blender: str, tmp_path: Path) -> None:
+    """With colours of each degree."""
     pytest.importorskip("torch")
     from roigs_engine.formats.splat_ply import write_ply
     from roigs_engine.model.gaussians import Gaussians
     from roigs_engine.rasterize.camera_path import load_camera_path
     from roigs_engine.rasterize.image_files import render_sequence
 
-    path, arrays = tmp_path / "splats.ply", random_arrays(1500, 5, coefficients)
-    # Opacities of exactly 1 and 0, and flat Gaussians, as programs write them.
-    arrays["logit_opacities"][:200], arrays["logit_opacities"][200:250] = np.inf, -np.inf
-    arrays["log_scales"][100:300, 0] = -np.inf
-    write_ply(path, arrays)
-    chosen = cameras() if coefficients == 16 else cameras()[:1]
-    (tmp_path / "cameras.json").write_text(json.dumps({"cameras": chosen}), encoding="utf-8")
-    gaussians = Gaussians.load_ply(path)
-    render_sequence(gaussians, load_camera_path(tmp_path / "cameras.json"), tmp_path)
-    assert len(run(blender, "viewport_parity.py", tmp_path).splitlines()) >= 5 * len(chosen)
+    folders, pictures = [], 0
+    for coefficients in (1, 4, 9, 16):
+        folder = tmp_path / f"{coefficients}"
+        folder.mkdir()
+        path, arrays = folder / "splats.ply", random_arrays(1500, 5, coefficients)
+        # Opacities of exactly 1 and 0, and flat Gaussians, as programs write them.
+        arrays["logit_opacities"][:200], arrays["logit_opacities"][200:250] = np.inf, -np.inf
+        arrays["log_scales"][100:300, 0] = -np.inf
+        write_ply(path, arrays)
+        chosen = cameras() if coefficients == 16 else cameras()[:1]
+        (folder / "cameras.json").write_text(json.dumps({"cameras": chosen}), encoding="utf-8")
+        gaussians = Gaussians.load_ply(path)
+        render_sequence(gaussians, load_camera_path(folder / "cameras.json"), folder)
+        folders.append(folder)
+        pictures += len(chosen)
+    assert len(run(blender, "viewport_parity.py", *folders).splitlines()) >= 8 * pictures
 
 
 def engine_picture(folder: Path, camera: dict, *plain: str) -> np.ndarray:
@@ -117,26 +121,26 @@ def engine_picture(folder: Path, camera: dict, *plain: str) -> np.ndarray:
     return to_uint8(layer.image * layer.alpha[..., None])
 
 
-@pytest.mark.parametrize("kinds", [{"splats": True}, {"splats-1": True, "splats-2": False}])
-def test_the_viewport_draws_with_anti_aliasing(
-    blender: str, tmp_path: Path, kinds: dict[str, bool]
-) -> None:
+def test_the_viewport_draws_with_anti_aliasing(blender: str, tmp_path: Path) -> None:
     """One object, and one of each kind among each other."""
     pytest.importorskip("torch")
     from roigs_engine.rasterize.image_files import save_png
 
-    for seed, (name, antialiased) in enumerate(kinds.items()):
-        path = tmp_path / f"{name}.ply"
-        fine_ply(path, 800 // len(kinds), seed, antialiased=antialiased)
-    chosen = cameras()
-    (tmp_path / "cameras.json").write_text(json.dumps({"cameras": chosen}), encoding="utf-8")
-    for camera in chosen:
-        wanted = engine_picture(tmp_path, camera)
-        without = engine_picture(tmp_path, camera, *kinds)
-        error = np.square((wanted.astype(float) - without) / 255).mean()
-        assert -10 * np.log10(error) < 30, "no difference: nothing would be compared"
-        save_png(tmp_path / f"{camera['name']}.png", wanted)
-    assert len(run(blender, "viewport_parity.py", tmp_path).splitlines()) >= 5 * len(chosen)
+    chosen, folders = cameras(), [tmp_path / "one", tmp_path / "two"]
+    cases: list[dict[str, bool]] = [{"splats": True}, {"splats-1": True, "splats-2": False}]
+    for folder, kinds in zip(folders, cases, strict=True):
+        folder.mkdir()
+        for seed, (name, antialiased) in enumerate(kinds.items()):
+            path = folder / f"{name}.ply"
+            fine_ply(path, 800 // len(kinds), seed, antialiased=antialiased)
+        (folder / "cameras.json").write_text(json.dumps({"cameras": chosen}), encoding="utf-8")
+        for camera in chosen:
+            wanted = engine_picture(folder, camera)
+            without = engine_picture(folder, camera, *kinds)
+            error = np.square((wanted.astype(float) - without) / 255).mean()
+            assert -10 * np.log10(error) < 30, "no difference: nothing would be compared"
+            save_png(folder / f"{camera['name']}.png", wanted)
+    assert len(run(blender, "viewport_parity.py", *folders).splitlines()) >= 16 * len(chosen)
 
 
 def test_the_viewport_leaves_out_what_the_engine_leaves_out(blender: str, tmp_path: Path) -> None:
@@ -181,9 +185,9 @@ def test_the_viewport_draws_the_demo(blender: str, tmp_path: Path) -> None:
 
     (tmp_path / "splats.ply").symlink_to(result.resolve())
     chosen = []
-    for image in load_colmap(ROOT / "demo" / "scene").images[::30]:
-        camera, shrink = image.camera, 320 / image.camera.width
-        width, height = 320, round(camera.height * shrink)
+    for image in load_colmap(ROOT / "demo" / "scene").images[::60]:
+        camera, shrink = image.camera, 160 / image.camera.width
+        width, height = 160, round(camera.height * shrink)
         chosen.append(
             {
                 "name": image.name.replace("/", " "),
