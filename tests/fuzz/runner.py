@@ -46,11 +46,15 @@ class Result:
         return self.ended.total() + len(self.wrong)
 
 
-def work(cases: Sequence[str], result: Result) -> None:
-    """Run the cases ('family number') one after another, into `result`."""
+def work(
+    cases: Sequence[str],
+    result: Result,
+    command: Sequence[str] = (sys.executable, "-m", "tests.fuzz.worker"),
+) -> None:
+    """Run the cases ('family number') one after another, into `result`; `command` is a worker."""
     while cases:
         done = subprocess.run(
-            [sys.executable, "-m", "tests.fuzz.worker"],
+            command,
             cwd=ROOT,
             env=os.environ | ONE_THREAD | {"PYTHONPATH": str(ROOT)},
             input="\n".join(cases),

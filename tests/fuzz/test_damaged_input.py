@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests import warm_engine
 from tests.fuzz import cases, runner
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="bounds memory as Linux does")
@@ -24,7 +25,7 @@ def assert_sound(result: runner.Result) -> None:
 def test_a_sample() -> None:
     result = runner.Result()
     chosen = [f"{family} {number}" for number, family in enumerate(cases.all_families())]
-    runner.work(chosen, result)
+    runner.work(chosen, result, warm_engine.module("tests.fuzz.worker"))
     assert result.cases == len(chosen)
     assert_sound(result)
 

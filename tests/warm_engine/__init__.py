@@ -38,9 +38,14 @@ CAN_FORK = sys.platform == "linux" and "python" in Path(sys.executable).name
 
 def command(arguments: Sequence[object]) -> list[str]:
     """The command line of an engine command that starts at once, where that can be."""
-    words = [str(argument) for argument in arguments]
+    return module("roigs_engine", arguments)
+
+
+def module(name: str, arguments: Sequence[object] = ()) -> list[str]:
+    """The command line of a module that is run as `python -m` runs it."""
+    words = [name, *map(str, arguments)]
     if not CAN_FORK:
-        return [sys.executable, "-m", "roigs_engine", *words]
+        return [sys.executable, "-m", *words]
     return [sys.executable, "-I", "-S", str(HERE / "client.py"), _address(), *words]
 
 

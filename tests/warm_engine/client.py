@@ -1,6 +1,6 @@
-"""In place of `python -m roigs_engine`: gives this process's streams to the server, and waits.
+"""In place of `python -m MODULE`: gives this process's streams to the server, and waits.
 
-    python -I -S client.py SOCKET ARGUMENT...
+    python -I -S client.py SOCKET MODULE ARGUMENT...
 
 Only built-in modules are imported: `signal` and `socket` would take most of its time.
 """

@@ -3,8 +3,8 @@
     python server.py SOCKET
 
 It says `ready` once everything is imported, and ends when its standard input does. A command that
-it forks goes on as `python -m roigs_engine` begins. What it is asked for is a list of such a
-command's arguments, or of a module, a function's name and the function's arguments as bytes.
+it forks goes on as `python -m MODULE` begins. What it is asked for is a list of the module and its
+arguments, or of a module, a function's name and the function's arguments as bytes.
 """
 
 from __future__ import annotations
@@ -129,8 +129,8 @@ def main() -> None:
     elif asked is not None:
         if "ROIGS_TESTS_IMPORT" in os.environ:
             import_module(os.environ["ROIGS_TESTS_IMPORT"])
-        sys.argv = ["roigs_engine", *asked]
-        runpy.run_module("roigs_engine", run_name="__main__", alter_sys=True)
+        sys.argv = list(asked)
+        runpy.run_module(asked[0], run_name="__main__", alter_sys=True)
 
 
 main()

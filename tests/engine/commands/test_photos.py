@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,22 @@ from tests.engine.commands.command_line import BOX, refused
 from tests.engine.commands.photo_scenes import arguments, scene
 from tests.engine.runs import plys, stage_of
 from tests.engine.synthetic_colmap import Project
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Project:
+    """A scene and its run, to copy."""
+    folder = tmp_path_factory.mktemp("trained")
+    project = scene(folder)
+    assert main(arguments(project, folder / "run")) == 0
+    return project
+
+
+@pytest.fixture
+def copied(trained: Project, tmp_path: Path) -> tuple[Project, Path]:
+    """A copy of a scene with its run."""
+    shutil.copytree(trained.folder.parent, tmp_path, dirs_exist_ok=True)
+    return replace(trained, folder=tmp_path / trained.folder.name), tmp_path / "run"
 
 
 def split_of(run: Path) -> list[str]:
@@ -78,10 +96,9 @@ def test_a_test_photo_lost_in_training_costs_only_its_row(
 
 
 def test_a_test_photo_lost_later_costs_its_row(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    copied: tuple[Project, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    project, run, out = scene(tmp_path), tmp_path / "run", tmp_path / "out"
-    assert main(arguments(project, run)) == 0
+    (project, run), out = copied, tmp_path / "out"
     lost, *rest = split_of(run)
     (project.folder / "images" / lost).unlink()
     capsys.readouterr()
@@ -93,9 +110,10 @@ def test_a_test_photo_lost_later_costs_its_row(
     assert table["test_views"] == rest
 
 
-def test_when_all_test_photos_are_lost(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    project, run = scene(tmp_path), tmp_path / "run"
-    assert main(arguments(project, run)) == 0
+def test_when_all_test_photos_are_lost(
+    copied: tuple[Project, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    project, run = copied
     for name in split_of(run):
         (project.folder / "images" / name).unlink()
     words = ["--model", f"A={run / run_files.RESULT}", "--out", str(tmp_path / "out")]
@@ -106,10 +124,9 @@ def test_when_all_test_photos_are_lost(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 def test_a_selection_is_not_read_from_where_it_is_written(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    copied: tuple[Project, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    project, run = scene(tmp_path), tmp_path / "run"
-    assert main(arguments(project, run)) == 0
+    project, run = copied
     mine = (run / "selection" / "thing.json").read_bytes()
     capsys.readouterr()
     words = arguments(project, run, "--selection", str(run / "selection"))
@@ -283,11 +300,10 @@ def test_undistorted_photos_are_made_again_and_tidied_up(
 
 
 def test_a_run_folder_of_another_version(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    copied: tuple[Project, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its stages know nothing of what is in the photos."""
-    project, run = scene(tmp_path), tmp_path / "run"
-    assert main(arguments(project, run)) == 0
+    project, run = copied
     path = run / run_files.MANIFEST
     record = json.loads(path.read_text(encoding="utf-8"))
     del record["version"], record["contents"]

@@ -290,7 +290,7 @@ def has_the_same_bits(kind: SceneKind) -> None:
 
 
 # Larger scenes here: small ones are too little work to be divided.
-LARGER = {"most": 20_000, "largest": 200}
+LARGER = {"most": 8_000, "largest": 128}
 
 
 def test_same_bits_at_any_number_of_threads(isa: str) -> None:

@@ -17,12 +17,17 @@ def demo_photos(pattern: str, count: int) -> list[Path]:
     return found
 
 
-def copy_photos(folder: Path, photos: list[Path], names: list[str]) -> None:
-    """Copies of photos under other names."""
+def copy_photos(folder: Path, photos: list[Path], names: list[str], scale: float = 1.0) -> None:
+    """Copies of photos under other names, or smaller ones."""
     for path, name in zip(photos, names, strict=True):
         target = folder / name
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes(path.read_bytes())
+        if scale == 1:
+            target.write_bytes(path.read_bytes())
+            continue
+        with Image.open(path) as photo:
+            size = round(photo.width * scale), round(photo.height * scale)
+            photo.resize(size, Image.Resampling.LANCZOS).save(target, exif=photo.getexif())
 
 
 def write_noise(path: Path, seed: int = 0, size: tuple[int, int] = (320, 240)) -> None:

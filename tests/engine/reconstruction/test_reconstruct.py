@@ -41,6 +41,7 @@ from tests.machine_load import slowness
 pytest.importorskip("pycolmap")
 
 QUICK: dict[str, Any] = {"features": 800, "threads": 2}
+SMALL = 0.6  # of the demo's photos, which is much less work
 NAMES = [f"# wide/übung {number}.jpg" for number in range(6)]
 
 
@@ -54,7 +55,7 @@ def make(photos: Path, out: Path, context: Context = QUIET, **options: Any) -> N
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A reconstruction of six photos with awkward names, and one that fits nowhere."""
     folder = tmp_path_factory.mktemp("reconstruction")
-    copy_photos(folder / "photos", demo_photos("wide/*.jpg", 6), NAMES)
+    copy_photos(folder / "photos", demo_photos("wide/*.jpg", 6), NAMES, SMALL)
     write_noise(folder / "photos/noise.png")
     make(folder / "photos", folder / "scene")
     return folder / "scene"
@@ -105,7 +106,7 @@ class Stopping:
 def resumed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A reconstruction of four photos that was stopped in each stage."""
     folder = tmp_path_factory.mktemp("resumed")
-    copy_photos(folder / "photos", demo_photos("wide/*.jpg", 4), NAMES[:4])
+    copy_photos(folder / "photos", demo_photos("wide/*.jpg", 4), NAMES[:4], SMALL)
     out, features = folder / "scene", 0
     stages = {"look at photos": 0.0, "features": 1.0, "matching": 0.0, "mapping": 0.0}
     for stage, seconds in stages.items():
@@ -132,7 +133,7 @@ def test_it_resumes_where_it_was_stopped_and_takes_new_photos(resumed: Path) -> 
     assert started == ["look at photos", "mapping"]
     assert len(load_colmap(out, pixels=False).images) == 4
     first = matched_pairs(out / "database.db")
-    copy_photos(photos, demo_photos("wide/*.jpg", 5)[4:], NAMES[4:5])
+    copy_photos(photos, demo_photos("wide/*.jpg", 5)[4:], NAMES[4:5], SMALL)
     make(photos, out)
     assert first.items() <= matched_pairs(out / "database.db").items()
     with closing(sqlite3.connect(out / "database.db")) as file:
