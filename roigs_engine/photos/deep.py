@@ -13,7 +13,7 @@ from PIL import Image, ImageFile
 
 from .colours import packing
 from .headers import open_photo
-from .profiles import Deep
+from .profiles import PART, Deep, parts_of
 from .tiff import TiffPhoto
 
 COLOUR = re.compile(r"(RGB|RGBA|RGBX|RGBa);16([BLN])$")
@@ -35,19 +35,42 @@ def deep_values(photo: Image.Image) -> Deep | None:
         return _grey(np.asarray(photo), stored)[..., None]
     first = stored.split(" ", 1)[0]
     if first == "LA;16B":  # two bytes each of grey and alpha
-        halves = _read_as(photo, "RGBA")
-        return np.asarray(halves[..., :1].astype(np.uint16) << 8 | halves[..., 1:2])
+        with open_photo(Path(getattr(photo, "filename", ""))) as again:  # not turned by its tag
+            _read_as(again, "RGBA")
+            high, low = (np.asarray(again.getchannel(k)) for k in (0, 1))
+        return np.asarray(high.astype(np.uint16) << 8 | low)[..., None]
     found = COLOUR.match(first)
     if found is None:
         return None
     channels, order = found.groups()
-    channels = channels.replace("a", "A")
-    high = _read_as(photo, f"{channels};16{order}").astype(np.uint16)
-    values = high << 8 | _read_as(photo, f"{channels};16{OTHER[order]}")
-    if found[1] == "RGBa":  # multiplied by alpha
-        alpha = np.maximum(values[..., 3:], 1).astype(np.float32)
-        values = (values * (65535 / alpha)).round().clip(0, 65535).astype(np.uint16)
-    return np.asarray(values[..., :3])
+    alike = channels.replace("a", "A")
+    values = _halves(
+        photo, *(f"{alike};16{half}" for half in (order, OTHER[order])), alpha=alike != channels
+    )
+    if alike != channels:  # multiplied by alpha
+        for part in parts_of(values):
+            alpha = np.maximum(part[..., 3:], 1).astype(np.float32)
+            part[:] = (part * (65535 / alpha)).round().clip(0, 65535)
+    return values[..., :3]
+
+
+def _halves(photo: Image.Image, high: str, low: str, *, alpha: bool) -> Deep:
+    """(H, W, 3 or 4) of a photo's file, by the packings with which Pillow reads its bytes.
+
+    In parts: a large photo has twice the bytes of Pillow's picture.
+    """
+    values = np.empty(0, np.uint16)
+    for shift, packed in ((8, high), (0, low)):
+        with open_photo(Path(getattr(photo, "filename", ""))) as again:  # not turned by its tag
+            _read_as(again, packed)
+            if shift:
+                values = np.zeros((again.height, again.width, 4 if alpha else 3), np.uint16)
+            rows = max(1, PART // again.width)
+            for top in range(0, again.height, rows):
+                box = (0, top, again.width, min(top + rows, again.height))
+                part = np.asarray(again.crop(box))[..., : values.shape[2]]
+                values[top : top + rows] |= np.left_shift(part, shift, dtype=np.uint16)
+    return values
 
 
 def transparent(photo: Image.Image) -> NDArray[np.bool_] | None:
@@ -79,13 +102,11 @@ def _grey(values: NDArray[Any], stored: str) -> Deep:
     return np.asarray(values.clip(0, 65535).astype(np.uint16))
 
 
-def _read_as(photo: Image.Image, packed: str) -> NDArray[np.uint8]:
-    """(H, W, channels) of a photo's file, its bytes taken as another packing of as many bits."""
-    with open_photo(Path(getattr(photo, "filename", ""))) as again:  # not turned by its tag
-        assert isinstance(again, ImageFile.ImageFile)
-        again.tile = [_packed(tile, packed) for tile in again.tile]
-        again.load()
-        return np.asarray(again)
+def _read_as(photo: Image.Image, packed: str) -> None:
+    """Decode an opened photo, its bytes taken as another packing of as many bits."""
+    assert isinstance(photo, ImageFile.ImageFile)
+    photo.tile = [_packed(tile, packed) for tile in photo.tile]
+    photo.load()
 
 
 def _packed(tile: Any, packed: str) -> Any:

@@ -34,6 +34,7 @@ TAIL = 1 << 16  # bytes at the end of a file that are searched for them
 # A larger photo has a damaged or malicious header: the largest cameras today have 150 megapixels,
 # and Pillow rejects more than 179.
 MAX_PIXELS = 178_000_000
+LONGEST = 65_535  # pixels of a side, as in JPEG: Pillow takes memory for each row
 # What is done about a photo's colour space if it is not sRGB (`colours`).
 CONVERTED, DAMAGED = "converted", "damaged profile"
 # The user can do nothing about Pillow's warnings on a photo's metadata.
@@ -77,10 +78,10 @@ def photo_size(path: Path) -> tuple[int, int]:
                     width, height = photo.size
     except (OSError, ValueError, struct.error) as error:
         raise unreadable(path, error) from error
-    if width * height > MAX_PIXELS:
+    if width * height > MAX_PIXELS or max(width, height) > LONGEST:
+        limit = f"{MAX_PIXELS // 10**6} million, or {LONGEST:,} on a side"
         raise PhotoError(
-            f"Cannot read photo {path} ({width} x {height} pixels: more than"
-            f" {MAX_PIXELS // 10**6} million).",
+            f"Cannot read photo {path} ({width} x {height} pixels: more than {limit}).",
             "Give smaller copies of the photos with --images, or restore the file.",
         )
     if not width * height:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +37,7 @@ CICP_PRIMARIES: dict[int, Primaries] = {
 }
 REFERENCE_WHITE = 203.0  # cd/m2 of PQ and HLG that become white: ITU-R BT.2408
 HLG_PEAK = 1000.0  # cd/m2 of the screen that HLG is meant for: ITU-R BT.2100
-BAND = 64  # rows that are converted at once
+PART = 1 << 18  # pixels that are converted at once
 SAMPLES = 255 * 16 + 1  # of a curve: the values of 8 bits are among them
 # CIE XYZ of ICC's white, and Bradford's matrix, which adapts other whites to it (ICC.1, annex E).
 D50 = np.array([0.9642, 1.0, 0.8249])
@@ -134,6 +135,12 @@ def profile(primaries: Primaries, curve: Curve) -> bytes:
     return head + struct.pack(">I", len(parts)) + tags + body
 
 
+def parts_of(pixels: NDArray[Any]) -> Iterator[NDArray[Any]]:
+    """Views of rows of (H, W, ...), of at most `PART` pixels each, but one row at least."""
+    rows = max(1, PART // max(1, pixels.shape[1]))
+    return (pixels[top : top + rows] for top in range(0, len(pixels), rows))
+
+
 @dataclass(frozen=True)
 class Space:
     """A colour space of curves and a matrix, with which values of 16 bits are converted.
@@ -146,17 +153,23 @@ class Space:
     matrix: NDArray[np.float32] | None
 
     def to_srgb(self, values: Deep) -> NDArray[np.uint8]:
-        """(H, W, 3) sRGB of (H, W, 1 or 3) values, rounded; what lies outside is clipped."""
+        """(H, W, 3) sRGB of (H, W, 1 or 3) values, rounded; what lies outside is clipped.
+
+        The result takes the place of values in RGB, which are lost: photos may be large.
+        """
         encoded = _encoded()
-        result = np.empty((*values.shape[:2], 3), np.uint8)
-        for top in range(0, len(values), BAND):  # else ten times the memory of the photo
-            band = values[top : top + BAND]
+        if values.shape[2] == 3 and values.flags.c_contiguous:
+            result = values.reshape(-1).view(np.uint8)[: values.size].reshape(values.shape)
+        else:
+            result = np.empty((*values.shape[:2], 3), np.uint8)
+        # Else ten times the memory of the photo.
+        for part, made in zip(parts_of(values), parts_of(result), strict=True):
             channels = range(len(self.curves))
-            light = np.stack([self.curves[k][band[..., min(k, band.shape[2] - 1)]]
+            light = np.stack([self.curves[k][part[..., min(k, part.shape[2] - 1)]]
                               for k in channels], axis=-1)  # fmt: skip
             if self.matrix is not None:
                 light = light @ self.matrix.T
-            result[top : top + BAND] = encoded[(light.clip(0, 1) * 65535 + 0.5).astype(np.uint16)]
+            made[:] = encoded[(light.clip(0, 1) * 65535 + 0.5).astype(np.uint16)]
         return result
 
 

@@ -24,6 +24,7 @@ from PIL import Image, ImageFile, TiffImagePlugin
 
 from ..errors import EngineError
 from .jpeg import check_scans, jpeg_size
+from .profiles import parts_of
 
 MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # Tags (TIFF 6.0), and what they say.
@@ -387,8 +388,8 @@ def _decoded(page: Any) -> Image.Image:
         return Image.fromarray((colours >> shift).astype(np.uint8))
     if mode == "LAB":
         return _lab(_values(page)[..., :3], signed=photometric == CIELAB)
-    size, rounded = (page.imagewidth, page.imagelength), _straight(page).round().astype(np.uint8)
-    return Image.frombytes(mode, size, rounded.tobytes())
+    rounded = _straight(page, np.uint8, 1)
+    return Image.frombytes(mode, (page.imagewidth, page.imagelength), rounded.tobytes())
 
 
 def _deep(page: Any) -> NDArray[np.uint16] | None:
@@ -396,35 +397,36 @@ def _deep(page: Any) -> NDArray[np.uint16] | None:
     eight = page.bitspersample <= 8 or int(page.photometric) == PALETTE
     if eight or mode not in ("L", "LA", "RGB", "RGBA"):
         return None
-    colours = _straight(page)[..., : 1 if mode[0] == "L" else 3]
-    return np.asarray((colours * 257).round().astype(np.uint16))
+    return np.asarray(_straight(page, np.uint16, 257)[..., : 1 if mode[0] == "L" else 3])
 
 
-def _straight(page: Any) -> NDArray[np.float32]:
-    """(H, W, channels of the mode) of a page, 0 to 255; colours are not multiplied by alpha."""
-    scaled = _eight_bits(_values(page)[..., : Image.getmodebands(_mode(page))], page.bitspersample)
-    if int(page.photometric) == MINISWHITE:
-        scaled[..., 0] = 255 - scaled[..., 0]
-    if _alpha(page) == ASSOCIATED:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            straight = scaled[..., :-1] * (255 / scaled[..., -1:])
-        scaled[..., :-1] = np.nan_to_num(straight, nan=0, posinf=0).clip(0, 255)
-    return scaled
+def _straight(page: Any, kind: type[np.unsignedinteger[Any]], factor: int) -> NDArray[Any]:
+    """(H, W, channels of the mode) of a page, 0 to 255 times `factor`, not multiplied by alpha."""
+    values = _values(page)[..., : Image.getmodebands(_mode(page))]
+    white = np.float32(_white(values, page.bitspersample))
+    result = np.empty(values.shape, kind)
+    for part, made in zip(parts_of(values), parts_of(result), strict=True):
+        if part.dtype.kind == "f":
+            part = np.nan_to_num(part, nan=0, posinf=1, neginf=0)
+        scaled = np.clip(part.astype(np.float32) / white, 0, 1) * np.float32(255)
+        if int(page.photometric) == MINISWHITE:
+            scaled[..., 0] = 255 - scaled[..., 0]
+        if _alpha(page) == ASSOCIATED:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                straight = scaled[..., :-1] * (255 / scaled[..., -1:])
+            scaled[..., :-1] = np.nan_to_num(straight, nan=0, posinf=0).clip(0, 255)
+        made[:] = (scaled * np.float32(factor)).round()
+    return result
 
 
-def _eight_bits(values: NDArray[Any], bits: int) -> NDArray[np.float32]:
-    """Values of a type, or of fewer bits in it, as 0 to 255."""
-    if values.dtype.kind == "b":
-        most = 1.0
-    elif values.dtype.kind == "f":
-        most = 1.0
-        values = np.nan_to_num(values, nan=0, posinf=1, neginf=0)
-    else:
-        most = 2.0 ** (bits - (values.dtype.kind == "i")) - 1
-        # Programs write 16 bits as signed 32; by its type, such a photo would be black.
-        if values.dtype == np.int32 and values.max(initial=0) <= 65535:
-            most = 65535
-    return np.asarray(np.clip(values.astype(np.float32) / np.float32(most), 0, 1) * 255, np.float32)
+def _white(values: NDArray[Any], bits: int) -> float:
+    """What is white in a page: the largest value of its type, or of fewer bits in it."""
+    if values.dtype.kind in "bf":
+        return 1.0
+    # Programs write 16 bits as signed 32; by its type, such a photo would be black.
+    if values.dtype == np.int32 and values.max(initial=0) <= 65535:
+        return 65535.0
+    return float(2.0 ** (bits - (values.dtype.kind == "i")) - 1)
 
 
 def _lab(values: NDArray[Any], *, signed: bool) -> Image.Image:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import tracemalloc
 import zlib
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from PIL import Image
 
 from roigs_engine.photos.colours import colours_in_words
 from roigs_engine.photos.decode import decode
-from roigs_engine.photos.headers import CONVERTED
+from roigs_engine.photos.headers import CONVERTED, PhotoError, photo_size
 from roigs_engine.photos.mask_images import alpha_mask, has_alpha, read_mask
 from roigs_engine.photos.profiles import (
     CICP_PRIMARIES,
@@ -256,3 +257,37 @@ def test_the_matrix_of_a_profile_is_that_of_littlecms() -> None:
     assert np.allclose(space.matrix.sum(axis=1), 1, atol=1e-3)
     tables = profile(CICP_PRIMARIES[12], srgb_curve).replace(b"cprt", b"A2B0", 1)
     assert space_of(tables) is None
+
+
+@pytest.mark.parametrize("kind", ["png", "png with alpha", "float TIFF", "TIFF of planes"])
+def test_memory_of_large_deep_photos(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    """As many bytes a pixel as the file and the picture have: 178 million took 4 to 6 GB."""
+    monkeypatch.setattr("roigs_engine.photos.profiles.PART", 1 << 12)
+    values = np.random.default_rng(0).integers(0, 65536, (500, 800, 4), dtype=np.uint16)
+    wide = profile(CICP_PRIMARIES[12], srgb_curve)
+    path = tmp_path / ("a.png" if "png" in kind else "a.tif")
+    if "png" in kind:
+        alpha = "alpha" in kind
+        icc = chunk(b"iCCP", b"p\0\0" + zlib.compress(wide))
+        png(path, values if alpha else values[..., :3], 6 if alpha else 2, icc)
+    else:
+        tifffile = pytest.importorskip("tifffile")
+        rgb = values[..., :3]
+        rgb = (rgb / 65535).astype(np.float32) if "float" in kind else rgb.transpose(2, 0, 1)
+        planes = {"planarconfig": "separate"} if "planes" in kind else {}
+        tifffile.imwrite(path, rgb, photometric="rgb", **planes)
+    decode(path)  # what is imported and kept
+    tracemalloc.start()
+    decode(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak / values[..., 0].size < (24 if "float" in kind else 14)
+
+
+@pytest.mark.parametrize("size", [(70_000, 2), (2, 70_000)])
+def test_photos_with_a_very_long_side_are_refused(tmp_path: Path, size: tuple[int, int]) -> None:
+    Image.new("L", size).save(tmp_path / "a.png")
+    with pytest.raises(PhotoError, match=r"70000.*or 65,535 on a side"):
+        photo_size(tmp_path / "a.png")
