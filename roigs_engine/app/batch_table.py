@@ -195,11 +195,14 @@ class Table:
             return []
         found = list(dict.fromkeys(f".{item.lstrip('.').lower()}" for item in value))
         for suffix in found:
+            text = f"'{where[-1]}' has {shown(suffix.lstrip('.'))}, which is no format."
             try:
-                writable(Path(f"result{suffix}"))
+                form = writable(Path(f"result{suffix}"))
             except EngineError as error:
-                text = f"'{where[-1]}' has {shown(suffix.lstrip('.'))}, which is no format."
                 self._say(where, f"{text} {error.hint}")
+                continue
+            if suffix != form.suffix:  # more of a name, or even a path
+                self._say(where, f"{text} Write {form.suffix.lstrip('.')}.")
         return found
 
     def _say(self, place: tuple[str, ...], text: str) -> None:

@@ -127,9 +127,15 @@ def unlinked(path: str, flags: int) -> int:
     return regular(path, flags | getattr(os, "O_NOFOLLOW", 0))
 
 
+LARGEST = 128 << 20
+"""Bytes of a file of text that is read whole; ours have a few million at most."""
+
+
 def read_bytes(path: Path) -> bytes:
-    """The content of a file; OSError if it cannot be read, or is not a regular file."""
+    """The content of a file; OSError if it cannot be read, is large, or is not a regular file."""
     with open(path, "rb", opener=regular) as file:
+        if os.fstat(file.fileno()).st_size > LARGEST:
+            raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
         return file.read()
 
 

@@ -199,3 +199,17 @@ def test_a_misspelt_head_is_named_with_its_line(
     table.write_text("[scenes.hall]\nscene = 'hall'\n\n[scene.attic]\nscene = 'attic'\n")
     assert main(["batch", str(table), "--run-dir", str(tmp_path / "run")]) == 2
     assert "line 4: 'scene' is unknown" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("key", ["outputs", "object_outputs"])
+@pytest.mark.parametrize("ending", ["/../../out/x.spz", "\\..\\x.spz", "/x.ply", "b.ply", "x.SPZ"])
+def test_formats_of_outputs_are_no_paths(
+    scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str, ending: str
+) -> None:
+    """Files of the user's were written over."""
+    table = tmp_path / "t.toml"
+    row = f"[scenes.a]\nscene = '{scans / 'hall'}'\nroi = ['{BOX}']\n{key} = ['{ending}']\n"
+    table.write_text(row, encoding="utf-8")
+    assert main(["batch", str(table), "--run-dir", str(tmp_path / "run"), "--dry-run"]) == 2
+    form = ending[-3:].lower()
+    assert f"which is no format. Write {form}." in capsys.readouterr().err

@@ -193,3 +193,12 @@ def test_a_pipe_is_not_replaced_by_a_file(tmp_path: Path) -> None:
         write_text(tmp_path / "pipe.ply", "text")
     assert stat.S_ISFIFO((tmp_path / "pipe.ply").stat().st_mode)
     assert [path.name for path in tmp_path.iterdir()] == ["pipe.ply"]
+
+
+def test_text_of_gigabytes_is_not_read(tmp_path: Path) -> None:
+    """A file of nothing but a hole takes no disk, and all of the memory."""
+    path = tmp_path / "a.json"
+    with path.open("wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(RunFolderError, match=r"a\.json \(File too large\)"):
+        read_json(path)
