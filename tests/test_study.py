@@ -24,6 +24,7 @@ from roigs_engine.kernels import library
 from roigs_engine.run import presets
 from roigs_engine.run.config import RunConfig
 from roigs_engine.run.presets import preset
+from roigs_engine.training import floaters
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.mechanisms.density_control import DensityControl
 from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
@@ -59,6 +60,7 @@ def small_world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(work, "load_colmap", lambda *args, **options: scene)
         patch.setitem(presets.PRESETS, "tiny", tiny)
+        patch.setattr(floaters, "MOST_VIEWS", 6)  # else the search takes longer than the steps
         patch.setattr(DensityControl, "grad_threshold", 9.0)  # the baselines' own would densify it
         yield
     library.set_threads(None)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import shutil
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,9 +34,19 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
     return two_rooms(tmp_path_factory.mktemp("photos"))
 
 
-@pytest.fixture(autouse=True)
-def few_photos_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(blocks_module, "FEWEST", 4)
+@pytest.fixture(scope="module")
+def whole(scene: SfmScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run in two blocks."""
+    folder = tmp_path_factory.mktemp("whole")
+    train(folder, scene, BOXES, tiny("joint", blocks=2))
+    return folder
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_photos_do() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(blocks_module, "FEWEST", 4)
+        yield
 
 
 def messages(events: Sequence[Event]) -> str:
@@ -51,9 +62,11 @@ def told(folder: Path, scene: SfmScene, config: RunConfig) -> tuple[Run, str]:
 
 @pytest.mark.parametrize("strategy", ["joint", "independent"])
 def test_blocks_are_trained_apart_and_joined(
-    tmp_path: Path, scene: SfmScene, strategy: str
+    tmp_path: Path, scene: SfmScene, whole: Path, strategy: str
 ) -> None:
     config = tiny(strategy, blocks=2)
+    if strategy == "joint":
+        shutil.copytree(whole, tmp_path, dirs_exist_ok=True)
     run = define_run(tmp_path, scene, BOXES, config)
     plan = plan_run(run)
     cells = run.layout.blocks.cells
@@ -77,15 +90,16 @@ def test_blocks_are_trained_apart_and_joined(
     assert all(run_files.is_own(path.name) for path in tmp_path.iterdir())
 
 
-def test_the_same_bytes_whoever_trains_a_block(tmp_path: Path, scene: SfmScene) -> None:
+def test_the_same_bytes_whoever_trains_a_block(
+    tmp_path: Path, scene: SfmScene, whole: Path
+) -> None:
     config = tiny("joint", blocks=2)
-    train(tmp_path / "whole", scene, BOXES, config)
     run = opened(tmp_path / "parts", scene, BOXES, config)
     plan = plan_run(run)
     for name in ("block-2-scene", "block-1-scene", "block-2-joint", "block-1-joint"):
         train_stage(run, plan, name, QUIET)
     train_run(run)
-    assert plys(tmp_path / "parts") == plys(tmp_path / "whole")
+    assert plys(tmp_path / "parts") == plys(whole)
 
 
 def test_without_blocks_nothing_changes(tmp_path: Path, scene: SfmScene) -> None:
@@ -207,9 +221,10 @@ def test_masks_of_objects_and_the_other_strategy(tmp_path: Path, scene: SfmScene
     assert sum(parts) == count and min(parts) > 0
 
 
-def test_a_stopped_run_resumes_to_the_same_bytes(tmp_path: Path, scene: SfmScene) -> None:
+def test_a_stopped_run_resumes_to_the_same_bytes(
+    tmp_path: Path, scene: SfmScene, whole: Path
+) -> None:
     config = tiny("joint", blocks=2)
-    train(tmp_path / "whole", scene, BOXES, config)
     stopped = 0
     for patience in range(50, 5000, 90):  # calls until it stops, ever later
         left = iter(range(patience))
@@ -220,4 +235,4 @@ def test_a_stopped_run_resumes_to_the_same_bytes(tmp_path: Path, scene: SfmScene
         except Stopped:
             stopped += 1
     assert stopped > 2
-    assert plys(tmp_path / "stopped") == plys(tmp_path / "whole")
+    assert plys(tmp_path / "stopped") == plys(whole)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,6 +35,12 @@ def trained(
 ) -> tuple[Path, list[EvaluatedModel]]:
     folder = tmp_path_factory.mktemp("run")
     return folder, train(folder, scene, BOXES, tiny("joint"))
+
+
+@pytest.fixture
+def copied(trained: tuple[Path, list[EvaluatedModel]], tmp_path: Path) -> Path:
+    """A copy of the run's folder."""
+    return shutil.copytree(trained[0], tmp_path / "run")
 
 
 def test_boxes_that_share_no_photo_are_trained_side_by_side(
@@ -69,23 +76,21 @@ def test_another_grouping_is_another_run(scene: SfmScene, tmp_path: Path) -> Non
         opened(tmp_path, scene, BOXES, tiny("joint", groups=TOGETHER))
 
 
-def test_stages_of_another_grouping_stay(scene: SfmScene, tmp_path: Path) -> None:
-    train(tmp_path, scene, BOXES, tiny("joint"))
-    made = plys(tmp_path)
-    train(tmp_path, scene, BOXES, tiny("joint", groups=TOGETHER), update=True)
-    former = {path.parent.name for path in removable(tmp_path)}
+def test_stages_of_another_grouping_stay(scene: SfmScene, copied: Path) -> None:
+    made = plys(copied)
+    train(copied, scene, BOXES, tiny("joint", groups=TOGETHER), update=True)
+    former = {path.parent.name for path in removable(copied)}
     assert len([name for name in former if name.startswith("group-")]) == 2
-    train(tmp_path, scene, BOXES, tiny("joint"), update=True)  # and back: none is trained again
-    assert {name: data for name, data in plys(tmp_path).items() if name in made} == made
-    assert {path.parent.name.partition("-")[0] for path in removable(tmp_path)} == {"joint"}
+    train(copied, scene, BOXES, tiny("joint"), update=True)  # and back: none is trained again
+    assert {name: data for name, data in plys(copied).items() if name in made} == made
+    assert {path.parent.name.partition("-")[0] for path in removable(copied)} == {"joint"}
 
 
-def test_a_box_with_another_name_keeps_its_group(scene: SfmScene, tmp_path: Path) -> None:
-    train(tmp_path, scene, BOXES, tiny("joint"))
-    before = plys(tmp_path)
+def test_a_box_with_another_name_keeps_its_group(scene: SfmScene, copied: Path) -> None:
+    before = plys(copied)
     renamed = [replace(BOXES[0], name="lamp"), BOXES[1]]
-    train(tmp_path, scene, renamed, tiny("joint"), update=True)
-    after = plys(tmp_path)
+    train(copied, scene, renamed, tiny("joint"), update=True)
+    after = plys(copied)
     assert after["result.ply"] == before["result.ply"]
     assert after["rois/lamp.ply"] == before["rois/east.ply"]
     assert {k: v for k, v in after.items() if "stages" in k} == {
@@ -93,13 +98,12 @@ def test_a_box_with_another_name_keeps_its_group(scene: SfmScene, tmp_path: Path
     }
 
 
-def test_one_changed_box_trains_its_group_alone(scene: SfmScene, tmp_path: Path) -> None:
-    train(tmp_path, scene, BOXES, tiny("joint"))
+def test_one_changed_box_trains_its_group_alone(scene: SfmScene, copied: Path) -> None:
     names = ("scene", "group-1-joint", "group-2-joint")
-    before = [stage_of(tmp_path, name) for name in names]
+    before = [stage_of(copied, name) for name in names]
     smaller = [BOXES[0], BOXES[1].scaled(0.9)]
-    train(tmp_path, scene, smaller, tiny("joint"), update=True)
-    after = [stage_of(tmp_path, name) for name in names]
+    train(copied, scene, smaller, tiny("joint"), update=True)
+    after = [stage_of(copied, name) for name in names]
     assert after[:2] == before[:2] and after[2] != before[2]
 
 
