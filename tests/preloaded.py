@@ -19,12 +19,17 @@ MODULES = (
     *(f"roigs_engine.app.{name}" for name in ("convert", "evaluate", "objects", "render")),
     *(f"roigs_engine.app.{name}" for name in ("scenes", "train", "upkeep")),
     *(f"roigs_engine.colmap.{name}" for name in ("export", "inspect", "project")),
+    *(f"roigs_engine.exchange.{name}" for name in ("compressed_ply", "formats", "gltf", "page")),
+    *(f"roigs_engine.exchange.{name}" for name in ("sog", "splat", "spz", "transform")),
+    "sklearn.cluster",
 )
+EXTRAS = ("flip_evaluator", "gsply", "imagecodecs", "pygltflib")
 
 for _name in MODULES:
     import_module(_name)
-with suppress(ImportError):  # the extra `flip`
-    import_module("flip_evaluator")
+for _name in EXTRAS:
+    with suppress(ImportError):
+        import_module(_name)
 for _name in COMMANDS:
     build_parser(_name)
 Image.init()  # Pillow's readers of formats
