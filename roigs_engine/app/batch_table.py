@@ -16,7 +16,7 @@ from ..exchange.formats import writable
 from ..formats.files import UNREADABLE, read_bytes, write_text
 from ..formats.names import first_taken, is_file_name, safe_name
 from ..formats.projects import model_folders
-from ..formats.run_files import BATCH_OUTPUTS, BATCH_ROWS, is_own
+from ..formats.run_files import BATCH, BATCH_LOCK, BATCH_OUTPUTS, BATCH_ROWS, is_own
 from ..formats.text import decode_text, json_digest
 from ..requests.declare import options_of, plain
 from ..requests.models import Convert
@@ -30,6 +30,7 @@ NO_KEYS = {"run_dir", "update", "dry_run", "part", "threads", "cluster"}
 OF_OUTPUTS = {"up", "from_up", "sh_degree"}  # options of `convert`
 NO_RESULT = {"device", "image_cache", "preview_seconds"}  # these options change no result
 HEADER, KEY = re.compile(r"\s*\[+([^\]]*)\]"), re.compile(r"\s*(\"[^\"]*\"|'[^']*'|[\w-]+)\s*=")
+OF_BATCH = {BATCH_LOCK, BATCH, BATCH_ROWS, BATCH_OUTPUTS}  # names in the folder of a batch
 BETWEEN_KEYS, MOST_PARTS = re.compile(r"[^\w\s.\"'-]"), 200
 
 
@@ -106,7 +107,8 @@ class Table:
 
     def _add(self, name: str, values: Any, defaults: Mapping[str, Any]) -> None:
         place, before = (SCENES, name), len(self.wrong)
-        if not is_file_name(name) or is_own(name) or name in (BATCH_ROWS, BATCH_OUTPUTS):
+        own = name.startswith(".") or name.casefold() in OF_BATCH
+        if not is_file_name(name) or is_own(name) or own:
             text = f"A scene cannot be called {shown(name)}, as its run folder is. Rename it."
             self._say(place, text)
         if not isinstance(values, dict):

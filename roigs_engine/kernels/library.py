@@ -181,7 +181,8 @@ def refuse_others_code(path: Path) -> None:
             if foreign or (status.st_mode & others and not status.st_mode & stat.S_ISVTX):
                 raise KernelError(
                     f"Others can change {place}, from which the engine loads code.",
-                    f"Delete {home}, and make {home.parent} writable for yourself only.",
+                    f"Delete {home}, and make {home.parent} writable for yourself only, or set"
+                    " XDG_CACHE_HOME to such a folder.",
                 )
 
 

@@ -28,6 +28,10 @@ MASK_ENDS = (".mask.png",)
 """How the names of masks end that lie among the photos (`mask_paths`)."""
 
 
+MOST_FILES = 300_000
+"""Files and folders in a folder of photos; a whole disk has more, and takes minutes to look at."""
+
+
 def is_mask(name: str) -> bool:
     """Whether a file among the photos is a mask, by its name."""
     return name.lower().endswith(MASK_ENDS)
@@ -65,8 +69,12 @@ class PhotoFolder:
     @cached_property
     def _files(self) -> dict[str, Path]:
         """Name on disk (with `/`) -> path, of every photo below the folder, except hidden ones."""
-        files = {}
+        files, count = {}, 0
         for parent, names in _folders(self.folder):
+            count += 1 + len(names)
+            if count > MOST_FILES:
+                text = f"{self.folder} has more than {MOST_FILES:,} files."
+                raise SceneError(text, "Give the folder that has the photos alone.")
             for name in sorted(names):
                 path = parent / name
                 known = path.suffix.lower() in self.extensions and self.keep(name)

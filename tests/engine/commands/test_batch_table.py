@@ -213,3 +213,15 @@ def test_formats_of_outputs_are_no_paths(
     assert main(["batch", str(table), "--run-dir", str(tmp_path / "run"), "--dry-run"]) == 2
     form = ending[-3:].lower()
     assert f"which is no format. Write {form}." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["batch.json", "batch.lock", "ROWS", "Outputs", ".leases"])
+def test_a_scene_is_not_called_as_files_of_the_batch(
+    scans: Path, tmp_path: Path, name: str
+) -> None:
+    table = tmp_path / "t.toml"
+    row = f"[scenes.'{name}']\nscene = '{scans / 'hall'}'\nroi = ['{BOX}']\n"
+    table.write_text(row, encoding="utf-8")
+    assert [w.text for w in Table(table, tmp_path).wrong] == [
+        f"A scene cannot be called '{name}', as its run folder is. Rename it."
+    ]

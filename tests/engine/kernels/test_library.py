@@ -263,8 +263,9 @@ def test_a_cache_that_others_can_change_is_not_loaded(
     library.refuse_others_code(kernels / "not yet there")
     for place in (code, kernels, tmp_path / "roigs", tmp_path):
         place.chmod(place.stat().st_mode | 0o002)
-        with pytest.raises(KernelError, match=f"Others can change {place}, from which"):
+        with pytest.raises(KernelError, match=f"Others can change {place}, from which") as caught:
             library.refuse_others_code(kernels)
+        assert "XDG_CACHE_HOME" in (caught.value.hint or "")
         place.chmod(place.stat().st_mode & ~0o002)
     monkeypatch.setattr(library.os, "getuid", lambda: 12345)
     if code.stat().st_uid:

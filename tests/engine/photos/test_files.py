@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from roigs_engine.errors import SceneError
 from roigs_engine.photos.files import PhotoFolder
 from roigs_engine.photos.mask_paths import MaskFiles
 
@@ -50,3 +51,13 @@ def test_a_name_that_no_file_can_have_is_that_of_a_missing_photo(tmp_path: Path,
     assert "images has" in photos.missing(name)[0]
     assert MaskFiles(tmp_path / "images").find(name) is None
     assert not PhotoFolder(tmp_path / name)._exists
+
+
+def test_a_whole_disk_is_no_folder_of_photos(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Looking at `/` took minutes, without a line."""
+    monkeypatch.setattr("roigs_engine.photos.files.MOST_FILES", 20)
+    written(*(tmp_path / f"images/{k}/{k}.txt" for k in range(12)))
+    with pytest.raises(SceneError, match="images has more than 20 files"):
+        PhotoFolder(tmp_path / "images").others([])
