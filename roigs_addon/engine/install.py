@@ -134,15 +134,16 @@ class Installation:
         if self.stopped:
             _end(process)
         assert process.stdout is not None
-        for line in process.stdout:
-            progress = _RAW_PROGRESS.match(line)
-            if progress:
-                done = int(progress[1]) / max(int(progress[2]), 1)
-                self.fraction = begin + share * min(done, 1.0)
-            elif line.strip():
-                self.line = line.strip()
-                self._said.append(self.line)
-                print(self.line, file=log, flush=True)
+        with process.stdout as lines:
+            for line in lines:
+                progress = _RAW_PROGRESS.match(line)
+                if progress:
+                    done = int(progress[1]) / max(int(progress[2]), 1)
+                    self.fraction = begin + share * min(done, 1.0)
+                elif line.strip():
+                    self.line = line.strip()
+                    self._said.append(self.line)
+                    print(self.line, file=log, flush=True)
         if process.wait() and not self.stopped:
             if not step.needed:
                 print("The engine works without it.", file=log, flush=True)

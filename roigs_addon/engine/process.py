@@ -176,19 +176,21 @@ class EngineProcess:
 
     def _read_events(self) -> None:
         assert self._process.stdout is not None
-        for line in read_lines(self._process.stdout):
-            event = events.parse_event(line)
-            if event is None:
-                self._log.note(line)
-                continue
-            if event["event"] in events.FINAL or self._events.qsize() < MAX_WAITING:
-                self._events.put(event)
-            self._log.take(event)
+        with self._process.stdout as output:
+            for line in read_lines(output):
+                event = events.parse_event(line)
+                if event is None:
+                    self._log.note(line)
+                    continue
+                if event["event"] in events.FINAL or self._events.qsize() < MAX_WAITING:
+                    self._events.put(event)
+                self._log.take(event)
 
     def _read_text(self) -> None:
         assert self._process.stderr is not None
-        for line in read_lines(self._process.stderr):
-            self._log.note(line)
+        with self._process.stderr as text:
+            for line in read_lines(text):
+                self._log.note(line)
 
 
 class _Log:

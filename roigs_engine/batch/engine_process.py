@@ -60,9 +60,10 @@ def run_engine(
             status = process.wait()
         finally:
             ended.set()
-            with suppress(OSError):
-                assert process.stdin is not None
-                process.stdin.close()
+            for pipe in (process.stdin, process.stdout):
+                with suppress(OSError):
+                    assert pipe is not None
+                    pipe.close()
         return _outcome(status, final, errors)
 
 

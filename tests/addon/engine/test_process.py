@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import sys
 from pathlib import Path
 
 import pytest
@@ -120,3 +122,14 @@ def test_the_environment_is_the_engines_own(
     result, _ = finished(EngineProcess(fake(tmp_path, code), ["train"]))
     assert result.outputs["PYTHONPATH"] == str(tmp_path / "source")
     assert "PYTHONHOME" not in result.outputs
+
+
+@pytest.mark.filterwarnings("error")  # as PYTHONWARNINGS=error: Python then prints a traceback
+def test_no_pipe_is_left_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lost: list[object] = []
+    monkeypatch.setattr(sys, "unraisablehook", lost.append)
+    process = EngineProcess(fake(tmp_path, 'say(event="done", outputs={})'), ["train"])
+    assert finished(process)[0].status == 0
+    del process
+    gc.collect()
+    assert not lost

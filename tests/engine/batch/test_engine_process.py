@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import signal
+import sys
 from pathlib import Path
 
 import pytest
@@ -61,3 +63,13 @@ def test_events_and_a_stop_go_through(tmp_path: Path, monkeypatch: pytest.Monkey
         'print(\'{"event": "done", "outputs": {}}\')'
     )
     assert ended([])[0].state == DONE
+
+
+@pytest.mark.filterwarnings("error")  # as PYTHONWARNINGS=error: Python then prints a traceback
+def test_no_pipe_is_left_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake(monkeypatch, tmp_path, 'print(\'{"event": "done", "outputs": {}}\')')
+    lost: list[object] = []
+    monkeypatch.setattr(sys, "unraisablehook", lost.append)
+    assert ended([])[0].state == DONE
+    gc.collect()
+    assert not lost
