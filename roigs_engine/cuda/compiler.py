@@ -27,7 +27,15 @@ from ..kernels.library import refuse_others_code, user_cache
 
 FOLDER = Path(__file__).parent / "kernels"
 PROGRAMS = ("project.cu", "blend.cu", "weigh.cu", "gradient.cu", "backward.cu", "loss.cu")
-SHARED = ("constants.h", "types.h", "sh.h", "ellipses.h", "geometry.h", "geometry_gradient.h")
+SHARED = (
+    "constants.h",
+    "types.h",
+    "sh.h",
+    "light.h",
+    "ellipses.h",
+    "geometry.h",
+    "geometry_gradient.h",
+)
 KERNELS = (
     *("place_camera", "project", "list_tiles", "begin_tiles", "begin_groups"),
     *("blend", "median_depth", "weigh", "fold_weights", "gradient"),

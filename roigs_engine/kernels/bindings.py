@@ -28,13 +28,17 @@ class Gaussians(ctypes.Structure):
         ("sh_coefficients", ctypes.c_int32),
         ("sh_degree", ctypes.c_int32),
         ("raw", ctypes.c_int32),
+        ("linear_light", ctypes.c_int32),
     ]
 
 
-def packed_gaussians(parameters: Sequence[Tensor], sh_degree: int, raw: bool) -> Gaussians:
+def packed_gaussians(
+    parameters: Sequence[Tensor], sh_degree: int, raw: bool, linear_light: bool
+) -> Gaussians:
     """The structure of contiguous means, quats, scales, opacities and SH, which must stay alive."""
     addresses = (parameter.data_ptr() for parameter in parameters)
-    return Gaussians(*addresses, len(parameters[0]), parameters[4].shape[1], sh_degree, raw)
+    sizes = len(parameters[0]), parameters[4].shape[1]
+    return Gaussians(*addresses, *sizes, sh_degree, raw, linear_light)
 
 
 class Gradients(ctypes.Structure):

@@ -2,6 +2,7 @@
 #include <atomic>
 
 #include "geometry.h"
+#include "light.h"
 #include "sh.h"
 #include "tile_lists.h"
 
@@ -70,7 +71,7 @@ Mask consecutive(int64_t first, int64_t end, int32_t* ids) {
     return first_lanes(int(std::min<int64_t>(end - first, kLanes)));
 }
 
-// Colours max(SH(direction) + 1/2, 0). A colour that is not finite is left as it is.
+// Colours max(SH(direction) + 1/2, 0), or their light. A colour that is not finite is left as it is.
 void colour_splats(const Gaussians& gaussians, const Camera& camera, Splat* splats, int count) {
     const int used = used_coefficients(gaussians), stride = 3 * gaussians.sh_coefficients;
     for (int first = 0; first < count; first += kLanes) {
@@ -89,6 +90,9 @@ void colour_splats(const Gaussians& gaussians, const Camera& camera, Splat* spla
             for (int c = 0; c < 3; ++c) colour[c] += basis[k] * sh[3 * k + c];
         for (int c = 0; c < 3; ++c)
             colour[c] = select(is_finite(colour[c]), max(colour[c], Floats{}), colour[c]);
+        if (gaussians.linear_light)
+            for (int c = 0; c < 3; ++c)
+                colour[c] = select(is_finite(colour[c]), to_linear(colour[c]), colour[c]);
         for_each_quad(colour, [&](int i, Quad rgb) {
             if (i < lanes) std::memcpy(&splats[first + i].red, &rgb, sizeof colour / kLanes);
         });

@@ -2,6 +2,7 @@
 // Gaussians' parameters. Batches of Gaussians that have one, one per lane.
 #include "adam.h"
 #include "geometry_gradient.h"
+#include "light.h"
 #include "sh.h"
 #include "view.h"
 
@@ -62,6 +63,9 @@ void colour_gradient(const View& view, const Gaussians& gaussians, const SplatBa
     load_few_columns<3>(&view.splats[0].red, sizeof(Splat) / sizeof(float), batch.splat, drawn);
     for (int c = 0; c < 3; ++c)  // colours clamped to 0 pass no gradient
         colour[c] = keep(greater(drawn[c], Floats{}), moments[kRed + c]);
+    if (gaussians.linear_light)
+        for (int c = 0; c < 3; ++c)
+            colour[c] = keep(greater(drawn[c], Floats{}), colour[c] * linear_slope(drawn[c]));
 
     Floats direction[3], basis[kMaxCoefficients], sh[3 * kMaxCoefficients];
     const Floats inverse_distance = view_direction(g.mean, view.camera, direction);

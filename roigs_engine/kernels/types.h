@@ -15,6 +15,7 @@ struct Gaussians {
     int32_t sh_coefficients;   // stored per colour: 1, 4, 9 or 16
     int32_t sh_degree;         // evaluated: 0 to 3
     int32_t raw;               // scales are logarithms, opacities are logits
+    int32_t linear_light;      // colours, which are sRGB values, are blended as linear light
 };
 
 // Buffers that gradients are added to, shaped as the parameters. A null one is skipped.

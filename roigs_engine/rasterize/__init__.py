@@ -8,9 +8,9 @@
 
 Each Gaussian is projected with the EWA approximation (3DGS, section 4; Zwicker et al. 2001),
 coloured by its spherical harmonics (SH), max(SH(direction) + 0.5, 0), and blended front to back by
-the camera depth of its centre (3DGS, eq. 3). Pixel centres lie at +0.5. The constants of the model
-(near plane, blur, opacity bounds) are in `rasterize.inputs`. A Gaussian with NaN or Inf is culled;
-its gradient is zero.
+the camera depth of its centre (3DGS, eq. 3): as sRGB values, or with `linear_light` as light. Pixel
+centres lie at +0.5. The constants of the model (near plane, blur, opacity bounds) are in
+`rasterize.inputs`. A Gaussian with NaN or Inf is culled; its gradient is zero.
 
 Within `limits`, a Gaussian is culled if it lies far beside the image or reaches behind the camera.
 There the EWA approximation fails: a needle just before the camera plane would cover the image like
@@ -29,6 +29,7 @@ others.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -48,6 +49,7 @@ from .inputs import (
     checked_pixel_weights,
     used_sh_degree,
 )
+from .light import to_linear, to_srgb
 from .limits import NO_LIMITS, Limits
 from .tiles import Mask, active_tiles
 
@@ -76,6 +78,7 @@ def rasterize(
     with_weight_sum: bool = False,  # also return the sum of its weights
     pixel_weights: Tensor | None = None,  # (C, H, W) factors in `weight_sum`; None: 1
     mask: Mask = None,
+    linear_light: bool = False,  # colours are blended as light, as Blender does; not as sRGB values
     antialiased: bool = False,  # a Gaussian below a pixel's size is fainter, not larger
     pixel_size: float = 1.0,  # side of a pixel in the whole photo's: draws what averaging would
     backward_step: BackwardStep | None = None,  # the optimizer step that `backward` takes
@@ -94,7 +97,7 @@ def rasterize(
     if backward_step is not None:
         check_backward_step(backward_step, parameters, len(viewmats), backend)
     active = active_tiles(width, height, mask)
-    shape = (len(viewmats), height, width)
+    shape, behind = (len(viewmats), height, width), background_colour(background, means)
     inputs = RenderInputs(
         parameters=parameters,
         viewmats=viewmats,
@@ -103,8 +106,9 @@ def rasterize(
         height=int(height),
         sh_degree=used_sh_degree(sh.shape[1], sh_degree),
         raw=raw,
+        linear_light=linear_light,
         limits=limits,
-        background=background_colour(background, means),
+        background=to_linear(behind) if linear_light else behind,
         with_depth=checked_depth(with_depth),
         with_max_weight=with_max_weight,
         with_weight_sum=with_weight_sum,
@@ -115,7 +119,8 @@ def rasterize(
         blur=blur_of(pixel_size, antialiased),
         backward_step=backward_step,
     )
-    return _renderer(backend)(inputs).cut(active.shown)
+    output = _renderer(backend)(inputs).cut(active.shown)
+    return replace(output, image=to_srgb(output.image)) if linear_light else output
 
 
 def _chosen(backend: str, parameters: tuple[Tensor, ...]) -> str:

@@ -92,7 +92,9 @@ class CameraView:
         self._tile_mask = None if mask is None else mask.to("cpu", torch.uint8).contiguous()
         self._camera = _camera(inputs, c)
         self._camera.tile_mask = pointer(self._tile_mask)
-        structure = bindings.packed_gaussians(parameters, inputs.sh_degree, inputs.raw)
+        structure = bindings.packed_gaussians(
+            parameters, inputs.sh_degree, inputs.raw, inputs.linear_light
+        )
         self._gaussians = ctypes.byref(structure)
         self._call("roigs_project", self._gaussians, ctypes.byref(self._camera), pointer(visible))
         self._call("roigs_bin")

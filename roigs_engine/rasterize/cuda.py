@@ -60,7 +60,9 @@ class CameraView:
         self.inputs, self.frame, self.pairs, self.groups = inputs, Frame(), 0, 0
         self.kept = dict(zip(NAMES, parameters, strict=True))
         frame, count = self.frame, len(parameters[0])
-        frame.gaussians = bindings.packed_gaussians(parameters, inputs.sh_degree, inputs.raw)
+        frame.gaussians = bindings.packed_gaussians(
+            parameters, inputs.sh_degree, inputs.raw, inputs.linear_light
+        )
         self._set_camera(c)
         left, top, right, bottom = inputs.tiles
         frame.tile_count = (right - left) * (bottom - top)

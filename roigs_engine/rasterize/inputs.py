@@ -73,7 +73,7 @@ class RenderOutput:
     added front to back, reach half of their sum.
     """
 
-    image: Tensor  # (C, H, W, 3) colours blended in sRGB values, background included
+    image: Tensor  # (C, H, W, 3) sRGB values, background included
     alpha: Tensor  # (C, H, W) 1 - the transmittance behind the last Gaussian
     visible: Tensor  # (C, N) bool, True if the Gaussian reaches an active tile
     grad2d: Tensor  # (C, N) float32
@@ -106,6 +106,7 @@ class RenderInputs:
     height: int
     sh_degree: int
     raw: bool
+    linear_light: bool
     limits: Limits
     background: Tensor  # (3,)
     with_depth: Depth

@@ -24,6 +24,7 @@ from .inputs import (
     RenderInputs,
     RenderOutput,
 )
+from .light import to_linear
 
 PIXELS_AT_ONCE = 1 << 14
 """Pixels blended at once; limits the size of the (pixels, Gaussians) intermediates."""
@@ -138,7 +139,10 @@ def project_all(inputs: RenderInputs, camera: int, index: Tensor) -> tuple[Tenso
     direction = torch.nn.functional.normalize(means - eye, dim=-1, eps=0.0)
     used = (inputs.sh_degree + 1) ** 2
     colour = torch.einsum("vk,vkc->vc", sh_basis(direction)[:, :used], sh[:, :used])
-    return mean2d, covariance, opacities, (colour + 0.5).clamp(min=0.0), t[:, 2]
+    colour = (colour + 0.5).clamp(min=0.0)
+    if inputs.linear_light:
+        colour = to_linear(colour)
+    return mean2d, covariance, opacities, colour, t[:, 2]
 
 
 def drawn_share(U: Tensor, blur: Blur) -> Tensor:

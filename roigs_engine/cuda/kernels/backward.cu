@@ -2,6 +2,7 @@
 // the step of Adam. A thread for each Gaussian.
 #include "frame.h"
 #include "geometry_gradient.h"
+#include "light.h"
 #include "sh.h"
 
 namespace roigs {
@@ -16,9 +17,11 @@ __device__ void colour_gradient(const Frame& f, const Camera& camera, int64_t n,
                                 const Geometry& g, const float (&moments)[16],
                                 RowGradient& row) {
     const int used = used_coefficients(f.gaussians);
-    for (int c = 0; c < 3; ++c)  // colours clamped to 0 pass no gradient
-        row.colour[c] =
-            f.splats[n * kColumns + kColour + c] > 0.0f ? moments[kRed + c] : 0.0f;
+    for (int c = 0; c < 3; ++c) {  // colours clamped to 0 pass no gradient
+        const float drawn = f.splats[n * kColumns + kColour + c];
+        const float slope = f.gaussians.linear_light ? linear_slope(drawn) : 1.0f;
+        row.colour[c] = drawn > 0.0f ? moments[kRed + c] * slope : 0.0f;
+    }
     float direction[3];
     const float inverse_distance = view_direction(g.mean, camera, direction);
     sh_basis(direction, row.basis);

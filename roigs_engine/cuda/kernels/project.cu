@@ -2,6 +2,7 @@
 #include "ellipses.h"
 #include "frame.h"
 #include "geometry.h"
+#include "light.h"
 #include "sh.h"
 
 namespace roigs {
@@ -33,7 +34,7 @@ __device__ bool make_splat(const Geometry& g, const PixelBounds& bounds, float (
            g.y + c[kReachY] > bounds.top && g.y - c[kReachY] < bounds.bottom;
 }
 
-// max(SH(direction) + 1/2, 0); false: a colour is not finite.
+// max(SH(direction) + 1/2, 0), or its light; false: a colour is not finite.
 __device__ bool colour_splat(const Gaussians& gaussians, const Camera& camera, int64_t n,
                              const Geometry& g, float (&c)[kColumns]) {
     const int used = used_coefficients(gaussians);
@@ -46,7 +47,8 @@ __device__ bool colour_splat(const Gaussians& gaussians, const Camera& camera, i
         for (int i = 0; i < kMaxCoefficients; ++i)  // a fixed number: `basis` stays in registers
             if (i < used) colour += basis[i] * sh[3 * i + k];
         if (!is_finite(colour)) return false;
-        c[kColour + k] = max(colour, 0.0f);
+        colour = max(colour, 0.0f);
+        c[kColour + k] = gaussians.linear_light ? to_linear(colour) : colour;
     }
     return true;
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
+from roigs_engine.model.gaussians import SH_C0
 from roigs_engine.rasterize import rasterize
 from tests.engine.rasterize_cases import (
     BACKGROUND,
@@ -44,6 +45,32 @@ def test_everything_matches(isa: str, raw: bool, coefficients: int) -> None:
     assert largest_difference(ours.max_weight, truth.max_weight) < IMAGE_TOLERANCE
     assert relative_error(ours.grad2d, truth.grad2d) < GRADIENT_TOLERANCE
     assert max(errors.values()) < GRADIENT_TOLERANCE, errors
+
+
+def test_linear_light(isa: str) -> None:
+    """Colours are blended as light, black ones and those above 1, too."""
+    parameters = gaussians(150, coefficients=4)
+    with torch.no_grad():
+        parameters[4][::7, 0] = -5.0
+        parameters[4][::5, 0] += 3.0
+    view = (*cameras(61, 43), 61, 43)
+    ours, truth, errors = render_both(parameters, *view, linear_light=True, background=BACKGROUND)
+    assert largest_difference(ours.image, truth.image) < IMAGE_TOLERANCE
+    assert relative_error(ours.grad2d, truth.grad2d) < GRADIENT_TOLERANCE
+    assert max(errors.values()) < GRADIENT_TOLERANCE, errors
+
+
+def test_one_colour_is_the_same_in_either_light(isa: str) -> None:
+    colour = torch.tensor([0.02, 0.4, 0.9])
+    means, quats, scales, opacities, _ = gaussians(150, coefficients=1)
+    sh = ((colour - 0.5) / SH_C0).expand(150, 1, 3)
+    scene = (means, quats, scales, opacities, sh, *cameras(61, 43), 61, 43)
+    sums = [rasterize(*scene, linear_light=linear, background=colour) for linear in (False, True)]
+    for output in sums:
+        assert largest_difference(output.image, colour.expand_as(output.image)) < 1e-5
+    mixed = [rasterize(*scene, linear_light=linear).image for linear in (False, True)]
+    assert (mixed[1] >= mixed[0] - 1e-5).all()  # light over black is brighter than its sRGB value
+    assert mixed[1].mean() > 1.1 * mixed[0].mean()
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 40), (16, 16), (17, 5), (64, 33)])
