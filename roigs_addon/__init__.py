@@ -30,7 +30,6 @@ MODULES = (
     "scene.active_camera",
     "scene.backgrounds",
     "scene.edits",
-    "scene.former_settings",
     "scene.formerly_hidden",
     "scene.arrivals",
     "scene.placement",

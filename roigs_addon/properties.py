@@ -230,7 +230,7 @@ class RoigsScene(bpy.types.PropertyGroup):
     is_paper: BoolProperty(description="Whether the settings followed the paper's preset last")
     strategy: setting(EnumProperty, "strategy", items=choices.STRATEGY_ITEMS, default="joint")
     steps_factor: setting(FloatProperty, "steps_factor", default=1.0, min=0.001, soft_max=10.0)
-    antialiased: setting(BoolProperty, "antialiased", default=True)
+    made_for: setting(EnumProperty, "made_for", items=choices.MADE_FOR_ITEMS)
     max_side: setting(
         IntProperty, "max_side", default=640, soft_min=64, soft_max=16384, subtype="PIXEL"
     )

@@ -29,6 +29,7 @@ if TYPE_CHECKING or __package__ == "roigs_addon":
         scribbles,
         splat_ply,
         stage_list,
+        targets,
         text,
         transforms,
     )
@@ -56,6 +57,7 @@ else:
         scribbles,
         splat_ply,
         stage_list,
+        targets,
         text,
         transforms,
     )
@@ -87,6 +89,7 @@ __all__ = [
     "scribbles",
     "splat_ply",
     "stage_list",
+    "targets",
     "text",
     "transforms",
     "values",

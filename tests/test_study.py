@@ -46,7 +46,7 @@ def tiny() -> RunConfig:
     """Twenty steps a stage; the boxes densify readily, the scene not at all."""
     draft = preset("draft")
     density = DensityControl(start=2, every=2, until=15, reset_every=0, grad_threshold=9.0)
-    scene = TrainConfig(steps=20, antialiased=True, mechanisms=(density,))
+    scene = TrainConfig(steps=20, made_for="viewers", mechanisms=(density,))
     quick = {"every": 2, "until": 15, "grad_threshold": 1e-9, "budget": 3.0}
     roi = without(adjusted(draft.roi, DensityControl, **quick), ModelAveraging)
     return replace(draft, scene=scene, roi=replace(roi, steps=20), test_every=4)

@@ -81,8 +81,6 @@ def _flags(option: Option) -> str:
         return f"`{option.kind.metavar or option.name}`"
     taken = "" if isinstance(option.kind, (Flag, Choice)) else f" {metavar}"
     shown = [f"`{flag}{taken}`" for flag in option.flags]
-    if isinstance(option.kind, Flag) and option.kind.negatable:
-        shown.append(f"`--no-{option.flags[0].removeprefix('--')}`")
     return ", ".join(shown) + (" (required)" if option.required else "")
 
 

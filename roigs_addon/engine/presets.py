@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..shared import targets
 from .training_steps import PAPER, PRESET_STEPS
 
 PRESETS = (
@@ -16,8 +17,8 @@ PRESETS = (
         " Gaussian process",
     ),
 )
-PAPER_DEFAULTS = {"strategy": "independent", "method": "gp9", "antialiased": False}
-JOINT_DEFAULTS = {"strategy": "joint", "method": "coverage", "antialiased": True}
+PAPER_DEFAULTS = {"strategy": "independent", "method": "gp9", "made_for": targets.PLAIN.name}
+JOINT_DEFAULTS = {"strategy": "joint", "method": "coverage", "made_for": targets.VIEWERS.name}
 
 
 def follow_preset(settings: Any, _: object = None) -> None:

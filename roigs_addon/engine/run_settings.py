@@ -7,13 +7,14 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from ..shared import EngineError, files, run_files, text
+from ..shared import EngineError, files, run_files, targets, text
 from .training_steps import PRESET_STEPS, stage_steps
 
 THIS, EARLIER = "this version's settings", "an earlier version's settings"
 LATER = ("exclude", "count", "steps", "recipe")
 """Not taken as they are."""
 MOST_STEPS, MOST_FACTOR = 10**9, 1e6
+MADE_FOR = {target.name: target.title for target in targets.TARGETS.values()}
 NAMED = 2
 """Photos that are named."""
 BOX_SETTINGS = ("method", "count")
@@ -26,7 +27,7 @@ class RunSettings:
 
     Attributes:
         preset, strategy, method, count, seed, test_every: as the engine's options.
-        max_side, steps_factor, antialiased: likewise.
+        max_side, steps_factor, made_for: likewise.
         steps: of the scene and the boxes; not compared.
         recipe: whether a preset's settings are those of this version.
         exclude: names of the photos that are left out.
@@ -39,7 +40,7 @@ class RunSettings:
     steps: int | None = None
     recipe: str | None = None
     strategy: str | None = None
-    antialiased: bool | None = None
+    made_for: str | None = None
     method: str | None = None
     count: int | None = None
     seed: int | None = None
@@ -97,9 +98,9 @@ class RunSettings:
 
 
 def _of_stages(config: Mapping[str, Any]) -> dict[str, Any]:
-    """What a manifest says of the stages. Before there was anti-aliasing, none had it."""
+    """What a manifest says of the stages."""
     stage = config.get("roi")
-    return {"antialiased": bool(stage.get("antialiased"))} if isinstance(stage, dict) else {}
+    return {"made_for": stage.get("made_for")} if isinstance(stage, dict) else {}
 
 
 def _count(value: Any) -> int | None:
@@ -138,7 +139,7 @@ IN_WORDS: dict[str, Callable[[Any], str]] = {
     "steps_factor": lambda value: f"{value:g} x steps",
     "recipe": str,
     "strategy": lambda value: "boxes together" if value == "joint" else "boxes one by one",
-    "antialiased": lambda value: "anti-aliased" if value else "not anti-aliased",
+    "made_for": lambda value: f"made for {MADE_FOR.get(value, value)}",
     "method": lambda value: f"method {value}",
     "count": lambda value: (
         f"{text.counted(value, 'photo')} a box" if value else "photos a box: auto"

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..shared import EngineError, drawable, splat_ply
+from ..shared import EngineError, drawable, splat_ply, targets
 
 Float32 = NDArray[np.float32]
 
@@ -29,7 +29,7 @@ class SplatCloud:
         scales: (N, 3) standard deviations.
         opacities: (N,) 0 to 1.
         sh: (N, K, 3) SH coefficients; a colour is max(0, 0.5 + sum of sh * basis), sRGB.
-        antialiased: whether they are drawn with anti-aliasing, as they were trained.
+        target: what they are made for: they look right only where they are drawn as trained.
     """
 
     means: Float32
@@ -37,10 +37,15 @@ class SplatCloud:
     scales: Float32
     opacities: Float32
     sh: Float32
-    antialiased: bool = False
+    target: targets.Target = targets.PLAIN
 
     def __len__(self) -> int:
         return len(self.means)
+
+    @property
+    def antialiased(self) -> bool:
+        """Whether they are drawn with anti-aliasing."""
+        return self.target.antialiased
 
 
 def read_splats(path: str | Path) -> SplatCloud:
@@ -51,7 +56,7 @@ def read_splats(path: str | Path) -> SplatCloud:
     """
     try:
         stored = drawable.usable(splat_ply.read_ply(path))
-        antialiased = splat_ply.is_antialiased(path)
+        target = splat_ply.target_of(path)
     except EngineError as error:
         raise ValueError(str(error)) from error
     quats = stored["quats"]
@@ -62,7 +67,7 @@ def read_splats(path: str | Path) -> SplatCloud:
         scales=np.exp(stored["log_scales"]),
         opacities=opacities.astype(np.float32, copy=False),
         sh=stored["sh"].astype(np.float32, copy=False),
-        antialiased=antialiased,
+        target=target,
     )
 
 
@@ -77,4 +82,4 @@ def write_splats(path: Path, cloud: SplatCloud) -> None:
         "logit_opacities": logits.astype(np.float32),
         "sh": cloud.sh,
     }
-    splat_ply.write_ply(path, arrays, antialiased=cloud.antialiased)
+    splat_ply.write_ply(path, arrays, cloud.target)

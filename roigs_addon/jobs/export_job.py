@@ -13,7 +13,7 @@ from ..engine.writing import writing
 from ..errors import AddonError
 from ..scene import edits, fly_to
 from ..scene.frame_request import Model, models_of, shown, standing
-from ..shared import EngineError, files, splat_ply, text
+from ..shared import EngineError, files, splat_ply, targets, text
 from .spec import EXPORTING, PACKAGES, JobSpec
 
 NAME = "roigs-export"
@@ -24,8 +24,8 @@ NOTHING = "There is nothing to export: {}."
 PLAIN = (".glb", ".usdc", ".usda", ".usdz", ".splat")
 """Formats that cannot say how Gaussians are drawn: the engine makes all of them plain."""
 MIXED = (
-    "'{}' is drawn with anti-aliasing, '{}' without: one file cannot hold both. Export each kind by"
-    " itself, with Selected Only."
+    "'{}' is made for {}, '{}' for {}: one file cannot hold both. Export each kind by itself, with"
+    " Selected Only."
 )
 
 
@@ -96,18 +96,20 @@ def _models(
     """Those to export to a file.
 
     Raises:
-        AddonError: an edit cannot be written, or some are drawn with anti-aliasing and others not.
+        AddonError: an edit cannot be written, or they are made for different renderers.
     """
     models = models_of(items, depsgraph)
     if problem := edits.problem(items):
         raise AddonError(problem)
-    kinds: dict[bool, str] = {}
+    kinds: dict[targets.Target, str] = {}
     for item, _, _ in standing(items, depsgraph):
         if ply := edits.file_of(item):
             with suppress(EngineError):  # of a file that is missing, the engine says so
-                kinds.setdefault(splat_ply.is_antialiased(ply), item.name)
-    if len(kinds) > 1 and path.suffix.lower() not in PLAIN:
-        raise AddonError(MIXED.format(kinds[True], kinds[False]))
+                kinds.setdefault(splat_ply.target_of(ply), item.name)
+    lights = {target.linear_light for target in kinds}
+    if len(lights if path.suffix.lower() in PLAIN else kinds) > 1:
+        (target, name), (other, second) = list(kinds.items())[:2]
+        raise AddonError(MIXED.format(name, target.title, second, other.title))
     return models
 
 

@@ -55,7 +55,7 @@ def _training_settings(scene: bpy.types.Scene) -> dict[str, Any]:
         "preset": props.preset,
         "steps_factor": float(f"{props.steps_factor:.5g}"),  # Blender's is a 32-bit number
         "strategy": props.strategy,
-        "antialiased": props.antialiased,
+        "made_for": props.made_for,
     }
 
 

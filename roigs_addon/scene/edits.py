@@ -31,12 +31,12 @@ from ..shared import EngineError
 from . import clouds
 from .splat_attributes import (
     SHAPE,
-    antialiased_share,
     cloud_of,
     drawn,
     hidden,
     imported_frame,
     move_to_frame,
+    targets_of,
     values,
 )
 
@@ -68,8 +68,8 @@ _problems: dict[int, str] = {}
 """Mesh -> why its edits are not drawn, in one line."""
 
 MIXED = (
-    "'{}' joins Gaussians with anti-aliasing and without. All are drawn {}: the others look too"
-    " thick or too faint. Undo, and do not join them"
+    "'{}' joins Gaussians that are made for different renderers. All are drawn as for {}: the"
+    " others look wrong. Undo, and do not join them"
 )
 _mixed: dict[int, str] = {}
 """Mesh that was joined of both kinds -> that in one line."""
@@ -137,9 +137,9 @@ def _look(mesh: bpy.types.Mesh, uid: int, *, own_file: bool) -> None:
         _files[uid] = _file(mesh, uid, own_file=own_file)
     except AddonError as error:
         _problems[uid], _files[uid] = str(error), None
-    share = antialiased_share(mesh, drawn(mesh)) if _files[uid] else 0.0
-    if 0 < share < 1:
-        _mixed[uid] = MIXED.format(mesh.name, "with it" if share > 0.5 else "without it")
+    found = targets_of(mesh, drawn(mesh)) if _files[uid] else []
+    if len(found) > 1:
+        _mixed[uid] = MIXED.format(mesh.name, found[0].title)
 
 
 def is_edited(item: bpy.types.Object) -> bool:

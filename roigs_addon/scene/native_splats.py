@@ -3,8 +3,8 @@
 No build of 5.3 was available when this was written; it follows the source of Blender's PLY
 importer. There, a 3DGS PLY becomes a point cloud object with the attributes of
 docs/conventions.md, its values in the file's own frame; a change of axes goes into the object's
-matrix. What an importer makes is checked; anything else is removed. Blender draws all splats
-without anti-aliasing: it is only remembered, for the way back.
+matrix. What an importer makes is checked; anything else is removed. Blender draws all splats in its
+own way: what they are made for is only remembered, for the way back.
 """
 
 from __future__ import annotations
@@ -25,15 +25,7 @@ from ..engine.writing import writing
 from ..errors import AddonError
 from ..geometry.splat_cloud import SH_C0, SplatCloud, write_splats
 from . import look, lookup
-from .splat_attributes import (
-    ANTIALIASED,
-    SHAPE,
-    antialiased_share,
-    cloud_of,
-    mark_antialiased,
-    sh_of,
-    values,
-)
+from .splat_attributes import SHAPE, cloud_of, mark_target, sh_of, targets_of, values
 
 FIRST_VERSION = (5, 3, 0)
 POSITION = "position"
@@ -75,8 +67,7 @@ def of(item: bpy.types.Object) -> bpy.types.Object:
     if made is None:
         raise AddonError(REFUSED)
     points: Any = made.data
-    if cloud.antialiased and ANTIALIASED not in points.attributes:
-        mark_antialiased(points)
+    mark_target(points, cloud.target)
     made.name = f"{item.name} Splats"
     made.matrix_world = Matrix((lookup.matrix_world(item) @ applied).tolist())
     for collection in list(made.users_collection):
@@ -99,7 +90,7 @@ def cloud_in(item: bpy.types.Object) -> SplatCloud:
         scales=scales,
         opacities=radiance[:, 3],
         sh=sh_of(data),
-        antialiased=antialiased_share(data) > 0.5,
+        target=targets_of(data)[0],
     )
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..geometry.common_map import common_map
 from ..geometry.frames import Matrix
 from ..geometry.splat_cloud import SH_C0, SplatCloud
+from ..shared import targets
 from . import clouds
 
 if TYPE_CHECKING:
@@ -30,10 +31,10 @@ PLACE = "imported"
 FRAME = "roigs_frame"
 """Custom property of a mesh: the map from its file's frame to its own, as it was imported."""
 
-ANTIALIASED = "antialiased"
-"""Attribute of Gaussians that are drawn with anti-aliasing; others have none, or False.
+MADE_FOR = ("antialiased", "linear_light")
+"""Attributes of Gaussians whose target (`targets.Target`) draws so; others have none, or False.
 
-It is each point's own, so that meshes that are joined do not lose it.
+They are each point's own, so that meshes that are joined do not lose them.
 """
 
 
@@ -70,15 +71,15 @@ def add_attributes(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
         columns[_sh_name(index)] = ("FLOAT_VECTOR", cloud.sh[:, index])
     for name, (kind, numbers) in columns.items():
         clouds.set_attribute(mesh, name, kind, numbers)
-    if cloud.antialiased:
-        mark_antialiased(mesh)
+    mark_target(mesh, cloud.target)
 
 
 def cloud_of(mesh: bpy.types.Mesh) -> tuple[SplatCloud, Matrix] | None:
     """The Gaussians of a mesh in their file's frame, and the map (4, 4) that all went through.
 
     Without points that are hidden in edit mode or have no size. Those without a size were added to
-    the mesh, as by joining with another one. What most of them are decides on anti-aliasing.
+    the mesh, as by joining with another one. What most of them are made for decides on the
+    target.
 
     None if an attribute is missing, as after joining into another mesh or applying a modifier.
     """
@@ -100,26 +101,39 @@ def cloud_of(mesh: bpy.types.Mesh) -> tuple[SplatCloud, Matrix] | None:
         scales=scales[there],
         opacities=radiance[there, 3],
         sh=sh_of(mesh)[there],
-        antialiased=antialiased_share(mesh, there) > 0.5,
+        target=targets_of(mesh, there)[0],
     )
     return cloud, applied
 
 
-def mark_antialiased(data: Points) -> None:
-    """All points of a mesh or point cloud are Gaussians that are drawn with anti-aliasing."""
-    attribute: Any = data.attributes.new(ANTIALIASED, "BOOLEAN", "POINT")
-    attribute.data.foreach_set("value", np.ones(len(attribute.data), np.bool_))
+def mark_target(data: Points, target: targets.Target) -> None:
+    """All points of a mesh or point cloud are Gaussians that are made for a target."""
+    for name in MADE_FOR:
+        if getattr(target, name) and name not in data.attributes:
+            attribute: Any = data.attributes.new(name, "BOOLEAN", "POINT")
+            attribute.data.foreach_set("value", np.ones(len(attribute.data), np.bool_))
 
 
-def antialiased_share(data: Points, there: NDArray[np.bool_] | None = None) -> float:
-    """The share of points, of those that are `there`, that are drawn with anti-aliasing."""
-    attribute: Any = data.attributes.get(ANTIALIASED)
-    if attribute is None or attribute.domain != "POINT" or attribute.data_type != "BOOLEAN":
-        return 0.0
-    found = np.empty(len(attribute.data), np.bool_)
-    attribute.data.foreach_get("value", found)
-    of_those = found if there is None else found[there]
-    return float(of_those.mean()) if len(of_those) else 0.0
+def targets_of(data: Points, there: NDArray[np.bool_] | None = None) -> list[targets.Target]:
+    """What points are made for, of those that are `there`: most of them for the first target."""
+    smooth, linear = (_flags(data, name) for name in MADE_FOR)
+    kinds = 2 * linear + smooth if there is None else (2 * linear + smooth)[there]
+    counts = np.bincount(kinds, minlength=4)
+    order = [kind for kind in np.argsort(-counts, kind="stable").tolist() if counts[kind]]
+    return [
+        targets.target_with(antialiased=bool(kind & 1), linear_light=bool(kind & 2))
+        for kind in order or [0]
+    ]
+
+
+def _flags(data: Points, name: str) -> NDArray[np.int64]:
+    """(N,) 1 where a boolean attribute is true, 0 where it is not, or where there is none."""
+    attribute: Any = data.attributes.get(name)
+    points = data.vertices if isinstance(data, bpy.types.Mesh) else data.points
+    found = np.zeros(len(points), np.bool_)
+    if attribute and attribute.domain == "POINT" and attribute.data_type == "BOOLEAN":
+        attribute.data.foreach_get("value", found)
+    return found.astype(np.int64)
 
 
 def sh_of(data: Points) -> Float32:

@@ -94,11 +94,11 @@ class TrainSettingsPanel(SidebarPanel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Steps, strategy, anti-aliasing, test photos, seed, run folder."""
+        """Steps, strategy, target, test photos, seed, run folder."""
         layout, scene = layout_of(self), scene_of(context)
         column = show.setting_column(layout)
         props = scene_props(scene)
-        for name in ("steps_factor", "strategy", "antialiased"):
+        for name in ("steps_factor", "strategy", "made_for"):
             column.prop(props, name)
         show.draw_where(column)
         label = "Test: One Photo in" if props.test_every else "Test Photos (none)"

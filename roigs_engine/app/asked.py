@@ -139,7 +139,7 @@ def run_config(request: Train) -> RunConfig:
         **_given(request, "evaluate_on"),
         selection=replace(config.selection, **_given(request, "method", "count", "seed")),
     )
-    stages = _given(request, "sh_degree", "antialiased")
+    stages = _given(request, "sh_degree", "made_for")
     return replace(config, scene=replace(config.scene, **stages), roi=replace(config.roi, **stages))
 
 

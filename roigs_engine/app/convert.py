@@ -13,6 +13,7 @@ from ..errors import ConfigError, RoiError
 from ..exchange.arrays import turn
 from ..formats.drawable import usable
 from ..formats.gravity import gravity_alignment
+from ..formats.targets import Target, target_with
 from ..formats.text import counted
 from ..machine import machine_memory
 from ..model.roi import load_rois
@@ -43,7 +44,7 @@ class _Model:
 
     arrays: Arrays  # as they will be written
     count: int  # how many there were, with those that cannot be drawn
-    antialiased: bool  # whether they are drawn with anti-aliasing
+    target: Target  # what they are made for
     poses: Float64 | None  # (N, 4, 4) world_to_camera of photos, in the boxes' frame
     matrix: Float64  # (4, 4) from that frame to the file's
     upright: bool = False  # whether photos tell which way is up
@@ -57,39 +58,41 @@ def convert(request: Convert, context: Context = QUIET) -> Result:
     if request.out.name == STREAMED:
         _refuse_page_options(request, plain=False)
         return _write_streamed(request, context)
-    target = formats.writable(request.out)
-    plain = request.plain or not target.keeps_antialiased
+    form = formats.writable(request.out)
+    plain = request.plain or not form.keeps_antialiased
     _refuse_page_options(request, plain=plain)
     if request.source.suffix.lower() == LIST and not formats.is_named(request.source):
-        model = _listed(request, target, context, plain=plain)
+        model = _listed(request, form, context, plain=plain)
     else:
-        model = _single(request, target, context, plain=plain)
+        model = _single(request, form, context, plain=plain)
     arrays = _shortened(model.arrays, request)
     context.check_cancelled()
-    if model.antialiased and plain:
-        _say_photos_unknown(target, context)
-    if target.suffix == PAGE:
-        extras = _page_extras(request, _before(request, target.up, model, context), model)
-        written = formats.write(request.out, arrays, antialiased=model.antialiased, extras=extras)
+    if model.target.antialiased and plain:
+        _say_photos_unknown(form, context)
+    if model.target.linear_light and not form.keeps_target:
+        _warn_of_light(model.target, form, context)
+    if form.suffix == PAGE:
+        extras = _page_extras(request, _before(request, form.up, model, context), model)
+        written = formats.write(request.out, arrays, target=model.target, extras=extras)
     else:
         check = context.check_cancelled
-        written = formats.write(request.out, arrays, check, antialiased=model.antialiased)
+        written = formats.write(request.out, arrays, check, target=model.target)
     left = f" ({model.count - written:,} left out)" if model.count > written else ""
     size = request.out.stat().st_size / 1e6
     text = f"{counted(written, 'Gaussian')}{left}, {size:.1f} MB in {request.out}"
     return Result(files={"result": request.out}, text=text)
 
 
-def _single(request: Convert, target: FileFormat, context: Context, *, plain: bool) -> _Model:
+def _single(request: Convert, form: FileFormat, context: Context, *, plain: bool) -> _Model:
     from ..exchange import formats
 
     upright, poses = _upright(request, request.source), None
     home = _home(request, request.source, upright)
-    matrix = turn(SCENE_UP, request.up or target.up) @ upright
-    if target.suffix == PAGE:
+    matrix = turn(SCENE_UP, request.up or form.up) @ upright
+    if form.suffix == PAGE:
         poses = _page_poses(request)
     if poses is not None:
-        matrix = turn("z", request.up or target.up)
+        matrix = turn("z", request.up or form.up)
         matrix[:3, :3] = matrix[:3, :3] @ gravity_alignment(poses)
         matrix = matrix @ home
     elif request.from_up is None:
@@ -102,20 +105,20 @@ def _single(request: Convert, target: FileFormat, context: Context, *, plain: bo
                 " If it lies wrong, give --from-up."
             )
     refuse_inputs([request.out], [request.source], OTHER)
-    whole, antialiased = _read(request.source, context, plain=plain, scene=request.page_scene)
+    whole, target = _read(request.source, context, plain=plain, scene=request.page_scene)
     arrays = _cropped(whole, request, home)
     context.check_cancelled()
     return _Model(
         arrays=turned(arrays, matrix),
         count=len(arrays["means"]),
-        antialiased=antialiased,
+        target=target,
         poses=poses,
         matrix=matrix @ home.T,
         upright=poses is not None,
     )
 
 
-def _listed(request: Convert, target: FileFormat, context: Context, *, plain: bool) -> _Model:
+def _listed(request: Convert, form: FileFormat, context: Context, *, plain: bool) -> _Model:
     from ..exchange import formats
     from ..exchange.transform import merged
     from ..model.gaussians import Gaussians
@@ -136,16 +139,19 @@ def _listed(request: Convert, target: FileFormat, context: Context, *, plain: bo
         read[name] = Gaussians.framed(usable(arrays))
     if not any(len(gaussians) for gaussians, _ in read.values()):
         raise ConfigError(f"{request.source} has no Gaussians.", "Give models that have some.")
-    if plain:
-        antialiased = any(still for _, still in models.values())
-    else:
-        antialiased = formats.are_antialiased(Path(name) for name in names)
-    matrix = turn(request.from_up or SCENE_UP, request.up or target.up)
+    targets = {Path(name): target for name, (_, target) in models.items()}
+    if plain:  # files whose photos are not known stay anti-aliased, and so all are said to be
+        still = any(target.antialiased for target in targets.values())
+        targets = {
+            path: target_with(antialiased=still, linear_light=target.linear_light)
+            for path, target in targets.items()
+        }
+    matrix = turn(request.from_up or SCENE_UP, request.up or form.up)
     whole, frame = merged([item.of(*read[item.file], matrix) for item in wanted], context)
     return _Model(
         arrays=whole.arrays(frame),
         count=sum(len(models[item.file][0]["means"]) for item in wanted),
-        antialiased=antialiased,
+        target=formats.common_target(targets),
         poses=poses,
         matrix=matrix,
     )
@@ -173,10 +179,10 @@ def _home(request: Convert, path: Path, upright: Float64) -> Float64:
     """
     from ..exchange import formats
 
-    form, target = formats.format_of(path), formats.format_of(request.out)
-    if form.up == SCENE_UP:
+    if formats.format_of(path).up == SCENE_UP:
         return np.eye(4)
-    up = request.up if request.up and target.up == SCENE_UP else SCENE_UP
+    own = formats.format_of(request.out).up == SCENE_UP
+    up = request.up if request.up and own else SCENE_UP
     return turn(SCENE_UP, up) @ upright
 
 
@@ -243,8 +249,8 @@ def turned(arrays: Arrays, matrix: Float64) -> Arrays:
 
 def _read(
     path: Path, context: Context, *, plain: bool, scene: Path | None = None
-) -> tuple[Arrays, bool]:
-    """The Gaussians of a file, and whether they are drawn with anti-aliasing.
+) -> tuple[Arrays, Target]:
+    """The Gaussians of a file, and what they are made for.
 
     With `plain`, they are made about right without it, as far as photos tell how: those of `scene`,
     or of the run that made the file.
@@ -253,26 +259,34 @@ def _read(
     from ..exchange.transform import without_antialiasing
     from ..model.gaussians import Gaussians
 
-    antialiased = formats.is_antialiased(path)
+    target = formats.target_of(path)
     arrays = formats.read(path, context.check_cancelled)
-    photos = cameras_of_result(path, scene) if antialiased and plain else None
+    photos = cameras_of_result(path, scene) if target.antialiased and plain else None
     if photos is None:
-        return arrays, antialiased
-    model, frame = Gaussians.framed(arrays, antialiased=True)
+        return arrays, target
+    model, frame = Gaussians.framed(arrays, target=target)
     made = without_antialiasing(model, frame.scene(photos).images)
-    return {**arrays, "logit_opacities": made.logit_opacities.numpy()}, False
+    return {**arrays, "logit_opacities": made.logit_opacities.numpy()}, made.target
 
 
-def _say_photos_unknown(target: FileFormat, context: Context) -> None:
+def _warn_of_light(target: Target, form: FileFormat, context: Context) -> None:
+    """Say that a format cannot tell other programs in which light to blend."""
+    context.warn(
+        f"{form.title} cannot say that these Gaussians are made for {target.title}: other programs"
+        " will show them too dark. Make them for these first (`adapt`)."
+    )
+
+
+def _say_photos_unknown(form: FileFormat, context: Context) -> None:
     """Refuse to write anti-aliased Gaussians as plain ones; warn if the format cannot tell."""
     why = "the photos that they were trained on are not known"
-    if target.keeps_antialiased:
+    if form.keeps_antialiased:
         raise ConfigError(
             f"--plain cannot change these Gaussians, as {why}.",
             "Give their scene's folder with --scene, or leave out --plain.",
         )
     context.warn(
-        f"{target.title} cannot say that these Gaussians are anti-aliased, and {why}: other"
+        f"{form.title} cannot say that these Gaussians are anti-aliased, and {why}: other"
         " programs will show fine ones too thick. Give their scene's folder with --scene, or write"
         " .ply, .spz, .sog or .html."
     )
@@ -329,7 +343,7 @@ def _before(request: Convert, up: str, model: _Model, context: Context) -> Array
 
 def _page_extras(request: Convert, before: Arrays | None, model: _Model) -> Extras:
     """What the page shows besides, with boxes and photos turned as the model is."""
-    from ..exchange.formats import is_antialiased
+    from ..exchange.formats import target_of
     from ..exchange.page import Extras
     from ..exchange.page_views import Ball
 
@@ -344,12 +358,12 @@ def _page_extras(request: Convert, before: Arrays | None, model: _Model) -> Extr
         )
         for box in (load_rois(request.fly_to) if request.fly_to else [])
     ]
-    shown = before is not None and request.before is not None and is_antialiased(request.before)
+    shown = None if before is None or request.before is None else target_of(request.before)
     return Extras(
         title=request.title or "",
         places=places,
         before=before,
-        before_antialiased=shown,
+        before_antialiased=shown is not None and shown.antialiased,
         poses=None if poses is None else poses @ np.linalg.inv(matrix),
     )
 
@@ -381,7 +395,10 @@ def _write_streamed(request: Convert, context: Context) -> Result:
             levels.append(_shortened(turned(arrays, matrix), request))
             files.append(file)
         parts.append(levels)
-    check, antialiased = context.check_cancelled, formats.are_antialiased(files)
-    written = streamed_sog.write(request.out, parts, check, antialiased=antialiased)
+    target = formats.common_target({file: formats.target_of(file) for file in files})
+    if target.linear_light:
+        _warn_of_light(target, formats.format_of(Path("meta.json")), context)
+    check, smooth = context.check_cancelled, target.antialiased
+    written = streamed_sog.write(request.out, parts, check, antialiased=smooth)
     text = f"{counted(written, 'Gaussian')} in levels of detail in {request.out.parent}"
     return Result(files={"result": request.out}, text=text)

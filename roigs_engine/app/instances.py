@@ -13,7 +13,7 @@ from ..errors import ConfigError
 from ..formats.drawable import usable
 from ..formats.files import read_json
 from ..formats.names import usable_path
-from ..formats.splat_ply import Check, is_antialiased, read_ply
+from ..formats.splat_ply import Check, read_ply, target_of
 from ..formats.text import counted
 from ..formats.transforms import numbers
 
@@ -101,7 +101,7 @@ def drawable_model(
     if kept < there:
         left_out = f"{there - kept:,} of {counted(there, 'Gaussian')}"
         say(f"{path}: {left_out} cannot be drawn (NaN, too large, or no rotation).")
-    return Gaussians.framed(arrays, antialiased=is_antialiased(path))
+    return Gaussians.framed(arrays, target=target_of(path))
 
 
 def _needed(item: Any, name: str, whose: str) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from ..formats.files import atomic_write, own_folder
 from ..formats.mask_record import box_folders
 from ..formats.projects import top_folder
 from ..formats.run_files import BACKGROUND, FINE
-from ..formats.splat_ply import check_ply, is_antialiased, read_ply
+from ..formats.splat_ply import check_ply, read_ply, target_of
 from ..formats.text import counted
 from ..model.mask_coverage import with_useful_masks
 from ..model.ownership import count_owned
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from torch import Tensor
 
+    from ..formats.targets import Target
     from ..model.gaussians import Gaussians
     from ..model.local_frame import LocalFrame
     from ..model.roi import OrientedBox
@@ -206,22 +208,22 @@ def _as_one(
         mask = drawable(arrays)
         masks.append(mask)
         if mask.any():
-            kept, own = Gaussians.framed(usable(arrays, mask), antialiased=is_antialiased(path))
+            kept, own = Gaussians.framed(usable(arrays, mask), target=target_of(path))
             models.append(item.of(kept, own, into))
     if not models:
         raise ConfigError("The model has no Gaussians that can be drawn.", "Give another model.")
     model, own = merged(_alike(models))
-    whole = Gaussians.from_arrays(model.arrays(own), antialiased=model.antialiased)
+    whole = Gaussians.from_arrays(model.arrays(own), target=model.target)
     return whole, np.concatenate(masks)
 
 
 def _alike(models: list[Instance]) -> list[Instance]:
-    """All with anti-aliasing or all without, as most Gaussians are drawn.
+    """All made for the same target, that of most Gaussians.
 
-    They are judged as one model, which is either; it matters little for what hides what.
+    They are judged as one model, which has one; it matters little for what hides what.
     """
-    counts = {True: 0, False: 0}
+    counts: Counter[Target] = Counter()
     for model in models:
-        counts[model.gaussians.antialiased] += len(model.gaussians)
-    most = counts[True] > counts[False]
-    return [replace(m, gaussians=replace(m.gaussians, antialiased=most)) for m in models]
+        counts[model.gaussians.target] += len(model.gaussians)
+    most = max(counts, key=lambda target: (counts[target], not target.antialiased))
+    return [replace(m, gaussians=replace(m.gaussians, target=most)) for m in models]

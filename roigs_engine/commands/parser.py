@@ -128,11 +128,7 @@ def _facts(option: Option) -> dict[str, Any]:
     if option.kind.metavar:
         facts["metavar"] = option.kind.metavar
     if isinstance(option.kind, Flag):
-        negatable = option.kind.negatable
-        return facts | {
-            "action": argparse.BooleanOptionalAction if negatable else "store_true",
-            "default": argparse.SUPPRESS,
-        }
+        return facts | {"action": "store_true", "default": argparse.SUPPRESS}
     if isinstance(option.kind, Choice):
         facts["choices"] = option.kind.words
     else:

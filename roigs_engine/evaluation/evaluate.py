@@ -217,5 +217,5 @@ def _row(
         near_psnr=average(near, "roi_psnr"),
         far_psnr=average(far, "roi_psnr"),
         near_object_psnr=average(near, "object_psnr"),
-        antialiased=model.gaussians.antialiased,
+        made_for=model.gaussians.target.name,
     )

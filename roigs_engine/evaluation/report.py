@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ..formats.files import write_json, write_text
 from ..formats.run_files import REPORT, REPORT_DATA
+from ..formats.targets import TARGETS
 from ..formats.text import counted, printable
 from .scores import MIN_OBJECT, MIN_SILHOUETTE, Evaluation, ModelScore, RoiScores, near_and_far
 
@@ -187,9 +188,13 @@ def box_notes(scores: RoiScores, evaluation: Evaluation) -> list[str]:
         if flagged:
             notes.append(f"{what}: {', '.join(flagged)}.")
     notes += _photo_notes(scores.rows, evaluation.baseline)
-    plain = [row.model for row in scores.rows if row.antialiased is False]
-    if plain and any(row.antialiased for row in scores.rows):
-        notes.append(f"Drawn without anti-aliasing: {', '.join(plain)}.")
+    made_for: dict[str, list[str]] = {}
+    for row in scores.rows:
+        if row.made_for in TARGETS:
+            made_for.setdefault(TARGETS[row.made_for].title, []).append(row.model)
+    if len(made_for) > 1:
+        each = "; ".join(f"{title}: {', '.join(models)}" for title, models in made_for.items())
+        notes.append(f"Each model is drawn as in what it is made for: {each}.")
     stages = [
         f"{row.model} = " + " + ".join(f"{name} {spent:,.0f}" for name, spent in row.stages.items())
         for row in scores.rows

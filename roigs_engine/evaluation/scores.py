@@ -85,7 +85,7 @@ class ModelScore(Gains):
         image_psnr: mean over all test views, dB.
         seconds, stages: training time, and that of each stage.
         ply_bytes: size of the model's PLY.
-        antialiased: whether its Gaussians are drawn with anti-aliasing.
+        made_for: name of the target that it is drawn as.
         views: scores of each view of the box.
         image_views: test view -> PSNR over the whole image, dB.
     """
@@ -109,7 +109,7 @@ class ModelScore(Gains):
     near_psnr: float | None = None
     far_psnr: float | None = None
     near_object_psnr: float | None = None
-    antialiased: bool | None = None
+    made_for: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..formats.files import write_bytes
-from ..formats.splat_ply import ANTIALIASED
+from ..formats.splat_ply import target_lines
+from ..formats.targets import PLAIN, Target
 from .arrays import Arrays, unit_quats
 from .libraries import NotSupportedError, package
 
@@ -21,8 +22,8 @@ BYTES = {"chunk": (72, 48), "vertex": (16,), "sh": (9, 24, 45)}
 MAX_HEADER = 1 << 16
 
 
-def write(path: Path, arrays: Arrays, *, antialiased: bool = False) -> int:
-    """See `FileFormat`. The header says whether the Gaussians are `antialiased`."""
+def write(path: Path, arrays: Arrays, *, target: Target = PLAIN) -> int:
+    """See `FileFormat`. The header says what the Gaussians are made for."""
     gsply: Any = package("gsply", TITLE)
     sh = arrays["sh"].astype(np.float32)
     data: bytes = gsply.compress_to_bytes(
@@ -33,8 +34,9 @@ def write(path: Path, arrays: Arrays, *, antialiased: bool = False) -> int:
         np.ascontiguousarray(sh[:, 0]),
         np.ascontiguousarray(sh[:, 1:]) if sh.shape[1] > 1 else None,
     )
-    if antialiased:  # gsply writes no comments; they follow the format, as in a plain PLY
-        data = data.replace(b"\nelement ", f"\n{ANTIALIASED}\nelement ".encode(), 1)
+    # gsply writes no comments; they follow the format, as in a plain PLY
+    lines = "".join(f"\n{line}" for line in target_lines(target))
+    data = data.replace(b"\nelement ", f"{lines}\nelement ".encode(), 1)
     write_bytes(path, data)
     return len(sh)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -15,6 +15,7 @@ from ..formats import splat_ply
 from ..formats.drawable import usable
 from ..formats.files import regular, remove_leftovers_of
 from ..formats.splat_ply import Check, nothing
+from ..formats.targets import PLAIN, Target, target_with
 from ..model.scene import Float64
 from .arrays import Arrays, extent, flaw, upright
 from .libraries import CONVERT, HINT, reading
@@ -34,7 +35,7 @@ class FileFormat:
     `read(path)`, any error of which but NotSupportedError means a damaged file. Both raise
     ConfigError where the format cannot hold the model, and EngineError if a package is missing. A
     module that `keeps_antialiased` has `is_antialiased` if it reads, and its `write` takes
-    `antialiased`.
+    `antialiased`; PLYs say what they are made for.
     """
 
     title: str  # what people call it
@@ -45,6 +46,11 @@ class FileFormat:
     says_axes: bool = False  # whether its module has `frame`, as a file may name other axes
     checks: bool = False  # whether its `write` takes `check`, as it takes long
     keeps_antialiased: bool = True  # whether a file says if its Gaussians are drawn with it
+
+    @property
+    def keeps_target(self) -> bool:
+        """Whether a file says what its Gaussians are made for, light included."""
+        return self.suffix.endswith(".ply")
 
 
 USD = FileFormat(
@@ -117,28 +123,29 @@ def writable(path: Path) -> FileFormat:
 
 
 def write(
-    path: Path, arrays: Arrays, check: Check = nothing, *, antialiased: bool = False, **more: Any
+    path: Path, arrays: Arrays, check: Check = nothing, *, target: Target = PLAIN, **more: Any
 ) -> int:
     """Write Gaussians in the format that the name says, whole or not at all; returns how many.
 
     Args:
         path, arrays: of the file, and the model.
         check: called between the parts of long work; what it raises ends it without a file.
-        antialiased: whether the Gaussians are drawn with anti-aliasing; not written if the format
-            has no place for it.
+        target: what the Gaussians are made for; written as far as the format has a place for it.
         more: what the module's `write` takes besides these; nothing for a plain PLY.
     """
     form = writable(path)
     remove_leftovers_of(path)
     if not form.module:
-        splat_ply.write_ply(path, arrays, antialiased=antialiased)
+        splat_ply.write_ply(path, arrays, target)
         return len(arrays["means"])
     arrays = storable(arrays, form.title)
     writer: Callable[..., int] = import_module(f".{form.module}", __package__).write
     if form.checks:
         more["check"] = check
-    if form.keeps_antialiased:
-        more["antialiased"] = antialiased
+    if form.keeps_target:
+        more["target"] = target
+    elif form.keeps_antialiased:
+        more["antialiased"] = target.antialiased
     return writer(path, arrays, **more)
 
 
@@ -177,16 +184,16 @@ def read(path: Path, check: Check = nothing) -> Arrays:
     return arrays
 
 
-def is_antialiased(path: Path) -> bool:
-    """Whether a file says that its Gaussians are drawn with anti-aliasing, as they were trained."""
+def target_of(path: Path) -> Target:
+    """What a file's Gaussians are made for, as far as it says."""
     form = _readable(path)
     if not form.keeps_antialiased:
-        return False
-    if form.suffix.endswith(".ply"):  # both kinds say it alike
-        return splat_ply.is_antialiased(path)
+        return PLAIN
+    if form.keeps_target:  # both kinds of PLYs say it alike
+        return splat_ply.target_of(path)
     said: Callable[[Path], bool] = import_module(f".{form.module}", __package__).is_antialiased
     with reading(path, form.title):
-        return said(path)
+        return target_with(antialiased=said(path))
 
 
 def frame(path: Path) -> Float64:
@@ -202,18 +209,22 @@ def frame(path: Path) -> Float64:
     return matrix
 
 
-def are_antialiased(paths: Iterable[Path]) -> bool:
-    """Whether files that become one are drawn with anti-aliasing; False for none.
+def common_target(targets: Mapping[Path, Target]) -> Target:
+    """What files that become one are made for, from what each is made for; `plain` for none.
 
-    ConfigError: some are, others are not. No file can say that.
+    ConfigError: they differ. No file can say that.
     """
-    first = {is_antialiased(path): path for path in reversed(list(paths))}
+    first: dict[Target, Path] = {}
+    for path, target in targets.items():
+        first.setdefault(target, path)
     if len(first) > 1:
+        (target, path), (other, second) = list(first.items())[:2]
         raise ConfigError(
-            f"{first[True]} is drawn with anti-aliasing, {first[False]} without.",
-            "Write each into a file of its own, or add --plain.",
+            f"{path} is made for {target.title}, {second} for {other.title}.",
+            "Write each into a file of its own, or make them alike first (`adapt`; --plain for"
+            " viewers without anti-aliasing).",
         )
-    return True in first
+    return next(iter(first), PLAIN)
 
 
 def _readable(path: Path) -> FileFormat:

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ..context import QUIET, Context
 from ..formats.drawable import usable
+from ..formats.targets import target_with
 from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
 from ..model.scene import Float64, PosedImage
@@ -123,4 +124,5 @@ def without_antialiasing(model: Gaussians, images: Sequence[PosedImage]) -> Gaus
         count[rows] += 1
     share = torch.where(count > 0, total / count.clamp(min=1), 1.0)
     opacity = model.logit_opacities.sigmoid() * share
-    return replace(model, logit_opacities=torch.logit(opacity, eps=1e-6), antialiased=False)
+    target = target_with(antialiased=False, linear_light=model.target.linear_light)
+    return replace(model, logit_opacities=torch.logit(opacity, eps=1e-6), target=target)

@@ -5,10 +5,11 @@ Written is binary little-endian; ASCII and big-endian are read, too.
 docs/conventions.md has the layout. Values go out and come back bit for bit. Centres far from the
 origin, as in map coordinates, are `double x y z`: float32 would be too coarse there.
 
-Gaussians that were trained with anti-aliasing must be drawn with it. A comment says so:
+Gaussians must be drawn as they were trained. Of anti-aliasing, a comment says so:
 `SplatRenderMode: mip`, as Brush, gsplat and PlayCanvas's splat-transform have it; Postshot's
 `antialiased 1` is read too. So is Mip-Splatting's property `filter_3D`: such Gaussians were trained
-with anti-aliasing, and as they are stored, they lack a blur in space that belongs to them.
+with anti-aliasing, and as they are stored, they lack a blur in space that belongs to them. Of
+linear light, a comment of our own does: `made_for` and the name of the target.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from numpy.typing import NDArray
 from ..errors import RunFolderError
 from .contents import held_instead
 from .files import UNREADABLE, atomic_write, regular
+from .targets import PLAIN, TARGETS, Target, target_with
 
 HINT = "Give a PLY of 3D Gaussians, as training programs write them."
 HINT_DAMAGED = "Write or download the file again."
@@ -57,6 +59,7 @@ RENDER_MODE = re.compile(
     rb"^comment\s+(?:splatrendermode:\s*(mip|default)|antialiased\s+([01]))\s*$",
     re.IGNORECASE | re.MULTILINE,
 )
+MADE_FOR = re.compile(rb"^comment\s+made_for\s+(\w+)\s*$", re.MULTILINE)
 UP_AXIS = re.compile(
     rb"^comment\s+(?:vertical|up)[\s_-]*axis\s*[:=]?\s*([^\r\n]*?)\s*$",
     re.IGNORECASE | re.MULTILINE,
@@ -79,7 +82,7 @@ def _columns(rest: int) -> list[str]:
     return names
 
 
-def write_ply(path: Path, arrays: Mapping[str, Floats], *, antialiased: bool = False) -> None:
+def write_ply(path: Path, arrays: Mapping[str, Floats], target: Target = PLAIN) -> None:
     """Write Gaussians under `path`, whole or not at all.
 
     Args:
@@ -87,7 +90,7 @@ def write_ply(path: Path, arrays: Mapping[str, Floats], *, antialiased: bool = F
         arrays: `means` (N, 3), float32 or, to be written as double, float64; float32 `quats`
             (N, 4), `log_scales` (N, 3), `logit_opacities` (N,), `sh` (N, K, 3) with K = 1, 4, 9
             or 16.
-        antialiased: whether they are drawn with anti-aliasing.
+        target: what they are made for.
     """
     sh = arrays["sh"]
     count, bands = sh.shape[:2]
@@ -102,8 +105,7 @@ def write_ply(path: Path, arrays: Mapping[str, Floats], *, antialiased: bool = F
     table[:, -7:-4] = arrays["log_scales"]
     table[:, -4:] = arrays["quats"]
     header = ["ply", "format binary_little_endian 1.0"]
-    header += [ANTIALIASED] if antialiased else []
-    header += [f"element vertex {count}"]
+    header += [*target_lines(target), f"element vertex {count}"]
     types = dict.fromkeys(names, "float")
     rows: NDArray[Any] = table
     if means.dtype == np.float64:
@@ -114,6 +116,12 @@ def write_ply(path: Path, arrays: Mapping[str, Floats], *, antialiased: bool = F
     with atomic_write(path) as file:
         file.write("\n".join(header).encode("ascii"))
         file.write(rows.data)
+
+
+def target_lines(target: Target) -> list[str]:
+    """The lines of a PLY's header that say what its Gaussians are made for."""
+    lines = [ANTIALIASED] if target.antialiased else []
+    return [*lines, f"comment made_for {target.name}"] if target.linear_light else lines
 
 
 def read_ply(path: str | Path, check: Check = nothing) -> dict[str, Floats]:
@@ -165,16 +173,19 @@ def _direction(words: list[str]) -> list[float] | None:
     return numbers if 1e-6 < np.linalg.norm(numbers) < 1e6 else None  # not NaN either
 
 
-def is_antialiased(path: str | Path) -> bool:
-    """Whether a PLY, compressed or not, says that its Gaussians are drawn with anti-aliasing.
+def target_of(path: str | Path) -> Target:
+    """What the Gaussians of a PLY, compressed or not, are made for, as far as it says.
 
     RunFolderError: it cannot be read.
     """
     head = _head(path)
+    named = [TARGETS.get(name.decode("ascii", "replace")) for name in MADE_FOR.findall(head)]
+    if named and named[-1]:
+        return named[-1]
     said = [mode.lower() or flag for mode, flag in RENDER_MODE.findall(head)]
     if not said:
-        return FILTER_LINE.search(head) is not None
-    return said[-1] in (b"mip", b"1")
+        return target_with(antialiased=FILTER_LINE.search(head) is not None)
+    return target_with(antialiased=said[-1] in (b"mip", b"1"))
 
 
 def _head(path: str | Path) -> bytes:

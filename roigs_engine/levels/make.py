@@ -224,7 +224,7 @@ def make_level(
         sh_start=3,
         lr_shN=1.25e-3,
         lr_scales=0.01,
-        antialiased=start.antialiased,
+        made_for=start.target.name,
         mechanisms=(ModelAveraging(steps=steps // 5),),
     )
     data = StageData(

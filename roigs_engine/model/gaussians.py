@@ -14,7 +14,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from ..errors import ConfigError
-from ..formats.splat_ply import Check, Floats, is_antialiased, nothing, read_ply, write_ply
+from ..formats.splat_ply import Check, Floats, nothing, read_ply, target_of, write_ply
+from ..formats.targets import PLAIN, Target
 from .local_frame import LocalFrame
 from .roi import OrientedBox
 from .scene import Float64
@@ -33,8 +34,8 @@ class Gaussians:
         log_scales: (N, 3) natural logarithms of the standard deviations, world units.
         logit_opacities: (N,).
         sh: (N, K, 3) SH coefficients of colour minus 0.5, K = 1, 4, 9 or 16.
-        antialiased: whether they are drawn with anti-aliasing (`rasterize`). This belongs to the
-            model: it looks right only as it was trained.
+        target: what they are made for. This belongs to the model: it looks right only as it was
+            trained.
     """
 
     means: Tensor
@@ -42,10 +43,15 @@ class Gaussians:
     log_scales: Tensor
     logit_opacities: Tensor
     sh: Tensor
-    antialiased: bool = False
+    target: Target = PLAIN
 
     def __len__(self) -> int:
         return self.means.shape[0]
+
+    @property
+    def antialiased(self) -> bool:
+        """Whether they are drawn with anti-aliasing (`rasterize`)."""
+        return self.target.antialiased
 
     def tensors(self) -> dict[str, Tensor]:
         """The five tensors by name, not copied."""
@@ -53,7 +59,7 @@ class Gaussians:
 
     def with_tensors(self, tensors: Mapping[str, Tensor]) -> Gaussians:
         """The model with these tensors in place of its own; one that is not given is shared."""
-        return Gaussians(**{**self.tensors(), **tensors}, antialiased=self.antialiased)
+        return Gaussians(**{**self.tensors(), **tensors}, target=self.target)
 
     def rows(self, index: Tensor) -> Gaussians:
         """The Gaussians of a boolean mask (N,) or of row numbers, copied."""
@@ -81,12 +87,13 @@ class Gaussians:
     def concatenate(parts: list[Gaussians]) -> Gaussians:
         """The parts in one model, in their order; zeros stand for SH bands that a part lacks.
 
-        ConfigError: some are drawn with anti-aliasing, others without.
+        ConfigError: they are made for different targets.
         """
-        if len({part.antialiased for part in parts}) > 1:
+        titles = list(dict.fromkeys(part.target.title for part in parts))
+        if len(titles) > 1:
             raise ConfigError(
-                "Some of the models are drawn with anti-aliasing, others without.",
-                "Use models that were trained alike.",
+                f"Some of the models are made for {titles[0]}, others for {titles[1]}.",
+                "Use models that were made for the same.",
             )
         columns = {name: [getattr(p, name).detach() for p in parts] for name in NAMES}
         bands = max(sh.shape[1] for sh in columns["sh"])
@@ -95,7 +102,7 @@ class Gaussians:
             for sh in columns["sh"]
         ]
         tensors = {name: torch.cat(column) for name, column in columns.items()}
-        return Gaussians(**tensors, antialiased=parts[0].antialiased)
+        return Gaussians(**tensors, target=parts[0].target)
 
     @classmethod
     def from_points(
@@ -130,17 +137,17 @@ class Gaussians:
         )
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, Floats], *, antialiased: bool = False) -> Gaussians:
+    def from_arrays(cls, arrays: Mapping[str, Floats], *, target: Target = PLAIN) -> Gaussians:
         """The model of these arrays, by the names of the attributes."""
         tensors = {
             name: torch.from_numpy(np.ascontiguousarray(arrays[name], dtype=np.float32))
             for name in NAMES
         }
-        return cls(**tensors, antialiased=antialiased)
+        return cls(**tensors, target=target)
 
     def save_ply(self, path: Path, frame: LocalFrame | None = None) -> None:
         """Write a standard 3DGS PLY in the world, atomically; `frame`: of these Gaussians."""
-        write_ply(path, self.arrays(frame), antialiased=self.antialiased)
+        write_ply(path, self.arrays(frame), self.target)
 
     def arrays(self, frame: LocalFrame | None = None) -> dict[str, Floats]:
         """The five arrays by name, as a PLY has them, in the world; `frame`: of these Gaussians."""
@@ -159,18 +166,18 @@ class Gaussians:
         """
         arrays = read_ply(path, check)
         local = arrays if frame is None else _to_local(arrays, frame)
-        return cls.from_arrays(local, antialiased=is_antialiased(path))
+        return cls.from_arrays(local, target=target_of(path))
 
     @classmethod
     def load_framed(
         cls, path: Path, check: Check = nothing, *, scaled: bool = True
     ) -> tuple[Gaussians, LocalFrame]:
         """As `load_ply`, but with `framed`."""
-        return cls.framed(read_ply(path, check), scaled=scaled, antialiased=is_antialiased(path))
+        return cls.framed(read_ply(path, check), scaled=scaled, target=target_of(path))
 
     @classmethod
     def framed(
-        cls, arrays: Mapping[str, Floats], *, scaled: bool = True, antialiased: bool = False
+        cls, arrays: Mapping[str, Floats], *, scaled: bool = True, target: Target = PLAIN
     ) -> tuple[Gaussians, LocalFrame]:
         """Arrays of a PLY in a frame of their own; returns both.
 
@@ -178,11 +185,11 @@ class Gaussians:
         world's unit. So all values stay bit for bit.
         """
         if not scaled and arrays["means"].dtype == np.float32:
-            return cls.from_arrays(arrays, antialiased=antialiased), LocalFrame.world()
+            return cls.from_arrays(arrays, target=target), LocalFrame.world()
         frame = LocalFrame.of_centres(arrays["means"].astype(np.float64))
         if not scaled:
             frame = replace(frame, scale=1.0)
-        return cls.from_arrays(_to_local(arrays, frame), antialiased=antialiased), frame
+        return cls.from_arrays(_to_local(arrays, frame), target=target), frame
 
 
 def _to_world(arrays: Mapping[str, Floats], frame: LocalFrame) -> dict[str, Floats]:

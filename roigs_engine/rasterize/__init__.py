@@ -29,7 +29,6 @@ others.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -49,7 +48,6 @@ from .inputs import (
     checked_pixel_weights,
     used_sh_degree,
 )
-from .light import to_linear, to_srgb
 from .limits import NO_LIMITS, Limits
 from .tiles import Mask, active_tiles
 
@@ -86,8 +84,7 @@ def rasterize(
 ) -> RenderOutput:
     """Render N Gaussians for C cameras; `image` is differentiable in the first five arguments.
 
-    With `backward_step` (one camera), `backward`, called once, takes the optimizer's
-    step on those that pixels give a gradient, and leaves no gradients.
+    With `backward_step` (one camera), `backward` is called once, and leaves no gradients.
     EngineError: the arguments do not fit together. KernelError: too many pairs of Gaussians and
     tiles for the kernels or the memory, or the backend cannot be used.
     """
@@ -96,8 +93,7 @@ def rasterize(
     backend = _chosen(backend, parameters)
     if backward_step is not None:
         check_backward_step(backward_step, parameters, len(viewmats), backend)
-    active = active_tiles(width, height, mask)
-    shape, behind = (len(viewmats), height, width), background_colour(background, means)
+    active, shape = active_tiles(width, height, mask), (len(viewmats), height, width)
     inputs = RenderInputs(
         parameters=parameters,
         viewmats=viewmats,
@@ -108,7 +104,7 @@ def rasterize(
         raw=raw,
         linear_light=linear_light,
         limits=limits,
-        background=to_linear(behind) if linear_light else behind,
+        background=background_colour(background, means, linear_light=linear_light),
         with_depth=checked_depth(with_depth),
         with_max_weight=with_max_weight,
         with_weight_sum=with_weight_sum,
@@ -119,8 +115,7 @@ def rasterize(
         blur=blur_of(pixel_size, antialiased),
         backward_step=backward_step,
     )
-    output = _renderer(backend)(inputs).cut(active.shown)
-    return replace(output, image=to_srgb(output.image)) if linear_light else output
+    return _renderer(backend)(inputs).cut(active.shown).in_srgb(linear_light=linear_light)
 
 
 def _chosen(backend: str, parameters: tuple[Tensor, ...]) -> str:

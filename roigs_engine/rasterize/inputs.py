@@ -13,6 +13,7 @@ from torch import Tensor
 from ..cuda.pair_buffers import PairBuffer
 from ..errors import EngineError
 from ..kernels import bindings
+from .light import to_linear, to_srgb
 from .limits import Limits
 
 TILE = 16  # side of a pixel tile; culling, binning and masks work in whole tiles
@@ -93,6 +94,10 @@ class RenderOutput:
             alpha=self.alpha[:, rows, columns],
             depth=None if self.depth is None else self.depth[:, rows, columns],
         )
+
+    def in_srgb(self, *, linear_light: bool) -> RenderOutput:
+        """With an image of sRGB values; itself, unless its image is of `linear_light`."""
+        return replace(self, image=to_srgb(self.image)) if linear_light else self
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -257,10 +262,13 @@ def used_sh_degree(coefficients: int, sh_degree: int | None) -> int:
     return sh_degree
 
 
-def background_colour(background: Tensor | None, like: Tensor) -> Tensor:
-    """The (3,) background in `like`'s type and device; black when None."""
+def background_colour(
+    background: Tensor | None, like: Tensor, *, linear_light: bool = False
+) -> Tensor:
+    """The (3,) background, or its light, in `like`'s type and device; black when None."""
     if background is None:
         return torch.zeros(3, dtype=like.dtype, device=like.device)
     if tuple(background.shape) != (3,):
         raise EngineError(f"rasterize: background has shape {tuple(background.shape)}, not (3,).")
-    return background.to(dtype=like.dtype, device=like.device)
+    background = background.to(dtype=like.dtype, device=like.device)
+    return to_linear(background) if linear_light else background

@@ -16,12 +16,14 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from ..cuda.device import CPU
+from ..formats.targets import target_with
 from ..model.gaussians import SH_C0, Gaussians
 from ..model.local_frame import LocalFrame
 from ..model.operations import faded, recoloured
 from ..model.rotations import rotation_matrices
 from ..model.scene import Camera, Float64
 from .inputs import blur_of
+from .light import to_linear, to_srgb
 from .limits import PICTURE_LIMITS
 from .reference import drawn_share, jacobian, sh_basis
 from .view import rasterize_view
@@ -68,8 +70,8 @@ def render_instances(
     """Render models together, on a device; they have at least one Gaussian in all."""
     parts = [_seen(model, world_to_camera) for model in models]
     scale = LocalFrame.of_centres(np.concatenate([part.means.numpy() for part in parts])).scale
-    if len({part.antialiased for part in parts}) > 1:
-        parts = [_for_camera(part, camera) if part.antialiased else part for part in parts]
+    if len({part.target for part in parts}) > 1:
+        parts = _alike(parts, camera)
     drawn = Gaussians.concatenate(parts)
     drawn = replace(
         drawn,
@@ -81,7 +83,9 @@ def render_instances(
     )
     assert output.depth is not None
     alpha, depth = output.alpha[0].cpu(), output.depth[0].cpu()
-    image = output.image[0].cpu() / alpha.clamp(min=1e-6)[..., None]
+    shares, image = alpha.clamp(min=1e-6)[..., None], output.image[0].cpu()
+    linear = drawn.target.linear_light
+    image = to_srgb(to_linear(image) / shares) if linear else image / shares
     return Layer(
         image=image.clamp(0, 1),
         alpha=alpha.clamp(0, 1),
@@ -117,8 +121,16 @@ def posed(model: Instance, matrix: Float64, sh: Tensor) -> Gaussians:
     )
 
 
+def _alike(parts: Sequence[Gaussians], camera: Camera) -> list[Gaussians]:
+    """Models in the camera's frame, all without anti-aliasing, in the light of most Gaussians."""
+    linear = sum(len(part) if part.target.linear_light else -len(part) for part in parts) > 0
+    target = target_with(antialiased=False, linear_light=linear)
+    made = (_for_camera(part, camera) if part.antialiased else part for part in parts)
+    return [replace(part, target=target) for part in made]
+
+
 def _for_camera(seen: Gaussians, camera: Camera) -> Gaussians:
-    """An anti-aliased model in the camera's frame as one that looks the same without, from there.
+    """An anti-aliased model in the camera's frame that looks the same, from there, without.
 
     So it can be drawn together with others. Anti-aliasing only lowers opacities, by what one camera
     shows of a Gaussian (`blur_of`).
@@ -128,7 +140,7 @@ def _for_camera(seen: Gaussians, camera: Camera) -> Gaussians:
     U = jacobian(seen.means.float(), matrix, camera.width, camera.height) @ principal_axes(seen)
     share = drawn_share(U, blur_of(1.0, antialiased=True))
     logits = torch.logit((seen.logit_opacities.sigmoid() * share).nan_to_num(0.0), eps=1e-7)
-    return replace(seen, logit_opacities=logits, antialiased=False)
+    return replace(seen, logit_opacities=logits)
 
 
 def _plain(gaussians: Gaussians, eye: Float64) -> Tensor:

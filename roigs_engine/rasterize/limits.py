@@ -43,5 +43,16 @@ TRAINING_LIMITS = Limits(min_transmittance=1e-3)
 """Of training. It culls none: what it does not draw costs no loss, and other viewers draw it. A
 thousandth of the light is a quarter of what 8 bits can tell apart (notebook/cpu_speed.md)."""
 
+LINEAR_TRAINING_LIMITS = Limits(min_transmittance=1e-3 / 12.92)
+"""Of training in linear light. 12.92: slope of the sRGB curve at black, its steepest place."""
+
 PICTURE_LIMITS = Limits(max_slope=MAX_SLOPE, min_sigmas=MIN_SIGMAS)
 """Of every picture that is shown or measured."""
+
+
+def training_limits(*, linear_light: bool) -> Limits:
+    """Those of training: what they leave out changes no sRGB value by more than a thousandth.
+
+    In linear light, a thousandth of the light over black would be 13 thousandths of the sRGB value.
+    """
+    return LINEAR_TRAINING_LIMITS if linear_light else TRAINING_LIMITS

@@ -59,7 +59,7 @@ def render_view(
 def rasterize_view(
     gaussians: Gaussians, camera: Camera, world_to_camera: Float64, **options: Any
 ) -> RenderOutput:
-    """`rasterize` a model from one camera, on its device, with its options; as in training."""
+    """`rasterize` a model from one camera as its target does, on its device, with its options."""
     device = gaussians.means.device
     viewmat = torch.as_tensor(np.asarray(world_to_camera), dtype=torch.float32, device=device)
     matrix = torch.as_tensor(camera.matrix(), dtype=torch.float32, device=device)
@@ -74,7 +74,8 @@ def rasterize_view(
         camera.width,
         camera.height,
         raw=True,
-        antialiased=gaussians.antialiased,
+        antialiased=gaussians.target.antialiased,
+        linear_light=gaussians.target.linear_light,
         **options,
     )
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from ..formats.targets import TARGETS
+
 METHOD_ITEMS = (
     (
         "coverage",
@@ -27,6 +29,8 @@ STRATEGY_ITEMS = (
     ),
 )
 STRATEGIES = tuple(word for word, _, _ in STRATEGY_ITEMS)
+MADE_FOR_ITEMS = tuple((t.name, t.title, t.help) for t in TARGETS.values())
+MADE_FOR = tuple(TARGETS)
 INITS = ("scene", "points", "box")
 ORDERS = ("ordered", "shuffled")
 TEST, VALIDATION = PHOTOS = ("test", "validation")

@@ -8,7 +8,7 @@ from pathlib import Path
 from ..formats.run_files import OBJECT_MASKS
 from . import choices
 from .declare import Request, argument, option
-from .values import DIR, EITHER, FILE, FLAG, NAME, PATH, AutoOr, Choice, Name, Number, integer
+from .values import DIR, FILE, FLAG, NAME, PATH, AutoOr, Choice, Name, Number, integer
 
 MAX_THREADS = 1024
 MAX_MEGABYTES = 1e9
@@ -191,13 +191,13 @@ class Training(Request, heading="training"):
         Choice(choices.ORDERS), "order of the selected photos", hidden="line"
     )
     sh_degree: int | None = option(integer(0, 3), "highest SH degree, 0 to 3")
-    antialiased: bool | None = option(
-        EITHER,
-        "draw fine Gaussians fainter from afar, not thicker: sharp near and far, but only in"
-        " viewers that support it (default: on; off in `paper`)",
-        label="Anti-aliased",
-        tooltip="Sharp from near and far. Turn it off for viewers without support for"
-        " anti-aliased Gaussians",
+    made_for: str | None = option(
+        Choice(choices.MADE_FOR),
+        "the renderer in which the result is to look right: viewers with anti-aliasing, plain ones"
+        " without (also glTF, USD, .splat), or Blender 5.3's own splats in Cycles or EEVEE"
+        " (default: viewers; plain in `paper`)",
+        label="Made for",
+        tooltip="The renderer in which the result is to look right",
     )
     evaluate_on: str | None = option(
         Choice(choices.PHOTOS),

@@ -135,12 +135,8 @@ class Choice(Name):
 
 @dataclass(frozen=True, kw_only=True)
 class Flag:
-    """True or false; on the command line, the option's name alone is true.
+    """True or false; on the command line, the option's name alone is true."""
 
-    If it is `negatable`, `--no-NAME` is false: for an option whose default depends on others.
-    """
-
-    negatable: bool = False
     metavar: ClassVar[str] = ""
 
     def of_json(self, value: Any) -> bool:
@@ -150,7 +146,7 @@ class Flag:
 
 
 Kind = Number | Name | Flag
-NAME, FLAG, EITHER = Name("NAME"), Flag(), Flag(negatable=True)
+NAME, FLAG = Name("NAME"), Flag()
 PATH, DIR, FILE = PathName(), PathName("DIR"), PathName("FILE")
 
 

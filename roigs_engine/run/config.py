@@ -81,10 +81,11 @@ class RunConfig:
             if value not in allowed:
                 raise ConfigError(f"{name} is '{value}'.", f"Use one of {', '.join(allowed)}.")
         check_limits(self)
-        if self.scene.antialiased != self.roi.antialiased:
+        if self.scene.made_for != self.roi.made_for:
             raise ConfigError(
-                "One of the two stages draws with anti-aliasing, the other without.",
-                "Set scene.antialiased and roi.antialiased alike.",
+                f"The Scene-GS is made for {self.scene.made_for}, the box stage for"
+                f" {self.roi.made_for}.",
+                "Set scene.made_for and roi.made_for alike.",
             )
         if self.scene.get(FloaterPruning):
             raise ConfigError(

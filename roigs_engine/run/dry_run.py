@@ -61,7 +61,7 @@ def _head(run: Run, plan: Plan, context: Context) -> list[str]:
         held_out = f"{len(run.validation)} to validate on, {unused} unused"
     lines = [
         f"Plan of {run.folder}: preset {config.preset}, {config.strategy},"
-        f" {'anti-aliased' if config.roi.antialiased else 'not anti-aliased'}, seed {config.seed}",
+        f" made for {config.roi.target.title}, seed {config.seed}",
         f"Photos: {count}, {len(run.train_scene.images)} to train on, {held_out}"
         + "".join(f"; {note}" for note in notes),
     ]

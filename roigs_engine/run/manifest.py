@@ -145,12 +145,11 @@ def _setting(path: str, before: Any, now: Any) -> str:
         key = next(key for key in {**before, **now} if before.get(key) != now.get(key))
         return _setting(f"{path}.{key}", before.get(key), now.get(key))
     name = ".".join(key for key in path.split(".") if key not in LEFT_OUT)
-    is_mechanism = isinstance(before, dict) or isinstance(now, dict)
-    if is_mechanism or path.endswith(".antialiased"):
+    if isinstance(before, dict) or isinstance(now, dict):
         was, now_is = ("on" if value or value == {} else "off" for value in (before, now))
-        if is_mechanism:
-            return f"{name} was {was}, now {now_is}"
-        return f"anti-aliasing was {was}, now {now_is} (--antialiased, --no-antialiased)"
+        return f"{name} was {was}, now {now_is}"
+    if path.endswith(".made_for"):
+        return f"it was made for {before}, now {now} (--made-for)"
     before, now = ("unset" if value is None else value for value in (before, now))
     text = f"{name} was {before}, now {now}"
     return text if len(text) <= MOST_TEXT else f"{name} changed"

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from ..errors import ConfigError
+from ..formats.targets import VIEWERS
 from ..selection.config import SelectionConfig
 from ..training.config import Mechanism, TrainConfig, with_steps
 from ..training.mechanisms.background_points import BackgroundPoints
@@ -72,7 +73,7 @@ def joint_recipe(
         scene=TrainConfig(
             steps=scene_steps,
             lr_means_final=middle,
-            antialiased=True,
+            made_for=VIEWERS.name,
             mechanisms=_scene_mechanisms(scene_steps, scene_threshold),
         ),
         roi=TrainConfig(
@@ -81,7 +82,7 @@ def joint_recipe(
             # 3DGS's learning rates suit six times as many steps; SH is learned last.
             lr_shN=1.5e-3,
             lr_scales=0.01,
-            antialiased=True,
+            made_for=VIEWERS.name,
             mechanisms=_box_mechanisms(roi_steps),
         ),
         roi_order="shuffled",
@@ -147,7 +148,7 @@ def preset(name: str) -> RunConfig:
 def in_strategy(config: RunConfig, strategy: str) -> RunConfig:
     """The config for another strategy: the paper's recipe, or the preset's joint recipe.
 
-    Steps, SH degree, anti-aliasing, baselines, test photos, seed and number of selected photos stay
+    Steps, SH degree, target, baselines, test photos, seed and number of selected photos stay
     the same. The intervals of the paper's recipe do not shrink with the steps (`with_steps`).
     """
     label = f"{config.preset}, {strategy}"
@@ -168,7 +169,7 @@ def in_strategy(config: RunConfig, strategy: str) -> RunConfig:
     kept: dict[str, Any] = {name: getattr(config, name) for name in KEPT}
     stages: dict[str, Any] = {
         "sh_degree": config.roi.sh_degree,
-        "antialiased": config.roi.antialiased,
+        "made_for": config.roi.made_for,
     }
     return replace(
         other,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
+from ..formats.targets import PLAIN
 from ..training.config import TrainConfig, miniature, with_steps
 from ..training.mechanisms.box_density_control import BoxDensityControl
 from ..training.mechanisms.coarse_to_fine import CoarseToFine
@@ -53,7 +54,7 @@ def baseline(config: RunConfig) -> TrainConfig:
         config.scene,
         steps=config.total_steps,
         lr_means_final=TrainConfig.lr_means_final,
-        antialiased=False,
+        made_for=PLAIN.name,
         mechanisms=(density,),
     )
 
@@ -190,7 +191,7 @@ def refine_stage(config: RunConfig) -> TrainConfig:
         steps=steps,
         sh_degree=config.roi.sh_degree,
         sh_start=config.roi.sh_degree,
-        antialiased=config.roi.antialiased,
+        made_for=config.roi.made_for,
     )
     stage = stage.only(MaskedSteps, SpacedShRate, MeasuredShRate, ModelAveraging, FloaterPruning)
     return stage.using(ModelAveraging(steps=steps // 2))

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 from ..context import QUIET, Context
 from ..errors import ConfigError
+from ..formats.targets import PLAIN, TARGETS, Target
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 
@@ -165,8 +166,7 @@ class TrainConfig:
         lr_means, lr_means_final: first and last position learning rate, in units of the scene
             extent; exponential decay.
         lr_sh0, lr_shN, lr_opacities, lr_scales, lr_quats: Adam's learning rates.
-        antialiased: draw Gaussians below a pixel's size fainter instead of larger, so that near and
-            far photos agree (`rasterize`; Mip-Splatting, Yu et al. 2024, sec. 5.2); False: 3DGS.
+        made_for: name of the target (`TARGETS`) as which the Gaussians are drawn.
         mechanisms: of the stage, in the order in which they act.
     """
 
@@ -182,14 +182,22 @@ class TrainConfig:
     lr_opacities: float = 0.05
     lr_scales: float = 5e-3
     lr_quats: float = 1e-3
-    antialiased: bool = False
+    made_for: str = PLAIN.name
     mechanisms: tuple[Mechanism, ...] = ()
 
     def __post_init__(self) -> None:
+        if self.made_for not in TARGETS:
+            known = ", ".join(TARGETS)
+            raise ConfigError(f"made_for is '{self.made_for}'.", f"Use one of {known}.")
         for index, mechanism in enumerate(self.mechanisms):
             if any(_alike(mechanism, other) for other in self.mechanisms[:index]):
                 raise ConfigError(f"The stage has two of {mechanism.name}.", "Leave out one.")
             mechanism.check(self)
+
+    @property
+    def target(self) -> Target:
+        """What `made_for` names."""
+        return TARGETS[self.made_for]
 
     def get(self, kind: type[Part]) -> Part | None:
         """The stage's mechanism of that kind, or None."""

@@ -19,7 +19,7 @@ from ..formats.events import Progress
 from ..machine import release_freed_memory
 from ..model.gaussians import NAMES, Gaussians
 from ..rasterize import RenderOutput, rasterize
-from ..rasterize.limits import TRAINING_LIMITS
+from ..rasterize.limits import training_limits
 from ..rasterize.tiles import Mask
 from .config import TrainConfig
 from .edits import Edit, morton_order, unchanged
@@ -51,7 +51,7 @@ class Trainer:
         self.step = 0
         self.seconds = 0.0
         self.cpu_seconds = 0.0  # of the whole process, all its threads
-        gaussians = replace(gaussians.to(data.device), antialiased=config.antialiased)
+        gaussians = replace(gaussians.to(data.device), target=config.target)
         # the current model; its tensors belong to the trainer
         self.gaussians = leaves(gaussians.rows(morton_order(gaussians.means)))
         self.optimizer = self._new_optimizer()
@@ -137,18 +137,18 @@ class Trainer:
         index = data.photo_at(self.step)
         for step in (self.step + 1, self.step + 2):
             self._views(step).prefetch(data.photo_at(step))
-        target, counted = split_mask(self._views(self.step).photo(index))
+        photo, counted = split_mask(self._views(self.step).photo(index))
         mask = self._mask(index)
         self.optimizer.row_rates = self._row_rates(whole=mask is None)
         output = self._render(index, mask, counted)
         # squeeze, not [0]: its gradient is a view, that of an index is a copy into zeros
         image, weights = output.image.squeeze(0), None
         if mask is not None:
-            target = mask.crop(target)
+            photo = mask.crop(photo)
             counted = None if counted is None else mask.crop(counted)
             weights = mask.weights
         loss = photo_loss(
-            image, target, ssim_weight=config.ssim_weight, weights=weights, counted=counted
+            image, photo, ssim_weight=config.ssim_weight, weights=weights, counted=counted
         )
         # A pixel weighs about as much as in a whole photo: gradient thresholds keep their meaning.
         loss_weight = None if mask is None else number(mask.loss_weight, data.device)
@@ -163,7 +163,7 @@ class Trainer:
             for each in self._running.values():
                 each.observe(visible, output.grad2d[0], output.max_weight)
         value = loss.loss.detach()
-        self._metrics.observe(self.step, value, (image, target), weights)
+        self._metrics.observe(self.step, value, (image, photo), weights)
         self._end_step(index, value)
 
     def _row_rates(self, *, whole: bool) -> Tensor | None:
@@ -249,8 +249,9 @@ class Trainer:
             **camera._asdict(),
             sh_degree=self.config.degree(self.step),
             raw=True,
-            antialiased=self.config.antialiased,
-            limits=TRAINING_LIMITS,
+            antialiased=self.config.target.antialiased,
+            linear_light=self.config.target.linear_light,
+            limits=training_limits(linear_light=self.config.target.linear_light),
             mask=active,
             backward_step=self._ahead.backward_step(optimizer, self.step, (*view, camera.width)),
             **options,

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from roigs_engine.formats.splat_ply import write_ply
+from roigs_engine.formats.targets import target_with
 
 SH_C0 = 0.28209479177387814
 
@@ -32,7 +33,9 @@ def random_ply(
     path: Path, count: int, seed: int = 0, coefficients: int = 16, *, antialiased: bool = False
 ) -> Path:
     """`random_arrays` as a file."""
-    write_ply(path, random_arrays(count, seed, coefficients), antialiased=antialiased)
+    write_ply(
+        path, random_arrays(count, seed, coefficients), target=target_with(antialiased=antialiased)
+    )
     return path
 
 
@@ -43,7 +46,7 @@ def fine_ply(
     arrays = random_arrays(count, seed)
     arrays["log_scales"] -= np.float32(np.log(thinner))
     arrays["logit_opacities"] += np.float32(2.0)
-    write_ply(path, arrays, antialiased=antialiased)
+    write_ply(path, arrays, target=target_with(antialiased=antialiased))
     return path
 
 

@@ -8,7 +8,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from roigs_engine.formats.splat_ply import is_antialiased, read_ply
+from roigs_engine.formats.splat_ply import read_ply, target_of
 from tests.addon.fake_engine import use
 from tests.addon.scenes import add_box
 from tests.addon.splat_cases import random_ply
@@ -240,7 +240,7 @@ def test_floaters_among_both_kinds(blender: ModuleType, scene, engine, tmp_path:
     splats.show_imported(scene, path, "Smooth", in_model=True)
     assert blender.ops.roigs.find_floaters(action="SELECT") == {"FINISHED"}
     written = list(Path(blender.app.tempdir).glob("roigs-floaters-*.ply"))
-    assert sorted(is_antialiased(path) for path in written) == [False, False, True]
+    assert sorted(target_of(path).antialiased for path in written) == [False, False, True]
 
 
 ANSWER = """

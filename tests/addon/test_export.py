@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from roigs_engine.formats.splat_ply import is_antialiased, read_ply
+from roigs_engine.formats.splat_ply import read_ply, target_of
 from tests.addon.pictures import load_png, load_rgba
 from tests.addon.scenes import command_line, with_cycles
 from tests.addon.splat_cases import random_ply
@@ -147,14 +147,14 @@ def test_one_file_does_not_hold_both_kinds(blender: ModuleType, scene, tmp_path:
 
     path = random_ply(tmp_path / "smooth.ply", 5, antialiased=True)
     item = splats.show_imported(scene, path, "Smooth", in_model=True)
-    with pytest.raises(RuntimeError, match=r"'Smooth' is drawn with anti-aliasing, .* without"):
+    with pytest.raises(RuntimeError, match=r"'Smooth' .*for Splat Viewers.* one file"):
         export(blender, tmp_path / "a.ply")
     item.select_set(True)
     assert len(export(blender, tmp_path / "a.ply", selected=True)["means"]) == 5
-    assert is_antialiased(tmp_path / "a.ply")
+    assert target_of(tmp_path / "a.ply").antialiased
     item.hide_render = True
     export(blender, tmp_path / "b.ply")
-    assert not is_antialiased(tmp_path / "b.ply")
+    assert not target_of(tmp_path / "b.ply").antialiased
 
 
 def test_a_look_that_a_script_has_just_set(blender: ModuleType, scene, tmp_path: Path) -> None:

@@ -13,7 +13,8 @@ import pytest
 from roigs_engine.errors import EngineError
 from roigs_engine.exchange import formats, libraries
 from roigs_engine.exchange.arrays import turn
-from roigs_engine.formats.splat_ply import is_antialiased, read_ply, write_ply
+from roigs_engine.formats.splat_ply import read_ply, target_of, write_ply
+from roigs_engine.formats.targets import VIEWERS, target_with
 from tests.addon.fake_engine import use
 from tests.addon.pictures import load_png, load_rgba
 from tests.addon.scenes import command_line, imported, with_cycles
@@ -111,14 +112,18 @@ def test_out_and_in_again_it_is_as_anti_aliased(
 ) -> None:
     from roigs_addon.scene.splat_attributes import cloud_of
 
-    write_ply(tmp_path / "vase.ply", random_arrays(20, seed=3), antialiased=antialiased)
+    write_ply(
+        tmp_path / "vase.ply",
+        random_arrays(20, seed=3),
+        target=target_with(antialiased=antialiased),
+    )
     item = bring(blender, tmp_path / "vase.ply")
-    assert is_antialiased(item.roigs.ply) is antialiased
+    assert target_of(item.roigs.ply).antialiased is antialiased
     assert cloud_of(item.data)[0].antialiased is antialiased
     item.rotation_euler = (0.3, 0.2, 0.1)
     item.data.vertices[0].co.x += 0.1  # an edit: exported from a file of its own
     blender.ops.roigs.export_gaussians(filepath=str(tmp_path / "out.ply"))
-    assert is_antialiased(tmp_path / "out.ply") is antialiased
+    assert target_of(tmp_path / "out.ply").antialiased is antialiased
     assert cloud_of(bring(blender, tmp_path / "out.ply").data)[0].antialiased is antialiased
 
 
@@ -128,7 +133,7 @@ def test_the_panel_warns_of_formats_that_cannot_say_it(
     from roigs_addon.ui.result import ResultPanel
     from tests.addon.panels import said
 
-    write_ply(tmp_path / "vase.ply", random_arrays(20, seed=3), antialiased=True)
+    write_ply(tmp_path / "vase.ply", random_arrays(20, seed=3), target=VIEWERS)
     bring(blender, tmp_path / "vase.ply")
     for name, warned in (("a.ply", False), ("b.splat", True), ("c.ply", False)):
         blender.ops.roigs.export_gaussians(filepath=str(tmp_path / name))

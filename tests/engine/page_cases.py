@@ -12,6 +12,7 @@ import numpy as np
 
 from roigs_engine.exchange import page
 from roigs_engine.exchange.page_views import FIELD, Ball
+from roigs_engine.formats.targets import target_with
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import Camera
 from roigs_engine.rasterize.view import render_view
@@ -71,7 +72,7 @@ def ours(
     world_to_camera[:3, 3] = -world_to_camera[:3, :3] @ np.array(eye)
     focal = height / 2 / np.tan(np.radians(FIELD / 2))
     camera = Camera(width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
-    model = Gaussians.from_arrays(values, antialiased=antialiased)
+    model = Gaussians.from_arrays(values, target=target_with(antialiased=antialiased))
     view = render_view(model, camera, world_to_camera)
     return np.asarray(view.image)
 

@@ -29,7 +29,7 @@ def tiny(strategy: str, **changes: object) -> RunConfig:
     quick = {"every": 4, "grad_threshold": 1e-5, "reset_every": 0}
     scene_stage = TrainConfig(
         steps=12,
-        antialiased=config.roi.antialiased,
+        made_for=config.roi.made_for,
         mechanisms=(DensityControl(start=3, until=9, **quick),),
     )
     roi_stage = replace(adjusted(config.roi, DensityControl, until=12, **quick), steps=18)

@@ -178,7 +178,8 @@ class PhotoErrors:
             gaussians.logit_opacities,
             gaussians.sh,
             raw=True,
-            antialiased=gaussians.antialiased,
+            antialiased=gaussians.target.antialiased,
+            linear_light=gaussians.target.linear_light,
             **options,
         )
         squares = (output.image[0] - photo / 255.0).square().mean(dim=-1)

@@ -77,10 +77,11 @@ def test_what_the_options_leave_out_is_in_the_manifest(tmp_path: Path) -> None:
     found = run_settings.read(tmp_path, config)
     assert (found.method, found.strategy, found.test_every) == ("gp9", "independent", 8)
     assert found.max_side is None and found.scene is None and found.count == 0
-    assert found.antialiased is None
-    found = run_settings.read(tmp_path, config | {"roi": {"antialiased": True}})
-    assert found.antialiased is True
-    assert run_settings.read(tmp_path, config | {"roi": {}}).antialiased is False
+    assert found.made_for is None
+    assert run_settings.read(tmp_path, config | {"roi": {}}).made_for is None
+    assert (
+        run_settings.read(tmp_path, config | {"roi": {"made_for": "cycles"}}).made_for == "cycles"
+    )
     (tmp_path / "settings.json").write_text(json.dumps(OPTIONS))
     found = run_settings.read(tmp_path, config)
     assert (found.scene, found.method, found.seed, found.count) == ("garden", "gp9", 1, 8)

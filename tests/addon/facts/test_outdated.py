@@ -85,7 +85,7 @@ def test_several_settings(trained) -> None:
     ("name", "value", "expected"),
     [
         ("strategy", "independent", "boxes one by one"),
-        ("antialiased", False, "not anti-aliased"),
+        ("made_for", "cycles", "made for Blender 5.3, Cycles"),
         ("steps_factor", 2.0, "2 x steps"),
         ("test_every", 4, "test photos: 1 in 4"),
         ("method", "fvs", "method fvs"),
@@ -104,7 +104,7 @@ def test_every_setting_that_decides(trained, name: str, value: object, expected:
 def test_a_training_by_an_earlier_version(trained) -> None:
     scene, folder = trained
     manifest = json.loads((folder / "manifest.json").read_text("utf-8"))
-    manifest["config"] |= {"scene": {"steps": 2000}, "roi": {"steps": 4000, "antialiased": True}}
+    manifest["config"] |= {"scene": {"steps": 2000}, "roi": {"steps": 4000, "made_for": "viewers"}}
     (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
     assert words(scene) == (
         "Trained by an earlier version, whose preset had other settings: Train starts again"
@@ -112,22 +112,6 @@ def test_a_training_by_an_earlier_version(trained) -> None:
     )
     manifest["config"]["roi"]["steps"] = 3000
     (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
-    assert words(scene) == ""
-
-
-def test_a_training_before_there_was_anti_aliasing(trained) -> None:
-    scene, folder = trained
-    settings = json.loads((folder / "settings.json").read_text("utf-8"))
-    del settings["antialiased"]
-    (folder / "settings.json").write_text(json.dumps(settings), encoding="utf-8")
-    manifest = json.loads((folder / "manifest.json").read_text("utf-8"))
-    manifest["config"]["roi"] = {"sh_degree": 3}
-    (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
-    assert words(scene) == (
-        "Trained with not anti-aliased; the settings now say anti-aliased: Train starts again"
-        " (about 10 min)"
-    )
-    scene.roigs.antialiased = False
     assert words(scene) == ""
 
 

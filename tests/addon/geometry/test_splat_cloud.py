@@ -10,7 +10,8 @@ import pytest
 
 from roigs_addon.geometry.splat_cloud import read_splats, write_splats
 from roigs_engine.formats.drawable import usable
-from roigs_engine.formats.splat_ply import is_antialiased, read_ply, write_ply
+from roigs_engine.formats.splat_ply import read_ply, target_of, write_ply
+from roigs_engine.formats.targets import target_with
 from tests.addon.splat_cases import random_arrays, random_ply
 
 
@@ -37,11 +38,11 @@ def test_reads_what_the_engine_writes(tmp_path: Path, coefficients: int) -> None
 def test_a_file_says_whether_it_is_anti_aliased(tmp_path: Path, antialiased: bool) -> None:
     arrays = random_arrays(9, seed=3)
     arrays["quats"][4] = 0  # skipped
-    write_ply(tmp_path / "a.ply", arrays, antialiased=antialiased)
+    write_ply(tmp_path / "a.ply", arrays, target=target_with(antialiased=antialiased))
     cloud = read_splats(tmp_path / "a.ply")
     assert len(cloud) == 8 and cloud.antialiased is antialiased
     write_splats(tmp_path / "b.ply", cloud)
-    assert is_antialiased(tmp_path / "b.ply") is antialiased
+    assert target_of(tmp_path / "b.ply").antialiased is antialiased
 
 
 def rewritten(path: Path, types: dict[str, str], drop: tuple[str, ...] = ()) -> Path:

@@ -45,32 +45,32 @@ def test_the_papers_preset_is_the_papers_way(
     scene = ready(blender, project, tmp_path / "run")
     settings, rois = scene.roigs, lookup.rois(scene)
 
-    def asked() -> tuple[str, str, bool]:
+    def asked() -> tuple[str, str, str]:
         options_files.write_train_options(scene, rois, 0.0)
         values = options(tmp_path / "run", "train")
-        return values["strategy"], values["method"], values["antialiased"]
+        return values["strategy"], values["method"], values["made_for"]
 
-    assert asked() == ("joint", "coverage", True)
+    assert asked() == ("joint", "coverage", "viewers")
     settings.preset = "paper"
-    assert asked() == ("independent", "gp9", False)
+    assert asked() == ("independent", "gp9", "plain")
     settings.preset = "standard"
-    assert asked() == ("joint", "coverage", True)
+    assert asked() == ("joint", "coverage", "viewers")
     settings.method = "greedy"  # by hand: stays
     settings.preset = "paper"
-    assert asked() == ("independent", "greedy", False)
-    settings.strategy, settings.antialiased = "joint", True
+    assert asked() == ("independent", "greedy", "plain")
+    settings.strategy, settings.made_for = "joint", "viewers"
     settings.preset = "draft"
-    assert asked() == ("joint", "greedy", True)
-    settings.antialiased, settings.strategy = False, "independent"
+    assert asked() == ("joint", "greedy", "viewers")
+    settings.made_for, settings.strategy = "plain", "independent"
     settings.preset = "standard"
-    assert asked() == ("independent", "greedy", False)
+    assert asked() == ("independent", "greedy", "plain")
     settings.preset = "paper"
     settings.preset = "standard"
-    assert asked() == ("joint", "greedy", True)
+    assert asked() == ("joint", "greedy", "viewers")
 
 
 @pytest.mark.parametrize("preset", ["draft", "standard", "paper"])
-def test_the_presets_default_of_anti_aliasing_is_the_engines(
+def test_the_presets_default_target_is_the_engines(
     blender: ModuleType, addon: ModuleType, preset: str
 ) -> None:
     from roigs_engine.run.presets import preset as of_engine
@@ -78,29 +78,7 @@ def test_the_presets_default_of_anti_aliasing_is_the_engines(
     settings = blender.context.scene.roigs
     settings.preset = "paper" if preset == "draft" else "draft"
     settings.preset = preset
-    assert settings.antialiased is of_engine(preset).roi.antialiased
-
-
-@pytest.mark.parametrize(("preset", "expected"), [("draft", True), ("paper", False)])
-def test_a_file_of_a_version_without_anti_aliasing(
-    blender: ModuleType, addon: ModuleType, tmp_path: Path, preset: str, expected: bool
-) -> None:
-    settings = blender.context.scene.roigs
-    settings.preset = preset
-    for name in ("antialiased", "is_paper"):
-        settings.property_unset(name)
-    blender.ops.wm.save_as_mainfile(filepath=str(tmp_path / "old.blend"))
-    blender.ops.wm.open_mainfile(filepath=str(tmp_path / "old.blend"))
-    settings = blender.context.scene.roigs
-    assert settings.antialiased is expected
-    settings.antialiased = True  # by hand: stays
-    blender.ops.wm.save_mainfile()
-    blender.ops.wm.open_mainfile(filepath=str(tmp_path / "old.blend"))
-    settings = blender.context.scene.roigs
-    assert settings.antialiased
-    settings.method = "gp9"
-    settings.preset = "standard" if preset == "draft" else "draft"
-    assert settings.method == ("gp9" if preset == "draft" else "coverage")
+    assert settings.made_for == of_engine(preset).roi.made_for
 
 
 def test_deleted_cameras_exclude_their_photos(

@@ -8,7 +8,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from roigs_engine.formats.splat_ply import is_antialiased, read_ply
+from roigs_engine.formats.splat_ply import read_ply, target_of
 from tests.addon.results import choose, cut
 from tests.addon.splat_cases import random_arrays, random_ply
 
@@ -66,7 +66,7 @@ def file_is_antialiased(item) -> bool:
     from roigs_addon.scene import edits
 
     edits.look_again(item)
-    return is_antialiased(edits.file_of(item))
+    return target_of(edits.file_of(item)).antialiased
 
 
 def test_edits_of_anti_aliased_gaussians_stay_so(
@@ -128,7 +128,7 @@ def test_joined_with_others_most_decide_and_the_panel_says_so(
     blender.context.view_layer.objects.active = item
     blender.ops.object.join()
     assert not file_is_antialiased(item) and len(drawn(item)["means"]) == 50
-    assert "with anti-aliasing and without. All are drawn without it" in viewport.problems()[""]
+    assert "All are drawn as for Viewers without Anti-Aliasing" in viewport.problems()[""]
     numbers = np.arange(50)
     others = numbers < 30 if not into_smooth else numbers >= 20
     choose(blender, item, numbers[others])

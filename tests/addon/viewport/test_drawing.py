@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from roigs_engine.formats.targets import PLAIN
 from tests.addon.scenes import ROOT
 from tests.addon.splat_cases import fine_ply, random_arrays, random_ply
 from tests.poses import look_at
@@ -113,7 +114,7 @@ def engine_picture(folder: Path, camera: dict, *plain: str) -> np.ndarray:
     for path in sorted(folder.glob("splats*.ply")):
         gaussians, frame = Gaussians.load_framed(path)
         if path.stem in plain:
-            gaussians = replace(gaussians, antialiased=False)
+            gaussians = replace(gaussians, target=PLAIN)
         models.append(Instance(gaussians=gaussians, frame=frame, matrix=np.eye(4)))
     names = ("width", "height", "fx", "fy", "cx", "cy")
     lens = Camera(**{name: camera[name] for name in names})

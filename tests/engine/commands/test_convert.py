@@ -14,8 +14,9 @@ from roigs_engine.app.instances import read_list
 from roigs_engine.cli import main
 from roigs_engine.context import Context
 from roigs_engine.errors import Stopped
-from roigs_engine.exchange.formats import is_antialiased
+from roigs_engine.exchange.formats import target_of
 from roigs_engine.formats.splat_ply import read_ply
+from roigs_engine.formats.targets import VIEWERS
 from roigs_engine.model.gaussians import Gaussians
 from tests.engine.clouds import TURN, affine, cloud
 from tests.engine.commands.command_line import refused, start
@@ -232,7 +233,7 @@ def test_the_hint_names_the_argument(
 
 def smooth(folder: Path) -> Path:
     """An anti-aliased model's file."""
-    replace(cloud(), antialiased=True).save_ply(folder / "smooth.ply")
+    replace(cloud(), target=VIEWERS).save_ply(folder / "smooth.ply")
     return folder / "smooth.ply"
 
 
@@ -253,7 +254,7 @@ def test_antialiasing_stays(suffix: str, way: str, tmp_path: Path) -> None:
     made, back = tmp_path / f"made{suffix}", tmp_path / "back.ply"
     assert main(["convert", str(smooth(tmp_path)), str(made), *WAYS[way]]) == 0
     assert main(["convert", str(made), str(back)]) == 0
-    assert is_antialiased(made) and is_antialiased(back)
+    assert target_of(made).antialiased and target_of(back).antialiased
 
 
 def test_models_of_a_list_stay_antialiased_and_must_agree(
@@ -262,12 +263,13 @@ def test_models_of_a_list_stay_antialiased_and_must_agree(
     one, out = {"ply": str(smooth(tmp_path)), "matrix": np.eye(4).tolist()}, tmp_path / "out.ply"
     turned = {**one, "matrix": affine(2 * TURN, (1, 2, 3)).tolist(), "density": 0.5}
     assert main(["convert", str(listed(tmp_path, one, turned)), str(out)]) == 0
-    assert is_antialiased(out)
+    assert target_of(out).antialiased
     out.unlink()
     capsys.readouterr()
     models = listed(tmp_path, one, {**one, "ply": str(ply)})
     error = refused(capsys, "convert", models, out)
-    assert "smooth.ply is drawn with anti-aliasing" in error and "vase.ply without" in error
+    assert "smooth.ply" in error and "vase.ply" in error
+    assert "for Splat Viewers" in error and "for Viewers without Anti-Aliasing" in error
     assert "--plain" in error and not out.exists()
     assert main(["convert", str(models), str(tmp_path / "out.splat")]) == 0  # plain, all of it
 

@@ -13,7 +13,9 @@ from roigs_engine.app import objects
 from roigs_engine.app.instances import InstanceRecord
 from roigs_engine.cli import main
 from roigs_engine.colmap.project import load_colmap
+from roigs_engine.context import QUIET
 from roigs_engine.formats.splat_ply import write_ply
+from roigs_engine.formats.targets import target_with
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.scene import PosedImage
@@ -90,9 +92,9 @@ def test_files_in_their_places(project: Project, tmp_path: Path) -> None:
 
 def test_a_model_stays_antialiased(tmp_path: Path) -> None:
     for antialiased in (False, True):
-        replace(cloud(), antialiased=antialiased).save_ply(tmp_path / "a.ply")
+        replace(cloud(), target=target_with(antialiased=antialiased)).save_ply(tmp_path / "a.ply")
         wanted = [InstanceRecord(str(tmp_path / "a.ply"), np.eye(4))]
-        model, _ = objects._as_one(wanted, LocalFrame.world())
+        model, _ = objects._as_one(wanted, LocalFrame.world(), QUIET)
         assert model.antialiased is antialiased
 
 
@@ -117,7 +119,9 @@ def test_both_kinds_are_judged_as_most_are(tmp_path: Path, most: bool) -> None:
     for antialiased in (False, True):
         models = [cloud()] * (3 if antialiased == most else 1)
         path = tmp_path / f"{antialiased}.ply"
-        replace(Gaussians.concatenate(models), antialiased=antialiased).save_ply(path)
+        replace(
+            Gaussians.concatenate(models), target=target_with(antialiased=antialiased)
+        ).save_ply(path)
         wanted.append(InstanceRecord(str(path), np.eye(4)))
-    model, rows = objects._as_one(wanted, LocalFrame.world())
+    model, rows = objects._as_one(wanted, LocalFrame.world(), QUIET)
     assert model.antialiased is most and len(rows) == 4 * len(cloud())

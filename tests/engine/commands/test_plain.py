@@ -12,7 +12,8 @@ import torch
 
 from roigs_engine.app.run_scene import cameras_of_result
 from roigs_engine.cli import main
-from roigs_engine.formats.splat_ply import is_antialiased
+from roigs_engine.formats.splat_ply import target_of
+from roigs_engine.formats.targets import PLAIN, VIEWERS
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.rasterize.view import render_view
 from tests.engine.commands.command_line import refused
@@ -31,7 +32,7 @@ def run(tmp_path: Path) -> Path:
     places = random.uniform(-0.4, 0.4, (400, 3))
     model = Gaussians.from_points(places, random.integers(0, 256, places.shape).astype(np.uint8))
     fine = model.log_scales.new_full(model.log_scales.shape, np.log(0.01))
-    model = replace(model, log_scales=fine, logit_opacities=fine[:, 0] + 5, antialiased=True)
+    model = replace(model, log_scales=fine, logit_opacities=fine[:, 0] + 5, target=VIEWERS)
     for name in ("result.ply", "rois/thing.ply"):
         model.save_ply(folder / name)
     (folder / "manifest.json").write_text("{}")
@@ -61,10 +62,10 @@ def test_opacities_become_what_the_photos_show(
     out, places = tmp_path / "out.ply", tmp_path / "list.json"
     model = {"ply": str(run / name), "matrix": np.eye(4).tolist()}
     places.write_text(json.dumps({"models": [model]}))
-    kept = replace(Gaussians.load_ply(run / name), antialiased=False)
+    kept = replace(Gaussians.load_ply(run / name), target=PLAIN)
     for source in (run / name, places):
         assert main(["convert", str(source), str(out), "--plain"]) == 0
-        assert not is_antialiased(out)
+        assert not target_of(out).antialiased
         assert error(run, Gaussians.load_ply(out)) < 0.3 * error(run, kept)
     assert WARNING not in capsys.readouterr().err
 
@@ -75,7 +76,7 @@ def test_formats_that_cannot_say_it_are_always_plain(
     splat, back = tmp_path / "out.splat", tmp_path / "back.ply"
     assert main(["convert", str(run / "result.ply"), str(splat)]) == 0
     assert main(["convert", str(splat), str(back)]) == 0
-    kept = replace(Gaussians.load_ply(run / "result.ply"), antialiased=False)
+    kept = replace(Gaussians.load_ply(run / "result.ply"), target=PLAIN)
     assert error(run, Gaussians.load_ply(back)) < 0.5 * error(run, kept)
     assert WARNING not in capsys.readouterr().err
 
@@ -89,7 +90,7 @@ def test_without_the_photos_it_is_refused(
     out = tmp_path / "out.ply"
     assert "--scene" in refused(capsys, "convert", run / "result.ply", out, "--plain")
     assert not out.exists()
-    kept = replace(Gaussians.load_ply(run / "result.ply"), antialiased=False)
+    kept = replace(Gaussians.load_ply(run / "result.ply"), target=PLAIN)
     (run / "settings.json").write_text(json.dumps({"scene": scene}))
     copied = tmp_path / "other.ply"
     copied.write_bytes((run / "result.ply").read_bytes())
@@ -113,7 +114,7 @@ def test_without_the_photos_other_formats_warn_once(
 
 
 def test_a_model_that_is_plain_stays_as_it_is(run: Path, tmp_path: Path) -> None:
-    model = replace(Gaussians.load_ply(run / "result.ply"), antialiased=False)
+    model = replace(Gaussians.load_ply(run / "result.ply"), target=PLAIN)
     model.save_ply(run / "result.ply")
     out = tmp_path / "out.ply"
     assert main(["convert", str(run / "result.ply"), str(out), "--plain"]) == 0

@@ -48,16 +48,17 @@ def test_a_report_says_validation_photos() -> None:
     assert text.count("validation photo") == 3 and "test photo" not in text
 
 
-def test_a_report_says_which_rows_are_not_anti_aliased() -> None:
+def test_a_report_says_what_its_rows_are_made_for_if_they_differ() -> None:
     scores = by_hand().rois[0]
-    for drawn, said in (((False, True), True), ((True, True), False), ((False, False), False)):
+    for names in (("plain", "cycles"), ("viewers", "viewers"), (None, "plain")):
         rows = tuple(
-            dataclasses.replace(row, antialiased=value)
-            for row, value in zip(scores.rows, drawn, strict=True)
+            dataclasses.replace(row, made_for=name)
+            for row, name in zip(scores.rows, names, strict=True)
         )
         report = dataclasses.replace(by_hand(), rois=(dataclasses.replace(scores, rows=rows),))
         text = format_markdown(Evaluation.from_dict(report.to_dict()))
-        assert ("without anti-aliasing: plain." in text) == said
+        note = "Viewers without Anti-Aliasing: plain; Blender 5.3, Cycles: ours."
+        assert (note in text) == (names[0] == "plain")
 
 
 def test_a_report_of_version_0_1_0_is_read() -> None:
@@ -66,7 +67,7 @@ def test_a_report_of_version_0_1_0_is_read() -> None:
     for row in record["rois"][0]["rows"]:
         for name in ("near_psnr", "far_psnr", "roi_flip", "worst_gain", "worst_view", "won_share"):
             del row[name]
-        del row["antialiased"], row["near_object_psnr"]
+        del row["made_for"], row["near_object_psnr"]
         for view in row["views"]:
             del view["distance"], view["roi_flip"]
     old = Evaluation.from_dict(record)

@@ -14,6 +14,7 @@ import pytest
 from roigs_engine.errors import ConfigError, RunFolderError
 from roigs_engine.exchange import formats, spz, streamed_sog
 from roigs_engine.formats.splat_ply import ANTIALIASED
+from roigs_engine.formats.targets import CYCLES, PLAIN, TARGETS, VIEWERS, Target, target_with
 from tests.engine.exchange.format_cases import READABLE, TOOL, arrays, needed
 
 KEPT = [form for form in READABLE if form.keeps_antialiased]
@@ -25,7 +26,7 @@ def both(folder: Path, suffix: str) -> tuple[Path, Path]:
     needed(formats.format_of(folder / f"a{suffix}"))
     paths = folder / f"plain{suffix}", folder / f"smooth{suffix}"
     for path in paths:
-        formats.write(path, arrays(), antialiased=path is paths[1])
+        formats.write(path, arrays(), target=target_with(antialiased=path is paths[1]))
     return paths
 
 
@@ -39,8 +40,8 @@ def test_it_comes_back_where_the_format_has_a_place(
     form: formats.FileFormat, tmp_path: Path
 ) -> None:
     plain, smooth = both(tmp_path, form.suffix)
-    assert not formats.is_antialiased(plain)
-    assert formats.is_antialiased(smooth) == form.keeps_antialiased
+    assert not formats.target_of(plain).antialiased
+    assert formats.target_of(smooth).antialiased == form.keeps_antialiased
     found, same = formats.read(smooth), formats.read(plain)
     for name, values in same.items():
         np.testing.assert_array_equal(found[name], values)
@@ -58,6 +59,20 @@ def test_a_ply_has_one_more_line_after_its_format(suffix: str, tmp_path: Path) -
     assert smooth.replace(LINE, b"", 1) == plain
 
 
+@pytest.mark.parametrize("form", READABLE, ids=lambda form: form.suffix)
+@pytest.mark.parametrize("target", TARGETS.values(), ids=lambda target: target.name)
+def test_targets_come_back_as_far_as_the_format_has_a_place(
+    form: formats.FileFormat, target: Target, tmp_path: Path
+) -> None:
+    needed(form)
+    path = tmp_path / f"a{form.suffix}"
+    formats.write(path, arrays(), target=target)
+    smooth = target.antialiased and form.keeps_antialiased
+    kept = target if form.keeps_target else target_with(antialiased=smooth)
+    assert formats.target_of(path) == kept
+    assert len(formats.read(path)["means"]) == 400
+
+
 def test_spz_has_one_bit_more(tmp_path: Path) -> None:
     plain, smooth = (gzip.decompress(path.read_bytes()) for path in both(tmp_path, ".spz"))
     assert [k for k in range(len(plain)) if plain[k] != smooth[k]] == [14]
@@ -71,10 +86,10 @@ def test_spz_of_version_4_is_read(tmp_path: Path) -> None:
     formats.write(made, arrays())
     gsply_spz.write_spz(plain, gsply_spz.read_spz(made), version=4)
     data = bytearray(plain.read_bytes())
-    assert data[:4] == b"NGSP" and not formats.is_antialiased(plain)
+    assert data[:4] == b"NGSP" and not formats.target_of(plain).antialiased
     data[spz.FLAGS] |= spz.ANTIALIASED
     smooth.write_bytes(data)
-    assert formats.is_antialiased(smooth) and len(formats.read(smooth)["means"]) == 400
+    assert formats.target_of(smooth).antialiased and len(formats.read(smooth)["means"]) == 400
 
 
 def test_sog_has_one_key_more(tmp_path: Path) -> None:
@@ -104,14 +119,14 @@ def test_formats_without_a_place_stay_as_they_are(suffix: str, tmp_path: Path) -
 def test_a_ply_of_another_program(suffix: str, line: str, expected: bool, tmp_path: Path) -> None:
     _, smooth = both(tmp_path, suffix)
     smooth.write_bytes(smooth.read_bytes().replace(LINE, f"{line}\n".encode(), 1))
-    assert formats.is_antialiased(smooth) is expected
+    assert formats.target_of(smooth).antialiased is expected
     assert suffix == ".ply" or len(formats.read(smooth)["means"]) == 400
 
 
 def test_a_compressed_ply_of_another_name(tmp_path: Path) -> None:
     _, smooth = both(tmp_path, ".compressed.ply")
     renamed = smooth.rename(tmp_path / "b.ply")
-    assert formats.is_antialiased(renamed)
+    assert formats.target_of(renamed).antialiased
     assert len(formats.read(renamed)["means"]) == 400
 
 
@@ -121,7 +136,7 @@ def test_other_flags_of_spz(flags: int, expected: bool, tmp_path: Path) -> None:
     whole = bytearray(gzip.decompress(plain.read_bytes()))
     whole[14] = flags
     plain.write_bytes(gzip.compress(whole))
-    assert formats.is_antialiased(plain) is expected
+    assert formats.target_of(plain).antialiased is expected
     assert len(formats.read(plain)["means"]) == 400
 
 
@@ -133,18 +148,18 @@ def test_other_models_of_sog(model: object, tmp_path: Path) -> None:
     with zipfile.ZipFile(plain, "w") as packed:
         for name, data in (files | {"meta.json": json.dumps(meta).encode()}).items():
             packed.writestr(name, data)
-    assert not formats.is_antialiased(plain)
+    assert not formats.target_of(plain).antialiased
 
 
 @pytest.mark.parametrize("suffix", [".spz", ".sog"])
 def test_a_damaged_file_is_one_line(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"a{suffix}"
     with pytest.raises(RunFolderError, match="Cannot read"):
-        formats.is_antialiased(path)
+        formats.target_of(path)
     for data in (b"", b"\x1f\x8b", b"\x1f\x8b" + bytes(50), b"NGSP", b"PK\x03\x04", b"PK\x05\x06"):
         path.write_bytes(data)
         with pytest.raises(RunFolderError) as caught:
-            formats.is_antialiased(path)
+            formats.target_of(path)
         assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
 
@@ -154,22 +169,23 @@ def test_a_damaged_meta_json_is_one_line(meta: bytes, tmp_path: Path) -> None:
     with zipfile.ZipFile(path, "w") as packed:
         packed.writestr("meta.json", meta)
     with pytest.raises(RunFolderError, match="not a whole SOG"):
-        formats.is_antialiased(path)
+        formats.target_of(path)
 
 
 def test_web_pages_are_only_written(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be read"):
-        formats.is_antialiased(tmp_path / "a.html")
+        formats.target_of(tmp_path / "a.html")
 
 
 def test_files_that_become_one_must_agree(tmp_path: Path) -> None:
     plain, smooth = both(tmp_path, ".ply")
-    assert formats.are_antialiased([smooth, smooth])
-    assert not formats.are_antialiased([plain, plain])
-    assert not formats.are_antialiased([])
-    for order in ([plain, smooth], [smooth, plain]):
-        with pytest.raises(ConfigError, match=r"smooth\.ply is drawn .*plain\.ply without"):
-            formats.are_antialiased(order)
+    targets = {path: formats.target_of(path) for path in (plain, smooth)}
+    assert formats.common_target({smooth: VIEWERS, tmp_path: VIEWERS}) == VIEWERS
+    assert formats.common_target({}) == PLAIN
+    with pytest.raises(ConfigError, match=r"plain\.ply .* without .*smooth\.ply for Splat"):
+        formats.common_target(targets)
+    with pytest.raises(ConfigError, match=r"for Splat .*plain\.ply for Blender 5\.3, C"):
+        formats.common_target({smooth: VIEWERS, plain: CYCLES})
 
 
 def test_each_sog_of_a_streamed_one_has_the_key(tmp_path: Path) -> None:
@@ -188,4 +204,4 @@ def test_another_program_sees_it(form: formats.FileFormat, tmp_path: Path) -> No
     for path, expected in zip(both(tmp_path, form.suffix), (False, True), strict=True):
         back = tmp_path / f"back{path.stem}.ply"
         subprocess.run([str(TOOL), "-q", "-w", path, back], check=True, capture_output=True)
-        assert formats.is_antialiased(back) is expected
+        assert formats.target_of(back).antialiased is expected

@@ -16,6 +16,7 @@ from roigs_engine.exchange import formats
 from roigs_engine.exchange.arrays import UP
 from roigs_engine.exchange.colours import encoded
 from roigs_engine.formats.splat_ply import read_ply, write_ply
+from roigs_engine.formats.targets import VIEWERS
 from tests.engine.exchange.foreign_files import (
     COUNT,
     NAME,
@@ -513,13 +514,13 @@ def test_sog_that_is_not_packed(tmp_path: Path) -> None:
     pytest.importorskip("imagecodecs")
     sog = pytest.importorskip("roigs_engine.exchange.sog")
     model = {name: rows.astype(np.float32) for name, rows in values(1).items()}
-    formats.write(tmp_path / "a.sog", model, antialiased=True)
+    formats.write(tmp_path / "a.sog", model, target=VIEWERS)
     for name, data in sog.files_of(model, antialiased=True).items():
         saved(tmp_path / name, data)
     packed, loose = formats.read(tmp_path / "a.sog"), formats.read(tmp_path / "meta.json")
     for name in STEPS:
         np.testing.assert_array_equal(loose[name], packed[name])
-    assert formats.is_antialiased(tmp_path / "meta.json")
+    assert formats.target_of(tmp_path / "meta.json").antialiased
     assert len(converted(tmp_path, tmp_path / "meta.json")["means"]) == COUNT
     meta = (tmp_path / "meta.json").read_text()
     saved(tmp_path / "meta.json", meta.replace("means_l", "../means_l"))

@@ -19,6 +19,7 @@ from roigs_engine.cli import main
 from roigs_engine.errors import EngineError
 from roigs_engine.exchange import formats, page
 from roigs_engine.formats.splat_ply import write_ply
+from roigs_engine.formats.targets import target_with
 from tests import chromium
 from tests.chromium import browser
 from tests.engine.page_cases import (
@@ -73,7 +74,9 @@ def unpacked(path: Path, name: str) -> bytes:
 @pytest.mark.parametrize("smooth", ["before", "after"])
 def test_convert_tells_of_each_model_whether_it_is_antialiased(smooth: str, tmp_path: Path) -> None:
     for name in ("before", "after"):
-        write_ply(tmp_path / f"{name}.ply", arrays(), antialiased=name == smooth)
+        write_ply(
+            tmp_path / f"{name}.ply", arrays(), target=target_with(antialiased=name == smooth)
+        )
     out = tmp_path / "a.html"
     command = ["convert", str(tmp_path / "after.ply"), str(out)]
     assert main([*command, "--before", str(tmp_path / "before.ply")]) == 0

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from roigs_engine.exchange import formats, page
+from roigs_engine.formats.targets import target_with
 from tests import chromium
 from tests.chromium import browser
 from tests.engine.page_cases import (
@@ -46,7 +47,7 @@ def test_fine_gaussians_are_drawn_as_they_were_trained(
 ) -> None:
     """With ellipses that reach as far as without, an anti-aliased model has 42 dB."""
     values = fine()
-    formats.write(tmp_path / "a.html", values, antialiased=antialiased)
+    formats.write(tmp_path / "a.html", values, target=target_with(antialiased=antialiased))
     with opened(tmp_path / "a.html") as shown:
         picture = bare(shown)
         assert psnr(picture, ours(values, shown, antialiased=antialiased)) > least

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from roigs_engine.exchange.transform import without_antialiasing
+from roigs_engine.formats.targets import PLAIN, VIEWERS
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import Camera, PosedImage
 from roigs_engine.rasterize.view import render_view
@@ -26,7 +27,7 @@ def cloud() -> Gaussians:
         "logit_opacities": random.uniform(-2, 2, 300),
         "sh": random.normal(scale=0.4, size=(300, 1, 3)),
     }
-    return Gaussians.from_arrays(arrays, antialiased=True)
+    return Gaussians.from_arrays(arrays, target=VIEWERS)
 
 
 def photo(distance: float, angle: float = 0.0) -> PosedImage:
@@ -57,13 +58,13 @@ def test_it_is_the_same_picture_from_a_single_photo() -> None:
     image = photo(4.0)
     made = without_antialiasing(cloud(), [image])
     assert not made.antialiased
-    assert error(replace(cloud(), antialiased=False), image) > 0.05
+    assert error(replace(cloud(), target=PLAIN), image) > 0.05
     assert error(made, image) < 1e-3
 
 
 def test_it_is_nearly_the_same_from_many() -> None:
     ring = [photo(4.0, angle) for angle in np.linspace(0, 6, 12)]
-    made, kept = without_antialiasing(cloud(), ring), replace(cloud(), antialiased=False)
+    made, kept = without_antialiasing(cloud(), ring), replace(cloud(), target=PLAIN)
     between = photo(4.0, 0.3)
     assert error(made, between) < 0.4 * error(kept, between)
 

@@ -17,6 +17,7 @@ from roigs_engine.exchange import formats, streamed_sog
 from roigs_engine.formats.levels import Ladder, Level, write_ladders
 from roigs_engine.formats.lock import locked
 from roigs_engine.formats.splat_ply import write_ply
+from roigs_engine.formats.targets import VIEWERS
 from tests.engine.commands.command_line import refused
 from tests.engine.exchange.format_cases import arrays, read_by
 from tests.engine.exchange.small_sogs import small, written
@@ -86,10 +87,10 @@ def test_a_run_is_converted_with_its_levels(
     assert json.loads(out.read_text())["counts"] == [500, 200]
     (meta,) = sogs(out)[:1]
     assert "shN" not in meta and "model" not in meta
-    write_ply(run / "background.ply", arrays(500), antialiased=True)
+    write_ply(run / "background.ply", arrays(500), target=VIEWERS)
     capsys.readouterr()
-    assert "levels/1/b.ply without" in refused(capsys, *line)
-    write_ply(run / "levels/1/b.ply", arrays(200), antialiased=True)
+    assert "levels/1/b.ply for Viewers without" in refused(capsys, *line)
+    write_ply(run / "levels/1/b.ply", arrays(200), target=VIEWERS)
     assert main(line) == 0
     assert [meta["model"] for meta in sogs(out)] == ["antialiased"] * 2
     assert len(list(out.parent.iterdir())) == 3, "folders of the first time are gone"

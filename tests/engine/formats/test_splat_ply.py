@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from roigs_engine.errors import RunFolderError, Stopped
 from roigs_engine.formats import splat_ply
-from roigs_engine.formats.splat_ply import is_antialiased, read_ply, up_axis, write_ply
+from roigs_engine.formats.splat_ply import read_ply, target_of, up_axis, write_ply
+from roigs_engine.formats.targets import EEVEE, PLAIN, TARGETS, VIEWERS, Target
 from roigs_engine.model.gaussians import NAMES, Gaussians
 from tests.engine.formats.gaussian_arrays import arrays
 
@@ -260,8 +261,8 @@ def test_model_round_trip(tmp_path: Path) -> None:
 def test_antialiasing_is_a_comment_and_changes_nothing_else(tmp_path: Path) -> None:
     plain, smooth = tmp_path / "plain.ply", tmp_path / "smooth.ply"
     write_ply(plain, arrays())
-    write_ply(smooth, arrays(), antialiased=True)
-    assert (is_antialiased(plain), is_antialiased(smooth)) == (False, True)
+    write_ply(smooth, arrays(), target=VIEWERS)
+    assert (target_of(plain).antialiased, target_of(smooth).antialiased) == (False, True)
     assert b"comment" not in plain.read_bytes()
     line = b"comment SplatRenderMode: mip\n"
     assert smooth.read_bytes().replace(line, b"", 1) == plain.read_bytes()
@@ -292,11 +293,11 @@ def test_what_others_write_of_antialiasing(
     written = path.read_bytes()
     lines = b"".join(f"comment {comment}\n".encode() for comment in comments)
     path.write_bytes(written.replace(b"element", lines + b"element", 1))
-    assert is_antialiased(path) is expected
+    assert target_of(path).antialiased is expected
     path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n", 4 + len(comments)))
-    assert is_antialiased(path) is expected
+    assert target_of(path).antialiased is expected
     path.write_bytes(written + lines)  # behind the header, it is data
-    assert not is_antialiased(path)
+    assert not target_of(path).antialiased
 
 
 def filtered(path: Path, model: dict[str, np.ndarray], blur: np.ndarray, *comments: str) -> Path:
@@ -349,29 +350,56 @@ def test_models_of_mip_splatting_are_antialiased(
 ) -> None:
     """They are trained so; their files have no comment, but one would count."""
     path = filtered(tmp_path / "a.ply", arrays(), np.ones(7), *comments)
-    assert is_antialiased(path) is expected
+    assert target_of(path).antialiased is expected
     write_foreign(path, {**columns(arrays()), "filter": np.ones(7)})
     words = b"by another tool", b"property float filter_3D"
     path.write_bytes(path.read_bytes().replace(*words, 1))
-    assert not is_antialiased(path)
+    assert not target_of(path).antialiased
 
 
 def test_long_headers(tmp_path: Path) -> None:
     """Programs write their settings into comments; 70,000 characters were 'not a PLY file'."""
     path, model = tmp_path / "a.ply", arrays()
-    write_ply(path, model, antialiased=True)
+    write_ply(path, model, target=VIEWERS)
     written = path.read_bytes()
     long = b"comment " + b"z" * 70_000 + b"\n"
     path.write_bytes(written.replace(b"comment", long + b"comment", 1))
     assert_same(model, read_ply(path))
-    assert is_antialiased(path)
+    assert target_of(path).antialiased
     path.write_bytes(written.replace(b"comment", long * 16 + b"comment", 1))
     assert "the header of this PLY is longer than 1 MB" in refused(path)
 
 
+@pytest.mark.parametrize("target", TARGETS.values(), ids=lambda target: target.name)
+def test_a_file_says_what_it_is_made_for(tmp_path: Path, target: Target) -> None:
+    path = tmp_path / "a.ply"
+    write_ply(path, arrays(), target)
+    assert target_of(path) == target
+    head = path.read_bytes().partition(b"end_header")[0]
+    assert (b"SplatRenderMode: mip" in head) == target.antialiased
+    assert (b"made_for" in head) == target.linear_light  # the others are as they always were
+
+
+@pytest.mark.parametrize(
+    ("lines", "expected"),
+    [
+        (("made_for eevee", "SplatRenderMode: mip"), EEVEE),
+        (("made_for something", "SplatRenderMode: mip"), VIEWERS),
+        (("made_for something",), PLAIN),
+        (("made_for cycles", "made_for eevee"), EEVEE),  # the last one counts
+    ],
+)
+def test_targets_of_other_files(tmp_path: Path, lines: tuple[str, ...], expected: Target) -> None:
+    path = tmp_path / "a.ply"
+    write_ply(path, arrays())
+    comments = "".join(f"comment {line}\n" for line in lines).encode()
+    path.write_bytes(path.read_bytes().replace(b"element vertex", comments + b"element vertex", 1))
+    assert target_of(path) == expected
+
+
 def test_antialiasing_of_a_file_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(RunFolderError, match="Cannot read"):
-        is_antialiased(tmp_path / "no.ply")
+        target_of(tmp_path / "no.ply")
 
 
 def with_lists(path: Path, rows: bytes, count: int) -> None:

@@ -1,4 +1,4 @@
-"""Whether a model is drawn with anti-aliasing belongs to it, whatever is done with it."""
+"""What a model is made for belongs to it, whatever is done with it."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import pytest
 import torch
 
 from roigs_engine.errors import ConfigError
+from roigs_engine.formats.targets import CYCLES, EEVEE, PLAIN, TARGETS, VIEWERS, Target
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
 
 
-def model(*, antialiased: bool) -> Gaussians:
+def model(target: Target) -> Gaussians:
     random = np.random.default_rng(0)
     arrays = {
         "means": random.normal(size=(5, 3)),
@@ -22,12 +23,12 @@ def model(*, antialiased: bool) -> Gaussians:
         "logit_opacities": random.normal(size=5),
         "sh": random.normal(size=(5, 4, 3)),
     }
-    return Gaussians.from_arrays(arrays, antialiased=antialiased)
+    return Gaussians.from_arrays(arrays, target=target)
 
 
-@pytest.mark.parametrize("antialiased", [False, True])
-def test_every_copy_keeps_it(tmp_path: Path, antialiased: bool) -> None:
-    made = model(antialiased=antialiased)
+@pytest.mark.parametrize("target", TARGETS.values(), ids=lambda target: target.name)
+def test_every_copy_keeps_it(tmp_path: Path, target: Target) -> None:
+    made = model(target)
     path, frame = tmp_path / "a.ply", LocalFrame(origin=np.array([3.0, 0, 0]), scale=2.0)
     made.save_ply(path)
     for copy in (
@@ -42,9 +43,10 @@ def test_every_copy_keeps_it(tmp_path: Path, antialiased: bool) -> None:
         Gaussians.load_framed(path)[0],
         Gaussians.load_framed(path, scaled=False)[0],
     ):
-        assert copy.antialiased is antialiased
+        assert copy.target == target
 
 
-def test_both_kinds_make_no_single_model() -> None:
-    with pytest.raises(ConfigError, match="anti-aliasing"):
-        Gaussians.concatenate([model(antialiased=False), model(antialiased=True)])
+@pytest.mark.parametrize("other", [PLAIN, CYCLES, EEVEE], ids=lambda target: target.name)
+def test_two_kinds_make_no_single_model(other: Target) -> None:
+    with pytest.raises(ConfigError, match=f"made for {VIEWERS.title}, others for {other.title}"):
+        Gaussians.concatenate([model(VIEWERS), model(other)])

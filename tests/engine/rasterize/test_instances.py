@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 import torch
 
+from roigs_engine.formats.targets import CYCLES, PLAIN, VIEWERS, target_with
 from roigs_engine.rasterize.instances import NOTHING, Instance, render_instances
+from roigs_engine.rasterize.light import to_linear, to_srgb
 from roigs_engine.rasterize.limits import PICTURE_LIMITS
 from roigs_engine.rasterize.view import rasterize_view, render_view
 from tests.engine.clouds import CAMERA, POSE, TURN, affine, cloud, on_black, placed
@@ -96,17 +98,27 @@ def test_models_with_other_numbers_of_sh_bands_go_together() -> None:
     assert render_instances([placed(cloud()), placed(few)], CAMERA, POSE).alpha.max() > 0.5
 
 
+def test_a_layer_of_linear_light_is_composited_in_linear_light() -> None:
+    model = replace(cloud(), target=CYCLES)
+    layer, usual = render_instances([placed(model)], CAMERA, POSE), render_view(model, CAMERA, POSE)
+    over_black = to_srgb(to_linear(layer.image) * layer.alpha[..., None])
+    torch.testing.assert_close(over_black, usual.image, atol=3e-3, rtol=0)
+    few = replace(cloud(5, seed=1), target=VIEWERS)  # drawn in the light of most
+    both = render_instances([placed(model), placed(few)], CAMERA, POSE)
+    assert (both.alpha >= layer.alpha - 1e-3).all()
+
+
 def test_models_with_and_without_antialiasing_are_each_drawn_right() -> None:
     fine = {"log_scales": np.random.default_rng(5).uniform(np.log(0.004), np.log(0.1), (60, 3))}
-    plain, smooth = cloud(seed=1, **fine), replace(cloud(seed=2, **fine), antialiased=True)
+    plain, smooth = cloud(seed=1, **fine), replace(cloud(seed=2, **fine), target=VIEWERS)
     turned = affine(1.3 * TURN)
     nothing = cloud(1, means=np.full((1, 3), 1e3))
     for model in (plain, smooth):
         alone = render_instances([placed(model, turned)], CAMERA, POSE)
-        other = replace(nothing, antialiased=not model.antialiased)
+        other = replace(nothing, target=target_with(antialiased=not model.antialiased))
         both = render_instances([placed(other), placed(model, turned)], CAMERA, POSE)
         assert alone.alpha.max() > 0.1
         torch.testing.assert_close(on_black(both), on_black(alone), atol=1e-3, rtol=0)
-    changed = replace(smooth, antialiased=False)
+    changed = replace(smooth, target=PLAIN)
     as_plain = render_instances([placed(changed, turned)], CAMERA, POSE)
     assert (as_plain.alpha - alone.alpha).max() > 0.1

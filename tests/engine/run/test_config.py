@@ -105,7 +105,7 @@ def test_the_other_strategy_keeps_steps_tests_and_seed(name: str, strategy: str)
     assert (other.test_every, other.seed) == (5, 7)
     assert other.roi.get(BoxDensityControl) is not None
     stages = (other.scene, other.roi, stage_configs.refine_stage(other))
-    assert {stage.antialiased for stage in stages} == {config.roi.antialiased}
+    assert {stage.made_for for stage in stages} == {config.roi.made_for}
 
 
 @pytest.mark.parametrize("name", ["standard", "draft"])
@@ -231,12 +231,12 @@ def test_the_papers_selection_ablations_are_settings(method: str) -> None:
     assert changed.selection.resolved_count(1000) == 150
 
 
-def test_antialiasing_is_of_both_stages_or_of_none() -> None:
-    assert not preset("paper").roi.antialiased
+def test_both_stages_are_made_for_the_same() -> None:
+    assert preset("paper").roi.made_for == "plain"
     config = preset("draft")
-    assert config.scene.antialiased and config.roi.antialiased
-    with pytest.raises(ConfigError, match="anti-aliasing"):
-        replace(config, scene=replace(config.scene, antialiased=False))
+    assert config.scene.made_for == config.roi.made_for == "viewers"
+    with pytest.raises(ConfigError, match="made for plain, the box stage for viewers"):
+        replace(config, scene=replace(config.scene, made_for="plain"))
 
 
 def difference(before: RunConfig, now: RunConfig) -> str:
@@ -245,12 +245,12 @@ def difference(before: RunConfig, now: RunConfig) -> str:
     return manifest_difference(*records)
 
 
-def test_manifests_tell_of_antialiasing() -> None:
+def test_manifests_tell_of_targets() -> None:
     draft = preset("draft")
     stages = {"scene": draft.scene, "roi": draft.roi}
-    plain = replace(draft, **{n: replace(s, antialiased=False) for n, s in stages.items()})
+    plain = replace(draft, **{n: replace(s, made_for="plain") for n, s in stages.items()})
     told = difference(plain, draft)
-    assert told == "anti-aliasing was off, now on (--antialiased, --no-antialiased)"
+    assert told == "it was made for plain, now viewers (--made-for)"
 
 
 def test_manifests_tell_of_mechanisms() -> None:

@@ -15,7 +15,7 @@ from roigs_engine.context import Context
 from roigs_engine.errors import RunFolderError, Stopped
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.formats.run_files import is_own
-from roigs_engine.formats.splat_ply import is_antialiased
+from roigs_engine.formats.splat_ply import target_of
 from roigs_engine.formats.stage_list import read_stage_list
 from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.local_frame import LocalFrame
@@ -55,7 +55,7 @@ def test_a_run_writes_its_result_and_every_stage(
     assert not set(run.test) & {image.name for image in run.train_scene.images}
     for path in tmp_path.rglob("*.ply"):  # 3DGS and the paper draw without anti-aliasing
         is_plain = strategy == "independent" or path.parent.name.startswith("full-scene")
-        assert is_antialiased(path) != is_plain
+        assert target_of(path).antialiased != is_plain
 
 
 def test_the_scene_learns_from_smaller_photos_and_the_boxes_from_whole_ones(

@@ -66,8 +66,8 @@ def test_settings_are_ours_without_the_boxes(name: str) -> None:
     first, last, usual = (each.of(DensityControl) for each in (coarse, fine, plain))
     assert first.reset_every == last.reset_every == 0
     assert last.grad_threshold == 2e-4
-    assert not plain.antialiased and plain.mechanisms == (usual,)  # 3DGS's way
-    assert coarse.antialiased == fine.antialiased == config.roi.antialiased
+    assert plain.made_for == "plain" and plain.mechanisms == (usual,)  # 3DGS's way
+    assert coarse.made_for == fine.made_for == config.roi.made_for
     ours = preset("standard").roi
     for field in ("lr_shN", "lr_scales", "lr_means", "sh_start"):
         assert getattr(fine, field) == getattr(ours, field)

@@ -42,7 +42,7 @@ from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import BOX, make_scene, small_photos
 
 DENSITY = DensityControl(start=10, until=40, every=10, grad_threshold=1e-5)
-PLAIN = TrainConfig(steps=60, antialiased=True, mechanisms=(DENSITY,))
+PLAIN = TrainConfig(steps=60, made_for="viewers", mechanisms=(DENSITY,))
 CONFIG = PLAIN.using(ImportancePruning(growth=0.1))
 
 

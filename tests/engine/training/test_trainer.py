@@ -12,6 +12,7 @@ import torch
 
 from roigs_engine.context import Context
 from roigs_engine.errors import ConfigError
+from roigs_engine.formats.targets import target_with
 from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.photos.cache import PhotoCache
@@ -285,8 +286,10 @@ def test_the_stage_decides_on_antialiasing(
         return rasterize(*args, **options)
 
     monkeypatch.setattr("roigs_engine.training.trainer.rasterize", noted)
-    config = replace(SHORT.using(ModelAveraging(steps=10)), antialiased=antialiased)
-    start = replace(first_model(scene), antialiased=not antialiased)
+    config = replace(
+        SHORT.using(ModelAveraging(steps=10)), made_for=target_with(antialiased=antialiased).name
+    )
+    start = replace(first_model(scene), target=target_with(antialiased=not antialiased))
     trainer = Trainer(start, stage_data(scene), config)
     resumed = Trainer(start, stage_data(scene), config)
     trainer.train_step()

@@ -1,0 +1,66 @@
+"""Targets: the renderers that a model of Gaussians can be made for, and how these draw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """A kind of renderer: a model looks right only where it is drawn as it was trained.
+
+    Attributes:
+        name: in options and files.
+        title: what people call it.
+        help: which renderers these are, in a line.
+        antialiased: a Gaussian below a pixel's size is fainter, not larger (Mip-Splatting, Yu et
+            al. 2024, sec. 5.2); False: 3DGS.
+        linear_light: each Gaussian's colour becomes linear light, and light is blended; False: sRGB
+            values are blended (3DGS).
+    """
+
+    name: str
+    title: str
+    help: str
+    antialiased: bool
+    linear_light: bool
+
+
+VIEWERS = Target(
+    name="viewers",
+    title="Splat Viewers",
+    help="Viewers that support anti-aliased Gaussians: sharp from near and far",
+    antialiased=True,
+    linear_light=False,
+)
+PLAIN = Target(
+    name="plain",
+    title="Viewers without Anti-Aliasing",
+    help="Viewers that draw as 3DGS does, and formats such as glTF, USD and .splat",
+    antialiased=False,
+    linear_light=False,
+)
+# Blender 5.3, intern/cycles/kernel/geom/gsplat.h. Instead of a factor of each Gaussian, Cycles
+# averages over the pixel, which looks the same.
+CYCLES = Target(
+    name="cycles",
+    title="Blender 5.3, Cycles",
+    help="Blender's own splats in Cycles, which blends linear light",
+    antialiased=True,
+    linear_light=True,
+)
+# Blender 5.3, draw_gsplat_lib.bsl.hh: read, not seen.
+EEVEE = Target(
+    name="eevee",
+    title="Blender 5.3, EEVEE",
+    help="Blender's own splats in EEVEE, which blends linear light, without anti-aliasing",
+    antialiased=False,
+    linear_light=True,
+)
+TARGETS = {target.name: target for target in (VIEWERS, PLAIN, CYCLES, EEVEE)}
+
+
+def target_with(*, antialiased: bool, linear_light: bool = False) -> Target:
+    """The target that draws so."""
+    wanted = antialiased, linear_light
+    return next(t for t in TARGETS.values() if (t.antialiased, t.linear_light) == wanted)
