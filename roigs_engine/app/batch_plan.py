@@ -12,6 +12,7 @@ from ..batch.record import BatchRecord, Output
 from ..context import QUIET, Context
 from ..errors import ConfigError, EngineError
 from ..formats import run_files
+from ..formats.files import own_file
 from ..formats.text import counted
 from ..machine import ENGINE
 from ..requests.runs import TrainAndEvaluate
@@ -171,7 +172,7 @@ def outputs_of(row: Row, objects: Sequence[str]) -> list[Output]:
     ]
     given = sorted(row.output_options.items())
     options = tuple(f"--{name.replace('_', '-')}={value}" for name, value in given)
-    return [Output(name=n, source=s, path=out / n, options=options) for n, s in found]
+    return [Output(name=n, source=s, path=own_file(out, n), options=options) for n, s in found]
 
 
 def _output_parts(

@@ -10,6 +10,7 @@ from typing import Any
 
 from ..errors import EngineError, RunFolderError
 from ..formats.files import read_json, write_json
+from ..formats.names import inner_path
 from ..formats.run_files import BATCH, BATCH_OUTPUTS, MANIFEST, REPORT_DATA, RESULT
 from ..formats.text import json_digest
 from ..run.definition import Run
@@ -99,7 +100,8 @@ class BatchRecord:
     def left_over(self, name: str, outputs: Iterable[Output]) -> list[str]:
         """The outputs that are there, made for a scene that has them no longer."""
         found = []
-        for place in sorted(self._made(name).keys() - {output.name for output in outputs}):
+        known = filter(inner_path, self._made(name))
+        for place in sorted({*known} - {output.name for output in outputs}):
             with suppress(OSError):
                 self._stamp(self.folder / BATCH_OUTPUTS / place)
                 found.append(place)

@@ -25,6 +25,7 @@ from typing import Any, BinaryIO, TextIO
 
 from ..errors import EngineError, RunFolderError
 from . import os_lock
+from .names import inner_path
 from .text import RepeatedKeyError, parse_json
 
 UNREADABLE = "Check that the file exists and that you may read it."
@@ -65,16 +66,42 @@ def own_folder(root: Path, *names: str) -> Path:
         names: folders below it; each may hold `/`.
 
     Raises:
-        RunFolderError: one of them below `root` is a link, or one is no folder.
+        RunFolderError: a name leads out of `root`, one of them is a link, or one is no folder.
     """
-    folder = Path(root)
+    folder, below = Path(root), Path(*names)
     _refuse_no_folder(folder)
-    for name in Path(*names).parts:
+    if below.parts and inner_path(str(below)) is None:
+        raise _leads_out(folder, str(below))
+    for name in below.parts:
         folder /= name
         if is_link(folder):
             raise _linked(folder)
         _refuse_no_folder(folder)
     return folder
+
+
+def own_file(root: Path, name: str) -> Path:
+    """The file `root`/`name`, which may be written; it need not exist.
+
+    Names that a file or a program says become paths here, by the rules of POSIX and Windows.
+
+    Args:
+        root: as of `own_folder`.
+        name: of the file; it may hold `/`.
+
+    Raises:
+        RunFolderError: the name leads out of `root`, or a folder is a link or none.
+    """
+    if inner_path(name) is None:
+        raise _leads_out(root, name)
+    file = Path(name)
+    return own_folder(root, str(file.parent)) / file.name
+
+
+def _leads_out(root: Path, name: str) -> RunFolderError:
+    return RunFolderError(
+        f"{name!a:.60} is no name of a file in {root}.", "Rename what is called so."
+    )
 
 
 def _refuse_no_folder(folder: Path) -> None:

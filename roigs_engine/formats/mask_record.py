@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from .files import cannot_write, own_folder, read_record, sha256, write_json
+from .files import cannot_write, own_file, read_record, sha256, write_json
 from .names import inner_path, same_name
 
 MADE = "made.json"
@@ -119,7 +119,7 @@ def remove_masks(folder: Path) -> int:
     RunFolderError: one cannot be removed, or a folder is a link.
     """
     made = generated_masks(folder)
-    files = [own_folder(folder, *Path(name).parts[:-1]) / Path(name).name for name in made]
+    files = [own_file(folder, name) for name in made]
     for file in (*files, folder / MADE):
         try:
             file.unlink(missing_ok=True)

@@ -21,7 +21,7 @@ from ..cuda.device import CPU
 from ..errors import RunFolderError, SceneError
 from ..evaluation.metrics import psnr_from_mse
 from ..formats import run_files
-from ..formats.files import own_folder, read_record, remove_leftovers, write_json
+from ..formats.files import own_file, read_record, remove_leftovers, write_json
 from ..formats.levels import FADE, Ladder, Level, write_ladders
 from ..formats.lock import check_held
 from ..formats.text import json_digest
@@ -171,7 +171,7 @@ class _Maker:
             "steps": self.steps,
         }
         digest = json_digest(inputs)
-        path = own_folder(self.folder, *Path(ply).parent.parts) / Path(ply).name
+        path = own_file(self.folder, ply)
         if read_record(record).get(ply) == digest:
             with suppress(RunFolderError):  # it is lost or damaged
                 return Gaussians.load_ply(path, self.frame)

@@ -12,7 +12,7 @@ import numpy as np
 from ..colmap.photo_pixels import PhotoPixels
 from ..context import QUIET, Context
 from ..errors import ConfigError, SceneError
-from ..formats.files import atomic_write, own_folder, remove_leftovers, sha256
+from ..formats.files import atomic_write, own_file, remove_leftovers, sha256
 from ..formats.mask_record import generated_masks, made_of, mask_name, record_masks
 from ..formats.scribbles import Stroke
 from ..formats.text import counted
@@ -134,13 +134,13 @@ class BoxMasks:
         The record comes first: masks of a process that is killed here are known to be made.
         """
         made = generated_masks(self.folder)  # a person may have changed some meanwhile
-        paths = {name: own_folder(self.folder, *Path(name).parts[:-1]) for name in files}
+        paths = {name: own_file(self.folder, name) for name in files}
         names = [name for name in files if name in made or not (self.folder / name).is_file()]
         digests = {name: hashlib.sha256(files[name]).hexdigest() for name in names}
         kept = {name: of for name, of in made_of(self.folder).items() if name not in names}
         record_masks(self.folder, made, digests, made_of=kept)
         for name in names:
-            with atomic_write(paths[name] / Path(name).name, durable=False) as file:
+            with atomic_write(paths[name], durable=False) as file:
                 file.write(files[name])
         now = {name: inputs[name] for name in names}
         record_masks(self.folder, made | digests, made_of=kept | now)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from ..context import Context
 from ..errors import EngineError, SceneError
-from ..formats.files import atomic_write, own_folder, read_record, write_json
+from ..formats.files import atomic_write, own_file, read_record, write_json
 from ..formats.text import counted
 from ..photos.colours import colours_of, say_srgb
 from ..photos.decode import check_whole, to_rgb
@@ -55,7 +55,7 @@ def converted(files: Mapping[str, Path], folder: Folder, context: Context) -> di
     made = read_record(folder.work(RECORD))  # name -> digest, and SRGB or nothing
 
     def convert(name: str) -> str:
-        target = own_folder(folder.root, IMAGES) / names[name]
+        target = own_file(folder.root, f"{IMAGES}/{names[name]}")
         return _convert(files[name], target, made.get(name, ""))
 
     try:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from ..colmap.camera_masks import HIDDEN, MaskPlan, find_mask
 from ..context import Context
-from ..formats.files import cannot_write, own_folder, read_record, sha256, write_json
+from ..formats.files import cannot_write, own_file, read_record, sha256, write_json
 from ..formats.names import inner_path
 from ..formats.text import counted, named
 from ..photos.headers import PhotoError, photo_size
@@ -107,7 +107,7 @@ def _plans(
 
 
 def _place(folder: Folder, name: str) -> Path:
-    return folder.masks / f"{name}.png"
+    return own_file(folder.masks, f"{name}.png")
 
 
 def _of_other_photos(
@@ -143,7 +143,6 @@ def _forget(names: Iterable[str], known: Mapping[str, Kept], folder: Folder) -> 
         if inner_path(name) is None:
             continue
         path = _place(folder, name)
-        path = own_folder(folder.masks, *path.relative_to(folder.masks).parts[:-1]) / path.name
         try:
             if path.is_file() and sha256(path) == known[name].sha256:
                 path.unlink()

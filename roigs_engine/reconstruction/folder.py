@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import SceneError
-from ..formats.files import cannot_write, own_folder, read_record, write_json
+from ..formats.files import cannot_write, own_file, own_folder, read_record, write_json
 from ..formats.lock import locked
 from ..formats.projects import PHOTO_FOLDERS, RECONSTRUCTION, SPARSE, model_suffix
 from ..photos.files import EXTENSIONS, HEIC, UNREAD, PhotoFolder
@@ -53,7 +53,7 @@ class Folder:
     @property
     def masks(self) -> Path:
         """The photos' masks, as pycolmap reads them."""
-        return self.work(MASKS)
+        return own_folder(self.root, WORK, MASKS)
 
     @property
     def log(self) -> Path:
@@ -193,6 +193,7 @@ class Folder:
                         "Remove it, or give another --out.",
                     )
                 continue
+            own_file(self.root, f"{IMAGES}/{photo.name}")  # refuses a link
             try:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 _link_or_copy(photo.path, target)

@@ -22,7 +22,7 @@ from typing import Any
 from urllib.parse import quote
 
 from ..errors import RunFolderError
-from ..formats.files import LEFTOVER, own_folder
+from ..formats.files import LEFTOVER, own_file
 from ..formats.names import inner_path
 from ..formats.run_files import CACHE, PREVIEW, UNDISTORTED
 from ..formats.text import json_digest, parse_json
@@ -68,7 +68,7 @@ class StoredRun:
         self._had = {}
         for name, entry in self.entries().items():
             if wanted(name):
-                target = own_folder(folder, *Path(name).parts[:-1]) / Path(name).name
+                target = own_file(folder, name)
                 if _fits(target, entry) or self._get(name, entry, target):
                     self._had[name] = entry
         for name in published_files(folder):

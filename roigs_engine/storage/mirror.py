@@ -11,7 +11,7 @@ from typing import Any
 
 from ..context import Context
 from ..errors import ConfigError, EngineError
-from ..formats.files import own_folder, read_json, write_json
+from ..formats.files import own_file, read_json, write_json
 from ..formats.names import inner_path
 from .quota import alone, claim, enforce_quota, keep, limit
 from .urls import FileSystem, file_system, folder_of, guarded
@@ -50,7 +50,7 @@ def mirror(url: str, context: Context) -> Path:
 
 def _target(folder: Path, name: str) -> Path:
     """Where the copy of a file is; RunFolderError: through a link."""
-    return own_folder(folder, FILES, *Path(name).parts[:-1]) / Path(name).name
+    return own_file(folder, f"{FILES}/{name}")
 
 
 def _listed(found: FileSystem, place: str, url: str) -> dict[str, list[Any]]:

@@ -48,10 +48,14 @@ def photos(dice: random.Random, folder: Path) -> Case:
     files = dice.choice((inputs.text_files, inputs.binary_files))(tree)
     write_scene(folder / "in", files, {name: inputs.photo() for name in inputs.NAMES})
     scene, rois, out = str(folder / "in"), good_boxes(folder), str(folder / "out")
-    asked = dice.choice((["inspect"], ["decode"], ["export"], ["select"], ["claim"]))[0]
+    asked = dice.choice(("inspect", "decode", "export", "select", "claim", "masks"))
     line = [asked, scene]
-    line += ["--rois", rois] if asked in ("inspect", "select", "claim") else []
-    place = {"export": "--out", "select": "--out", "claim": "--run-dir"}.get(asked)
+    line += ["--rois", rois] if asked in ("inspect", "select", "claim", "masks") else []
+    if asked == "masks":
+        strokes = [levels_and_scribbles.scribble(dice, image[3]) for image in tree["images"]]
+        text = json.dumps({"scribbles": strokes}).encode("utf-8", "surrogatepass")
+        line += ["--scribbles", str(write(folder / "in" / "strokes.json", text)), *CPU]
+    place = {"claim": "--run-dir", "inspect": "", "decode": ""}.get(asked, "--out")
     return Case([*line, *([place, out] if place else [])])
 
 
@@ -141,7 +145,7 @@ def lists(dice: random.Random, folder: Path) -> Case:
     name = hostile(dice, folder)
     home = folder / "in"
     ply = str(write(home / "a.ply", inputs.good_ply()))
-    match dice.randrange(5):
+    match dice.randrange(6):
         case 0:
             row = {"file": name, "name": name, "matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]}
             tree: Any = {"models": [{**row, "file": "a.ply"}, row]}
@@ -151,12 +155,20 @@ def lists(dice: random.Random, folder: Path) -> Case:
             text += f"rois = {json.dumps(rois)}\noutputs = [{json.dumps(name)}]\n"
             table = write(home / "museum.toml", text.encode("utf-8", "surrogatepass"))
             return Case(["batch", str(table), "--run-dir", out], statuses=(2,))
-        case 2:
+        case 2:  # what a batch writes beside its run folders
+            key = dice.choice(("outputs", "object_outputs"))
+            begin, end = dice.choice(("", "/", ".")), dice.choice((".ply", ".spz", "ply"))
+            ending = json.dumps(f"{begin}x{name}{end}")
+            text = f"[scenes.hall]\nscene = {json.dumps(str(scene))}\n"
+            text += f"rois = {json.dumps(rois)}\n{key} = [{ending}]\n"
+            table = write(home / "museum.toml", text.encode("utf-8", "surrogatepass"))
+            return Case(["batch", str(table), "--run-dir", out, "--dry-run"], statuses=(2,))
+        case 3:
             tree = {"scene": str(scene), "roi": [f"{name}=-1,-1,-1,1,1,1"], "only": [name]}
             key = dice.choice(("rois", "images", "masks", "only", "selection"))
             tree[key] = [name] if key == "only" else name
             line = ["claim", str(home / "list.json"), "--run-dir", out]
-        case 3:
+        case 4:
             tree = {"names": [name, *inputs.NAMES[:2]], "candidates": [name]}
             line = ["claim", str(scene), "--rois", rois, "--only", "thing", "--run-dir", out]
             line += ["--selection", str(home / "given")]

@@ -13,6 +13,7 @@ from roigs_engine.app.batch_table import Table
 from roigs_engine.batch.record import BatchRecord
 from roigs_engine.cli import main
 from roigs_engine.context import QUIET
+from roigs_engine.formats.files import write_json, write_text
 from tests.engine.clouds import cloud
 from tests.engine.commands.command_line import BOX, refused
 from tests.engine.synthetic_colmap import write_project
@@ -225,3 +226,12 @@ def test_a_scene_is_not_called_as_files_of_the_batch(
     assert [w.text for w in Table(table, tmp_path).wrong] == [
         f"A scene cannot be called '{name}', as its run folder is. Rename it."
     ]
+
+
+def test_a_record_says_no_outputs_elsewhere(tmp_path: Path) -> None:
+    write_text(tmp_path / "a.ply", "of the user's")
+    write_text(tmp_path / "outputs" / "b.ply", "an output")
+    places = ("../a.ply", str(tmp_path / "a.ply"), "x\0", "b.ply")
+    outputs = {place: [[], [1, 2]] for place in places}
+    write_json(tmp_path / "batch.json", {"version": 2, "scenes": {"hall": {"outputs": outputs}}})
+    assert BatchRecord(tmp_path).left_over("hall", ()) == ["b.ply"]

@@ -16,6 +16,8 @@ from roigs_engine.formats.files import (
     ABANDONED,
     atomic_write,
     cannot_write,
+    own_file,
+    own_folder,
     read_json,
     remove_leftovers,
     write_json,
@@ -202,3 +204,35 @@ def test_text_of_gigabytes_is_not_read(tmp_path: Path) -> None:
         file.truncate(1 << 40)
     with pytest.raises(RunFolderError, match=r"a\.json \(File too large\)"):
         read_json(path)
+
+
+OUTSIDE = (
+    "/x",
+    "../x",
+    "a/../../x",
+    "..\\x",
+    "C:x",
+    "C:\\x",
+    "\\\\host\\a\\x",
+    "a\0",
+    "",
+    ".",
+)
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_a_name_that_a_file_says_stays_in_its_folder(tmp_path: Path, name: str) -> None:
+    with pytest.raises(RunFolderError, match=f"is no name of a file in {tmp_path}"):
+        own_file(tmp_path, name)
+    if ".." in name or name.startswith("/"):
+        with pytest.raises(RunFolderError, match="is no name of a file"):
+            own_folder(tmp_path, "a", name)
+
+
+def test_a_name_may_have_folders(tmp_path: Path) -> None:
+    assert own_file(tmp_path, "a/b..c.ply") == tmp_path / "a" / "b..c.ply"
+    assert own_folder(tmp_path, "", "a/b") == tmp_path / "a" / "b"
+    assert own_folder(tmp_path) == tmp_path
+    (tmp_path / "a").symlink_to(tmp_path)
+    with pytest.raises(RunFolderError, match="is a link"):
+        own_file(tmp_path, "a/x")
