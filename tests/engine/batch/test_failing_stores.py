@@ -26,6 +26,7 @@ from tests.engine.batches import contents
 from tests.engine.commands import forked_engines as forked
 from tests.engine.synthetic_colmap import write_project
 from tests.fuzz.failing_store import ERRORS, MOMENTS, Fault, failing
+from tests.warm_engine import CAN_FORK
 
 BATCHES, SEED = 50, 5
 FAILS, KILLED = 0.005, 0.25  # shares of all calls and of all engines
@@ -47,7 +48,7 @@ __all__ = ["forked_engines"]
 forked_engines = forked.forked_engines
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(not forked.CAN_FORK, reason="kills engines with SIGKILL"),
+    pytest.mark.skipif(not CAN_FORK, reason="kills engines with SIGKILL"),
 ]
 
 
