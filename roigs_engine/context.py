@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from .errors import Stopped
+from .errors import Stopped, shortened
 from .formats.events import Event, Message, Progress
 
 Emit = Callable[[Event], None]
@@ -39,12 +39,12 @@ class Context:
             raise Stopped
 
     def info(self, text: str) -> None:
-        """Emit a message for the user."""
-        self.emit(Message(text=text))
+        """Emit a message for the user, which is shortened as an error's hint is."""
+        self.emit(Message(text=shortened(text)))
 
     def warn(self, text: str) -> None:
-        """Emit a warning for the user."""
-        self.emit(Message(text=text, level="warning"))
+        """Emit a warning for the user; as `info`."""
+        self.emit(Message(text=shortened(text), level="warning"))
 
     def progress(self, stage: str, step: int, total: int, started: float, **metrics: float) -> None:
         """Emit progress of work that has no loss.

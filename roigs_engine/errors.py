@@ -5,17 +5,29 @@ to change. The command line prints both without a traceback and exits with statu
 shows them in its panel.
 """
 
+LONGEST = 500
+"""Characters of an error's message; what files say may be longer."""
+LONGEST_TEXT = 1000
+"""Characters of a hint, or of another message, which may list all options."""
+
+
+def shortened(text: str, most: int = LONGEST_TEXT) -> str:
+    """The text, without its middle if it is longer than `most` characters."""
+    end = most // 3
+    return text if len(text) <= most else f"{text[: most - end - 3]} … {text[-end:]}"
+
 
 class EngineError(Exception):
     """Base class of all errors caused by the input, the machine or the run folder.
 
     `message` is one line, what is wrong, with names and numbers; `hint` one line, what to change.
+    Both are shortened.
     """
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message)
-        self.message = " ".join(message.split())
-        self.hint = " ".join(hint.split())
+        self.message = shortened(" ".join(message.split()), LONGEST)
+        self.hint = shortened(" ".join(hint.split()))
 
     def __str__(self) -> str:
         return f"{self.message} {self.hint}".strip()

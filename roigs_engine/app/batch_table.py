@@ -16,7 +16,7 @@ from ..exchange.formats import writable
 from ..formats.files import UNREADABLE, read_bytes, write_text
 from ..formats.names import first_taken, is_file_name, safe_name
 from ..formats.projects import model_folders
-from ..formats.run_files import BATCH, BATCH_LOCK, BATCH_OUTPUTS, BATCH_ROWS, is_own
+from ..formats.run_files import BATCH_OUTPUTS, BATCH_ROWS, is_of_batch
 from ..formats.text import decode_text, json_digest
 from ..requests.declare import options_of, plain
 from ..requests.models import Convert
@@ -30,7 +30,6 @@ NO_KEYS = {"run_dir", "update", "dry_run", "part", "threads", "cluster"}
 OF_OUTPUTS = {"up", "from_up", "sh_degree"}  # options of `convert`
 NO_RESULT = {"device", "image_cache", "preview_seconds"}  # these options change no result
 HEADER, KEY = re.compile(r"\s*\[+([^\]]*)\]"), re.compile(r"\s*(\"[^\"]*\"|'[^']*'|[\w-]+)\s*=")
-OF_BATCH = {BATCH_LOCK, BATCH, BATCH_ROWS, BATCH_OUTPUTS}  # names in the folder of a batch
 BETWEEN_KEYS, MOST_PARTS = re.compile(r"[^\w\s.\"'-]"), 200
 
 
@@ -107,8 +106,7 @@ class Table:
 
     def _add(self, name: str, values: Any, defaults: Mapping[str, Any]) -> None:
         place, before = (SCENES, name), len(self.wrong)
-        own = name.startswith(".") or name.casefold() in OF_BATCH
-        if not is_file_name(name) or is_own(name) or own:
+        if not is_file_name(name) or is_of_batch(name):
             text = f"A scene cannot be called {shown(name)}, as its run folder is. Rename it."
             self._say(place, text)
         if not isinstance(values, dict):
@@ -324,7 +322,7 @@ def _free_name(folder: Path, scene: Path, taken: set[str]) -> str:
     """A name for the scene's run folder: its folders' names, and a number if that is taken."""
     parts = scene.relative_to(folder).parts or (Path(os.path.abspath(scene)).name,)
     name = safe_name("-".join(parts))
-    if is_own(name) or name in (BATCH_ROWS, BATCH_OUTPUTS):
+    if is_of_batch(name):
         name = f"{name}-1"
     base, number = name, 1
     while name.casefold() in taken:

@@ -60,6 +60,17 @@ _OTHERS = (
 _NAMES = {*RESULTS, *_OTHERS}
 
 
+_OF_BATCH = {BATCH_LOCK, BATCH, BATCH_ROWS, BATCH_OUTPUTS}
+
+
+def is_of_batch(name: str) -> bool:
+    """Whether a batch, or a run, writes a file or folder of that name; case does not count.
+
+    On a store, names that begin with a dot are those of commits, leases and contents.
+    """
+    return name.startswith(".") or name.casefold() in _OF_BATCH or is_own(name)
+
+
 def is_own(name: str) -> bool:
     """Whether a run writes a file or folder of that name; case does not count."""
     return name.casefold() in _NAMES

@@ -216,7 +216,9 @@ def test_formats_of_outputs_are_no_paths(
     assert f"which is no format. Write {form}." in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", ["batch.json", "batch.lock", "ROWS", "Outputs", ".leases"])
+@pytest.mark.parametrize(
+    "name", ["batch.json", "batch.lock", "ROWS", "Outputs", ".leases", "Run.Lock"]
+)
 def test_a_scene_is_not_called_as_files_of_the_batch(
     scans: Path, tmp_path: Path, name: str
 ) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from roigs_engine.cli import main
+from roigs_engine.errors import shortened
 from tests.engine.commands.command_line import BOX, refused
 from tests.engine.synthetic_colmap import Project
 
@@ -178,3 +179,25 @@ def test_a_run_folders_settings_are_an_options_file(
     assert main([*line, "--seed", "1"]) == 0
     (earlier,) = (run / "earlier").glob("*/settings.json")
     assert json.loads(earlier.read_text(encoding="utf-8")) == settings
+
+
+@pytest.mark.parametrize("key", ["group", "only", "images", "method", "roi", "x" * 1_000_000])
+def test_a_text_of_a_million_letters_is_not_repeated(
+    project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str
+) -> None:
+    """The line had a megabyte; beside JSON, Blender would have dropped it."""
+    long = "x" * 1_000_000
+    values = {"roi": [BOX], key: [long] if key in ("group", "only") else long}
+    file = options_file(tmp_path, scene=str(project.folder), **values)
+    said = refused(capsys, "train", file, "--run-dir", tmp_path / "run", "--dry-run")
+    assert len(said) < 1600
+    assert key[:9] in said or "box" in said.lower()
+
+
+def test_a_shortened_text_keeps_its_ends() -> None:
+    assert shortened("a" * 1000) == "a" * 1000
+    found = shortened("a" * 1500 + "b" * 1500)
+    assert len(found) == 1000
+    assert found[:600] == "a" * 600
+    assert found[-300:] == "b" * 300
+    assert " … " in found
