@@ -96,7 +96,7 @@ def stored_photo(image: ModelImage, model: Model, photos: PhotoFolder) -> Stored
     if camera is None:
         return Skip(NO_CAMERA)
     if path is None:
-        return Skip(MISSING, *photos.missing(photo_name(image)))
+        return Skip(MISSING)
     try:
         size = photo_size(path)
         check_complete(path)
@@ -178,6 +178,8 @@ class PhotoLoader:
                 continue
             names.add(name)
             photo = stored_photo(image, model, photos)
+            if photo == Skip(MISSING) and MISSING not in self.why:  # that takes long: said of one
+                photo = Skip(MISSING, *photos.missing(name))
             if isinstance(photo, Skip):
                 self._leave_out(name, photo)
             elif not files.add(photo.path):

@@ -34,7 +34,7 @@ from .rotation import AS_STORED, turned, turned_size
 
 Pixels = NDArray[np.uint8]
 Counted = Callable[[], NDArray[np.bool_]]
-Weights = NDArray[np.bool_] | NDArray[np.float32]
+Weights = NDArray[np.bool_] | NDArray[np.float32] | NDArray[np.uint8]
 Box = tuple[float, float, float, float]
 Change = Callable[[Image.Image], Image.Image]
 
@@ -84,9 +84,9 @@ def decode(
         colours = colours_of(photo)
         picture, colours = _decoded(photo, colours)
         alpha = opacity(photo) if size not in (None, picture.size) else None
+    del photo  # its pixels may take as much memory as the picture
     if alpha is not None and alpha.min() < 255 and size is not None:
-        seen = alpha / np.float32(255)
-        return _resized(np.asarray(to_srgb(picture, colours)), size, seen, LEAST_SEEN)
+        return _resized(np.asarray(to_srgb(picture, colours)), size, alpha, LEAST_SEEN)
     if size is not None and picture.size != size:
         # The last column and row of a draft may extend past the photo: exclude that part.
         box = (0.0, 0.0, full[0] / shrink, full[1] / shrink)
@@ -102,13 +102,17 @@ def opacity(photo: Image.Image) -> Pixels | None:
     clear = transparent(photo)
     if clear is not None:
         return np.where(clear, np.uint8(0), np.uint8(255))
-    return np.asarray(photo.convert("RGBA").getchannel("A"))
+    whole = photo if photo.mode in ("LA", "RGBA") else photo.convert("RGBA")
+    return np.asarray(whole.getchannel("A"))
 
 
 def _resized(
     pixels: Pixels, size: tuple[int, int], weights: Weights, least: float = LEAST_COUNTED
 ) -> Pixels:
-    """`weighted`, resampled to `size`: only the tiles in which weights differ take time."""
+    """`weighted`, resampled to `size`: only the tiles in which weights differ take time.
+
+    Weights of 8 bits are 255 times as large.
+    """
     result = np.array(Image.fromarray(pixels).resize(size, Image.Resampling.LANCZOS))
     scale = pixels.shape[1] / size[0], pixels.shape[0] / size[1]
     for top, left in itertools.product(range(0, size[1], TILE), range(0, size[0], TILE)):
@@ -120,6 +124,8 @@ def _resized(
         x, y = (max(0, int(a) - n) for a, n in zip(start, reach, strict=True))
         across, down = (math.ceil(b) + n for b, n in zip(end, reach, strict=True))
         given = weights[y:down, x:across]
+        if given.dtype == np.uint8:
+            given = given / np.float32(255)
         if (given.all() and given.min() == 1) or not given.any():
             continue
         box = (start[0] - x, start[1] - y, end[0] - x, end[1] - y)

@@ -17,6 +17,7 @@ from roigs_engine.context import Context
 from roigs_engine.errors import ConfigError, SceneError
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.scene import Camera
+from roigs_engine.photos.files import PhotoFolder
 from tests.engine.synthetic_colmap import assert_same, camera, ring, write_project
 
 
@@ -188,3 +189,23 @@ def test_one_photo_under_many_spellings(tmp_path: Path) -> None:
     scene = load_colmap(tmp_path)
     assert [image.name for image in scene.images] == ["d/a.png"]
     assert scene.skipped["twice in the model"] == ("d/././a.png", "d//a.png", "link/a.png")
+
+
+def test_why_photos_are_missing_is_looked_up_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It compares a name with all files: with 100,000 names, that took minutes."""
+    write_project(tmp_path, names=["a.png", "b.png", "c.png", "d.png"])
+    for name in ("b.png", "c.png", "d.png"):
+        (tmp_path / "images" / name).unlink()
+    asked = []
+
+    def missing(folder: PhotoFolder, name: str) -> tuple[str, str]:
+        asked.append(name)
+        return why(folder, name)
+
+    why = PhotoFolder.missing
+    monkeypatch.setattr(PhotoFolder, "missing", missing)
+    scene = load_colmap(tmp_path)
+    assert scene.skipped == {"missing on disk": ("b.png", "c.png", "d.png")}
+    assert asked == ["b.png"]

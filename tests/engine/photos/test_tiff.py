@@ -336,3 +336,14 @@ def test_exif_data_whose_tags_overlap_are_not_read(tmp_path: Path, suffix: str) 
     with open_photo(path) as photo:
         assert len(photo.getexif()) == 0
     assert np.array_equal(decode(path), COLOUR)
+
+
+def test_floats_of_gigabytes_are_not_supported(tmp_path: Path) -> None:
+    """A strip may be repeated: 17 kB became 2.4 GB, before the file was called damaged."""
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, of_type(COLOUR, "f4"), photometric="rgb", compression="zlib")
+    with tifffile.TiffFile(path, mode="r+") as file:
+        for name in ("ImageWidth", "ImageLength"):
+            file.pages[0].tags[name].overwrite(13_000)
+    with pytest.raises(PhotoError, match="not supported: a TIFF of 13000 x 13000 pixels"):
+        decode(path)
