@@ -25,6 +25,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from typing import Any
 
+    from .app.adapt import adapt as adapt
     from .app.batch import run_batch as run_batch
     from .app.cluster import train_on_cluster as train_on_cluster
     from .app.convert import convert as convert
@@ -60,6 +61,7 @@ if TYPE_CHECKING:
     from .rasterize import RenderOutput as RenderOutput
     from .rasterize.camera_path import load_camera_path as load_camera_path
     from .rasterize.view import render_view as render_view
+    from .requests.models import Adapt as Adapt
     from .requests.models import Compose as Compose
     from .requests.models import Convert as Convert
     from .requests.models import Cut as Cut
@@ -96,6 +98,7 @@ if TYPE_CHECKING:
     from .training.trainer import Trainer as Trainer
 
 _MODULES = {
+    "app.adapt": "adapt",
     "app.batch": "run_batch",
     "app.cluster": "train_on_cluster",
     "app.convert": "convert",
@@ -106,7 +109,7 @@ _MODULES = {
     "app.scenes": "export inspect reconstruct refine_cameras select show_photo",
     "app.train": "plan_training train train_parts",
     "app.upkeep": "check_gpu clean make_levels",
-    "requests.models": "Compose Convert Cut Floaters Masks Render RenderFrames",
+    "requests.models": "Adapt Compose Convert Cut Floaters Masks Render RenderFrames",
     "requests.projects": "Export Inspect Reconstruct RefineCameras Select ShowPhoto",
     "requests.runs": "Batch CheckGpu Clean Evaluate Levels Train TrainAndEvaluate",
     "colmap.project": "load_colmap",

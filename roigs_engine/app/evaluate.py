@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from ..evaluation.views import EvaluatedModel
     from ..model.roi import OrientedBox
 
+SPLIT_HINT = "Use a run's split.json."
+
 
 def evaluate(request: Evaluate, context: Context = QUIET) -> Evaluated:
     """Render the test photos with every model, and compare; EngineError: an input is wrong."""
@@ -151,9 +153,19 @@ def _split_beside(model: Path) -> Path | None:
     return None
 
 
+def held_out(model: Path) -> set[str]:
+    """Names of the photos that the run of a model tests on; none, if it is from none."""
+    split = _split_beside(model.absolute())
+    if split is None:
+        return set()
+    record = read_json(split, ConfigError, SPLIT_HINT)
+    lists = [record.get(name) for name in PHOTOS] if isinstance(record, dict) else []
+    return {name for names in lists if isinstance(names, list) for name in map(str, names)}
+
+
 def _read_split(path: Path) -> tuple[str, list[str]]:
     """Whether a run is evaluated on test or on validation photos, and their names."""
-    hint = "Use a run's split.json."
+    hint = SPLIT_HINT
     record = read_json(path, ConfigError, hint)
     record = record if isinstance(record, dict) else {}
     photos = record.get("evaluate_on", TEST)

@@ -78,6 +78,15 @@ def cameras_of_run(folder: Path, scene: Path | None, context: Context) -> SfmSce
     )
 
 
+def source_of_run(model: Path) -> tuple[Path | None, Path | None, int | None]:
+    """Scene, folder of photos and their longest side, of the run of a model; None: not known."""
+    folder = _run_folder(model)
+    if folder is None:
+        return None, None, None
+    scene = next((place for place in _places(folder) if place.is_dir()), None)
+    return scene, _path(folder, "images"), _longest_side(folder)
+
+
 def cameras_of_result(path: Path, scene: Path | None = None) -> SfmScene | None:
     """The cameras that a file's run was trained with; None: it is no run's, or they are gone.
 

@@ -173,6 +173,15 @@ COMMANDS: dict[str, Command] = {
         help="replace a scene's Gaussians in the boxes by those of object models",
         examples=("scene.ply --rois rois.json --object vase=vase.ply --out all.ply",),
     ),
+    "adapt": Command(
+        request=models.Adapt,
+        does="adapt:adapt",
+        help="make a finished model right in another renderer, by a short training on its photos",
+        examples=(
+            "runs/garden/result.ply --made-for cycles --out garden-cycles.ply",
+            "other.ply --scene garden --max-side 1600 --made-for plain --out plain.ply",
+        ),
+    ),
     "convert": Command(
         request=models.Convert,
         does="convert:convert",

@@ -53,6 +53,7 @@ CAMERA_ITEMS = (
 PAIRS, CAMERAS = (tuple(item[0] for item in items) for items in (PAIR_ITEMS, CAMERA_ITEMS))
 CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 
+MOST_STEPS = 1_000_000  # of a stage by itself
 MAX_SEED = (1 << 32) - 1  # what numpy takes
 MAX_SIDE = 1 << 20  # pixels; a larger camera means a damaged file
 MAX_DOWNSCALE = 1_000_000

@@ -8,7 +8,7 @@ from pathlib import Path
 from ..formats.run_files import BACKGROUND, FINE
 from . import choices
 from .declare import Request, argument, option
-from .groups import MODEL, Boxes, Device, Photos, PhotoSize, Scene, Threads
+from .groups import MODEL, Boxes, Device, PhotoMasks, Photos, PhotoSize, Scene, Threads
 from .values import DIR, FILE, FLAG, NAME, PATH, Choice, Name, Number, PathName, integer
 
 
@@ -56,6 +56,25 @@ class Compose(Boxes):
         required=True,
         repeat=True,
     )
+    out: Path = option(FILE, "PLY to write", required=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Adapt(PhotoSize, PhotoMasks, Device):
+    """A finished model, made for another renderer by a short training on its photos."""
+
+    model: Path = argument(
+        PATH, "PLY to adapt, of a run or of another program, in the frame of the COLMAP project"
+    )
+    scene: Path | None = option(
+        DIR,
+        "COLMAP project that it was trained on (default: that of MODEL's run folder, with the size"
+        " of its photos)",
+    )
+    made_for: str = option(
+        Choice(choices.MADE_FOR), "the renderer to adapt it to, as of `train`", required=True
+    )
+    steps: int = option(integer(1, choices.MOST_STEPS), "training steps (default: {default})", 400)
     out: Path = option(FILE, "PLY to write", required=True)
 
 

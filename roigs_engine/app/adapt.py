@@ -1,0 +1,174 @@
+"""Adaptation of a finished model to another renderer: a short stage that draws as that one does."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from ..context import QUIET, Context
+from ..errors import ConfigError, EngineError, SceneError
+from ..formats.events import StageStarted
+from ..formats.splat_ply import check_ply
+from ..formats.targets import TARGETS, Target
+from ..formats.text import counted
+from ..requests.models import Adapt
+from .evaluate import held_out
+from .inputs import load_scene, on_device
+from .instances import drawable_model
+from .outputs import Result, refuse_inputs, refuse_run_files
+from .run_scene import source_of_run
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from ..model.gaussians import Gaussians
+    from ..model.scene import PosedImage, SfmScene
+    from ..photos.cache import PhotoCache
+    from ..training.config import TrainConfig
+    from ..training.stage_data import StageData
+
+STAGE = "adapt"
+SAMPLE = 1000  # Gaussians of a model that are looked for in the photos
+
+
+def adapt(request: Adapt, context: Context = QUIET) -> Result:
+    """Train a finished model on its photos, drawn as the target draws, and write it.
+
+    Raises:
+        EngineError: an input cannot be used.
+        Stopped: on request; nothing is left behind.
+    """
+    from ..photos.cache import PhotoCache
+
+    refuse_run_files(request.out)
+    if request.out.suffix.lower() != ".ply":
+        raise ConfigError(f"--out {request.out} is not the name of a PLY.", "Write FILE.ply.")
+    refuse_inputs([request.out], [request.model])
+    check_ply(request.model)
+    request = _with_source(request)
+    target = TARGETS[request.made_for]
+    model, frame = drawable_model(request.model, context.warn, context.check_cancelled)
+
+    def check(cameras: SfmScene) -> None:
+        _check_shown(model, frame.scene(cameras).images, request)
+
+    with _undistorted() as cache:
+        scene = load_scene(request, context, cache, check=check)
+        scene = frame.scene(_training_photos(scene, request, context))
+        context = on_device(context, request.device)
+        context.info(f"Adapting {counted(len(model), 'Gaussian')} to {target.title}.")
+        with PhotoCache(scene.images, context.photo_memory) as photos:
+            made = adapted(model, _data(scene, photos, context), target, request.steps, context)
+    made.save_ply(request.out, frame)
+    text = f"{counted(len(made), 'Gaussian')} made for {target.title} in {request.out}"
+    return Result(files={"result": request.out}, text=text)
+
+
+def adapted(
+    model: Gaussians, data: StageData, target: Target, steps: int, context: Context = QUIET
+) -> Gaussians:
+    """The model, on the CPU, after steps on whole photos, row by row; Stopped on request."""
+    from ..cuda.device import CPU
+    from ..training.edits import morton_order
+    from ..training.trainer import Trainer
+
+    context.emit(StageStarted(stage=STAGE, total=steps))
+    trainer = Trainer(model, data, adaptation(model, target, steps), context)
+    if not trainer.run(context, stage=STAGE):
+        context.check_cancelled()
+    in_order = morton_order(model.means).argsort()  # the trainer's rows are in that order
+    return trainer.gaussians.to(CPU).rows(in_order)
+
+
+def adaptation(model: Gaussians, target: Target, steps: int) -> TrainConfig:
+    """The settings of the stage (notebook/blender.md): small rates that fall, no densification."""
+    from ..training.config import TrainConfig
+    from ..training.mechanisms.falling_rates import FallingRates
+
+    degree = round(model.sh.shape[1] ** 0.5) - 1
+    return TrainConfig(
+        steps=steps,
+        sh_degree=degree,
+        sh_start=degree,
+        lr_means=8e-5,
+        lr_means_final=8e-5,
+        lr_sh0=1e-3,
+        lr_shN=1e-3,
+        lr_opacities=0.03,
+        made_for=target.name,
+        mechanisms=(FallingRates(),),
+    )
+
+
+def _with_source(request: Adapt) -> Adapt:
+    """With scene and size of photos of the run that made the model, where none are given."""
+    scene, images, side = source_of_run(request.model)
+    if request.scene is None and scene is None:
+        raise ConfigError(
+            f"The scene of {request.model} is not known.", "Give its folder with --scene."
+        )
+    if request.scene is None:
+        request = replace(request, scene=scene, images=request.images or images)
+    sized = request.max_side is not None or request.downscale is not None
+    return request if sized else replace(request, max_side=side)
+
+
+@contextmanager
+def _undistorted() -> Iterator[Path]:
+    """A folder for undistorted photos, removed in the end; EngineError: there can be none."""
+    try:
+        folder = TemporaryDirectory(prefix="roigs-adapt-", ignore_cleanup_errors=True)
+    except OSError as error:
+        raise EngineError(
+            f"There is no folder for temporary files ({error.strerror}).",
+            "Free some space, or set TMPDIR to another folder.",
+        ) from error
+    with folder as path:
+        yield Path(path)
+
+
+def _training_photos(scene: SfmScene, request: Adapt, context: Context) -> SfmScene:
+    """The scene without the photos that the model's run holds out to test on."""
+    names = {image.name for image in scene.images}
+    tested = sorted(names & held_out(request.model))
+    if not tested:
+        return scene
+    if len(tested) == len(names):
+        raise ConfigError("All photos of the scene are test photos.", "Give the whole scene.")
+    context.info(f"Left out {counted(len(tested), 'photo')} that the run tests on.")
+    return scene.without(tested)
+
+
+def _check_shown(model: Gaussians, images: Sequence[PosedImage], request: Adapt) -> None:
+    """Raise SceneError if no photo shows the model, as far as a sample of it tells."""
+    from ..rasterize.inputs import NEAR
+
+    means = model.means[:: -(-len(model) // SAMPLE) or 1].double().numpy()
+    for image in images:
+        pose, camera = image.world_to_camera, image.camera
+        points = means @ pose[:3, :3].T + pose[:3, 3]
+        pixels = points[points[:, 2] > NEAR] @ camera.matrix().T
+        pixels = pixels[:, :2] / pixels[:, 2:]
+        if ((pixels > 0) & (pixels < (camera.width, camera.height))).all(axis=1).any():
+            return
+    raise SceneError(
+        f"No photo of {request.scene} shows {request.model}.", "Give the scene that it is of."
+    )
+
+
+def _data(scene: SfmScene, photos: PhotoCache, context: Context) -> StageData:
+    import torch
+
+    from ..training.photo_order import shuffled
+    from ..training.stage_data import StageData
+
+    return StageData(
+        images=scene.images,
+        photos=photos,
+        photo_at=shuffled(range(len(scene.images)), 0),
+        extent=scene.extent(),
+        device=torch.device(context.device),
+    )
