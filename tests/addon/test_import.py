@@ -14,7 +14,7 @@ from roigs_engine.errors import EngineError
 from roigs_engine.exchange import formats, libraries
 from roigs_engine.exchange.arrays import turn
 from roigs_engine.formats.splat_ply import read_ply, target_of, write_ply
-from roigs_engine.formats.targets import VIEWERS, target_with
+from roigs_engine.formats.targets import TARGETS, VIEWERS, Target
 from tests.addon.fake_engine import use
 from tests.addon.pictures import load_png, load_rgba
 from tests.addon.scenes import command_line, imported, with_cycles
@@ -106,25 +106,21 @@ def test_out_and_in_again_is_the_same(blender: ModuleType, engine, ply: Path, tm
     np.testing.assert_allclose(points(again), before, atol=1e-5)
 
 
-@pytest.mark.parametrize("antialiased", [False, True])
-def test_out_and_in_again_it_is_as_anti_aliased(
-    blender: ModuleType, engine, tmp_path: Path, antialiased: bool
+@pytest.mark.parametrize("target", TARGETS.values(), ids=lambda target: target.name)
+def test_out_and_in_again_it_is_made_for_the_same(
+    blender: ModuleType, engine, tmp_path: Path, target: Target
 ) -> None:
     from roigs_addon.scene.splat_attributes import cloud_of
 
-    write_ply(
-        tmp_path / "vase.ply",
-        random_arrays(20, seed=3),
-        target=target_with(antialiased=antialiased),
-    )
+    write_ply(tmp_path / "vase.ply", random_arrays(20, seed=3), target)
     item = bring(blender, tmp_path / "vase.ply")
-    assert target_of(item.roigs.ply).antialiased is antialiased
-    assert cloud_of(item.data)[0].antialiased is antialiased
+    assert target_of(item.roigs.ply) == target
+    assert cloud_of(item.data)[0].target == target
     item.rotation_euler = (0.3, 0.2, 0.1)
     item.data.vertices[0].co.x += 0.1  # an edit: exported from a file of its own
     blender.ops.roigs.export_gaussians(filepath=str(tmp_path / "out.ply"))
-    assert target_of(tmp_path / "out.ply").antialiased is antialiased
-    assert cloud_of(bring(blender, tmp_path / "out.ply").data)[0].antialiased is antialiased
+    assert target_of(tmp_path / "out.ply") == target
+    assert cloud_of(bring(blender, tmp_path / "out.ply").data)[0].target == target
 
 
 def test_the_panel_warns_of_formats_that_cannot_say_it(

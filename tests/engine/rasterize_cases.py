@@ -89,6 +89,7 @@ CASES: dict[str, dict[str, Any]] = {
     "depth": {"with_depth": True},
     "pixel size": {"pixel_size": 2.0},
     "anti-aliased": {"antialiased": True},
+    "linear light": {"linear_light": True, "background": BACKGROUND},
 }
 """Options of `rasterize`, by name, for pictures of `SIZE`."""
 

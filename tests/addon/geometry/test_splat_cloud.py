@@ -11,7 +11,7 @@ import pytest
 from roigs_addon.geometry.splat_cloud import read_splats, write_splats
 from roigs_engine.formats.drawable import usable
 from roigs_engine.formats.splat_ply import read_ply, target_of, write_ply
-from roigs_engine.formats.targets import target_with
+from roigs_engine.formats.targets import TARGETS, Target
 from tests.addon.splat_cases import random_arrays, random_ply
 
 
@@ -34,15 +34,15 @@ def test_reads_what_the_engine_writes(tmp_path: Path, coefficients: int) -> None
         assert getattr(cloud, name).dtype == np.float32
 
 
-@pytest.mark.parametrize("antialiased", [False, True])
-def test_a_file_says_whether_it_is_anti_aliased(tmp_path: Path, antialiased: bool) -> None:
+@pytest.mark.parametrize("target", TARGETS.values(), ids=lambda target: target.name)
+def test_a_file_says_what_it_is_made_for(tmp_path: Path, target: Target) -> None:
     arrays = random_arrays(9, seed=3)
     arrays["quats"][4] = 0  # skipped
-    write_ply(tmp_path / "a.ply", arrays, target=target_with(antialiased=antialiased))
+    write_ply(tmp_path / "a.ply", arrays, target)
     cloud = read_splats(tmp_path / "a.ply")
-    assert len(cloud) == 8 and cloud.antialiased is antialiased
+    assert len(cloud) == 8 and cloud.target == target
     write_splats(tmp_path / "b.ply", cloud)
-    assert target_of(tmp_path / "b.ply").antialiased is antialiased
+    assert target_of(tmp_path / "b.ply") == target
 
 
 def rewritten(path: Path, types: dict[str, str], drop: tuple[str, ...] = ()) -> Path:

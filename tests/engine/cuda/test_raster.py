@@ -61,6 +61,7 @@ CASES: dict[str, dict[str, Any]] = {
     "mask": {"mask": ring(), "background": BACKGROUND, **OUTPUTS},
     "limits": {"limits": Limits(max_slope=0.6, min_sigmas=2.0)},
     "pixel size": {"pixel_size": 2.0, **OUTPUTS},
+    "linear light": {"linear_light": True, "background": BACKGROUND, **OUTPUTS},
     "raw, pixel size": {"pixel_size": 2.0, "raw": True},
 }
 

@@ -12,7 +12,8 @@ import torch
 
 from roigs_engine.context import Context
 from roigs_engine.errors import ConfigError
-from roigs_engine.formats.targets import target_with
+from roigs_engine.formats.targets import PLAIN as PLAIN_3DGS
+from roigs_engine.formats.targets import TARGETS, VIEWERS, Target
 from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.photos.cache import PhotoCache
@@ -274,22 +275,21 @@ def test_stopped_among_the_floaters_it_goes_on_to_the_same_end(scene: SfmScene) 
     assert same_bits(resumed.gaussians, whole.gaussians)
 
 
-@pytest.mark.parametrize("antialiased", [False, True])
-def test_the_stage_decides_on_antialiasing(
-    scene: SfmScene, monkeypatch: pytest.MonkeyPatch, antialiased: bool
+@pytest.mark.parametrize("target", TARGETS.values(), ids=lambda target: target.name)
+def test_the_stage_decides_as_what_it_draws(
+    scene: SfmScene, monkeypatch: pytest.MonkeyPatch, target: Target
 ) -> None:
     """In every step, through densification, averaging and a resumption."""
     drawn = set()
 
     def noted(*args: Any, **options: Any) -> RenderOutput:
-        drawn.add(options.get("antialiased"))
+        limits = options["limits"]
+        drawn.add((options["antialiased"], options["linear_light"], limits.min_transmittance))
         return rasterize(*args, **options)
 
     monkeypatch.setattr("roigs_engine.training.trainer.rasterize", noted)
-    config = replace(
-        SHORT.using(ModelAveraging(steps=10)), made_for=target_with(antialiased=antialiased).name
-    )
-    start = replace(first_model(scene), target=target_with(antialiased=not antialiased))
+    config = replace(SHORT.using(ModelAveraging(steps=10)), made_for=target.name)
+    start = replace(first_model(scene), target=VIEWERS if target == PLAIN_3DGS else PLAIN_3DGS)
     trainer = Trainer(start, stage_data(scene), config)
     resumed = Trainer(start, stage_data(scene), config)
     trainer.train_step()
@@ -297,5 +297,6 @@ def test_the_stage_decides_on_antialiasing(
     for each in (trainer, resumed):
         assert each.run()
         assert len(each.gaussians) != len(start)
-        assert each.gaussians.antialiased is antialiased
-    assert drawn == {antialiased}
+        assert each.gaussians.target == target
+    least = 1e-3 / (12.92 if target.linear_light else 1)
+    assert drawn == {(target.antialiased, target.linear_light, least)}
