@@ -9,7 +9,7 @@ import numpy as np
 
 from ..properties import scene_props
 from ..scene import exclusions
-from ..shared import projects, text
+from ..shared import files, projects, text
 
 _found: dict[str, list[str]] = {}
 
@@ -27,7 +27,7 @@ def _weak(folder: Path) -> list[str]:
     """Those of an exported model; none if it is not there, or knows nothing of observations."""
     try:
         starts = np.load(folder / "observed_starts.npy")
-        images = text.parse_json((folder / "scene.json").read_bytes())["images"]
+        images = text.parse_json(files.read_bytes(folder / "scene.json"))["images"]
         points = np.diff(starts).tolist()
         counts = {str(i["name"]): int(n) for i, n in zip(images, points, strict=True)}
     except (OSError, ValueError, KeyError, TypeError):

@@ -10,7 +10,7 @@ import bpy
 from ..errors import AddonError
 from ..geometry.photo import Photo
 from ..properties import object_props, scene_props
-from ..shared import text
+from ..shared import files, text
 from . import lookup, rois
 
 CHOSEN_COLOUR = (0.1, 0.8, 0.3, 1.0)
@@ -27,7 +27,7 @@ def take_selection(roi: bpy.types.Object, scene: bpy.types.Scene, path: Path) ->
         AddonError: the engine's file cannot be read.
     """
     try:
-        record = text.parse_json(path.read_bytes())
+        record = text.parse_json(files.read_bytes(path))
         names = [str(name) for name in record["names"]]
         scores = [float(score) for score in record.get("scores") or [0.0] * len(names)]
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -30,6 +30,7 @@ NO_KEYS = {"run_dir", "update", "dry_run", "part", "threads", "cluster"}
 OF_OUTPUTS = {"up", "from_up", "sh_degree"}  # options of `convert`
 NO_RESULT = {"device", "image_cache", "preview_seconds"}  # these options change no result
 HEADER, KEY = re.compile(r"\s*\[+([^\]]*)\]"), re.compile(r"\s*(\"[^\"]*\"|'[^']*'|[\w-]+)\s*=")
+MOST_TABLE = 4 << 20  # bytes, of some 20,000 scenes; TOML is read in 2 s a million
 BETWEEN_KEYS, MOST_PARTS = re.compile(r"[^\w\s.\"'-]"), 200
 
 
@@ -220,7 +221,7 @@ class Table:
 
 def _read(path: Path) -> tuple[str, dict[str, Any]]:
     try:
-        text = decode_text(read_bytes(path))
+        text = decode_text(read_bytes(path, MOST_TABLE))
         runs = (run for line in text.splitlines() for run in BETWEEN_KEYS.split(line))
         if any(run.count(".") > MOST_PARTS for run in runs):  # tomllib's memory is quadratic
             raise ValueError("a key has too many parts")

@@ -5,6 +5,7 @@ A missing library, a damaged file and a full folder for temporary files become o
 
 from __future__ import annotations
 
+import os
 import re
 import tempfile
 from collections.abc import Iterator
@@ -64,8 +65,7 @@ def reading(path: Path, title: str) -> Iterator[None]:
     """
     try:
         # Libraries would wait for a pipe, and have their own errors for a missing file.
-        with open(path, "rb", opener=regular):
-            pass
+        refuse_holes(path)
         with np.errstate(all="ignore"):  # what is not finite is left out later
             yield
     except (EngineError, MemoryError):
@@ -104,6 +104,18 @@ def refuse_bomb(size: int, unpacked: int) -> None:
         raise ValueError(f"it would unpack to {in_gb(unpacked)}")
 
 
+def refuse_holes(path: Path) -> None:
+    """Raise ValueError for a file far larger than the disk has of it: one of holes, all zeros.
+
+    OSError: it cannot be read, or is not a regular file.
+    """
+    with open(path, "rb", opener=regular) as file:
+        state = os.fstat(file.fileno())
+        on_disk = 512 * getattr(state, "st_blocks", 0)
+        if on_disk or not any(file.read(4096)):  # some file systems say 0 of every file
+            refuse_bomb(on_disk, state.st_size)
+
+
 def read_beside(path: Path, name: object) -> bytes:
     """The content of a file that another names, in its folder or below.
 
@@ -116,7 +128,8 @@ def read_beside(path: Path, name: object) -> bytes:
             "Keep all files of the model in one folder.",
         )
     try:
-        return read_bytes(path.parent / inner)
+        refuse_holes(path.parent / inner)
+        return read_bytes(path.parent / inner, most=None)
     except OSError as error:
         raise RunFolderError(
             f"{path} needs {inner}, which cannot be read ({error.strerror or error}).",

@@ -154,14 +154,18 @@ def unlinked(path: str, flags: int) -> int:
     return regular(path, flags | getattr(os, "O_NOFOLLOW", 0))
 
 
-LARGEST = 128 << 20
-"""Bytes of a file of text that is read whole; ours have a few million at most."""
+LARGEST = 32 << 20
+"""Bytes of a file of text that is read whole; ours have a few million at most. As nested lists,
+so many become 0.8 GB and take 20 s."""
 
 
-def read_bytes(path: Path) -> bytes:
-    """The content of a file; OSError if it cannot be read, is large, or is not a regular file."""
+def read_bytes(path: Path, most: int | None = LARGEST) -> bytes:
+    """The content of a file; `most`: bytes that it may have (None: any number).
+
+    OSError: it cannot be read, is larger, or is not a regular file.
+    """
     with open(path, "rb", opener=regular) as file:
-        if os.fstat(file.fileno()).st_size > LARGEST:
+        if most is not None and os.fstat(file.fileno()).st_size > most:
             raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
         return file.read()
 

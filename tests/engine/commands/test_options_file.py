@@ -187,7 +187,7 @@ def test_a_text_of_a_million_letters_is_not_repeated(
 ) -> None:
     """The line had a megabyte; beside JSON, Blender would have dropped it."""
     long = "x" * 1_000_000
-    values = {"roi": [BOX], key: [long] if key in ("group", "only") else long}
+    values = {"roi": [BOX], "device": "cpu", key: [long] if key in ("group", "only") else long}
     file = options_file(tmp_path, scene=str(project.folder), **values)
     said = refused(capsys, "train", file, "--run-dir", tmp_path / "run", "--dry-run")
     assert len(said) < 1600

@@ -233,3 +233,15 @@ def test_a_list_with_a_name_that_is_none(name: object, tmp_path: Path) -> None:
     matrix = np.eye(4).tolist()
     (tmp_path / "a.json").write_text(json.dumps({"models": [{"ply": name, "matrix": matrix}]}))
     assert main(["convert", str(tmp_path / "a.json"), str(tmp_path / "out.ply")]) == 2
+
+
+@pytest.mark.skipif(os.name != "posix", reason="files have holes there")
+@pytest.mark.parametrize("suffix", [".spz", ".splat", ".glb", ".gltf", ".sog", ".usda"])
+def test_a_file_of_holes_is_not_read(suffix: str, tmp_path: Path) -> None:
+    """It takes no disk, and took all of the memory."""
+    path = tmp_path / f"a{suffix}"
+    for head in (b"", b"x" * 5000):
+        path.write_bytes(head)
+        os.truncate(path, 6 << 30)
+        with pytest.raises(EngineError, match=r"unpack to 6\.4 GB"):
+            formats.read(path)

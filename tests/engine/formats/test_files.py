@@ -14,10 +14,12 @@ import pytest
 from roigs_engine.errors import RunFolderError
 from roigs_engine.formats.files import (
     ABANDONED,
+    LARGEST,
     atomic_write,
     cannot_write,
     own_file,
     own_folder,
+    read_bytes,
     read_json,
     remove_leftovers,
     write_json,
@@ -204,6 +206,11 @@ def test_text_of_gigabytes_is_not_read(tmp_path: Path) -> None:
         file.truncate(1 << 40)
     with pytest.raises(RunFolderError, match=r"a\.json \(File too large\)"):
         read_json(path)
+    with path.open("wb") as file:
+        file.truncate(LARGEST + 1)
+    with pytest.raises(OSError, match="File too large"):
+        read_bytes(path)
+    assert len(read_bytes(path, most=None)) == LARGEST + 1  # the pictures and buffers of a model
 
 
 OUTSIDE = (
