@@ -79,10 +79,18 @@ def cameras_of_run(folder: Path, scene: Path | None, context: Context) -> SfmSce
 
 
 def source_of_run(model: Path) -> tuple[Path | None, Path | None, int | None]:
-    """Scene, folder of photos and their longest side, of the run of a model; None: not known."""
+    """Scene, folder of photos and their longest side, of the run of a result; None: not known.
+
+    ConfigError: the model is only a part of a result.
+    """
     folder = _run_folder(model)
     if folder is None:
         return None, None, None
+    if model.name != RESULT:
+        raise ConfigError(
+            f"{model} is a part of a result, and photos show all of it.",
+            f"Give {folder / RESULT}.",
+        )
     scene = next((place for place in _places(folder) if place.is_dir()), None)
     return scene, _path(folder, "images"), _longest_side(folder)
 

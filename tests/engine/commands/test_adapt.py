@@ -81,6 +81,10 @@ def test_a_result_knows_its_scene_and_its_test_photos(
     line = ["adapt", str(run / "result.ply"), "--made-for", "plain", "--steps", "1"]
     assert main([*line, "--out", str(out)]) == 0
     assert "Left out 1 photo that the run tests on." in capsys.readouterr().err
+    (run / "rois").mkdir()
+    line[1] = str((run / "result.ply").rename(run / "rois/vase.ply"))
+    error = refused(capsys, *line, "--out", str(out))
+    assert "is a part of a result" in error and str(run / "result.ply") in error
 
 
 def test_refusals(

@@ -16,7 +16,7 @@ from roigs_engine.context import Context
 from roigs_engine.errors import Stopped
 from roigs_engine.exchange.formats import target_of
 from roigs_engine.formats.splat_ply import read_ply
-from roigs_engine.formats.targets import VIEWERS
+from roigs_engine.formats.targets import EEVEE, VIEWERS
 from roigs_engine.model.gaussians import Gaussians
 from tests.engine.clouds import TURN, affine, cloud
 from tests.engine.commands.command_line import refused, start
@@ -284,6 +284,21 @@ def test_formats_without_antialiasing_are_warned_of_once(
         assert main(["convert", str(source), str(tmp_path / f"out{suffix}")]) == 0
         said = capsys.readouterr()
         assert (said.out + said.err).count("programs will show fine ones too thick") == times
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".compressed.ply", ".spz", ".splat", ".html"])
+def test_only_plys_keep_linear_light(
+    suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if suffix in (".compressed.ply", ".spz", ".html"):
+        pytest.importorskip("gsply")
+    out, source = tmp_path / f"out{suffix}", tmp_path / "a.ply"
+    replace(cloud(), target=EEVEE).save_ply(source)
+    assert main(["convert", str(source), str(out)]) == 0
+    kept = suffix.endswith(".ply")
+    warned = "made for Blender 5.3, EEVEE: other programs will show them too dark"
+    assert (warned in capsys.readouterr().err) != kept
+    assert not kept or target_of(out) == EEVEE
 
 
 def test_formats_with_antialiasing_are_not_warned_of(
