@@ -408,7 +408,8 @@ def _straight(page: Any, kind: type[np.unsignedinteger[Any]], factor: int) -> ND
     for part, made in zip(parts_of(values), parts_of(result), strict=True):
         if part.dtype.kind == "f":
             part = np.nan_to_num(part, nan=0, posinf=1, neginf=0)
-        scaled = np.clip(part.astype(np.float32) / white, 0, 1) * np.float32(255)
+        with np.errstate(over="ignore"):  # a float64 beyond float32 is white
+            scaled = np.clip(part.astype(np.float32) / white, 0, 1) * np.float32(255)
         if int(page.photometric) == MINISWHITE:
             scaled[..., 0] = 255 - scaled[..., 0]
         if _alpha(page) == ASSOCIATED:

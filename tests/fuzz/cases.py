@@ -113,6 +113,7 @@ def all_families() -> dict[str, tuple[Family, int]]:
         levels_and_scribbles,
         masks,
         names,
+        pictures,
         run_folders,
         scenes,
         stores,
@@ -123,6 +124,7 @@ def all_families() -> dict[str, tuple[Family, int]]:
 
     files = (
         scenes,
+        pictures,
         command_files,
         run_folders,
         user_input,

@@ -224,6 +224,49 @@ def glb(dice: random.Random, folder: Path) -> Case:
     return converted(dice, folder, ".glb", glb_of(record, blob))
 
 
+def beside(dice: random.Random, folder: Path) -> Case:
+    """glTF with its numbers in other files, and SOG as a folder: other names, damaged files."""
+    odd = (
+        "",
+        ".",
+        "..",
+        "../a.bin",
+        "/etc/passwd",
+        "C:\\a.bin",
+        "a\0b",
+        "\ud800",
+        "data:,",
+        "b.bin",
+    )
+    if dice.random() < 0.5:
+        files = unzipped(good(".sog", dice.choice((1, 4, 16))))
+        meta = json.loads(files["meta.json"])
+        lists = [
+            part["files"] for part in meta.values() if isinstance(part, dict) and "files" in part
+        ]
+        if dice.random() < 0.4:
+            names = dice.choice(lists)
+            names[dice.randrange(len(names))] = dice.choice((*odd, 1, None, [], "meta.json"))
+        elif dice.random() < 0.4:
+            meta = tree_damaged(dice, meta, most=2)
+        files["meta.json"] = json.dumps(meta).encode()
+        source = folder / "in" / "meta.json"
+    else:
+        record, blob = glb_parts(dice.choice((foreign_glb(), good(".glb", 4))))
+        record["buffers"][0]["uri"] = "a.bin" if dice.random() < 0.5 else dice.choice(odd)
+        record = record if dice.random() < 0.6 else tree_damaged(dice, record, most=2)
+        files = {"a.gltf": json.dumps(record).encode(), "a.bin": blob}
+        source = folder / "in" / "a.gltf"
+    name = dice.choice(list(files))
+    if dice.random() < 0.4:
+        files[name] = bytes_damaged(dice, files[name])
+    elif dice.random() < 0.1:
+        del files[name]
+    for each, data in files.items():
+        write(folder / "in" / each, data)
+    return Case(["convert", str(source), str(folder / "out" / f"b{dice.choice(OUT)}")])
+
+
 def usd(dice: random.Random, folder: Path) -> Case:
     """OpenUSD as text, binary and packed."""
     suffix = dice.choice((".usda", ".usdc", ".usdc", ".usdz"))
@@ -386,6 +429,7 @@ FAMILIES: dict[str, tuple[Callable[[random.Random, Path], Case], int]] = (
         "convert_ply": (compressed_ply, 250),
         "convert_sog": (sog, 250),
         "convert_glb": (glb, 300),
+        "convert_beside": (beside, 200),
         "convert_usd": (usd, 150),
         "convert_names": (misnamed, 100),
         "convert_out": (outputs, 250),

@@ -347,3 +347,10 @@ def test_floats_of_gigabytes_are_not_supported(tmp_path: Path) -> None:
             file.pages[0].tags[name].overwrite(13_000)
     with pytest.raises(PhotoError, match="not supported: a TIFF of 13000 x 13000 pixels"):
         decode(path)
+
+
+@pytest.mark.filterwarnings("error")
+def test_floats_out_of_any_range_are_black_or_white(tmp_path: Path) -> None:
+    values = np.tile([1e300, -1e300, np.nan, np.inf], (24, 8))
+    tifffile.imwrite(tmp_path / "a.tif", values, photometric="minisblack")
+    assert decode(tmp_path / "a.tif")[0, :4, 0].tolist() == [255, 0, 0, 255]
