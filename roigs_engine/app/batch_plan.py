@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ..run.plan import Plan, Stage
 
 OUTPUT_MEMORY = 4 * ENGINE
+MOST_SHOWN = 100  # mistakes of a table
 TEST_WORK = 10.0  # steps that rendering and comparing a test photo is worth
 PHOTOS_WORK = 1000.0  # of photos without a model: not known, and long
 
@@ -84,7 +85,7 @@ def plan_row(row: Row, record: BatchRecord, context: Context) -> Planned:
 def checked_plans(
     table: Table, rows: Sequence[Row], record: BatchRecord, context: Context
 ) -> tuple[str, list[ScenePlan]]:
-    """The device of the rows, and their plans; ConfigError after a warning for each mistake."""
+    """The device of the rows, and their plans; ConfigError after warnings of the mistakes."""
     device, scenes, wrong = "cpu", [], list(table.wrong)
     for row in rows:
         context.check_cancelled()
@@ -95,7 +96,7 @@ def checked_plans(
             continue
         scenes.append(found.scene)
         device = found.context.device
-    for line in sorted(wrong, key=lambda found: found.line):
+    for line in sorted(wrong, key=lambda found: found.line)[:MOST_SHOWN]:
         context.warn(f"{table.path}, line {line.line}: {line.text}")
     if wrong:
         raise ConfigError(

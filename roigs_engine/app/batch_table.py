@@ -95,7 +95,7 @@ class Table:
         self._options = {name: found for name, found in run.items() if name not in NO_KEYS}
         self._options |= {name: convert[name] for name in OF_OUTPUTS}
         text, record = _read(path)
-        self._lines = dict(_lines(text))
+        self._lines = _first_lines(text)
         self._check_head(record)
         defaults = self._values(record.get(DEFAULTS, {}), (DEFAULTS,))
         for name, values in record[SCENES].items():
@@ -212,9 +212,8 @@ class Table:
     def _line(self, place: tuple[str, ...]) -> int:
         """The line of a key, or of what it is in; 1 if it is written in another way."""
         while place:
-            lines = [n for key, n in self._lines.items() if key[: len(place)] == place]
-            if lines:
-                return min(lines)
+            if place in self._lines:
+                return self._lines[place]
             place = place[:-1]
         return 1
 
@@ -232,6 +231,15 @@ def _read(path: Path) -> tuple[str, dict[str, Any]]:
         raise ConfigError(
             f"{path} is not TOML ({error}).", "docs/many.md shows what a table looks like."
         ) from error
+
+
+def _first_lines(text: str) -> dict[tuple[str, ...], int]:
+    """The first line of each key, and of what it is in."""
+    found: dict[tuple[str, ...], int] = {}
+    for key, number in _lines(text):
+        for length in range(1, len(key) + 1):
+            found.setdefault(key[:length], number)
+    return found
 
 
 def _lines(text: str) -> Iterator[tuple[tuple[str, ...], int]]:

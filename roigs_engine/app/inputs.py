@@ -12,7 +12,7 @@ from ..formats import run_files
 from ..formats.files import write_text
 from ..formats.names import first_taken
 from ..formats.projects import is_video, model_folders, project_folder
-from ..formats.rois import rois_document
+from ..formats.rois import refuse_many, rois_document
 from ..formats.text import counted
 from ..machine import return_large_blocks
 from ..model.roi import AUTOMATIC_NAME, OrientedBox, automatic_box, load_rois, parse_roi
@@ -144,7 +144,7 @@ def boxes_of(request: Boxes, *, required: bool = True) -> list[OrientedBox]:
     """The boxes of a request.
 
     Raises:
-        RoiError: there is no box, two share a name, or `only` names an unknown one.
+        RoiError: there is no box, or too many, two share a name, or `only` names an unknown one.
         ConfigError: the request leaves the box to the scene.
     """
     if AUTO in request.roi:
@@ -153,6 +153,7 @@ def boxes_of(request: Boxes, *, required: bool = True) -> list[OrientedBox]:
             "Give --rois the rois.json that these write.",
         )
     rois = load_rois(request.rois) if request.rois else []
+    refuse_many(len(rois) + len(request.roi))
     rois += [parse_roi(text) for text in request.roi]
     taken = first_taken(roi.name for roi in rois)
     if taken is not None:

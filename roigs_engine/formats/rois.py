@@ -23,6 +23,7 @@ NAME_HINT = (
 )
 FORM_HINT = "Give 'min' and 'max' with 3 numbers each, or 'world_to_box' and 'half_extents'."
 FILE_HINT = 'Give --rois a JSON file with a list "rois" of {"name", "min", "max"}.'
+MOST_BOXES = 500  # of a file, or a run: each is looked for in each photo
 FAR = 1e15  # world units; larger coordinates come from damaged files and overflow in float32
 
 
@@ -111,16 +112,25 @@ def roi_record(record: Any) -> RoiRecord:
     return RoiRecord(name=name, world_to_box=transform, half_extents=half_extents)
 
 
+def refuse_many(count: int) -> None:
+    """Raise RoiError for more than `MOST_BOXES` boxes."""
+    if count > MOST_BOXES:
+        raise RoiError(
+            f"There are {count:,} boxes; at most {MOST_BOXES} are used.", "Remove some of them."
+        )
+
+
 def read_rois(path: Path) -> list[RoiRecord]:
     """All boxes of a `rois.json`: `{"rois": [...]}` or a bare list.
 
-    RoiError: the file is unreadable, holds no box, or two boxes share a name.
+    RoiError: the file is unreadable, holds no box or too many, or two boxes share a name.
     """
     document = read_json(path, RoiError, FILE_HINT)
     records = document.get("rois") if isinstance(document, dict) else document
     if not isinstance(records, list) or not records:
         raise RoiError(f"{path} holds no box.", FILE_HINT)
     try:
+        refuse_many(len(records))
         rois = [roi_record(record) for record in records]
     except RoiError as error:
         raise RoiError(f"{path}: {error.message}", error.hint) from error

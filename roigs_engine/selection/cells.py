@@ -249,6 +249,8 @@ def groups_by_photos(seen: Mapping[str, Set[str]]) -> Groups:
     boxes, group = list(seen), {name: name for name in seen}
     for index, one in enumerate(boxes):
         for other in boxes[:index]:
+            if group[one] == group[other]:
+                continue
             fewer = min(len(seen[one]), len(seen[other]))
             if len(seen[one] & seen[other]) >= SHARED * max(fewer, 1):
                 old, new = group[one], group[other]

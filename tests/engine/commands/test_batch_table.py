@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import time
 from pathlib import Path
 
 import pytest
@@ -237,3 +238,17 @@ def test_a_record_says_no_outputs_elsewhere(tmp_path: Path) -> None:
     outputs = {place: [[], [1, 2]] for place in places}
     write_json(tmp_path / "batch.json", {"version": 2, "scenes": {"hall": {"outputs": outputs}}})
     assert BatchRecord(tmp_path).left_over("hall", ()) == ["b.ply"]
+
+
+def test_tens_of_thousands_of_mistakes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each was sought in all lines, and all were said."""
+    table = tmp_path / "t.toml"
+    keys = "".join(f"k{k} = 1\n" for k in range(20_000))
+    table.write_text(f"[scenes.a]\nscene = 'a'\n{keys}", encoding="utf-8")
+    began = time.process_time()
+    assert main(["batch", str(table), "--run-dir", str(tmp_path / "run"), "--dry-run"]) == 2
+    assert time.process_time() - began < 20
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 101
+    assert "line 102: 'k99' is no key" in said
+    assert "has 20,00" in said

@@ -201,3 +201,17 @@ def test_a_shortened_text_keeps_its_ends() -> None:
     assert found[:600] == "a" * 600
     assert found[-300:] == "b" * 300
     assert " … " in found
+
+
+def test_thousands_of_boxes_are_refused(
+    project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A plan took minutes, without a line."""
+    boxes = [f"a{k}=0,0,0,1,1,1" for k in range(3000)]
+    file = options_file(tmp_path, scene=str(project.folder), roi=boxes, device="cpu")
+    said = refused(capsys, "train", file, "--run-dir", tmp_path / "run", "--dry-run")
+    assert "There are 3,000 boxes; at most 500 are used." in said
+    rois = tmp_path / "rois.json"
+    box = {"min": [0, 0, 0], "max": [1, 1, 1]}
+    rois.write_text(json.dumps([{"name": f"a{k}", **box} for k in range(501)]), encoding="utf-8")
+    assert "There are 501 boxes" in refused(capsys, "inspect", project.folder, "--rois", rois)
