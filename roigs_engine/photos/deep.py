@@ -59,7 +59,7 @@ def _halves(photo: Image.Image, high: str, low: str, *, alpha: bool) -> Deep:
 
     In parts: a large photo has twice the bytes of Pillow's picture.
     """
-    values = np.empty(0, np.uint16)
+    values: Deep = np.empty(0, np.uint16)
     for shift, packed in ((8, high), (0, low)):
         with open_photo(Path(getattr(photo, "filename", ""))) as again:  # not turned by its tag
             _read_as(again, packed)

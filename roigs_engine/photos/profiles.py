@@ -220,13 +220,13 @@ def _curve(tag: bytes) -> Values:
         return np.interp(values, np.linspace(0, 1, count), table / 65535)
     kind = struct.unpack_from(">H", tag, 8)[0]
     numbers = np.frombuffer(tag, ">i4", (1, 3, 4, 5, 7)[kind], 12) / 65536
-    g, a, b, c, d, e, f = (*numbers, *np.zeros(7 - len(numbers)))
+    g, a, b, c, d, e, f = [*map(float, numbers), *[0.0] * (7 - len(numbers))]
     if kind == 0:
         return np.asarray(values**g)
     if kind < 3:  # c is added to both parts
         d, e, f, c = -b / a, c, c, 0.0
     power = np.maximum(a * values + b, 0) ** g + e
-    return np.clip(np.where(values >= d, power, c * values + f), 0, 1)
+    return np.asarray(np.where(values >= d, power, c * values + f).clip(0, 1))
 
 
 def _to_d50(primaries: Primaries) -> Values:
