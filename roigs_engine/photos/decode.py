@@ -125,7 +125,7 @@ def _resized(
         across, down = (math.ceil(b) + n for b, n in zip(end, reach, strict=True))
         given = weights[y:down, x:across]
         if given.dtype == np.uint8:
-            given = given.astype(np.float32) / 255
+            given = np.divide(given, 255, dtype=np.float32)
         if (given.all() and given.min() == 1) or not given.any():
             continue
         box = (start[0] - x, start[1] - y, end[0] - x, end[1] - y)
