@@ -16,7 +16,7 @@ from roigs_engine.formats import run_files
 from roigs_engine.formats.splat_ply import read_ply
 from tests.engine.batch.clusters import engines
 from tests.engine.batches import contents, table_of
-from tests.engine.commands.command_line import refused, start
+from tests.engine.commands.command_line import python, refused, start
 from tests.engine.commands.forked_engines import forked_engines
 from tests.engine.runs import stage_of
 from tests.engine.synthetic_colmap import write_project
@@ -199,3 +199,14 @@ def test_a_changed_box_redoes_what_depends_on_it(
     said = capsys.readouterr().err
     assert "outputs/hall/lamp.compressed.ply is of an earlier result" in said
     assert "lamp.ply is" not in said
+
+
+@pytest.mark.slow
+def test_warnings_as_errors_do_not_end_a_batch(
+    scans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONWARNINGS", "error")
+    line = ["batch", str(table_of(tmp_path, scans)), "--run-dir", str(tmp_path / "run")]
+    done = python(*line, cold=True)
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr and "Warning:" not in done.stderr

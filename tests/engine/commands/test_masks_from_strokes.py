@@ -11,7 +11,7 @@ from PIL import Image
 
 from roigs_engine.cli import main
 from roigs_engine.model.gaussians import Gaussians
-from tests.engine.commands.command_line import BOX, refused
+from tests.engine.commands.command_line import BOX, python, refused
 from tests.engine.synthetic_colmap import camera, write_project
 
 pytest.importorskip("cv2")
@@ -112,3 +112,19 @@ def test_what_cannot_be_done_is_one_line(
     out.write_text("no folder")
     line = refused(capsys, *words(scene, out, "--model", str(tmp_path / "model.ply")))
     assert f"Cannot write {out} (Not a folder)" in line
+
+
+@pytest.mark.slow
+def test_warnings_as_errors_end_neither_masks_nor_cut(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONWARNINGS", "error")
+    model = ["--model", str(tmp_path / "model.ply")]
+    cut = ["cut", str(scene), "--roi", BOX, "--device", "cpu", "--out", str(tmp_path / "cut")]
+    for line in (
+        words(scene, tmp_path / "masks", *model),
+        [*cut, "--masks", str(tmp_path / "masks"), *model],
+    ):
+        done = python(*line, cold=True)
+        assert done.returncode == 0, done.stderr
+        assert "Traceback" not in done.stderr and "Warning:" not in done.stderr
