@@ -39,7 +39,7 @@ def words(command: str, action: argparse.Action | None, value: str) -> list[str]
     for other in parser._actions:
         needed = other in parser.needed and other.dest != action.dest
         if needed and other.option_strings:
-            line += [other.option_strings[0], "x=y"]
+            line += [other.option_strings[0], next(iter(other.choices or ()), "x=y")]
         elif not other.option_strings and other.dest == action.dest:
             line.append(value)
         elif needed:
