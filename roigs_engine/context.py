@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 from .errors import Stopped, shortened
 from .formats.events import Event, Message, Progress
 
 Emit = Callable[[Event], None]
+Value = TypeVar("Value")
+POLL_SECONDS = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +41,31 @@ class Context:
         """Raise `Stopped` if a stop was requested. Long work calls this regularly."""
         if self.should_stop():
             raise Stopped
+
+    def interruptible(self, work: Callable[[], Value]) -> Value:
+        """What `work` returns, which cannot look for stop requests itself, as that of a library.
+
+        Raises what it raises, and `Stopped` on request: the work is left to itself then, in a
+        thread, so it must not write.
+        """
+        result: list[Value] = []
+        failed: list[BaseException] = []
+
+        def run() -> None:
+            try:
+                result.append(work())
+            except BaseException as error:
+                failed.append(error)
+
+        thread = threading.Thread(target=run, daemon=True)
+        thread.start()
+        while thread.is_alive():
+            thread.join(POLL_SECONDS)
+            self.check_cancelled()
+        self.check_cancelled()
+        if failed:
+            raise failed[0]
+        return result[0]
 
     def info(self, text: str) -> None:
         """Emit a message for the user, which is shortened as an error's hint is."""

@@ -86,7 +86,7 @@ def convert(request: Convert, context: Context = QUIET) -> Result:
 def _single(request: Convert, form: FileFormat, context: Context, *, plain: bool) -> _Model:
     from ..exchange import formats
 
-    upright, poses = _upright(request, request.source), None
+    upright, poses = _upright(request, request.source, context), None
     home = _home(request, request.source, upright)
     matrix = turn(SCENE_UP, request.up or form.up) @ upright
     if form.suffix == PAGE:
@@ -186,7 +186,7 @@ def _home(request: Convert, path: Path, upright: Float64) -> Float64:
     return turn(SCENE_UP, up) @ upright
 
 
-def _upright(request: Convert, path: Path) -> Float64:
+def _upright(request: Convert, path: Path, context: Context) -> Float64:
     """(4, 4) from a file's frame to one in which -y points up.
 
     By --from-up, else by what the file says, else as its format has it. A file that says that its
@@ -194,7 +194,7 @@ def _upright(request: Convert, path: Path) -> Float64:
     """
     from ..exchange import formats
 
-    said = formats.frame(path)
+    said = context.interruptible(lambda: formats.frame(path))
     if request.from_up is None:
         matrix: Float64 = turn(formats.format_of(path).up, SCENE_UP) @ said
     else:
@@ -259,14 +259,20 @@ def _read(
     from ..exchange.transform import without_antialiasing
     from ..model.gaussians import Gaussians
 
-    target = formats.target_of(path)
-    arrays = formats.read(path, context.check_cancelled)
+    target = context.interruptible(lambda: formats.target_of(path))
+    arrays = _arrays(path, context)
     photos = cameras_of_result(path, scene) if target.antialiased and plain else None
     if photos is None:
         return arrays, target
     model, frame = Gaussians.framed(arrays, target=target)
     made = without_antialiasing(model, frame.scene(photos).images)
     return {**arrays, "logit_opacities": made.logit_opacities.numpy()}, made.target
+
+
+def _arrays(path: Path, context: Context) -> Arrays:
+    from ..exchange import formats
+
+    return context.interruptible(lambda: formats.read(path, context.check_cancelled))
 
 
 def _warn_of_light(target: Target, form: FileFormat, context: Context) -> None:
@@ -330,14 +336,13 @@ def _before(request: Convert, up: str, model: _Model, context: Context) -> Array
     """The model of `--before`, as the first one is shown."""
     if request.before is None:
         return None
-    from ..exchange import formats
 
     refuse_inputs([request.out], [request.before], OTHER)
-    upright = _upright(request, request.before)
+    upright = _upright(request, request.before, context)
     home = _home(request, request.before, upright)
     own = turn(SCENE_UP, request.up or up) @ upright
     matrix = model.matrix @ home if model.upright else own
-    arrays = _cropped(formats.read(request.before, context.check_cancelled), request, home)
+    arrays = _cropped(_arrays(request.before, context), request, home)
     return _shortened(turned(arrays, matrix), request)
 
 
@@ -391,7 +396,7 @@ def _write_streamed(request: Convert, context: Context) -> Result:
             file = folder / level.ply
             refuse_inputs([request.out], [file], OTHER)
             context.check_cancelled()
-            arrays = formats.read(file, context.check_cancelled)
+            arrays = _arrays(file, context)
             levels.append(_shortened(turned(arrays, matrix), request))
             files.append(file)
         parts.append(levels)

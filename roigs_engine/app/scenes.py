@@ -97,7 +97,12 @@ def show_photo(request: ShowPhoto, context: Context = QUIET) -> Result:
     refuse_inputs([request.out], [request.photo_file, request.options_file])
     lens = lens_from_words(request.lens) if request.lens else None
     write_shown(
-        request.photo_file, request.out, lens=lens, turn=request.turn, side=request.max_side
+        request.photo_file,
+        request.out,
+        context,
+        lens=lens,
+        turn=request.turn,
+        side=request.max_side,
     )
     return Result(files={"picture": request.out}).with_places()
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ..context import QUIET, Context
 from ..errors import ConfigError
 from ..formats.files import atomic_write
 from ..photos.headers import content_digest, open_photo, photo_size, unreadable
@@ -64,7 +65,13 @@ def _usual_tiff(photo: Any) -> bool:
 
 
 def write_shown(
-    path: Path, out: Path, *, lens: ModelCamera | None, turn: int = AS_STORED, side: int
+    path: Path,
+    out: Path,
+    context: Context = QUIET,
+    *,
+    lens: ModelCamera | None,
+    turn: int = AS_STORED,
+    side: int,
 ) -> None:
     """Write a JPEG of a photo as training sees it, its longer side at most `side`.
 
@@ -76,7 +83,16 @@ def write_shown(
 
     Raises:
         SceneError: the photo cannot be read, or the camera cannot be undistorted.
+        Stopped: on request.
     """
+    picture = context.interruptible(lambda: _shown(path, lens, turn, side))
+    with atomic_write(out, durable=False) as file:
+        picture.save(file, format="JPEG", quality=QUALITY, subsampling=0)
+
+
+def _shown(
+    path: Path, lens: ModelCamera | None, turn: int, side: int
+) -> Any:  # a picture of Pillow's
     from PIL import Image
 
     from ..photos.decode import decode
@@ -87,13 +103,10 @@ def write_shown(
 
     size = turned_size(photo_size(path), turn)
     if lens is None:
-        picture = Image.fromarray(decode(path, shrink(*size), turn))
-    else:
-        try:
-            digest = content_digest(path)
-        except OSError as error:
-            raise unreadable(path, error) from error
-        plan = plan_undistortion(path, lens, size, shrink, turn)
-        picture = undistorted_photo(replace(plan, digest=digest))
-    with atomic_write(out, durable=False) as file:
-        picture.save(file, format="JPEG", quality=QUALITY, subsampling=0)
+        return Image.fromarray(decode(path, shrink(*size), turn))
+    try:
+        digest = content_digest(path)
+    except OSError as error:
+        raise unreadable(path, error) from error
+    plan = plan_undistortion(path, lens, size, shrink, turn)
+    return undistorted_photo(replace(plan, digest=digest))

@@ -52,7 +52,13 @@ SRGB = ("srgb_rec709_scene", "srgb_rec709_display", "identity", "raw", "unknown"
 LINEAR = ("lin_rec709_scene", "lin_rec709_display", "lin_rec709")
 
 
+SETTINGS = {"USDC_USE_ASSET": "1", "TF_ENV_SETTING_ALERTS_ENABLED": "0"}
+"""Files are not mapped to memory: of damaged ones, that prints lines of OpenUSD's own."""
+
+
 def _modules() -> tuple[Any, Any, Any, Any, Any]:
+    for name, value in SETTINGS.items():
+        os.environ.setdefault(name, value)
     names = ("Usd", "UsdGeom", "UsdVol", "Vt", "UsdUtils")
     usd, geom, vol, vt, utils = (package(f"pxr.{name}", TITLE, "usd-core") for name in names)
     if not hasattr(vol, KIND):
@@ -232,7 +238,16 @@ def _refuse_crash(path: Path) -> None:
     # Each of many threads would take addresses.
     env = child_environment() | {"PXR_WORK_THREAD_LIMIT": "1", "MALLOC_ARENA_MAX": "2"}
     env["PYTHONPATH"] = os.pathsep.join(filter(os.path.isabs, sys.path))
-    code = subprocess.run(command, env=env, capture_output=True, check=False).returncode
+    with subprocess.Popen(
+        command,
+        env=env,
+        stdin=subprocess.PIPE,  # it ends if this process does
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,  # Ctrl-C reaches this process alone
+        creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
+    ) as child:
+        code = child.wait()
     if code == TOO_DEEP:
         raise ValueError(f"its prims are nested more than {DEEPEST} deep")
     if code == TOO_LARGE:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 from contextlib import suppress
@@ -69,5 +70,13 @@ def main(path: str, limit: int, deepest: int) -> int:
     return found[0]
 
 
+def end_with_parent() -> None:
+    """End this process once its standard input does: that is a pipe of the one that waits."""
+    while os.read(0, 1):
+        pass
+    os._exit(TOO_LARGE)
+
+
 if __name__ == "__main__":
+    threading.Thread(target=end_with_parent, daemon=True).start()
     raise SystemExit(main(sys.argv[1], int(sys.argv[2]), int(sys.argv[3])))

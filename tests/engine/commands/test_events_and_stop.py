@@ -5,11 +5,20 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
+from roigs_engine.cli import main
+from roigs_engine.commands.stopping import StopRequest
+from roigs_engine.context import Context
+from roigs_engine.errors import RunFolderError, Stopped
+from roigs_engine.exchange import formats
+from roigs_engine.exchange.usd_probe import TOO_LARGE
 from roigs_engine.formats.events import Message, Progress, to_json
 from tests.engine.commands.command_line import BOX, EMPTY, python, refused, start
 from tests.engine.runs import checkpoint_step, stage_of
@@ -137,3 +146,65 @@ def test_a_stop_while_loading_is_answered(project: Project, tmp_path: Path) -> N
     out, _ = process.communicate("stop\n", timeout=60)
     assert process.returncode in (0, 3)  # 0: it was done before the line was read
     assert json.loads(out.splitlines()[-1])["stopped"] == (process.returncode == 3)
+
+
+def test_work_of_a_library_returns_raises_and_can_be_left() -> None:
+    stop = StopRequest()
+    context = Context(should_stop=lambda: stop.asked)
+    assert context.interruptible(lambda: 5) == 5
+    with pytest.raises(ZeroDivisionError):
+        context.interruptible(lambda: 1 // 0)
+
+    def long() -> None:
+        stop.asked = True
+        time.sleep(20)
+
+    began = time.monotonic()
+    with pytest.raises(Stopped):
+        context.interruptible(long)
+    assert time.monotonic() - began < 5
+
+
+@pytest.mark.parametrize("damaged", [False, True])
+def test_a_stop_is_heard_while_a_file_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damaged: bool
+) -> None:
+    """It took up to a minute, and a damaged file ended with status 2."""
+    stop = StopRequest()
+    source = tmp_path / "a.splat"
+    source.write_bytes(bytes(64))
+
+    def read(path: Path, check: object) -> None:
+        stop.asked = True
+        time.sleep(0 if damaged else 20)
+        raise RunFolderError("It is damaged.")
+
+    monkeypatch.setattr(formats, "read", read)
+    began = time.monotonic()
+    assert main(["convert", str(source), str(tmp_path / "b.ply")], stop) == 3
+    assert time.monotonic() - began < 10
+    assert not (tmp_path / "b.ply").exists()
+
+
+def test_a_stop_is_heard_while_a_photo_is_decoded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was decoded to the end, written, and the status was 0."""
+    stop, photo = StopRequest(), tmp_path / "a.png"
+    Image.new("RGB", (8, 8)).save(photo)
+
+    def decoded(*given: object) -> None:
+        stop.asked = True
+        time.sleep(20)
+
+    monkeypatch.setattr("roigs_engine.photos.decode.decode", decoded)
+    assert main(["show-photo", str(photo), "--out", str(tmp_path / "b.jpg")], stop) == 3
+    assert not (tmp_path / "b.jpg").exists()
+
+
+def test_a_look_into_openusd_ends_with_who_waits_for_it() -> None:
+    code = "from roigs_engine.exchange import usd_probe; usd_probe.end_with_parent()"
+    child = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE)
+    assert child.stdin is not None
+    child.stdin.close()
+    assert child.wait(20) == TOO_LARGE
