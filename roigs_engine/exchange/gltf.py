@@ -109,7 +109,14 @@ def read(path: Path) -> Arrays:
     shown = _shown(file.record)
     if not shown:
         raise NotSupportedError(f"glTF without {NAME}")
-    return joined([moved(file.gaussians(item), matrix) for matrix, item in shown])
+    own = {id(item): item for _, item in shown}  # many nodes may show one
+    read = {key: file.gaussians(item) for key, item in own.items()}
+    refuse_bomb(file.size, sum(map(_bytes, (read[id(item)] for _, item in shown))))
+    return joined([moved(read[id(item)], matrix) for matrix, item in shown])
+
+
+def _bytes(arrays: Arrays) -> int:
+    return sum(rows.nbytes for rows in arrays.values())
 
 
 def _shown(record: dict[str, Any]) -> list[tuple[Float64, dict[str, Any]]]:
@@ -189,6 +196,7 @@ class _File:
         self.size, self.values_read = len(raw), 0
         self.buffers: dict[int, bytes] = {}
         self.beside: dict[str, bytes] = {}  # content of files by their names
+        self.packed: dict[tuple[int, bool], Arrays] = {}  # see `_spz`
         if path.suffix.lower() == ".gltf":
             self.record: dict[str, Any] = json.loads(raw)
             if not isinstance(self.record, dict):
@@ -272,12 +280,17 @@ class _File:
 
         Cesium's files of the drafts, which name no kernel, have glTF's axes as they are.
         """
-        raw = bytes(self._view(int(inside["bufferView"])))
+        key = int(inside["bufferView"]), "kernel" in own
+        if key in self.packed:  # of another primitive
+            self._count(_bytes(self.packed[key]))
+            return self.packed[key]
+        raw = bytes(self._view(key[0]))
         arrays, axes = spz.decoded(raw), spz.axes(raw)
-        self._count(sum(rows.nbytes for rows in arrays.values()))
+        self._count(_bytes(arrays))
         matrix = np.eye(4)
-        matrix[:3, :3] = LUF @ axes if "kernel" in own else axes
-        return moved(arrays, matrix)
+        matrix[:3, :3] = LUF @ axes if key[1] else axes
+        self.packed[key] = moved(arrays, matrix)
+        return self.packed[key]
 
     def _count(self, more: int) -> None:
         """Refuse a file that has the same numbers again and again."""

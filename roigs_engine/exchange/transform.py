@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache, lru_cache
 
 import numpy as np
 import torch
@@ -11,6 +13,7 @@ from torch import Tensor
 
 from ..context import QUIET, Context
 from ..formats.drawable import usable
+from ..formats.events import StageStarted
 from ..formats.targets import target_with
 from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
@@ -20,13 +23,21 @@ from ..rasterize.instances import Instance, posed, principal_axes
 from ..rasterize.reference import drawn_share, jacobian, sh_basis
 from .arrays import Arrays, flaw
 
+STAGE, MANY = "models", 100
+"""Name of the stage in which so many models or more become one."""
+
 
 def merged(models: Sequence[Instance], context: Context = QUIET) -> tuple[Gaussians, LocalFrame]:
     """One model of all (at least one Gaussian), in the world, and the frame that it is in."""
     bands = max(model.gaussians.sh.shape[1] for model in models)
-    parts = []
+    parts: list[Gaussians] = []
+    started = time.monotonic()
+    if len(models) >= MANY:
+        context.emit(StageStarted(stage=STAGE, total=len(models)))
     for model in models:
         context.check_cancelled()
+        if parts and len(parts) % MANY == 0:
+            context.progress(STAGE, len(parts), len(models), started)
         sh = turned_sh(model.gaussians.sh, model.from_frame[:3, :3])
         padded = torch.nn.functional.pad(sh, (0, 0, 0, bands - sh.shape[1]))
         parts.append(posed(model, model.from_frame, padded))
@@ -52,15 +63,23 @@ def turned_sh(sh: Tensor, linear: Float64) -> Tensor:
 
     `sh` is (N, K, 3) with K = 1, 4, 9 or 16; `linear` (3, 3) is invertible.
     """
-    bands = sh.shape[1]
+    turn = _turn(sh.shape[1], np.asarray(linear, np.float64).tobytes())
+    return torch.einsum("jk,nkc->njc", turn, sh)
+
+
+@lru_cache(maxsize=64)
+def _turn(bands: int, linear: bytes) -> Tensor:
+    """(K, K) of `turned_sh`; `linear` are the bytes of its (3, 3)."""
     after = sphere(DIRECTIONS)
-    before: Float64 = np.linalg.solve(linear, after.T).T.astype(np.float64)
+    before: Float64 = np.linalg.solve(np.frombuffer(linear).reshape(3, 3), after.T).T
+    before = before.astype(np.float64)
     before /= np.linalg.norm(before, axis=1, keepdims=True)
     basis, wanted = (sh_basis(torch.from_numpy(d)).numpy()[:, :bands] for d in (after, before))
     turn = np.linalg.lstsq(basis, wanted, rcond=None)[0].round(PLACES) + 0.0  # no -0
-    return torch.einsum("jk,nkc->njc", torch.from_numpy(turn.astype(np.float32)), sh)
+    return torch.from_numpy(turn.astype(np.float32))
 
 
+@cache
 def sphere(count: int) -> Float64:
     """(count, 3) unit vectors, evenly spread: a Fibonacci lattice."""
     steps = np.arange(count) + 0.5

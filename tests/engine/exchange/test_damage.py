@@ -11,6 +11,7 @@ import json
 import os
 import struct
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from PIL import Image
 
 from roigs_engine.cli import main
 from roigs_engine.errors import EngineError
-from roigs_engine.exchange import formats, gltf
+from roigs_engine.exchange import formats, gltf, libraries, spz
 from roigs_engine.formats.splat_ply import read_ply, write_ply
 from tests.fuzz import exchange
 
@@ -245,3 +246,32 @@ def test_a_file_of_holes_is_not_read(suffix: str, tmp_path: Path) -> None:
         os.truncate(path, 6 << 30)
         with pytest.raises(EngineError, match=r"unpack to 6\.4 GB"):
             formats.read(path)
+
+
+def test_gltf_that_shows_one_spz_again_and_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was unpacked and moved for each node, which took half a minute, and refused then."""
+    pytest.importorskip("gsply")
+    raw = exchange.good(".spz", 1)
+    name = "KHR_gaussian_splatting"
+    packed = {f"{name}_compression_spz_2": {"bufferView": 0}}
+    primitive = {"extensions": {name: {"kernel": "ellipse", "extensions": packed}}}
+    record = {
+        "buffers": [{"byteLength": len(raw)}],
+        "bufferViews": [{"buffer": 0, "byteLength": len(raw)}],
+        "meshes": [{"primitives": [primitive] * 3}],
+        "nodes": [{"mesh": 0, "translation": [k, 0, 0]} for k in range(40)],
+    }
+    path = tmp_path / "a.glb"
+    path.write_bytes(exchange.glb_of(record, raw))
+    decoded, moved = Mock(wraps=spz.decoded), Mock(wraps=gltf.moved)
+    monkeypatch.setattr(spz, "decoded", decoded)
+    monkeypatch.setattr(gltf, "moved", moved)
+    one = len(formats.read(path)["means"]) // 120
+    assert one and (decoded.call_count, moved.call_count) == (1, 1 + 120)
+    monkeypatch.setattr(libraries, "SMALL", 120 * one)
+    monkeypatch.setattr(libraries, "MOST_RATIO", 1)
+    with pytest.raises(EngineError, match="would unpack to"):
+        formats.read(path)
+    assert (decoded.call_count, moved.call_count) == (2, 1 + 120 + 1)

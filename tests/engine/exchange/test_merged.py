@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from roigs_engine.context import Context
 from roigs_engine.errors import Stopped
 from roigs_engine.exchange.transform import merged, turned_sh
+from roigs_engine.formats.events import Event, Progress, StageStarted
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.scene import Camera
@@ -104,3 +105,12 @@ def test_a_long_list_hears_a_stop() -> None:
     with pytest.raises(Stopped):
         merged([placed(cloud())] * 1000, Context(should_stop=stops))
     assert asked == 4
+
+
+def test_hundreds_of_models_show_progress() -> None:
+    events: list[Event] = []
+    for count in (20, 250):
+        models = [placed(cloud(3), affine(TURN))] * count
+        merged(models, Context(emit=events.append))
+    assert events[0] == StageStarted(stage="models", total=250)
+    assert [event.step for event in events if isinstance(event, Progress)] == [100, 200]
