@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 
 from ..context import Context
@@ -33,6 +34,7 @@ def use_threads(threads: int | None) -> None:
 
 def on_device(context: Context, device: str) -> Context:
     """The context with a device, for which it sets the process up; KernelError: it is missing."""
+    context.interruptible(lambda: import_module("torch"))  # for seconds
     from ..cuda.device import choose_device
     from ..training.gpu_check import check_once
 

@@ -40,6 +40,7 @@ class Command:
         does = self.does if isinstance(self.does, str) else self.does(request)
         module, _, name = does.partition(":")
         work: Callable[..., Result] = getattr(import_module(f"..app.{module}", __package__), name)
+        context.check_cancelled()  # importing takes seconds
         return work(request, context, *([say] if self.as_it_goes else []))
 
 
