@@ -32,9 +32,14 @@ def use_threads(threads: int | None) -> None:
         set_threads(threads)
 
 
+def import_torch(context: Context) -> None:
+    """Import torch, which takes seconds; `Stopped` on request."""
+    context.interruptible(lambda: import_module("torch"))
+
+
 def on_device(context: Context, device: str) -> Context:
     """The context with a device, for which it sets the process up; KernelError: it is missing."""
-    context.interruptible(lambda: import_module("torch"))  # for seconds
+    import_torch(context)
     from ..cuda.device import choose_device
     from ..training.gpu_check import check_once
 

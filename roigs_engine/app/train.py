@@ -19,7 +19,7 @@ from ..requests.projects import Reconstruct
 from ..requests.runs import Train, TrainAndEvaluate
 from .asked import Asked
 from .event_log import EventLog, logged
-from .inputs import count_photos, mask_options
+from .inputs import count_photos, import_torch, mask_options
 from .outputs import Result, Trained, result_in
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ def train(request: Train, context: Context = QUIET) -> Trained:
         EngineError: the request, the scene or the folder cannot be used, or training diverged.
         Stopped: on request; the same request resumes.
     """
+    import_torch(context)
     from ..run.folder import train_opened
 
     if request.dry_run or request.cluster:
