@@ -70,11 +70,17 @@ def adapt(request: Adapt, context: Context = QUIET) -> Result:
 def adapted(
     model: Gaussians, data: StageData, target: Target, steps: int, context: Context = QUIET
 ) -> Gaussians:
-    """The model, on the CPU, after steps on whole photos, row by row; Stopped on request."""
+    """The model, on the CPU, after steps on whole photos, row by row; Stopped on request.
+
+    For a target without anti-aliasing, it starts with opacities that are right on average.
+    """
     from ..cuda.device import CPU
+    from ..exchange.transform import without_antialiasing
     from ..training.edits import morton_order
     from ..training.trainer import Trainer
 
+    if model.target.antialiased and not target.antialiased:
+        model = without_antialiasing(model, data.images)
     context.emit(StageStarted(stage=STAGE, total=steps))
     trainer = Trainer(model, data, adaptation(model, target, steps), context)
     if not trainer.run(context, stage=STAGE):

@@ -16,7 +16,7 @@ from roigs_engine.cli import main
 from roigs_engine.context import Context
 from roigs_engine.errors import Stopped
 from roigs_engine.formats.splat_ply import target_of
-from roigs_engine.formats.targets import CYCLES, TARGETS, VIEWERS
+from roigs_engine.formats.targets import CYCLES, PLAIN, TARGETS, VIEWERS
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.rasterize.view import render_view
 from roigs_engine.requests.models import Adapt
@@ -54,6 +54,15 @@ def test_a_model_trained_in_sRGB_gains_in_linear_light(tmp_path: Path) -> None: 
     assert made.target == CYCLES and len(made) == len(start)
     assert error(made) < 0.5 * error(replace(start, target=CYCLES))
     assert float((made.means - start.means).abs().max()) < 0.2  # row by row
+
+
+def test_without_antialiasing_it_starts_as_faint_as_it_looks(tmp_path: Path) -> None:
+    data, model = stage_data(make_scene(tmp_path, views=6)), truth()
+    fine = replace(model, log_scales=model.log_scales - 3.0, target=VIEWERS)
+    opacity, made = fine.logit_opacities.sigmoid(), adapted(fine, data, PLAIN, 1)
+    assert float((made.logit_opacities.sigmoid() / opacity).mean()) < 0.7
+    same = adapted(fine, data, CYCLES, 1)
+    assert float((same.logit_opacities.sigmoid() / opacity).mean()) > 0.9
 
 
 @pytest.mark.parametrize("name", TARGETS)
