@@ -35,7 +35,7 @@ from roigs_engine.requests.values import PATH
 from tests.fuzz import cases, exchange, run_folders, stores, working_folders
 
 MEMORY = 2 << 30  # bytes above what the imported packages take
-SECONDS = 20.0
+SECONDS = 60.0
 # What no terminal may get of names; only progress bars may go back to the start of a line.
 CONTROLS = re.compile(r"[\x00-\x09\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202e]")
 HEAVY = ("torch", "scipy.spatial", "sklearn.gaussian_process", "pycolmap", "PIL.Image", "tqdm",

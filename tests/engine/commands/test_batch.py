@@ -147,14 +147,8 @@ def test_a_stop_and_a_scene_that_fails(
     assert "failed: attic: " in page and "2 of 3 objects done" in page
 
 
-@pytest.mark.skipif(os.name != "posix", reason="sends signals")
-def test_a_second_interrupt_ends_a_batch_and_its_engines_at_once(
-    scans: Path, tmp_path: Path, forked_engines: None
-) -> None:
-    """As after a kill, which `batch/test_kills.py` resumes."""
-    table, run = table_of(tmp_path, scans), tmp_path / "run"
-    long = table.read_text(encoding="utf-8").replace("steps-factor = 0.003", "steps-factor = 5")
-    table.write_text(long, encoding="utf-8")
+def interrupted_twice(table: Path, run: Path) -> int:
+    """The status of a batch that gets a second interrupt while its engines stop."""
     with start("batch", table, "--run-dir", run, "--jobs", "2", "--events") as engine:
         assert engine.stdout is not None and engine.stderr is not None
         for line in engine.stdout:
@@ -164,9 +158,24 @@ def test_a_second_interrupt_ends_a_batch_and_its_engines_at_once(
         time.sleep(0.05)  # two signals of one moment are one
         began = time.monotonic()
         engine.send_signal(signal.SIGINT)
-        assert engine.wait(60) == 130
+        status = engine.wait(60)
         assert time.monotonic() - began < 10
         assert "Traceback" not in engine.stderr.read()
+    return int(status)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends signals")
+def test_a_second_interrupt_ends_a_batch_and_its_engines_at_once(
+    scans: Path, tmp_path: Path, forked_engines: None
+) -> None:
+    """As after a kill, which `batch/test_kills.py` resumes."""
+    table = table_of(tmp_path, scans)
+    long = table.read_text(encoding="utf-8").replace("steps-factor = 0.003", "steps-factor = 5")
+    table.write_text(long, encoding="utf-8")
+    # On a busy machine, the batch may have ended before the second one: then it is tried again.
+    tried = (interrupted_twice(table, tmp_path / f"run-{number}") for number in range(5))
+    assert next((status for status in tried if status != 3), 3) == 130
+    run = tmp_path
     until = time.monotonic() + 60
     while engines(run) and time.monotonic() < until:
         time.sleep(0.1)
