@@ -14,8 +14,8 @@ from typing import Any, ClassVar
 
 MOST = (1 << 31) - 1  # of counts: a larger one is a typing error
 AUTO = "auto"
-SECRET = re.compile(r"//[^/@\s]*:(?!\d+/)[^@\s]*@|https?://[^/\s]*@|https?://\S*\?", re.IGNORECASE)
-"""User and password in an address, a token, or a query: these are signatures."""
+SECRET = re.compile(r"//[^/@\s]*:(?!\d+/)[^@\s]*@|https?://[^/\s]*@|://.*\?", re.IGNORECASE)
+"""User and password in an address, a token, or a query: these are signatures, of any store."""
 SCHEME = re.compile(r"([a-z][a-z0-9+.-]+)://", re.IGNORECASE)
 
 
@@ -151,8 +151,8 @@ PATH, DIR, FILE = PathName(), PathName("DIR"), PathName("FILE")
 
 
 def is_url(text: object) -> bool:
-    """Whether a path is an address of a store, `s3://bucket/scans`, and no folder."""
-    return isinstance(text, str) and SCHEME.match(text) is not None
+    """Whether a path is an address of a store, `s3://bucket/scans`, or begins as none may."""
+    return isinstance(text, str) and "://" in text
 
 
 def refuse_secret(url: str) -> None:

@@ -23,6 +23,20 @@ STORES = (
 )
 """Kinds of addresses that are used: a table may be somebody else's, and fsspec knows some kinds,
 such as `dask`, whose servers can run programs here."""
+PACKAGES = {
+    "s3fs": ("s3", "s3a"),
+    "gcsfs": ("gs", "gcs"),
+    "adlfs": ("abfs", "abfss", "az", "adl"),
+    "aiohttp": ("http", "https"),
+    "paramiko": ("sftp", "ssh"),
+    "ossfs": ("oss",),
+    "ocifs": ("oci",),
+    "pyarrow": ("hdfs",),
+    "webdav4": ("webdav",),
+    "smbprotocol": ("smb",),
+    "huggingface_hub": ("hf",),
+}
+"""What fsspec needs for which kinds of addresses."""
 HOME = "ROIGS_CACHE"
 """Environment variable: the folder of this machine's copies."""
 
@@ -119,10 +133,10 @@ def file_system(url: str, *, own: bool = False) -> tuple[FileSystem, str]:
 
         found, place = fsspec.core.url_to_fs(url, use_listings_cache=False)
     except ImportError as error:
-        package = {"s3": "s3fs", "gs": "gcsfs", "gcs": "gcsfs", "abfs": "adlfs", "az": "adlfs"}
-        wanted = package.get(kind, "fsspec")
+        missing = (package for package, kinds in PACKAGES.items() if kind in kinds)
+        wanted = "fsspec" if error.name == "fsspec" else next(missing, "fsspec")
         raise ConfigError(
-            f"{url} needs {wanted}, which is not installed in {sys.executable}.",
+            f"{url:.200} needs {wanted}, which is not installed in {sys.executable}.",
             f"Install it ({sys.executable} -m pip install {wanted}), or use a folder.",
         ) from error
     except Exception as error:  # whatever the file system raises for what it cannot use

@@ -212,10 +212,12 @@ def test_addresses_that_cannot_be_used_are_one_line(
     assert main(["batch", str(table), "--run-dir", str(tmp_path / "run")]) == 2
     said = capsys.readouterr().err
     assert "Scene 'hall': There is nothing at memory://museum/scans/nothing." in said
-    for other in ("dask://host:8786/runs", "s3://a/b::dask://host:8786"):
+    chained = "simplecache::s3://bucket/runs"
+    for other in ("dask://host:8786/runs", "s3://a/b::dask://host:8786", chained):
         assert "is not an address of a store" in refused(capsys, "batch", table, "--run-dir", other)
     for secret in (
         *("https://host/x?sig=hidden", "https://hidden@host:9/x", "sftp://me:hid/hidden@host/x"),
+        *("az://store@account/x?sig=hidden", "file:///runs?token=hidden", "::s3://me:hidden@x"),
         "ftp://me:hidden@host/runs",
     ):
         line = refused(capsys, "batch", table, "--run-dir", secret)
@@ -226,4 +228,13 @@ def test_addresses_that_cannot_be_used_are_one_line(
     assert "it has a password" in said and "hidden" not in said
     monkeypatch.setitem(__import__("sys").modules, "fsspec", None)
     line = refused(capsys, "batch", table, "--run-dir", "s3://bucket/runs")
-    assert "s3://bucket/runs needs s3fs, which is not installed" in line
+    assert "s3://bucket/runs needs fsspec, which is not installed" in line
+
+
+def test_what_an_address_needs_is_named(
+    table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "s3fs", None)
+    monkeypatch.setitem(__import__("sys").modules, "aiohttp", None)
+    for url, package in (("s3a://bucket/runs", "s3fs"), ("http://host/runs", "aiohttp")):
+        assert f"{url} needs {package}," in refused(capsys, "batch", table, "--run-dir", url)
