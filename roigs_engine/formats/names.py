@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import unicodedata
 from collections.abc import Iterable
@@ -11,6 +12,7 @@ from pathlib import PurePosixPath, PureWindowsPath
 MAX_NAME = 100  # characters; endings are added to it
 LONGEST, MAX_BYTES = 87, 167  # characters and bytes of a `safe_name`; file systems allow 255 bytes
 ADDED = 8  # of these, `_` and the checksum with its `-`
+WINDOWS = os.name == "nt"
 # These names open devices on Windows, with any extension.
 DEVICES = {
     *("con", "prn", "aux", "nul", "conin$", "conout$"),
@@ -36,12 +38,15 @@ def safe_name(name: str) -> str:
 def inner_path(name: object) -> PurePosixPath | None:
     """A name that a file says, as a path inside a folder; None if it is none, or leads out of it.
 
-    By the rules of POSIX and of Windows at once, whose paths may begin with a drive.
+    By the rules of POSIX and of Windows at once, whose paths may begin with a drive. On Windows,
+    names of devices are none either.
     """
     if not isinstance(name, str) or "\0" in name or not _is_encodable(name):
         return None
     path, windows = PurePosixPath(name), PureWindowsPath(name)
     leads_out = path.is_absolute() or windows.drive or windows.root or ".." in windows.parts
+    if WINDOWS and any(map(_is_device, windows.parts)):
+        return None
     return None if leads_out or not path.parts else path
 
 

@@ -27,6 +27,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from PIL import Image, ImageCms
 
+from ..formats.files import regular
 from .headers import CONVERTED, DAMAGED, PNG, open_photo
 from .profiles import ADOBE_GAMMA, ADOBE_RGB, SRGB, Deep, cicp_profile, gamma_profile, space_of
 
@@ -198,7 +199,7 @@ def _of_png(info: dict[str | tuple[int, int], Any]) -> bytes:
 
 def _png_chunk(path: str, kind: bytes) -> bytes:
     """The data of a chunk before the pixels; empty: there is none."""
-    with open(path, "rb") as file:
+    with open(path, "rb", opener=regular) as file:
         file.seek(len(PNG))
         while len(head := file.read(8)) == 8:
             length, found = struct.unpack(">I4s", head)
@@ -212,7 +213,7 @@ def _png_chunk(path: str, kind: bytes) -> bytes:
 
 def _of_jpeg2000(path: str) -> bytes:
     """The profile in a JPEG 2000 file (ISO/IEC 15444-1, I.5.3.3), or empty."""
-    with open(path, "rb") as file:
+    with open(path, "rb", opener=regular) as file:
         end = file.seek(0, 2)
         for kind, start, stop in _boxes(file, 0, end):
             if kind == b"jp2h":
@@ -241,7 +242,7 @@ def _boxes(file: BinaryIO, at: int, end: int) -> Iterator[tuple[bytes, int, int]
 
 def _of_bmp(path: str) -> bytes:
     """The profile in a BMP file, whose header (BITMAPV5HEADER) says where, or empty."""
-    with open(path, "rb") as file:
+    with open(path, "rb", opener=regular) as file:
         head = file.read(14 + 124)
         if len(head) < 138 or head[14 + 56 : 14 + 60] != b"DEBM":
             return b""

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from ..formats.files import regular
 from ..model.scene import PosedImage
 from .colours import Colours, colours_of, deep_to_srgb, kind_of, packing, to_srgb
 from .deep import deep_values, transparent
@@ -279,7 +280,7 @@ def check_whole(path: Path) -> str:
     with open_photo(path) as photo:
         if kind not in ("JPEG", "MPO"):
             return tone_if_deep(photo)
-        with open(path, "rb") as file:
+        with open(path, "rb", opener=regular) as file:
             last = _eighth(file)[-1:, -2:]
             # Where libjpeg has filled in, the last pixels have one colour.
             if (last == last[:, -1:]).all() and _ends_early(file):

@@ -67,7 +67,7 @@ def check_unchanged(path: Path, digest: str) -> None:
 def photo_size(path: Path) -> tuple[int, int]:
     """(width, height) from the file's header, without the orientation tag; PhotoError: damaged."""
     try:
-        with open(path, "rb") as file:
+        with open(path, "rb", opener=regular) as file:
             start = file.read(24)
             if start.startswith(PNG):
                 width, height = struct.unpack(">II", start[16:])
@@ -96,7 +96,7 @@ def check_complete(path: Path) -> None:
     Other formats are not checked. `decode.check_whole` decodes the photo.
     """
     try:
-        with open(path, "rb") as file:
+        with open(path, "rb", opener=regular) as file:
             start = file.read(len(PNG))
             # The headers of a JPEG may hold a small copy of the photo, with its own end marker.
             headers = 0
@@ -138,7 +138,7 @@ def _opened(path: Path) -> Image:
 
     from . import tiff
 
-    with open(path, "rb") as file:
+    with open(path, "rb", opener=regular) as file:
         tiff.check_tags(file)
     try:
         photo: Image.Image = Image.open(path, formats=FORMATS)
@@ -147,7 +147,7 @@ def _opened(path: Path) -> Image:
         except ValueError:  # the pixels are good
             del photo.info["exif"]
         if photo.format in ("JPEG", "MPO"):
-            with open(path, "rb") as file:
+            with open(path, "rb", opener=regular) as file:
                 check_scans(file)
         if tiff.pillow_reads(photo):
             tiff.check_parts(photo)

@@ -16,6 +16,7 @@ from typing import BinaryIO, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..formats.files import regular
 from .headers import EXIF, ORIENTATION, PNG, PhotoError, open_photo
 from .jpeg import jpeg_segments
 
@@ -33,7 +34,7 @@ def rotation_tag(path: Path) -> int:
     """
     tag = AS_STORED
     damage = (OSError, ValueError, struct.error, PhotoError, MemoryError)
-    with suppress(*damage), open(path, "rb") as file:
+    with suppress(*damage), open(path, "rb", opener=regular) as file:
         start = file.read(8)
         if start.startswith(b"\xff\xd8"):
             tag = _of_jpeg(file)

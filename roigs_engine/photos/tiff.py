@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageFile, TiffImagePlugin
 
 from ..errors import EngineError
+from ..formats.files import regular
 from .jpeg import check_scans, jpeg_size
 from .profiles import parts_of
 
@@ -61,7 +62,7 @@ class UnsupportedError(ValueError):
 
 def is_tiff(path: Path) -> bool:
     """Whether a file begins as a TIFF does; OSError if it cannot be read."""
-    with open(path, "rb") as file:
+    with open(path, "rb", opener=regular) as file:
         return file.read(4) in MAGIC
 
 

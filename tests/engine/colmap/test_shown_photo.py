@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,17 @@ def test_export_names_the_lens_of_a_distorted_photo(tmp_path: Path) -> None:
     assert main([*command, "--max-side", "100"]) == 0
     with Image.open(out) as small:
         assert max(small.size) == 100
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="has no pipes among files")
+@pytest.mark.parametrize("suffix", ["jpg", "png", "tif"])
+def test_a_pipe_is_refused_without_waiting(
+    tmp_path: Path, suffix: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pipe = tmp_path / f"a.{suffix}"
+    os.mkfifo(pipe)
+    line = refused(capsys, "show-photo", pipe, "--out", tmp_path / "b.jpg")
+    assert f"Cannot read photo {pipe} (Not a file)." in line
 
 
 def test_a_photo_is_shown_upright(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from roigs_engine.batch.staged import stored_run
 from roigs_engine.errors import RunFolderError
+from roigs_engine.formats import names
 from roigs_engine.formats.names import inner_path
 from roigs_engine.formats.text import json_digest
 from roigs_engine.storage.commits import KEY, VERSION
@@ -54,6 +55,13 @@ def forge(store: Any, **changes: Any) -> None:
 @pytest.mark.parametrize("name", OUTSIDE)
 def test_names_that_lead_out(name: Any) -> None:
     assert inner_path(name) is None
+
+
+@pytest.mark.parametrize("name", ["nul", "a/aux.txt", "COM1.ply"])
+def test_windows_opens_no_devices(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for windows in (False, True):
+        monkeypatch.setattr(names, "WINDOWS", windows)
+        assert (inner_path(name) is None) == windows
 
 
 @pytest.mark.parametrize("name", ["a", "rois/vase.ply", "12:30.jpg", "a..b/c", "ä é/漢.png"])
