@@ -9,6 +9,7 @@ import torch
 
 from ..model.gaussians import SH_C0
 from ..model.scene import Float64
+from ..photos.profiles import srgb_values
 from ..rasterize.reference import sh_basis
 from .arrays import Float32
 from .transform import sphere
@@ -22,9 +23,7 @@ ROWS = 8192  # at once
 
 def encoded(linear: Float64) -> Float64:
     """sRGB's transfer function (IEC 61966-2-1), of light from 0 on; less than none is none."""
-    light = np.maximum(linear, 0)
-    curve = 1.055 * np.power(np.maximum(light, 0.0031308), 1 / 2.4) - 0.055
-    return np.where(light <= 0.0031308, 12.92 * light, curve)
+    return srgb_values(np.maximum(linear, 0))
 
 
 def recoloured(sh: Float32, to_srgb: Map = encoded) -> Float32:

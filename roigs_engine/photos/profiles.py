@@ -51,6 +51,12 @@ def srgb_curve(values: Values) -> Values:
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
+def srgb_values(light: Values) -> Values:
+    """The inverse of `srgb_curve`, for light of 0 or more."""
+    curve = 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055
+    return np.where(light <= 0.0031308, 12.92 * light, curve)
+
+
 def power_curve(exponent: float) -> Curve:
     """Values to a power."""
     return lambda values: np.asarray(values**exponent)
@@ -176,9 +182,7 @@ class Space:
 @lru_cache(maxsize=1)
 def _encoded() -> NDArray[np.uint8]:
     """(65536,) linear light -> sRGB (IEC 61966-2-1)."""
-    light = np.linspace(0, 1, 65536)
-    values = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-    return np.asarray((255 * values).round().astype(np.uint8))
+    return (255 * srgb_values(np.linspace(0, 1, 65536))).round().astype(np.uint8)
 
 
 @lru_cache(maxsize=8)

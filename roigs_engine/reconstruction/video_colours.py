@@ -25,6 +25,7 @@ from ..photos.profiles import (
     hlg_scene,
     pq_light,
     srgb_curve,
+    srgb_values,
 )
 
 Pixels = NDArray[np.uint8]
@@ -295,9 +296,4 @@ def _tone_mapped(light: Light) -> Light:
 
 LIGHTS = np.geomspace(1e-4, 1e4 / WHITE * 2, 4096)
 SCALES = _tone_mapped(LIGHTS) / LIGHTS
-_GRADES = np.arange(DEEP + 1) / DEEP
-ENCODED = (
-    (np.where(_GRADES <= 0.0031308, _GRADES * 12.92, 1.055 * _GRADES ** (1 / 2.4) - 0.055) * 255)
-    .round()
-    .astype(np.uint8)
-)
+ENCODED = (srgb_values(np.arange(DEEP + 1) / DEEP) * 255).round().astype(np.uint8)
