@@ -58,6 +58,7 @@ MODULES = (
     "viewport",
     "rendering",
     "facts.caches",
+    "ui.set_up",
     "ui.reconstruct",
     "ui.scene",
     "ui.placement",

@@ -33,7 +33,7 @@ RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else
 
 LEVELS = (
     ("RESULT", "Result", "Scene and boxes"),
-    ("SCENE", "Coarse", "The whole-scene model, before the boxes were refined"),
+    ("SCENE", "First Pass", "The whole-scene model, before the boxes were refined"),
     ("ROI", "Box", "The refined Gaussians of a box"),
     ("PREVIEW", "Preview", "The model that is being trained"),
     ("IMPORTED", "Imported", "A file of Gaussians that the user imported"),
@@ -61,6 +61,15 @@ def setting(kind: Any, option: str, request: type[Any] = run_requests.Train, **m
     if known.default is not None:
         facts["default"] = known.default
     return kind(**(facts | more))
+
+
+def zero(number: str, otherwise: int, **more: Any) -> Any:
+    """A property that is true while `number` is 0; switched off, it makes it `otherwise`."""
+
+    def switch(props: Any, on: bool) -> None:
+        setattr(props, number, 0 if on else otherwise)
+
+    return BoolProperty(get=lambda props: getattr(props, number) == 0, set=switch, **more)
 
 
 class RoigsPhotoItem(bpy.types.PropertyGroup):
@@ -137,9 +146,9 @@ class RoigsObject(bpy.types.PropertyGroup):
     parked: StringProperty(
         description="Gaussians: not in the result that is shown; how they were seen before"
     )
-    off: BoolProperty(description="Gaussians: the other of Coarse and Fine is shown")
+    off: BoolProperty(description="Gaussians: the other of Result and First pass is shown")
     whole: BoolProperty(description="Gaussians: all are drawn, whatever the levels of detail")
-    pair: StringProperty(description="Gaussians: same text as of the other of Coarse and Fine")
+    pair: StringProperty(description="Gaussians: the same as of its other, Result or First pass")
     waits: BoolProperty(description="Gaussians: hidden while a preview is shown")
     aside: CollectionProperty(
         type=RoigsEditedMesh, description="Gaussians: edits of results that are not shown"
@@ -225,6 +234,12 @@ class RoigsScene(bpy.types.PropertyGroup):
     active_roi: PointerProperty(type=bpy.types.Object, name="Active Box")
     method: setting(EnumProperty, "method", items=choices.METHOD_ITEMS, default="coverage")
     count: setting(IntProperty, "count", min=0, default=0)
+    all_useful: zero(
+        "count",
+        20,
+        name="As many as help",
+        description="Select photos until more do not help. Switch off to choose their number",
+    )
     seed: setting(IntProperty, "seed", default=0)
     preset: setting(EnumProperty, "preset", items=PRESETS, update=follow_preset)
     is_paper: BoolProperty(description="Whether the settings followed the paper's preset last")
@@ -235,6 +250,12 @@ class RoigsScene(bpy.types.PropertyGroup):
         IntProperty, "max_side", default=640, soft_min=64, soft_max=16384, subtype="PIXEL"
     )
     test_every: setting(IntProperty, "test_every", default=0)
+    no_tests: zero(
+        "test_every",
+        8,
+        name="None",
+        description="Train on all photos. Switch off to keep some, and measure the result on them",
+    )
     excluded: CollectionProperty(
         type=RoigsExcludedPhoto, description="Photos that are neither selected nor trained on"
     )

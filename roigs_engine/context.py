@@ -67,13 +67,13 @@ class Context:
             raise failed.pop()  # its traceback holds this frame: no circle keeps what was read
         return result[0]
 
-    def info(self, text: str) -> None:
+    def info(self, text: str, level: str = "info") -> None:
         """Emit a message for the user, which is shortened as an error's hint is."""
-        self.emit(Message(text=shortened(text)))
+        self.emit(Message(text=shortened(text), level=level))
 
     def warn(self, text: str) -> None:
         """Emit a warning for the user; as `info`."""
-        self.emit(Message(text=shortened(text), level="warning"))
+        self.info(text, "warning")
 
     def progress(self, stage: str, step: int, total: int, started: float, **metrics: float) -> None:
         """Emit progress of work that has no loss.

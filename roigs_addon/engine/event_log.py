@@ -8,7 +8,7 @@ from typing import IO
 from ..shared import events
 
 SHOWN = ("loss", "psnr", "gaussians")
-DEVICE = "Trains on: "
+DEVICE = "Trains on "
 """What a log's line about the device begins with."""
 
 

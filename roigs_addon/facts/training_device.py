@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 import threading
 from pathlib import Path
 
@@ -14,9 +15,13 @@ from ..engine.event_log import DEVICE
 from ..errors import AddonError
 from ..jobs import current, run_folders
 from ..jobs.last_said import last_said
+from ..shared import events
 from ..windows import Timer, redraw, redraw_sidebars
 
 _SAID = re.compile(r"\d\d:\d\d:\d\d  " + re.escape(DEVICE) + "(.+)")
+
+WITHOUT_CUDA = f"{events.CPU_NAME} (This torch is built without CUDA)"
+"""What the engine says where **Set Up the Engine** installs more, if there is an NVIDIA card."""
 
 _logs: dict[Path, tuple[tuple[int, int], str]] = {}
 
@@ -68,8 +73,16 @@ def asked() -> str:
     if _check.busy():
         return "…"
     if _check.answer and settings.get().device == "cpu":
-        return "this computer's processor (chosen above)"
+        return f"{events.CPU_NAME} (chosen below)"
     return _check.answer
+
+
+def in_words(device: str) -> str:
+    """'Trains on NVIDIA RTX 4070 (checked)', and what to do for a card that torch cannot use."""
+    if device == WITHOUT_CUDA:
+        hint = "" if sys.platform == "darwin" else " For an NVIDIA card: Set Up the Engine"
+        return f"{DEVICE}{events.CPU_NAME}.{hint}"
+    return f"{DEVICE}{device}"
 
 
 def of_run(scene: bpy.types.Scene) -> str:

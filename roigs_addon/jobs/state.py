@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..shared import events
+from ..shared import events, text
 
 STOPPING = "Stopping …"
 STOPPED = "Stopped."
@@ -21,7 +21,8 @@ class JobState:
         title: of the job.
         log: where the engine's text goes.
         stage, step, total: where it is; `stage` is empty before the first and after the last one.
-        loss, psnr, gaussians, seconds_left: as the engine last said; 0 if it did not.
+        loss, psnr, gaussians: as the engine last said; 0 if it did not.
+        seconds_left, run_seconds_left: likewise, of the stage and of all stages.
         message: for the user, replaced by the next one.
         device: which one trains, and why; empty before the engine has said so.
         warnings: for the user, the first few; they stay after the job.
@@ -38,6 +39,7 @@ class JobState:
     psnr: float = 0.0
     gaussians: int = 0
     seconds_left: float = 0.0
+    run_seconds_left: float = 0.0
     message: str = ""
     error: str = ""
     outcome: str = ""
@@ -56,6 +58,7 @@ class JobState:
                 self.loss, self.psnr = event.get("loss", 0.0), event.get("psnr", 0.0)
                 self.gaussians = event.get("gaussians", 0)
                 self.seconds_left = event.get("seconds_left", 0.0)
+                self.run_seconds_left = event.get("run_seconds_left", 0.0)
             case "device":
                 self.device = events.device_in_words(event)
             case "message":
@@ -63,7 +66,7 @@ class JobState:
 
     def _hear(self, text: str, level: str) -> None:
         if level != "warning":
-            self.message = text
+            self.message = self.message if level == "detail" else text
         elif text not in self.warnings and len(self.warnings) < MOST_WARNINGS:
             self.warnings.append(text)
 
@@ -74,12 +77,12 @@ class JobState:
         share = f" {self.step:,} / {self.total:,}" if self.total else ""
         quality = f", {self.psnr:.1f} dB" if self.psnr else ""
         size = f", {self.gaussians:,} Gaussians" if self.gaussians else ""
-        left = f", {self.time_left()}" if self.seconds_left > 0 else ""
-        return f"{self.stage}{share}{quality}{size}{left}"
+        left = self.time_left()
+        return f"{self.stage}{share}{quality}{size}{left and f', {left}'}"
 
     def time_left(self) -> str:
-        """'2 min 05 s left', or nothing if that is not known."""
-        if self.seconds_left <= 0:
-            return ""
-        minutes, rest = divmod(round(self.seconds_left), 60)
-        return f"{minutes} min {rest:02} s left" if minutes else f"{rest} s left"
+        """'about 2 minutes left', of all stages or of this one; nothing if that is not known."""
+        if self.run_seconds_left > 0:
+            return f"about {text.duration(self.run_seconds_left)} left"
+        left = self.seconds_left
+        return f"about {text.duration(left)} left in this part" if left > 0 else ""

@@ -13,7 +13,6 @@ from bpy.props import BoolProperty, EnumProperty, StringProperty
 from .. import settings
 from ..blender import registration
 from ..engine import check, environments, install, python
-from ..engine.event_log import DEVICE
 from ..engine.graphics_card import BUILDS as TORCH_BUILDS
 from ..engine.install_steps import Plan
 from ..errors import AddonError
@@ -38,8 +37,8 @@ BUILDS = (
 )
 """Identifier, name and description of what may be installed."""
 OFFLINE = (
-    "Blender is offline. Allow online access in Preferences ▸ System ▸ Network, or choose a"
-    " folder of wheels."
+    "Blender is offline. To download the engine, turn on Allow Online Access (Preferences ▸"
+    " System ▸ Network), or choose a Folder of Wheels (Advanced)."
 )
 
 
@@ -181,7 +180,7 @@ class CheckEngine(bpy.types.Operator):
         for finding in look_again():
             self.report({"INFO" if finding.works else "WARNING"}, finding.text)
         if device := training_device.asked():
-            self.report({"INFO"}, f"{DEVICE}{device}")
+            self.report({"INFO"}, training_device.in_words(device))
         return {"FINISHED"}
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
 from ..blender import absolute, registration, scene_of
@@ -68,19 +68,20 @@ transforms"""
         name="Up",
         description="Axis that points up in the file",
         items=[
-            ("AUTO", "The Format's Default", "-Y in PLY and SOG, Y in SPZ, glTF and OpenUSD"),
+            ("AUTO", "Automatic", "-Y in PLY and SOG, Y in SPZ, glTF and OpenUSD"),
             ("-Y", "-Y", "Upright in SuperSplat and most PLY viewers"),
             ("Y", "Y", "As in glTF and many game engines"),
             ("Z", "Z, as in Blender", "Imports into Blender in the same place"),
         ],
         options=FRESH,
     )
-    sh_degree: IntProperty(
-        name="SH Degree",
-        description="How much colours may depend on the view: 0 makes the smallest file",
-        default=3,
-        min=0,
-        max=3,
+    view_colour: EnumProperty(
+        name="View-dependent Colour",
+        description="Whether colours change with the direction from which they are seen",
+        items=[
+            ("FULL", "Full", "As trained: reflections move with the view"),
+            ("NONE", "None (¼ of the Size)", "The same colours from all sides: a smaller file"),
+        ],
         options=FRESH,
     )
 
@@ -110,7 +111,7 @@ transforms"""
             context,
             path,
             up=up,
-            sh_degree=self.sh_degree,
+            sh_degree=3 if self.view_colour == "FULL" else 0,
             selected=self.selected,
             visible=self.visible,
         )

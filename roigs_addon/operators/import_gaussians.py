@@ -39,8 +39,8 @@ class ImportGaussians(BrowsingOperator, ImportHelper):  # type: ignore[misc] # t
         items=[
             (
                 "AUTO",
-                "As the File Says",
-                "If it does not say: -Y in PLY, SOG and .splat, Y in SPZ, glTF, OpenUSD",
+                "Automatic",
+                "As the file says; if it does not: -Y in PLY, SOG, .splat, Y in SPZ, glTF, OpenUSD",
             ),
             ("-Y", "-Y", "As most trainers of Gaussians write it"),
             ("Y", "Y", "As in glTF and many game engines"),

@@ -94,10 +94,10 @@ class DeleteResult(bpy.types.Operator):
 
 
 class SetDetail(bpy.types.Operator):
-    """Show this box with levels of detail, refined, or as in the whole-scene model"""
+    """Show this box with levels of detail, as the result, or as the first pass had it"""
 
     bl_idname = "roigs.set_detail"
-    bl_label = "Auto, Fine or Coarse"
+    bl_label = "Auto, Result or First Pass"
     bl_options = {"REGISTER", "UNDO"}
 
     roi: StringProperty(description="Name of the box", options=FRESH)
@@ -113,7 +113,7 @@ class SetDetail(bpy.types.Operator):
     ) -> str:
         """What the button does."""
         if not properties.fine:
-            return "Show this box as in the whole-scene model"
+            return "Show this box as the first pass over the whole scene had it"
         if properties.auto:
             return "Draw fewer Gaussians from far away: levels of detail"
         return "Always draw all Gaussians"

@@ -29,7 +29,7 @@ class ImportColmap(BrowsingOperator, ImportHelper):  # type: ignore[misc] # the 
     """Import the cameras, photos and points of a COLMAP model"""
 
     bl_idname = "roigs.import_colmap"
-    bl_label = "Import COLMAP"
+    bl_label = "Import Cameras (COLMAP)"
 
     directory: StringProperty(subtype="DIR_PATH", options=FRESH)
     filepath: StringProperty(subtype="FILE_PATH", options=FRESH)
@@ -148,7 +148,7 @@ def menu_entry(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     """The entry in File ▸ Import."""
     layout = menu.layout
     assert layout is not None
-    layout.operator(ImportColmap.bl_idname, text="COLMAP (ROI-GS)")
+    layout.operator(ImportColmap.bl_idname, text="Cameras (COLMAP, ROI-GS)")
 
 
 register, unregister = registration(

@@ -1,4 +1,4 @@
-"""Coarse or Fine: a box is shown by one of two objects, as the whole-scene model has it or refined.
+"""Result or first pass: a box is shown by one of two objects, refined or of the whole-scene model.
 
 The other one is switched off, by the properties that Alt-H leaves alone. A copy gets a second
 object of its own when it is needed. The refined one has levels of detail, if they were made
@@ -112,7 +112,7 @@ def _made(scene: bpy.types.Scene, item: bpy.types.Object, level: str) -> bpy.typ
     same = [(other, props) for other, props in _of_boxes(scene) if props.roi == own.roi]
     source = next((o for o, props in same if props.level == level and not props.parked), None)
     if source is None:
-        kind = "refined" if level == FINE else "coarse"
+        kind = "refined" if level == FINE else "first-pass"
         raise AddonError(f"This result has no {kind} model of '{own.roi}'.")
     made = source.copy()
     made.animation_data_clear()

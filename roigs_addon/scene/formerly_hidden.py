@@ -47,7 +47,7 @@ def _was_parked(item: bpy.types.Object) -> bool:
 
 
 def _other_is_shown(scene: bpy.types.Scene, item: bpy.types.Object) -> bool:
-    """Whether another object stands for the box, as Coarse and Fine left it."""
+    """Whether another object stands for the box, as Result and First pass left it."""
     own = object_props(item)
     if own.level not in (detail.FINE, detail.COARSE):
         return False

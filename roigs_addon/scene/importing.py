@@ -25,6 +25,9 @@ CAMERA_SIZE, POINT_RADIUS = 0.02, 0.0015
 PHOTOS_OF_IMPORT = "roigs_photos"
 """Custom property that marks the collection of an import's cameras."""
 
+UNPOSED = "without a pose"
+"""In the engine's words: a photo whose camera was not found."""
+
 TOO_FAR = (
     "The model {}. Cameras, points and boxes are off by up to half of that: move the model to the"
     " origin before you import it (docs/reliability.md says how)."
@@ -156,8 +159,14 @@ def _root(
 
 
 def skipped_in_words(skipped: dict[str, Any]) -> str:
-    """'3 missing on disk, 1 without a pose', or nothing; from scene.json (docs/files.md)."""
-    return ", ".join(f"{entry['count']} {reason}" for reason, entry in skipped.items())
+    """'3 photos left out: missing on disk', or nothing; from scene.json (docs/files.md)."""
+    said = []
+    for reason, entry in skipped.items():
+        count = int(entry["count"])
+        unposed = "its camera was not found" if count == 1 else "their cameras were not found"
+        why = unposed if reason == UNPOSED else reason
+        said.append(f"{text.counted(count, 'photo')} left out: {why}")
+    return "; ".join(said)
 
 
 def _remove_earlier(scene: bpy.types.Scene) -> None:

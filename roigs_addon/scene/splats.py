@@ -45,7 +45,7 @@ MATERIAL = "ROI-GS Gaussians"
 
 
 def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]:
-    """Import a run's Gaussians: the background, and each box refined and coarse.
+    """Import a run's Gaussians: the background, and each box, as the result and as the first pass.
 
     Objects of an earlier result are replaced, and copies of them follow. Those of a box that this
     result does not have are removed: its background contains what they showed.
@@ -99,7 +99,7 @@ def show_imported(
 
 
 def result_files(folder: Path) -> dict[Part, Path]:
-    """The files of a result: of the background, and of each box refined and coarse."""
+    """The files of a result: of the background, of each box, and of its first pass."""
     files: dict[Part, Path] = {("RESULT", ""): folder / run_files.BACKGROUND}
     for path in sorted((folder / run_files.FINE).glob("*.ply")):
         files["ROI", path.stem] = path
@@ -197,7 +197,7 @@ def _of(scene: bpy.types.Scene, level: str, roi: str) -> list[bpy.types.Object]:
 
 def object_name(level: str, roi: str) -> str:
     """What an object of Gaussians is called at first."""
-    return {"SCENE": f"{roi} coarse", "ROI": f"{roi} Gaussians"}.get(level, "Background")
+    return {"SCENE": f"{roi} first pass", "ROI": f"{roi} Gaussians"}.get(level, "Background")
 
 
 def read_files(files: Mapping[Part, Path]) -> dict[Part, bpy.types.Object]:

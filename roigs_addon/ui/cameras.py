@@ -26,7 +26,6 @@ EDIT_ICONS: dict[str, IconItems] = {
     "REMOVE": "REMOVE",
     "UP": "TRIA_UP",
     "DOWN": "TRIA_DOWN",
-    "CLEAR": "X",
 }
 PICTURE_SCALE = 6.0
 """Size of the active photo's picture, in buttons."""
@@ -57,7 +56,7 @@ class PhotoList(bpy.types.UIList):
         if excluded:
             row.label(text="excluded")
         elif item.score:
-            row.progress(factor=min(max(item.score, 0.0), 1.0), text=f"{item.score:.2f}")
+            row.progress(factor=min(max(item.score, 0.0), 1.0), text=f"{item.score:.0%} covered")
         else:
             row.label(text="by hand")
         row.operator(LookThrough.bl_idname, text="", icon="HIDE_OFF").photo = item.name
@@ -75,7 +74,7 @@ class CamerasPanel(SidebarPanel):
         props = scene_props(scene)
         column = show.setting_column(layout)
         column.prop(props, "method")
-        column.prop(props, "count", text="Photos" if props.count else "Photos (auto)")
+        show.or_number(column, props, "Photos", "all_useful", "count")
         layout.operator(SelectCameras.bl_idname, icon="CAMERA_DATA")
         exclusions.counted(layout, scene)
         roi = lookup.active_roi(context)
@@ -104,9 +103,10 @@ def _draw_list(layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.typ
     column = row.column(align=True)
     for action, icon in EDIT_ICONS.items():
         column.operator(EditSelection.bl_idname, text="", icon=icon).action = action
+    layout.operator(EditSelection.bl_idname, text="Clear List", icon="X").action = "CLEAR"
     if props.selection_index < len(props.selection):
         photo = props.selection[props.selection_index].name
-        exclusions.toggle(column, scene, photo)
+        exclusions.toggle(layout, scene, photo)
         if picture := photo_pictures.icon(scene, photo):
             layout.template_icon(icon_value=picture, scale=PICTURE_SCALE)
 

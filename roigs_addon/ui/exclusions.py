@@ -25,15 +25,13 @@ def counted(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     row.operator(IncludePhotos.bl_idname, text="Include All").every = True
 
 
-def toggle(
-    layout: bpy.types.UILayout, scene: bpy.types.Scene, photo: str, *, named: bool = False
-) -> None:
-    """The button that excludes a photo, or includes it again; `named`: with a text."""
+def toggle(layout: bpy.types.UILayout, scene: bpy.types.Scene, photo: str) -> None:
+    """The button that excludes a photo, or includes it again."""
     if exclusions.is_excluded(scene, photo):
-        label = "Include Photo" if named else ""
+        label = "Include Photo"
         layout.operator(IncludePhotos.bl_idname, text=label, icon="LOOP_BACK").photo = photo
     else:
-        label = "Exclude Photo" if named else ""
+        label = "Exclude Photo"
         layout.operator(ExcludePhotos.bl_idname, text=label, icon="CANCEL").photo = photo
 
 

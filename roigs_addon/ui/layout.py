@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
@@ -72,10 +72,22 @@ def setting_column(layout: bpy.types.UILayout) -> bpy.types.UILayout:
     return column
 
 
+def or_number(
+    layout: bpy.types.UILayout, owner: Any, heading: str, none: str, number: str, text: str = ""
+) -> None:
+    """A check box that stands for 0, and the number where it is off; see `properties.zero`."""
+    layout.column(heading=heading, align=True).prop(owner, none)
+    if not getattr(owner, none):
+        layout.prop(owner, number, text=text or "Number")
+
+
 def engine_problem(layout: bpy.types.UILayout, problem: str) -> None:
     """Why the engine cannot train, and the button that leads to its set-up."""
     box = layout.box()
-    wrong(box, problem)
+    if settings.chosen_python():
+        wrong(box, problem)
+    else:  # which Pythons lack what, the preferences tell
+        todo(box, "Training needs the engine: set it up once, in the preferences")
     button = box.operator("preferences.addon_show", text="Set Up the Engine", icon="PREFERENCES")
     button.module = settings.ADDON
 
@@ -114,7 +126,7 @@ def progress(layout: bpy.types.UILayout, state: JobState) -> None:
     if state.total:
         column.label(text=step_in_words(state.stage, state.step, state.total))
         if left := state.time_left():
-            column.label(text=f"About {left} in this stage")
+            column.label(text=left[0].upper() + left[1:])
     if state.gaussians:
         column.label(text=f"{state.gaussians:,} Gaussians")
     if state.psnr:

@@ -1,4 +1,4 @@
-"""The preferences page: settings of the engine, folders, setting up the engine."""
+"""The preferences page: setting up the engine, then its settings and folders."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, St
 from .. import blender, settings
 from ..blender import full_path, region_of, registration
 from ..engine import check, install
-from ..engine.event_log import DEVICE
 from ..engine.graphics_card import Choice
 from ..engine.install_steps import (
     CUDA_DOWNLOAD_BYTES,
@@ -21,12 +20,17 @@ from ..engine.install_steps import (
     FORMATS_DOWNLOAD_BYTES,
 )
 from ..facts import graphics_card, training_device
-from ..operators.engine_setup import BUILDS
+from ..operators.engine_setup import BUILDS, OFFLINE
+from ..properties import zero
 from ..windows import redraw_sidebars
-from .layout import PIXELS_PER_LETTER, draw_where, wrapped
+from .layout import PIXELS_PER_LETTER, draw_where, or_number, wrapped
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import IconItems
+
+
+PURPOSE = "The engine, which trains and renders, is a program of its own: set it up once"
+NEXT = "Next: the sidebar of a 3D view (N), tab ROI-GS"
 
 
 def _full_path(name: str) -> Callable[[RoigsPreferences, bpy.types.Context], None]:
@@ -52,7 +56,7 @@ class RoigsPreferences(bpy.types.AddonPreferences):
     engine_python: StringProperty(
         name="Engine Python",
         subtype="FILE_PATH",
-        description="Python that runs the engine (empty: found automatically)",
+        description="Program of the Python that runs the engine (empty: found automatically)",
         update=_full_path("engine_python"),
     )
     threads: IntProperty(
@@ -108,32 +112,35 @@ class RoigsPreferences(bpy.types.AddonPreferences):
     wheels: StringProperty(
         name="Folder of Wheels",
         subtype="DIR_PATH",
-        description="Install from the wheels in this folder, without a network (empty: from PyPI)",
+        description="Folder of Python packages (.whl) to install from, without a network (empty:"
+        " download them)",
         update=_full_path("wheels"),
     )
+
+    all_threads: zero("threads", 4, name="All", description="Use all of the processor's threads")
+    advanced: BoolProperty(name="Advanced", description="Show settings that few people need")
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the page in the preferences window."""
         layout = self.layout
         assert layout is not None
-        layout.use_property_split = True
-        for name in ("engine_python", "device", "threads"):
-            layout.prop(self, name)
-        draw_where(layout)
-        for name in ("cache", "preview_seconds"):
-            layout.prop(self, name)
         _draw_engine(layout.box().column(), self)
+        layout.use_property_split = True
+        layout.prop(self, "device")
+        layout.prop(self, "preview_seconds")
+        row = layout.row()
+        row.use_property_split = False
+        icon: IconItems = "DISCLOSURE_TRI_DOWN" if self.advanced else "DISCLOSURE_TRI_RIGHT"
+        row.prop(self, "advanced", icon=icon, emboss=False)
+        if self.advanced:
+            for name in ("engine_python", "build", "formats", "wheels", "cache"):
+                layout.prop(self, name)
+            or_number(layout, self, "Threads", "all_threads", "threads")
+            draw_where(layout)
 
 
 def _draw_engine(layout: bpy.types.UILayout, page: RoigsPreferences) -> None:
-    """What the engine can do, and how to set it up."""
-    row = layout.row()
-    row.label(text="Engine")
-    row.operator("roigs.check_engine")
-    for finding in check.last:
-        _lines(layout, finding.text, "CHECKMARK" if finding.works else "ERROR")
-    if device := training_device.asked():
-        _lines(layout, f"{DEVICE}{device}", "SYSTEM")
+    """How to set up the engine, and what it can do."""
     made = install.current
     if made is not None and not made.finished:
         row = layout.row(align=True)
@@ -141,18 +148,38 @@ def _draw_engine(layout: bpy.types.UILayout, page: RoigsPreferences) -> None:
         row.operator("roigs.stop_setup", text="", icon="CANCEL")
         layout.label(text=made.line)
         return
-    if made is not None:
-        _lines(layout, made.message or made.title, "ERROR" if made.message else "CHECKMARK")
     choice = graphics_card.choice()
-    layout.prop(page, "build")
-    layout.prop(page, "formats")
-    layout.prop(page, "wheels")
-    _lines(layout, _what_suits(choice), "INFO")
-    _lines(layout, _needed_space(page, choice), "INFO")
+    _lines(layout, PURPOSE, "INFO")
+    if page.build == "AUTO":
+        _lines(layout, _what_suits(choice), "BLANK1")
+    _lines(layout, _needed_space(page, choice), "BLANK1")
+    offline = not (page.wheels or bpy.app.online_access)
+    if offline:
+        _draw_offline(layout)
     row = layout.row(align=True)
-    button = row.operator("roigs.setup_engine", icon="IMPORT")
+    main = row.row(align=True)
+    main.scale_y, main.enabled = 1.5, not offline
+    button = main.operator("roigs.setup_engine", icon="IMPORT")
     button.build, button.formats, button.wheels = page.build, page.formats, page.wheels
-    row.operator("roigs.remove_engine", icon="TRASH")
+    others = row.row(align=True)
+    others.scale_y = 1.5
+    others.operator("roigs.check_engine")
+    others.operator("roigs.remove_engine", icon="TRASH")
+    if made is not None and made.message:
+        _lines(layout, made.message, "ERROR")
+    elif made is not None:
+        _lines(layout, f"{made.title} {NEXT}", "CHECKMARK")
+    for finding in check.last:
+        _lines(layout, finding.text, "CHECKMARK" if finding.works else "ERROR")
+    if device := training_device.asked():
+        _lines(layout, training_device.in_words(device), "SYSTEM")
+
+
+def _draw_offline(layout: bpy.types.UILayout) -> None:
+    """Blender's own switch for the network, which a command line may have locked."""
+    _lines(layout, OFFLINE, "ERROR")
+    if not bpy.app.online_access_override:
+        layout.prop(blender.preferences().system, "use_online_access")
 
 
 def _what_suits(choice: Choice | None) -> str:

@@ -6,7 +6,7 @@ import bpy
 
 from ..blender import layout_of, registration, scene_of
 from ..engine.reconstruction import ReconstructionStatus
-from ..facts import engine_ability, reconstructions, weak_photos
+from ..facts import reconstructions, weak_photos
 from ..jobs import current
 from ..jobs.spec import RECONSTRUCTING
 from ..operators.reconstruct import ChoosePhotos, Reconstruct, ShowReport
@@ -53,8 +53,6 @@ class PhotosPanel(SidebarPanel):
         text = "Continue" if status.unfinished and not current.busy() else Reconstruct.bl_label
         row.operator(Reconstruct.bl_idname, text=text, icon="PLAY")
         row.operator(ShowLog.bl_idname, text="", icon="TEXT")
-        if problem := engine_ability.problem():
-            show.engine_problem(layout, problem)
         state = current.state()
         if state.title == RECONSTRUCTING and (current.busy() or state.error):
             show.job(layout, RECONSTRUCTING)

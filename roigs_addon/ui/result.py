@@ -137,8 +137,8 @@ def _draw_pair(
     whole = fine and (props.whole or not levels)
     if levels:
         _detail_button(buttons, shown, "Auto", pressed=fine and not whole, auto=True)
-    _detail_button(buttons, shown, "Fine", pressed=whole)
-    _detail_button(buttons, shown, "Coarse", pressed=not fine, fine=False)
+    _detail_button(buttons, shown, "Result", pressed=whole)
+    _detail_button(buttons, shown, "First pass", pressed=not fine, fine=False)
     row.prop(shown, "hide_viewport", text="", emboss=False)
 
 

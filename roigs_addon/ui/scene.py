@@ -36,7 +36,7 @@ class ScenePanel(SidebarPanel):
         if show.job(layout, IMPORTING) or show.job(layout, REFINING):
             return
         if not props.colmap:
-            show.todo(layout, "Import the folder of a COLMAP project")
+            show.todo(layout, "Reconstruct photos above, or import the folder of a COLMAP project")
             return
         cloud = lookup.points(scene)
         points = len(mesh_of(cloud).vertices) if cloud else 0
@@ -50,14 +50,14 @@ class ScenePanel(SidebarPanel):
         exclusions.counted(layout, scene)
         exclusions.weak(layout, scene)
         if props.skipped and not _skipping_is_said():
-            show.wrong(layout, f"Skipped: {props.skipped}")
+            show.wrong(layout, props.skipped)
         row = layout.row(align=True)
         name, photo = photo_at_hand(context), _photo(context)
         row.operator(LookThrough.bl_idname, text="", icon="TRIA_LEFT").step = -1
         row.operator(LookThrough.bl_idname, text=name, icon="CAMERA_DATA").step = 0
         row.operator(LookThrough.bl_idname, text="", icon="TRIA_RIGHT").step = 1
         if photo:
-            exclusions.toggle(layout, scene, photo.name, named=True)
+            exclusions.toggle(layout, scene, photo.name)
         exclusions.selected(layout, context)
 
 

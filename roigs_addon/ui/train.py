@@ -5,7 +5,6 @@ from __future__ import annotations
 import bpy
 
 from ..blender import layout_of, registration, scene_of
-from ..engine.event_log import DEVICE
 from ..engine.own_files import stage_in_words
 from ..engine.run_status import RunStatus
 from ..engine.training_steps import training_steps
@@ -33,7 +32,7 @@ class TrainPanel(SidebarPanel):
             column.prop(scene_props(scene), name)
         _draw_length(layout, scene)
         if device := training_device.of_run(scene):
-            show.say(layout, f"{DEVICE}{device}", "SYSTEM")
+            show.say(layout, training_device.in_words(device), "SYSTEM")
         status = run_facts.run(scene)
         resume = not current.busy() and status.unfinished
         row = layout.row(align=True)
@@ -101,8 +100,7 @@ class TrainSettingsPanel(SidebarPanel):
         for name in ("steps_factor", "strategy", "made_for"):
             column.prop(props, name)
         show.draw_where(column)
-        label = "Test: One Photo in" if props.test_every else "Test Photos (none)"
-        column.prop(props, "test_every", text=label)
+        show.or_number(column, props, "Test Photos", "no_tests", "test_every", "One Photo in")
         for name in ("seed", "run_dir"):
             column.prop(props, name)
         if not props.run_dir:

@@ -27,7 +27,8 @@ class StageStarted:
 class Progress:
     """Where a stage is. Seconds are wall-clock; `psnr` is over recent photos, in dB.
 
-    `loss` is NaN in a stage that has none (evaluation), and `null` in JSON.
+    `loss` is NaN in a stage that has none (evaluation), and `null` in JSON. `run_seconds_left` is
+    of all stages to come too; NaN where that is not known.
     """
 
     stage: str
@@ -37,11 +38,12 @@ class Progress:
     psnr: float
     gaussians: int
     seconds_left: float
+    run_seconds_left: float = math.nan
 
 
 @dataclass(frozen=True, kw_only=True)
 class Message:
-    """Something a person should know: level is 'info' or 'warning'."""
+    """Something a person should know: level is 'info', 'warning', or 'detail', for logs."""
 
     text: str
     level: str = "info"
@@ -97,7 +99,7 @@ FIELDS: dict[str, dict[str, type]] = {
 }
 """The fields of each event, by its name in JSON; readers ignore anything else on a line."""
 FINAL = ("done", "failed")
-CPU_NAME = "this computer's processor"
+CPU_NAME = "the processor"
 MAX_NUMBER = 1 << 31  # what Blender's integers hold
 MAX_LINE = 1 << 16  # characters; a longer line is not an event
 
@@ -144,7 +146,7 @@ def parse_event(line: str) -> Record | None:
 
 
 def device_in_words(event: Record) -> str:
-    """'NVIDIA RTX 4070 (checked)', or "this computer's processor (why)"."""
+    """'NVIDIA RTX 4070 (checked)', or 'the processor (why)'."""
     name = event.get("name") if event.get("kind") != "cpu" else ""
     reason = event.get("reason")
     return f"{name or CPU_NAME}{f' ({reason})' if reason else ''}"

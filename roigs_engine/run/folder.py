@@ -91,6 +91,7 @@ def train_opened(
     expected = forecast_if_long(run, plan, context)
     if expected is not None:
         context.info(expected.time_line())
+        context = expected.counting_down(context)
         space = disk_space(run, expected)
         if space.level == "warning":
             context.emit(space)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ..colmap.undistort import PER_PIXEL, missing_in
 from ..context import QUIET, Context
 from ..errors import EngineError
-from ..formats.events import Message
+from ..formats.events import Event, Message, Progress
 from ..formats.run_files import CACHE
 from ..formats.text import counted, duration, json_digest
 from ..kernels import library
@@ -76,6 +76,21 @@ class Forecast:
     stages: Sequence[StageForecast]  # in the order of training
     evaluation: float  # seconds to evaluate all models
     device: str  # what trains, for the text
+
+    def counting_down(self, context: Context) -> Context:
+        """The context, where progress of a stage also tells the time to the end of the run."""
+        after, later = self.evaluation, {}
+        for each in reversed(self.stages):
+            later[each.stage.name] = after
+            after += each.seconds - each.done
+
+        def emit(event: Event) -> None:
+            if isinstance(event, Progress) and event.stage in later:
+                left = event.seconds_left + later[event.stage]
+                event = replace(event, run_seconds_left=left)
+            context.emit(event)
+
+        return replace(context, emit=emit)
 
     def time_line(self) -> str:
         """One line with the minutes."""

@@ -71,7 +71,7 @@ def test_inside_the_active_box_of_all_that_is_visible(blender: ModuleType, scene
     before = {name: points(item) + np.array(item.location) for name, item in items.items()}
     blender.ops.roigs.choose_by_box(where="INSIDE", action="DELETE")
     for name, item in items.items():
-        coarse = name == "thing coarse"  # hidden
+        coarse = name == "thing first pass"  # hidden
         assert len(points(item)) == (len(before[name]) if coarse else (~in_box(before[name])).sum())
 
 

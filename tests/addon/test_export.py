@@ -112,7 +112,7 @@ def test_the_axis_that_points_up(blender: ModuleType, scene, tmp_path: Path) -> 
 def test_only_selected_and_fewer_degrees(blender: ModuleType, scene, tmp_path: Path) -> None:
     blender.ops.roigs.select_gaussians(name="thing Gaussians")
     blender.ops.roigs.export_gaussians(
-        filepath=str(tmp_path / "thing"), selected=True, sh_degree=0, up="Z"
+        filepath=str(tmp_path / "thing"), selected=True, view_colour="NONE", up="Z"
     )
     found = read_ply(tmp_path / "thing.ply")  # the ending is added
     item = objects(scene)["thing Gaussians"]

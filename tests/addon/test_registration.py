@@ -70,7 +70,7 @@ def test_nothing_stays(blender: ModuleType) -> None:
 @pytest.mark.blender
 def test_no_operator_remembers_its_last_call(addon: ModuleType, blender: ModuleType) -> None:
     """Otherwise a button that leaves a property out repeats what another one did with it: Render
-    would render an animation, Import COLMAP the previous folder."""
+    would render an animation, Import Cameras the previous folder."""
     operators = [getattr(blender.ops.roigs, name) for name in dir(blender.ops.roigs)]
     kept = {
         f"{operator.idname_py()}.{item.identifier}"

@@ -59,7 +59,8 @@ class MeasuredShRate(Mechanism):
         rate = least * (full / least) ** (max(share, 0.0) / FULL_RATE)
         context.info(
             f"Colours depend little on the view: neighbouring photos predict {max(share, 0.0):.0%}"
-            f" of how they differ. The SH learning rate is {rate:.2g}, not {full:.2g}."
+            f" of how they differ. The SH learning rate is {rate:.2g}, not {full:.2g}.",
+            "detail",
         )
         return replace(config, lr_shN=rate)
 

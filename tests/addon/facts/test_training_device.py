@@ -7,6 +7,9 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
+from roigs_engine.context import Context
+from roigs_engine.cuda.device import choose_device
+from roigs_engine.formats import events
 from tests.addon.fake_engine import fake, until
 
 pytestmark = pytest.mark.blender
@@ -23,7 +26,7 @@ def panel(bpy: ModuleType) -> list[str]:
     from tests.addon.panels import said
 
     texts = said(bpy, TrainPanel)
-    starts = [k for k, text in enumerate(texts) if text.startswith("Trains on: ")]
+    starts = [k for k, text in enumerate(texts) if text.startswith("Trains on ")]
     return [" ".join(texts[k : k + 3]) for k in starts]
 
 
@@ -41,8 +44,8 @@ def train(code: str, folder: Path) -> None:
 @pytest.mark.parametrize(
     ("code", "words"),
     [
-        (CARD, "Trains on: NVIDIA RTX 4070 (checked)"),
-        (FAILED, "Trains on: this computer's processor (GPU check: differs from the CPU)"),
+        (CARD, "Trains on NVIDIA RTX 4070 (checked)"),
+        (FAILED, "Trains on the processor (GPU check: differs from the CPU)"),
     ],
 )
 def test_the_panel_says_it_of_the_training_and_of_its_log(
@@ -70,11 +73,27 @@ def test_the_panel_says_it_of_the_training_and_of_its_log(
     assert panel(blender) == []
 
 
+def test_a_torch_without_cuda_says_what_to_do(
+    blender: ModuleType, addon: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roigs_addon.facts import training_device
+
+    said: list[events.Event] = []
+    monkeypatch.setattr("torch.version.cuda", None)
+    choose_device("auto", Context(emit=said.append))
+    (record,) = [events.parse_event(events.to_json(event)) for event in said]
+    assert record is not None
+    monkeypatch.setattr("sys.platform", "linux")
+    assert training_device.in_words(events.device_in_words(record)) == (
+        "Trains on the processor. For an NVIDIA card: Set Up the Engine"
+    )
+
+
 def test_damaged_events_do_no_harm(blender: ModuleType, addon: ModuleType, tmp_path: Path) -> None:
     blender.context.scene.roigs.run_dir = str(tmp_path)
     train(f'say(event="device", kind=3, name=[], reason="a\\nb")\n{DONE}', tmp_path)
     (said,) = panel(blender)
-    assert said.startswith("Trains on: this computer's processor (a b)")
+    assert said.startswith("Trains on the processor (a b)")
 
 
 def test_check_asks_the_engine(
@@ -95,17 +114,17 @@ def test_check_asks_the_engine(
     assert until(lambda: not training_device._check.busy())
     assert asked.read_text() == "check-gpu --brief --events;"
     assert training_device.asked() == "NVIDIA RTX 4070 (checked)"
-    assert panel(blender)[0].startswith("Trains on: NVIDIA RTX 4070")
+    assert panel(blender)[0].startswith("Trains on NVIDIA RTX 4070")
     drawn: list[str] = []
     monkeypatch.setattr(preferences, "_lines", lambda _layout, text, _icon: drawn.append(text))
     from tests.addon.panels import Layout
 
     page = SimpleNamespace(build="CPU", formats=True, wheels="")
     preferences._draw_engine(Layout([]), page)
-    assert "Trains on: NVIDIA RTX 4070 (checked)" in drawn
+    assert "Trains on NVIDIA RTX 4070 (checked)" in drawn
     chosen = SimpleNamespace(device="cpu", engine_python="")
     monkeypatch.setattr(settings, "get", lambda: chosen)
-    assert training_device.asked() == "this computer's processor (chosen above)"
+    assert training_device.asked() == "the processor (chosen below)"
     monkeypatch.setattr(python, "find", lambda *_: (None, "none"))
     training_device.forget()
     training_device.ask()

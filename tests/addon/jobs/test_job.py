@@ -34,9 +34,14 @@ def test_progress_becomes_the_state(blender: ModuleType, spec, tmp_path: Path) -
     assert (state.step, state.total, state.gaussians) == (12, 30, 1234)
     assert (state.loss, state.psnr) == (0.25, 21.5)
     assert len(spec.taken) == 1 and not current.busy()
+    for level in ("info", "detail"):  # the second one is for the log
+        state.take({"event": "message", "text": level, "level": level})
+    assert state.message == "info"
     state.stage = "joint"
     text = state.in_words()
-    assert text == "joint 12 / 30, 21.5 dB, 1,234 Gaussians, 2 min 05 s left"
+    assert text == "joint 12 / 30, 21.5 dB, 1,234 Gaussians, about 2 minutes left in this part"
+    state.take({"event": "progress", "stage": "joint", "run_seconds_left": 400.0})
+    assert state.time_left() == "about 7 minutes left"  # of all stages
 
 
 def test_warnings_stay_in_the_panel(blender: ModuleType, spec, tmp_path: Path) -> None:

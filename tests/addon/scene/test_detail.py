@@ -69,12 +69,12 @@ def as_before(scene, *hidden: str) -> None:
                 item.hide_render = True
 
 
-@pytest.mark.parametrize("shown", ["Gaussians", "coarse"])
+@pytest.mark.parametrize("shown", ["Gaussians", "first pass"])
 def test_files_of_the_version_before(blender: ModuleType, two, shown: str) -> None:
     from roigs_addon.scene import lookup
 
     scene, folder, _ = two
-    other = {"Gaussians": "coarse", "coarse": "Gaussians"}[shown]
+    other = {"Gaussians": "first pass", "first pass": "Gaussians"}[shown]
     as_before(scene, f"thing {other}")
     path = folder / "before.blend"
     blender.ops.wm.save_as_mainfile(filepath=str(path))
@@ -83,7 +83,7 @@ def test_files_of_the_version_before(blender: ModuleType, two, shown: str) -> No
     alt_h(scene)
     assert visible(scene) == {"Background", f"thing {shown}"}
     assert not lookup.points(scene).visible_get()
-    blender.ops.roigs.set_detail(roi="thing", fine=shown == "coarse")
+    blender.ops.roigs.set_detail(roi="thing", fine=shown == "first pass")
     assert visible(scene) == {"Background", f"thing {other}"}
 
 
@@ -92,9 +92,9 @@ def test_what_was_parked_by_the_version_before(blender: ModuleType, two) -> None
     for part in ("rois", "coarse"):
         (older / part / "thing.ply").unlink()
     blender.ops.roigs.compare_results()
-    as_before(scene, "thing Gaussians", "thing coarse")
+    as_before(scene, "thing Gaussians", "thing first pass")
     scene.objects["thing Gaussians"].roigs.parked = "parked view render"
-    scene.objects["thing coarse"].roigs.parked = "parked"
+    scene.objects["thing first pass"].roigs.parked = "parked"
     path = folder / "before.blend"
     blender.ops.wm.save_as_mainfile(filepath=str(path))
     blender.ops.wm.open_mainfile(filepath=str(path))
@@ -129,7 +129,7 @@ def test_copies(blender: ModuleType, two, linked: bool) -> None:
     stand_in.location.x += 1
     bpy.ops.roigs.set_detail(name="thing Gaussians", fine=False)
     bpy.ops.roigs.set_detail(name=stand_in.name, fine=True)
-    assert visible(scene) == {"Background", "thing coarse", copy.name}
+    assert visible(scene) == {"Background", "thing first pass", copy.name}
     assert copy.location.x == pytest.approx(4)
     every = len(scene.objects)
     for fine in (False, True):
@@ -150,7 +150,7 @@ def test_without_a_coarse_model_the_fine_one_stays(blender: ModuleType, two) -> 
     scene, folder, _ = two
     (folder / "coarse" / "thing.ply").unlink()
     blender.ops.roigs.load_results()
-    with pytest.raises(RuntimeError, match="no coarse model of 'thing'"):
+    with pytest.raises(RuntimeError, match="no first-pass model of 'thing'"):
         blender.ops.roigs.set_detail(roi="thing", fine=False)
     assert visible(scene) == {"Background", "thing Gaussians"}
 
@@ -158,7 +158,7 @@ def test_without_a_coarse_model_the_fine_one_stays(blender: ModuleType, two) -> 
 def test_a_hidden_object_without_parent_is_placed_too(blender: ModuleType, two) -> None:
     from roigs_addon.scene import placement
 
-    item = two[0].objects["thing coarse"]
+    item = two[0].objects["thing first pass"]
     item.parent = None
     before = tuple(item.location)
     move = np.eye(4)

@@ -1,4 +1,4 @@
-"""Import COLMAP, and what a user does with the cameras."""
+"""Import Cameras, and what a user does with the cameras."""
 
 from __future__ import annotations
 
@@ -182,7 +182,16 @@ def test_what_is_skipped_is_counted(blender: ModuleType, addon: ModuleType, tmp_
     for index in (2, 5):
         (project / "images" / f"photo {index}.png").unlink()
     scene = imported(blender, project)
-    assert scene.roigs.skipped.startswith("2 ") and "{" not in scene.roigs.skipped
+    assert scene.roigs.skipped == "2 photos left out: missing on disk"
+
+
+def test_a_photo_without_a_pose_is_said_in_words(blender: ModuleType, addon: ModuleType) -> None:
+    from roigs_addon.scene.importing import skipped_in_words
+    from roigs_engine.colmap.photo_loader import UNPOSED
+
+    one, two = ({UNPOSED: {"count": count}} for count in (1, 2))
+    assert skipped_in_words(one) == "1 photo left out: its camera was not found"
+    assert skipped_in_words(two) == "2 photos left out: their cameras were not found"
 
 
 def test_a_model_in_map_coordinates_is_warned_of(

@@ -52,7 +52,7 @@ def test_levels_of_the_last_result(levelled) -> None:
         "levels/1/rois/thing.ply",
         "levels/2/rois/thing.ply",
     ]
-    assert not files(scene, "thing coarse")
+    assert not files(scene, "thing first pass")
     assert drawn(scene) == {2: 1.0}
 
 

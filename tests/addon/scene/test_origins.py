@@ -70,7 +70,7 @@ def assert_close(*points: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "part"), [("thing Gaussians", "rois"), ("thing coarse", "coarse")]
+    ("name", "part"), [("thing Gaussians", "rois"), ("thing first pass", "coarse")]
 )
 def test_it_is_the_centre_of_the_box(blender: ModuleType, far, name: str, part: str) -> None:
     scene, folder = far
@@ -85,7 +85,7 @@ def test_it_is_the_centre_of_the_box(blender: ModuleType, far, name: str, part: 
 
 def test_without_the_box_it_is_the_centre_of_the_points(blender: ModuleType, far) -> None:
     scene, folder = far
-    for name in ("thing", "thing Gaussians", "thing coarse"):
+    for name in ("thing", "thing Gaussians", "thing first pass"):
         blender.data.objects.remove(scene.objects[name])
     blender.ops.roigs.load_results()
     blender.context.view_layer.update()

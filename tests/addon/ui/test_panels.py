@@ -20,7 +20,7 @@ def test_missing_files_are_named(blender: ModuleType, run) -> None:
     blender.ops.roigs.load_results()
     assert run_facts.missing_splats(scene) == []
     moved = folder.rename(folder.with_name("moved"))
-    assert run_facts.missing_splats(scene) == ["Background", "thing Gaussians", "thing coarse"]
+    assert run_facts.missing_splats(scene) == ["Background", "thing Gaussians", "thing first pass"]
     told = " ".join(said(blender, ResultPanel))
     assert "Missing splat files: Background, thing Gaussians and 1 more" in told
     scene.roigs.run_dir = str(moved)
@@ -148,8 +148,9 @@ def test_skipped_photos_are_said_once(
     folder = write_project(tmp_path / "garden")
     (folder / "images" / "photo 3.png").unlink()
     imported(blender, folder)
-    for _ in range(2):  # first the import's own warning, then what the scene remembers
-        assert " ".join(said(blender, ScenePanel)).count("Skipped") == 1
+    for words in ("Skipped 1 photo", "1 photo left out: missing on disk"):
+        text = " ".join(said(blender, ScenePanel))  # first the import's own warning
+        assert words in text and text.count("missing on disk") == 1
         current.job = None
 
 
@@ -206,13 +207,15 @@ def test_the_label_of_test_photos_says_what_the_number_is(
     from roigs_addon.ui import layout
     from roigs_addon.ui.train import TrainSettingsPanel
 
-    labels: list[str] = []
-    column = SimpleNamespace(prop=lambda *_, text="": labels.append(text))
+    settings, shown = run[0].roigs, []
+    column = SimpleNamespace(prop=lambda _, name, text="": shown.append((name, text)))
+    column.column = lambda **_: column
     monkeypatch.setattr(layout, "setting_column", lambda _: column)
-    for number in (0, 8):
-        run[0].roigs.test_every = number
+    for none in (True, False):
+        settings.no_tests, shown[:] = none, []
         said(blender, TrainSettingsPanel)
-    assert list(filter(None, labels)) == ["Test Photos (none)", "Test: One Photo in"]
+        assert settings.test_every == (0 if none else 8)
+        assert (("test_every", "One Photo in") in shown) is not none
 
 
 def test_levels_of_detail(blender: ModuleType, run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -226,11 +229,11 @@ def test_levels_of_detail(blender: ModuleType, run, monkeypatch: pytest.MonkeyPa
     blender.ops.roigs.load_results()
     assert LevelsPanel.poll(blender.context)
     told = said(blender, ResultPanel)
-    assert "Fine" in told and "Coarse" in told and "Auto" not in told and "Full" not in told
+    assert "Result" in told and "First pass" in told and "Auto" not in told and "Full" not in told
     assert "Make levels to draw far objects faster" in " ".join(said(blender, LevelsPanel))
     make_levels(folder, rate=FAR)
     told = said(blender, ResultPanel)
-    assert told.count("Auto") == 2 and {"Full", "Fine", "Coarse"} <= set(told)
+    assert told.count("Auto") == 2 and {"Full", "Result", "First pass"} <= set(told)
     assert not any("Make levels" in text for text in said(blender, LevelsPanel))
     monkeypatch.setattr(draw, "counts", lambda area: (1234, 56789))
     assert "Drawn now: 1,234 of 56,789 Gaussians" in " ".join(said(blender, LevelsPanel))

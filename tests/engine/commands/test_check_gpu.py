@@ -76,7 +76,7 @@ def test_brief_only_says_which_device_trains(
     monkeypatch.setattr(torch.version, "cuda", None)
     assert main(["check-gpu", "--brief"]) == 0
     said = capsys.readouterr()
-    assert said.err == ("Device: this computer's processor (This torch is built without CUDA).\n")
+    assert said.err == ("Device: the processor (This torch is built without CUDA).\n")
     assert not said.out
     monkeypatch.setattr(Console, "_read_input", lambda _: None)  # pytest has closed it
     assert main(["check-gpu", "--brief", "--events"]) == 0

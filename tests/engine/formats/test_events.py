@@ -21,7 +21,16 @@ from roigs_engine.formats.events import (
 
 EVENTS: list[Event] = [
     StageStarted(stage="scene", total=3),
-    Progress(stage="s", step=1, total=3, loss=0.1, psnr=20.0, gaussians=5, seconds_left=1.5),
+    Progress(
+        stage="s",
+        step=1,
+        total=3,
+        loss=0.1,
+        psnr=20.0,
+        gaussians=5,
+        seconds_left=1.5,
+        run_seconds_left=9.0,
+    ),
     Message(text="zdjęcie\nz dwóch linii", level="warning"),
     Preview(path="a b/ć.png"),
     Done(outputs={"report": "report.md"}, stopped=True),

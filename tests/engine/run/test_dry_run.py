@@ -14,7 +14,7 @@ import pytest
 
 from roigs_engine.context import Context
 from roigs_engine.errors import RunFolderError, Stopped
-from roigs_engine.formats.events import Event, Message
+from roigs_engine.formats.events import Event, Message, Progress
 from roigs_engine.formats.lock import locked
 from roigs_engine.model.scene import PosedImage, SfmScene
 from roigs_engine.run import forecast
@@ -119,6 +119,21 @@ def test_the_disk_space_is_said(
     train_run(run, context=Context(emit=events.append))
     (warning,) = [e for e in events if isinstance(e, Message) and e.text.startswith("Disk:")]
     assert warning.level == "warning" and "can be resumed" in warning.text
+
+
+def test_progress_tells_the_time_to_the_end_of_the_run(
+    scene: SfmScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(forecast, "WORTH_SAYING", 1)
+    monkeypatch.setattr(Estimator, "_measured", lambda *_: 100.0)  # seconds a step
+    events: list[Event] = []
+    run = define_run(tmp_path, scene, [BOX], tiny("joint"))
+    train_run(run, context=Context(emit=events.append))
+    last = {e.stage: e for e in events if isinstance(e, Progress) and e.step == e.total}
+    first, *later = plan_run(run).stages
+    assert [*last] == [first.name, *(stage.name for stage in later)]
+    assert last[first.name].run_seconds_left >= 100 * sum(s.config.steps for s in later)
+    assert last[later[-1].name].run_seconds_left < 100 * later[-1].config.steps
 
 
 def test_a_folder_of_another_version_is_refused(scene: SfmScene, tmp_path: Path) -> None:

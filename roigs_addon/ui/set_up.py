@@ -1,0 +1,29 @@
+"""Above all steps, until the engine is set up: the way to the preferences."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..blender import layout_of, registration
+from ..facts import engine_ability
+from . import layout as show
+from .layout import SidebarPanel
+
+
+class SetUpPanel(SidebarPanel):
+    """What comes after the installation of the add-on; gone when that is done."""
+
+    bl_idname = "ROIGS_PT_set_up"
+    bl_label = "Start Here"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """The engine cannot train yet."""
+        return bool(engine_ability.problem())
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """One line and the button."""
+        show.engine_problem(layout_of(self), engine_ability.problem())
+
+
+register, unregister = registration(SetUpPanel)
