@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import io
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -28,8 +28,17 @@ import numpy as np
 from PIL import Image, ImageCms
 
 from ..formats.files import regular
-from .headers import CONVERTED, DAMAGED, PNG, open_photo
-from .profiles import ADOBE_GAMMA, ADOBE_RGB, SRGB, Deep, cicp_profile, gamma_profile, space_of
+from .headers import CONVERTED, DAMAGED, open_photo, png_chunk
+from .profiles import (
+    ADOBE_GAMMA,
+    ADOBE_RGB,
+    SRGB,
+    Deep,
+    Space,
+    space_of_code,
+    space_of_gamma,
+    space_of_profile,
+)
 
 # Of EXIF: the table of the photo's tags, its colour space, the table of interoperability, its index
 EXIF_IFD, COLOUR_SPACE, INTEROPERABILITY_IFD, INDEX = 0x8769, 0xA001, 0xA005, 1
@@ -39,6 +48,7 @@ ROUNDING = 2  # of 255: sRGB's profiles differ by that
 LATTICE = 17  # values of each channel for which a profile is compared with sRGB
 BLACK_POINT: Any = 0x2000  # LittleCMS's flag, which has no name in Pillow 10.1
 MODES = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK", "Lab ": "LAB"}
+Conversion = Callable[[Image.Image], Image.Image]
 
 
 class ProfileError(ValueError):
@@ -47,9 +57,9 @@ class ProfileError(ValueError):
 
 @dataclass(frozen=True)
 class Colours:
-    """A photo's colour space: its profile (empty: sRGB), and whether it has one that is damaged."""
+    """A photo's colour space, or its ICC profile (empty: sRGB); whether it has a damaged one."""
 
-    profile: bytes = b""
+    profile: bytes | Space = b""
     damaged: bool = False
 
     def __str__(self) -> str:
@@ -60,7 +70,7 @@ def colours_of(photo: Image.Image) -> Colours:
     """The colour space of an opened photo, before it is decoded."""
     try:
         profile = _profile(photo)
-        if profile and _transform(profile, kind_of(photo)) is None:
+        if profile and _conversion(profile, kind_of(photo)) is None:
             return Colours()
         return Colours(profile=profile)
     except MemoryError:
@@ -80,20 +90,20 @@ def to_srgb(pixels: Image.Image, colours: Colours) -> Image.Image:
     """Decoded pixels (L, RGB, CMYK or LAB) of a photo as RGB."""
     if not colours.profile:
         return pixels if pixels.mode == "RGB" else pixels.convert("RGB")
-    transform = _transform(colours.profile, pixels.mode)
-    assert transform is not None
-    if pixels.mode != transform.input_mode:
-        pixels = pixels.convert(transform.input_mode)
-    converted = transform.apply(pixels)
+    convert = _conversion(colours.profile, pixels.mode)
+    assert convert is not None
+    converted = convert(pixels)
     converted.info = {}  # with a profile of what it was
     return converted
 
 
 def deep_to_srgb(values: Deep, colours: Colours) -> Image.Image | None:
     """RGB of values (grey or RGB) at their full depth; None: the profile is of tables."""
+    space: bytes | Space | None = colours.profile
     with suppress(struct.error, ValueError, IndexError, ArithmeticError):  # LittleCMS may read it
-        if space := space_of(colours.profile):
-            return Image.fromarray(space.to_srgb(values))
+        if isinstance(space, bytes):
+            space = space_of_profile(space)
+        return Image.fromarray(space.to_srgb(values)) if space else None
     return None
 
 
@@ -122,12 +132,24 @@ def packing(photo: Image.Image) -> str:
 
 
 @lru_cache(maxsize=32)
-def _transform(profile: bytes, mode: str) -> ImageCms.ImageCmsTransform | None:
+def _conversion(profile: bytes | Space, mode: str) -> Conversion | None:
     """The conversion of pixels of that mode to sRGB; None: they are sRGB.
 
     Raises:
         ProfileError: the profile is damaged, or none for such pixels.
     """
+    convert = _by_space(profile, mode) if isinstance(profile, Space) else _by_icc(profile, mode)
+    return None if mode in ("RGB", "L") and _changes_nothing(convert, mode) else convert
+
+
+def _by_space(space: Space, mode: str) -> Conversion:
+    if mode not in ("RGB", "L"):
+        raise ProfileError("a space of RGB")
+    return lambda pixels: Image.fromarray(space.to_srgb(np.atleast_3d(np.array(pixels))))
+
+
+def _by_icc(profile: bytes, mode: str) -> Conversion:
+    """By LittleCMS."""
     try:
         opened = ImageCms.ImageCmsProfile(io.BytesIO(profile))
         own = MODES.get(opened.profile.xcolor_space, "")
@@ -143,28 +165,30 @@ def _transform(profile: bytes, mode: str) -> ImageCms.ImageCmsTransform | None:
         )
     except (ImageCms.PyCMSError, OSError, ValueError, TypeError) as error:
         raise ProfileError(str(error)) from error
-    return None if own in ("RGB", "L") and _changes_nothing(transform) else transform
+    return lambda pixels: transform.apply(pixels if pixels.mode == own else pixels.convert(own))
 
 
-def _changes_nothing(transform: ImageCms.ImageCmsTransform) -> bool:
+def _changes_nothing(convert: Conversion, mode: str) -> bool:
     """Whether a conversion to sRGB changes colours by no more than rounding."""
-    if transform.input_mode == "L":
+    if mode == "L":
         given = Image.fromarray(np.arange(256, dtype=np.uint8)[None])
     else:
         values = np.linspace(0, 255, LATTICE).round().astype(np.uint8)
         lattice = np.stack(np.meshgrid(values, values, values), axis=-1)
-        given = Image.fromarray(np.ascontiguousarray(lattice.reshape(1, -1, 3)))
+        given = Image.fromarray(lattice.reshape(1, -1, 3))
     before = np.asarray(given.convert("RGB"), dtype=np.int16)
-    return bool(np.abs(np.asarray(transform.apply(given)) - before).max() <= ROUNDING)
+    return bool(np.abs(np.asarray(convert(given)) - before).max() <= ROUNDING)
 
 
-def _profile(photo: Image.Image) -> bytes:
-    """The ICC profile of what the file says; empty: nothing, or sRGB. ValueError: damaged."""
+def _profile(photo: Image.Image) -> bytes | Space:
+    """The space that the file says; empty: none, or sRGB. ValueError: damaged."""
     if photo.mode == "LAB":
         return _lab()
     path = getattr(photo, "filename", "")
-    if photo.format == "PNG" and (code := _png_chunk(path, b"cICP")):
-        return cicp_profile(code[0], code[1], limited=code[3] == 0)
+    if photo.format == "PNG":
+        with open(path, "rb", opener=regular) as file:
+            if code := png_chunk(file, b"cICP", end=b"IDAT"):
+                return space_of_code(code[0], code[1], limited=code[3] == 0)
     embedded: bytes | None = photo.info.get("icc_profile", b"")
     if embedded is None:  # parts of it are missing, or it cannot be unpacked
         raise ProfileError("an incomplete profile")
@@ -177,8 +201,8 @@ def _profile(photo: Image.Image) -> bytes:
     if photo.format == "PNG":
         return _of_png(photo.info)
     if nclx := photo.info.get("nclx_profile"):
-        return cicp_profile(int(nclx["color_primaries"]), int(nclx["transfer_characteristics"]))
-    return gamma_profile(ADOBE_RGB, ADOBE_GAMMA) if _exif_says_adobe(photo) else b""
+        return space_of_code(int(nclx["color_primaries"]), int(nclx["transfer_characteristics"]))
+    return space_of_gamma(ADOBE_RGB, ADOBE_GAMMA) if _exif_says_adobe(photo) else b""
 
 
 @lru_cache(maxsize=1)
@@ -186,29 +210,15 @@ def _lab() -> bytes:
     return ImageCms.ImageCmsProfile(ImageCms.createProfile("LAB")).tobytes()
 
 
-def _of_png(info: dict[str | tuple[int, int], Any]) -> bytes:
-    """The profile of the chunks sRGB, cHRM and gAMA."""
+def _of_png(info: dict[str | tuple[int, int], Any]) -> bytes | Space:
+    """The space of the chunks sRGB, cHRM and gAMA."""
     gamma, corners = info.get("gamma"), info.get("chromaticity")
     if "srgb" in info or (gamma is None and corners is None):
         return b""
     primaries = SRGB if corners is None else (*corners[2:], *corners[:2])
     if gamma is None or abs(gamma / GAMMA - 1) < GAMMA_TOLERANCE:
-        return gamma_profile(primaries, None)
-    return gamma_profile(primaries, 1 / gamma)
-
-
-def _png_chunk(path: str, kind: bytes) -> bytes:
-    """The data of a chunk before the pixels; empty: there is none."""
-    with open(path, "rb", opener=regular) as file:
-        file.seek(len(PNG))
-        while len(head := file.read(8)) == 8:
-            length, found = struct.unpack(">I4s", head)
-            if found == kind:
-                return file.read(length)
-            if found == b"IDAT":
-                break
-            file.seek(length + 4, 1)  # the checksum too
-    return b""
+        return space_of_gamma(primaries, None)
+    return space_of_gamma(primaries, 1 / gamma)
 
 
 def _of_jpeg2000(path: str) -> bytes:

@@ -16,7 +16,6 @@ from __future__ import annotations
 import io
 import itertools
 import math
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
@@ -228,7 +227,9 @@ def _decoded(photo: Image.Image, colours: Colours) -> tuple[Image.Image, Colours
         np.multiply(values.clip(0, 1, out=values), 255, out=values)
         pixels = Image.fromarray(values.round(out=values).astype(np.uint8))
     elif photo.mode.startswith("I"):  # "I" also holds 16 bits
-        pixels = Image.fromarray(_grey(photo))
+        grey = deep_values(photo)
+        assert grey is not None
+        pixels = Image.fromarray((grey[..., 0] >> 8).astype(np.uint8))
     elif photo.mode in ("P", "PA"):
         pixels = photo.convert("RGBA")
     else:
@@ -237,17 +238,8 @@ def _decoded(photo: Image.Image, colours: Colours) -> tuple[Image.Image, Colours
     modes = ("L", "RGB", "CMYK", "LAB") if colours.profile else ("RGB",)
     if pixels.mode in modes:
         return pixels, colours
-    grey = colours.profile and pixels.mode in ("1", "LA")
-    return pixels.convert("L" if grey else "RGB"), colours
-
-
-def _grey(photo: Image.Image) -> Pixels:
-    """(H, W): the values of a grey photo of 12, 16 or 32 bits, as 8 bits."""
-    stored = packing(photo)  # before decoding, which clears it
-    values = np.asarray(photo)
-    if re.search(r"I;32[BN]?\b", stored):  # unsigned; signed ones hold 16 bits in a wider type
-        return (values.view(np.uint32) >> 24).astype(np.uint8)
-    return (values >> (4 if "I;12" in stored else 8)).clip(0, 255).astype(np.uint8)
+    stays_grey = colours.profile and pixels.mode in ("1", "LA")
+    return pixels.convert("L" if stays_grey else "RGB"), colours
 
 
 def tone_if_deep(photo: Image.Image) -> str:

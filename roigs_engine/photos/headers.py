@@ -15,7 +15,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 from ..errors import EngineError, SceneError
 from ..formats.contents import LFS
@@ -87,6 +87,19 @@ def photo_size(path: Path) -> tuple[int, int]:
     if not width * height:
         raise unreadable(path, ValueError(f"its header says {width} x {height} pixels"))
     return width, height
+
+
+def png_chunk(file: BinaryIO, kind: bytes, end: bytes = PNG_END) -> bytes:
+    """The data of a PNG's first chunk of a kind before one of `end`; empty: there is none."""
+    file.seek(len(PNG))
+    while len(head := file.read(8)) == 8:
+        length, found = struct.unpack(">I4s", head)
+        if found == kind:
+            return file.read(length)
+        if found == end:
+            break
+        file.seek(length + 4, 1)  # the checksum too
+    return b""
 
 
 def check_complete(path: Path) -> None:

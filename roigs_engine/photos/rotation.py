@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..formats.files import regular
-from .headers import EXIF, ORIENTATION, PNG, PhotoError, open_photo
+from .headers import EXIF, ORIENTATION, PNG, PhotoError, open_photo, png_chunk
 from .jpeg import jpeg_segments
 
 AS_STORED = 1
@@ -39,7 +39,8 @@ def rotation_tag(path: Path) -> int:
         if start.startswith(b"\xff\xd8"):
             tag = _of_jpeg(file)
         elif start == PNG:
-            tag = _of_png(file)
+            data = png_chunk(file, b"eXIf")  # may follow the pixels
+            tag = _of_exif(data.removeprefix(EXIF)) if data else AS_STORED
         elif start[:2] in (b"II", b"MM") or start.startswith(b"RIFF"):
             tag = _by_pillow(path)
     return tag if tag in range(1, 9) else AS_STORED
@@ -81,16 +82,6 @@ def _of_jpeg(file: BinaryIO) -> int:
             data = file.read(length - 2)
             if data.startswith(EXIF):
                 return _of_exif(data[len(EXIF) :])
-    return AS_STORED
-
-
-def _of_png(file: BinaryIO) -> int:
-    """The tag of a PNG's eXIf chunk, which may follow the pixels."""
-    while head := file.read(8):
-        length, kind = struct.unpack(">I4s", head)
-        if kind == b"eXIf":
-            return _of_exif(file.read(length).removeprefix(EXIF))
-        file.seek(length + 4, 1)
     return AS_STORED
 
 

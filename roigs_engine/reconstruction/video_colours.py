@@ -6,7 +6,6 @@ curve for all frames: photogrammetry needs the same colour for the same point in
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,74 +14,35 @@ from numpy.typing import NDArray
 
 from ..errors import SceneError
 from ..photos.profiles import (
-    BRADFORD,
-    CICP_PRIMARIES,
-    D65,
+    CURVES,
+    HLG,
     HLG_PEAK,
+    LIKE_SRGB,
+    PQ,
+    PRIMARIES,
     REFERENCE_WHITE,
-    SRGB,
-    Primaries,
-    hlg_scene,
+    encoded,
+    parts_of,
     pq_light,
-    srgb_curve,
-    srgb_values,
+    space_of,
 )
 
 Pixels = NDArray[np.uint8]
 Light = NDArray[np.float64]
 
 UNKNOWN = (0, 2, 3)  # reserved or unspecified
-WHITE_C = (0.310, 0.316)
-NAMES = {  # of primaries: H.273, table 2
-    1: "BT.709",
-    4: "BT.470 M",
-    5: "BT.601 (625 lines)",
-    6: "BT.601 (525 lines)",
-    7: "SMPTE 240M",
-    8: "film",
-    9: "BT.2020",
-    10: "XYZ",
-    11: "DCI-P3",
-    12: "Display P3",
-    22: "EBU Tech. 3213",
-}
-PRIMARIES: dict[int, Primaries] = {
-    **CICP_PRIMARIES,
-    1: SRGB,
-    8: (0.681, 0.319, 0.243, 0.692, 0.145, 0.049, *WHITE_C),
-    10: (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3),
-}
 MATRICES = {1: "BT.709", 4: "FCC", 5: "BT.601", 6: "BT.601", 7: "SMPTE 240M", 9: "BT.2020"}
 DERIVED = {1: 1, 5: 5, 6: 6, 9: 9}  # H.273's matrix 12 follows from the primaries
 
 WHITE, PEAK = REFERENCE_WHITE, HLG_PEAK  # cd/m2; PEAK is that of most PQ masters, too
-PQ, HLG = 16, 18
-BLACK_OF_255, SPAN_OF_255 = 16, 219  # of limited range
-DEEP = 65535  # largest value of 16 bits
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB: BT.709
 # Of libswscale: SWS_BILINEAR, SWS_ACCURATE_RND, SWS_FULL_CHR_H_INT
 BILINEAR, ACCURATE, ALL_CHROMA = 2, 0x40000, 0x2000
-ROWS = 256  # at a time
 
 
 def _to_pq(light: Light) -> Light:
     root = (light / 1e4) ** (1305 / 8192)
     return np.asarray(((0.8359375 + 18.8515625 * root) / (1 + 18.6875 * root)) ** (2523 / 32))
-
-
-LIKE_SRGB = (1, 6, 7, 11, 12, 13, 14, 15)
-"""Transfers of cameras that are close to BT.709's. Their signals are shown on sRGB screens as they
-are, by browsers, players and editors, so they count as sRGB."""
-TRANSFERS: dict[int, tuple[str, Callable[[Light], Light]]] = {  # H.273, table 3: name, light
-    **dict.fromkeys(LIKE_SRGB, ("", srgb_curve)),
-    4: ("gamma 2.2", lambda v: v**2.2),
-    5: ("gamma 2.8", lambda v: v**2.8),
-    8: ("linear", lambda v: v),
-    9: ("logarithmic", lambda v: np.where(v > 0, 10 ** (2 * (v - 1)), 0)),
-    10: ("logarithmic", lambda v: np.where(v > 0, 10 ** (2.5 * (v - 1)), 0)),
-    PQ: ("PQ", lambda v: pq_light(v) / WHITE),
-    17: ("SMPTE ST 428", lambda v: 52.37 / 48 * v**2.6),
-    HLG: ("HLG", hlg_scene),
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +74,7 @@ class Colours:
     def words(self) -> list[str]:
         """What users should know, in sentences."""
         said = [f"The video names no {self.assumed}."] if self.assumed else []
-        names = (NAMES[self.primaries], TRANSFERS[self.transfer][0])
+        names = (PRIMARIES[self.primaries][0], CURVES[self.transfer][0])
         if self.transfer in (PQ, HLG):
             said.append(
                 f"Its HDR colours ({', '.join(names)}) are tone-mapped to sRGB: up to {PEAK:.0f}"
@@ -160,7 +120,7 @@ def colours_of(tags: Any, frame: Any) -> Colours:
     for what, number, known in (
         ("matrix", matrix, MATRICES),
         ("primaries", primaries, PRIMARIES),
-        ("transfer", transfer, TRANSFERS),
+        ("transfer", transfer, CURVES),
     ):
         if number not in known:
             raise _not_supported(f"{what} {number} of ITU-T H.273")
@@ -181,9 +141,9 @@ def _assumed(named: tuple[bool, bool, bool], matrix: int, primaries: int) -> str
         return ""
     if named[0] or named[1]:
         what = "primaries" if named[0] else "colour matrix"
-        used = NAMES[primaries] if named[0] else MATRICES[matrix]
+        used = PRIMARIES[primaries][0] if named[0] else MATRICES[matrix]
         return f"{what}: {used} is assumed"
-    return f"colours: {NAMES[primaries]} is assumed"
+    return f"colours: {PRIMARIES[primaries][0]} is assumed"
 
 
 def _usual_matrix(primaries: int, transfer: int, large: bool) -> int:
@@ -232,48 +192,23 @@ def to_srgb(frame: Any, colours: Colours, width: int) -> Pixels:
         ordinary = colours.matrix == 1 and not colours.full and frame.format.name == "yuv420p"
         return rgb("rgb24", BILINEAR if ordinary else BILINEAR | ACCURATE | ALL_CHROMA)
     deep = rgb("rgb48le", BILINEAR | ACCURATE)  # libswscale has a fault with ALL_CHROMA here
-    convert = _Conversion(colours)
+    curve, limited = CURVES[colours.transfer][1], colours.direct and not colours.full
+    space = space_of(PRIMARIES[colours.primaries][1], curve, limited=limited)
+    if colours.transfer not in (PQ, HLG):
+        return space.to_srgb(deep)
     result = np.empty(deep.shape, np.uint8)
-    for top in range(0, len(deep), ROWS):
-        result[top : top + ROWS] = convert(deep[top : top + ROWS])
+    for part, made in zip(parts_of(deep), parts_of(result), strict=True):
+        made[:] = encoded(_sdr(space.light(part), colours.transfer))
     return result
 
 
-class _Conversion:
-    """From RGB of 16 bits to sRGB of 8."""
-
-    def __init__(self, colours: Colours) -> None:
-        signal = np.arange(DEEP + 1) / DEEP
-        if colours.direct and not colours.full:
-            signal = (signal * 255 - BLACK_OF_255) / SPAN_OF_255
-        self._transfer = colours.transfer
-        _, light_of = TRANSFERS[colours.transfer]
-        self._light = light_of(np.clip(signal, 0, 1)).astype(np.float32)
-        own = _to_xyz(PRIMARIES[colours.primaries])
-        self._luminance = own[1].astype(np.float32)
-        self._matrix = (np.linalg.inv(_to_xyz(SRGB)) @ own).astype(np.float32)
-
-    def __call__(self, rgb: NDArray[np.uint16]) -> Pixels:
-        light = self._light[rgb]
-        if self._transfer == HLG:  # BT.2100's OOTF for a screen of 1000 cd/m2
-            luminance = light @ self._luminance
-            light *= (luminance**0.2 * np.float32(PEAK / WHITE))[..., None]
-        light = light @ self._matrix.T
-        if self._transfer in (PQ, HLG):
-            brightest = light.max(axis=-1)
-            light *= np.interp(brightest, LIGHTS, SCALES).astype(np.float32)[..., None]
-        np.clip(light, 0, 1, out=light)
-        return ENCODED[(light * DEEP + 0.5).astype(np.uint16)]
-
-
-def _to_xyz(primaries: Primaries) -> Light:
-    """3 x 3, from linear RGB to XYZ, adapted to D65 by Bradford's method."""
-    places = np.array(primaries).reshape(4, 2)
-    columns = np.column_stack([places, 1 - places.sum(axis=1)]).T
-    white, daylight = (xyz / xyz[1] for xyz in (columns[:, 3], np.array([*D65, 1 - sum(D65)])))
-    matrix = columns[:, :3] * np.linalg.solve(columns[:, :3], white)
-    gains = (BRADFORD @ daylight) / (BRADFORD @ white)
-    return np.asarray(np.linalg.inv(BRADFORD) @ (gains[:, None] * BRADFORD) @ matrix)
+def _sdr(light: NDArray[np.float32], transfer: int) -> NDArray[np.float32]:
+    """Tone-mapped linear light of sRGB of an HDR video."""
+    if transfer == HLG:  # BT.2100's OOTF for a screen of 1000 cd/m2
+        luminance = np.maximum(light @ LUMINANCE, 0)
+        light = light * (luminance**0.2 * np.float32(PEAK / WHITE))[..., None]
+    scale = np.interp(light.max(axis=-1), LIGHTS, SCALES)
+    return np.asarray(light * scale.astype(np.float32)[..., None])
 
 
 def _tone_mapped(light: Light) -> Light:
@@ -296,4 +231,3 @@ def _tone_mapped(light: Light) -> Light:
 
 LIGHTS = np.geomspace(1e-4, 1e4 / WHITE * 2, 4096)
 SCALES = _tone_mapped(LIGHTS) / LIGHTS
-ENCODED = (srgb_values(np.arange(DEEP + 1) / DEEP) * 255).round().astype(np.uint8)

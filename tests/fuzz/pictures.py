@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageCms
 
-from roigs_engine.photos.profiles import CICP_PRIMARIES, power_curve, profile, srgb_curve
+from roigs_engine.photos.profiles import PRIMARIES, srgb_curve
 from tests.fuzz import inputs
 from tests.fuzz.cases import MODEL, PHOTOS, Case, write_scene
 from tests.fuzz.damage import ODD_INTEGERS, bytes_damaged
 from tests.fuzz.scenes import looked_at
+from tests.icc_profiles import P3, power_curve, profile
 
 SLOPE = np.array(Image.open(io.BytesIO(inputs.photo())))
 TYPES = ("u1", "u2", "u4", "i1", "i2", "i4", "f2", "f4", "f8")
@@ -117,7 +118,7 @@ def tiff(dice: random.Random, folder: Path) -> Case:
 def profiles() -> tuple[bytes, ...]:
     """Good profiles: matrix and curves, Lab, grey."""
     made = [ImageCms.createProfile(kind) for kind in ("sRGB", "LAB", "XYZ")]
-    ours = [profile(CICP_PRIMARIES[9], srgb_curve), profile(CICP_PRIMARIES[12], power_curve(2.2))]
+    ours = [profile(PRIMARIES[9][1], srgb_curve), profile(P3, power_curve(2.2))]
     grey = ours[1].replace(b"RGB XYZ ", b"GRAYXYZ ").replace(b"rTRC", b"kTRC")
     return (*(ImageCms.ImageCmsProfile(each).tobytes() for each in made), *ours, grey)
 

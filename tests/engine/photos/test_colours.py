@@ -18,15 +18,8 @@ from roigs_engine.photos.colours import colours_in_words
 from roigs_engine.photos.contents import read_contents
 from roigs_engine.photos.decode import decode
 from roigs_engine.photos.headers import CONVERTED, DAMAGED
-from roigs_engine.photos.profiles import (
-    ADOBE_GAMMA,
-    ADOBE_RGB,
-    CICP_PRIMARIES,
-    gamma_profile,
-    power_curve,
-    profile,
-    srgb_curve,
-)
+from roigs_engine.photos.profiles import ADOBE_GAMMA, SRGB, srgb_curve
+from tests.icc_profiles import ADOBE_PROFILE, P3, P3_PROFILE, power_curve, profile
 
 # Colours of sRGB, and the same in other spaces, by the matrices that these are published with.
 WANTED = np.array([[200, 40, 40], [40, 180, 60], [50, 60, 200], [128, 128, 128], [250, 240, 230]])
@@ -37,8 +30,6 @@ SRGB_TO_2020 = [
     [0.0690973, 0.9195404, 0.0113623],
     [0.0163914, 0.0880133, 0.8955953],
 ]
-P3_PROFILE = profile(CICP_PRIMARIES[12], srgb_curve)
-ADOBE_PROFILE = gamma_profile(ADOBE_RGB, ADOBE_GAMMA)
 
 
 def linear(values: np.ndarray) -> np.ndarray:
@@ -173,7 +164,7 @@ def test_adobe_rgb_by_exif(tmp_path: Path, space: int, index: str | None, adobe:
 @pytest.mark.parametrize("kind", ["RGB", "GRAY"])
 def test_grey_photos(tmp_path: Path, mode: str, kind: str) -> None:
     """With a profile of grey, or of RGB, as many programs embed it."""
-    linear_light = profile(CICP_PRIMARIES[12], power_curve(1.0))
+    linear_light = profile(P3, power_curve(1.0))
     if kind == "GRAY":
         curve = struct.pack(">4s4xI", b"curv", 0)  # linear
         white = struct.pack(">4s4x3i", b"XYZ ", 63190, 65536, 54061)
@@ -222,7 +213,7 @@ def test_srgb_changes_no_byte(tmp_path: Path) -> None:
     """Profiles of sRGB differ by rounding."""
     noise = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
     usual = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
-    ours = profile((0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290), srgb_curve)
+    ours = profile(SRGB, srgb_curve)
     for icc in (usual, ours):
         Image.fromarray(noise).save(tmp_path / "a.png", icc_profile=icc)
         assert np.array_equal(decode(tmp_path / "a.png"), noise)

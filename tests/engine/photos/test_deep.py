@@ -16,17 +16,9 @@ from roigs_engine.photos.colours import colours_in_words
 from roigs_engine.photos.decode import decode
 from roigs_engine.photos.headers import CONVERTED, PhotoError, photo_size
 from roigs_engine.photos.mask_images import alpha_mask, has_alpha, read_mask
-from roigs_engine.photos.profiles import (
-    CICP_PRIMARIES,
-    SRGB,
-    cicp_profile,
-    gamma_profile,
-    profile,
-    space_of,
-    srgb_curve,
-)
+from roigs_engine.photos.profiles import SRGB, space_of_profile, srgb_curve
+from tests.icc_profiles import LINEAR_PROFILE, P3_PROFILE, profile
 
-LINEAR = gamma_profile(SRGB, 1.0)
 # Of sRGB, most of them darker than the first step of 8 linear bits, which is 13
 DARK = np.array([[2, 3, 4], [5, 6, 7], [8, 9, 10], [12, 14, 16], [30, 33, 36], [200, 210, 220]])
 CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}  # of PNG's colour types
@@ -73,7 +65,7 @@ def grey_profile(curve: bytes, connection: bytes = b"XYZ ") -> bytes:
 @pytest.mark.parametrize("named", ["iCCP", "gAMA", "cICP"])
 def test_shadows_of_a_linear_png_stay(tmp_path: Path, named: str, alpha: bool) -> None:
     says = {
-        "iCCP": embedded(LINEAR),
+        "iCCP": embedded(LINEAR_PROFILE),
         "gAMA": chunk(b"gAMA", struct.pack(">I", 100000)),
         "cICP": chunk(b"cICP", bytes([1, 8, 0, 1])),
     }[named]
@@ -89,7 +81,7 @@ def test_shadows_of_a_linear_png_stay(tmp_path: Path, named: str, alpha: bool) -
 def test_shadows_of_a_linear_tiff_stay(tmp_path: Path, kind: str) -> None:
     tifffile = pytest.importorskip("tifffile")
     path, values = tmp_path / "a.tif", stored(srgb_curve(DARK / 255))
-    options: dict[str, Any] = {"photometric": "rgb", "iccprofile": LINEAR}
+    options: dict[str, Any] = {"photometric": "rgb", "iccprofile": LINEAR_PROFILE}
     if kind == "packed":
         options |= {"compression": "zlib", "byteorder": ">"}
     elif kind in ("<u2", ">u2"):
@@ -116,7 +108,7 @@ def test_a_deep_tiff_is_not_turned_by_its_tag(tmp_path: Path) -> None:
     values = stored(srgb_curve(DARK / 255))
     turned = [(274, 3, 1, 6, True)]
     tifffile.imwrite(
-        tmp_path / "a.tif", values, photometric="rgb", iccprofile=LINEAR, extratags=turned
+        tmp_path / "a.tif", values, photometric="rgb", iccprofile=LINEAR_PROFILE, extratags=turned
     )
     assert np.array_equal(decode(tmp_path / "a.tif")[1], DARK)
 
@@ -135,7 +127,12 @@ def test_an_interlaced_png(tmp_path: Path) -> None:
     rows = [row for y, x, down, across in passes for row in values[y::down, x::across]]
     data = b"".join(b"\0" + row.astype(">u2").tobytes() for row in rows)
     header = chunk(b"IHDR", struct.pack(">IIBBBBB", 18, 16, 16, 2, 0, 0, 1))
-    parts = [header, embedded(LINEAR), chunk(b"IDAT", zlib.compress(data)), chunk(b"IEND", b"")]
+    parts = [
+        header,
+        embedded(LINEAR_PROFILE),
+        chunk(b"IDAT", zlib.compress(data)),
+        chunk(b"IEND", b""),
+    ]
     (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(parts))
     assert np.array_equal(decode(tmp_path / "a.png")[1], np.tile(DARK, (3, 1)))
 
@@ -162,7 +159,7 @@ def test_a_profile_that_is_no_matrix_is_applied_to_rounded_values(
     says = embedded(grey_profile(struct.pack(">4s4xI", b"curv", 0), b"Lab "))
     values = np.full((4, 6, CHANNELS[kind]), 0x7FFF, np.uint16)  # 127 if it is cut, 128 if rounded
     path = png(tmp_path / "a.png", values, kind, says)
-    assert space_of(grey_profile(struct.pack(">4s4xI", b"curv", 0), b"Lab ")) is None
+    assert space_of_profile(grey_profile(struct.pack(">4s4xI", b"curv", 0), b"Lab ")) is None
     assert np.abs(decode(path).astype(int) - 119).max() <= 1
 
 
@@ -242,7 +239,7 @@ def test_a_mask_of_16_bits_ignores_only_black(tmp_path: Path) -> None:
 def test_parametric_curves(kind: int, numbers: list[float]) -> None:
     """parametricCurveType (ICC.1, 10.18)."""
     fixed = b"".join(struct.pack(">i", round(65536 * number)) for number in numbers)
-    space = space_of(grey_profile(struct.pack(">4s4xHH", b"para", kind, 0) + fixed))
+    space = space_of_profile(grey_profile(struct.pack(">4s4xHH", b"para", kind, 0) + fixed))
     assert space is not None
     x = np.linspace(0, 1, 65536)
     right = {0: x**1.8, 1: np.maximum(1.25 * x - 0.25, 0) ** 2}.get(kind, srgb_curve(x))
@@ -251,12 +248,12 @@ def test_parametric_curves(kind: int, numbers: list[float]) -> None:
 
 def test_the_matrix_of_a_profile_is_that_of_littlecms() -> None:
     """P3's red lies outside sRGB: 1.2249, -0.0421, -0.0196 of its light."""
-    space = space_of(cicp_profile(12, 13))
+    space = space_of_profile(P3_PROFILE)
     assert space is not None and space.matrix is not None
     assert np.allclose(space.matrix[:, 0], [1.2249, -0.0421, -0.0196], atol=1e-3)
     assert np.allclose(space.matrix.sum(axis=1), 1, atol=1e-3)
-    tables = profile(CICP_PRIMARIES[12], srgb_curve).replace(b"cprt", b"A2B0", 1)
-    assert space_of(tables) is None
+    tables = P3_PROFILE.replace(b"cprt", b"A2B0", 1)
+    assert space_of_profile(tables) is None
 
 
 @pytest.mark.parametrize("kind", ["png", "png with alpha", "float TIFF", "TIFF of planes"])
@@ -266,7 +263,7 @@ def test_memory_of_large_deep_photos(
     """As many bytes a pixel as the file and the picture have: 178 million took 4 to 6 GB."""
     monkeypatch.setattr("roigs_engine.photos.profiles.PART", 1 << 12)
     values = np.random.default_rng(0).integers(0, 65536, (500, 800, 4), dtype=np.uint16)
-    wide = profile(CICP_PRIMARIES[12], srgb_curve)
+    wide = P3_PROFILE
     path = tmp_path / ("a.png" if "png" in kind else "a.tif")
     if "png" in kind:
         alpha = "alpha" in kind

@@ -19,7 +19,6 @@ from roigs_engine.context import QUIET
 from roigs_engine.errors import SceneError
 from roigs_engine.photos.decode import decode
 from roigs_engine.photos.mask_paths import MaskOptions
-from roigs_engine.photos.profiles import cicp_profile
 from roigs_engine.reconstruction.convert import converted
 from roigs_engine.reconstruction.folder import Folder
 from roigs_engine.reconstruction.photo_checks import look_at
@@ -28,6 +27,7 @@ from roigs_engine.requests.projects import Reconstruct
 from tests.engine.commands.command_line import refused
 from tests.engine.deep_png import write_png16
 from tests.engine.reconstruction.photo_sets import copy_photos, demo_photos, write_noise
+from tests.icc_profiles import P3_PROFILE
 
 pytest.importorskip("pycolmap")
 
@@ -151,12 +151,14 @@ def test_photos_that_become_jpeg_become_srgb(tmp_path: Path) -> None:
     """Also those that an earlier version has converted without their profile."""
     heif()
     (tmp_path / "photos").mkdir()
-    p3, exif = cicp_profile(12, 13), Image.Exif()
+    exif = Image.Exif()
     exif[0x8769] = {0xA001: 0xFFFF, 0xA005: {1: "R03"}}  # would be Adobe RGB
     for name in ("a.HIF", "b.webp"):
         pixels = Image.new("RGB", (64, 48), (187, 57, 48))  # 200, 40, 40 in sRGB
         kind = "WEBP" if name.endswith("webp") else "HEIF"
-        pixels.save(tmp_path / "photos" / name, kind, icc_profile=p3, exif=exif, quality=100)
+        pixels.save(
+            tmp_path / "photos" / name, kind, icc_profile=P3_PROFILE, exif=exif, quality=100
+        )
     pixels.save(
         tmp_path / "photos/c.heic", quality=100, color_primaries=12, transfer_characteristics=13
     )
