@@ -21,7 +21,7 @@ from ..formats.text import decode_text, json_digest
 from ..requests.declare import options_of, plain
 from ..requests.models import Convert
 from ..requests.runs import Train, TrainAndEvaluate
-from ..requests.values import AUTO, PathName, PlaceName, is_url, shown
+from ..requests.values import AUTO, PathName, PlaceName, begins_as_url, shown
 from .inputs import is_photos
 
 DEFAULTS, SCENES = "defaults", "scenes"
@@ -176,7 +176,7 @@ class Table:
                 self._say(where, f"'{key:.60}' is no key of a scene. The keys are: {known}.")
             else:
                 option = self._options[name]
-                if isinstance(option.kind, PathName) and is_url(value):
+                if isinstance(option.kind, PathName) and begins_as_url(value):
                     option = replace(option, kind=PlaceName())
                 try:
                     checked = option.checked(value, f"'{key}'")

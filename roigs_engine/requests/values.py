@@ -17,6 +17,8 @@ AUTO = "auto"
 SECRET = re.compile(r"//[^/@\s]*:(?!\d+/)[^@\s]*@|https?://[^/\s]*@|://.*\?", re.IGNORECASE)
 """User and password in an address, a token, or a query: these are signatures, of any store."""
 SCHEME = re.compile(r"([a-z][a-z0-9+.-]+)://", re.IGNORECASE)
+ALMOST = re.compile(r"[a-z][a-z0-9+.-]+:|::", re.IGNORECASE)
+"""How addresses without `://` begin. One letter is a drive of Windows."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,10 +116,14 @@ class PlaceName(PathName):
     """A path, or an address of a store, which stays text."""
 
     def of_json(self, value: Any) -> Any:
-        if not is_url(value):
-            return super().of_json(value)
-        refuse_secret(value)
-        return value
+        if is_url(value):
+            refuse_secret(value)
+            return value
+        if begins_as_url(value):
+            raise ArgumentTypeError(
+                "it begins as an address, but has no ://; a folder of this name is ./NAME"
+            )
+        return super().of_json(value)
 
 
 class Choice(Name):
@@ -153,6 +159,11 @@ PATH, DIR, FILE = PathName(), PathName("DIR"), PathName("FILE")
 def is_url(text: object) -> bool:
     """Whether a path is an address of a store, `s3://bucket/scans`, or begins as none may."""
     return isinstance(text, str) and "://" in text
+
+
+def begins_as_url(text: object) -> bool:
+    """Whether it is an address, or would be one with `://`."""
+    return is_url(text) or (isinstance(text, str) and ALMOST.match(text) is not None)
 
 
 def refuse_secret(url: str) -> None:

@@ -222,10 +222,15 @@ def test_addresses_that_cannot_be_used_are_one_line(
     ):
         line = refused(capsys, "batch", table, "--run-dir", secret)
         assert "it has a password" in line and "hidden" not in line
-    table.write_text(f"[scenes.hall]\nscene = '{secret}'\nroi = ['auto']\n", encoding="utf-8")
-    assert main(["batch", str(table), "--run-dir", str(tmp_path / "run")]) == 2
-    said = capsys.readouterr().err
-    assert "it has a password" in said and "hidden" not in said
+    almost = ("s3:me:hidden@bucket", "data:text,hidden", "::s3:hidden")
+    for url in almost:
+        line = refused(capsys, "batch", table, "--run-dir", url)
+        assert "it begins as an address" in line and "hidden" not in line
+    for url, expected in ((secret, "it has a password"), *((u, "begins as an") for u in almost)):
+        table.write_text(f"[scenes.hall]\nscene = '{url}'\nroi = ['auto']\n", encoding="utf-8")
+        assert main(["batch", str(table), "--run-dir", str(tmp_path / "run")]) == 2
+        said = capsys.readouterr().err
+        assert expected in said and "hidden" not in said
     monkeypatch.setitem(__import__("sys").modules, "fsspec", None)
     line = refused(capsys, "batch", table, "--run-dir", "s3://bucket/runs")
     assert "s3://bucket/runs needs fsspec, which is not installed" in line
