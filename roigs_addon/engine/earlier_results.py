@@ -51,16 +51,6 @@ def earlier_results(run: Path) -> list[EarlierResult]:
     return sorted(found, key=lambda result: result.made, reverse=True)
 
 
-def where_it_is_now(run: Path, file: Path) -> Path | None:
-    """A file of a run's results that a new training has moved aside; None if it is not there."""
-    try:
-        part = file.relative_to(run)
-    except ValueError:
-        return None
-    places = (result.folder / part for result in earlier_results(run))
-    return next((place for place in places if os.path.isfile(place)), None)
-
-
 def delete(run: Path, name: str) -> None:
     """Delete an earlier result; the stages that it was made of stay.
 

@@ -1,10 +1,10 @@
-"""What the user has deleted, hidden or moved of an object's Gaussians, in edit mode or by script.
+"""Where an object's Gaussians are: in its PLY, or in its points, as the user has edited them.
 
-An object's Gaussians are drawn from its file, which is fast. Once its points are no longer those
-that were imported, they are written to a file of their own, in Blender's temporary folder, and
-drawn from there. The .blend keeps the points, so nothing is lost with that folder. In edit mode
-Blender gives no access to attributes, so edits are drawn when it is left. An imported object whose
-own file is gone is drawn from its points, too.
+Viewport, renders and export read files. An object's own file is the fast way, as long as it holds
+what was imported from it, and the object's points are still those. Otherwise the points are written
+to a file in Blender's temporary folder. The .blend has all that is needed: on another computer, it
+shows the same picture without the run folder. In edit mode Blender gives no access to attributes,
+so edits are drawn when it is left.
 
 What turns or scales all points at once, such as **Object ▸ Apply**, moves them but
 not their shapes. So each point keeps where it was imported: the map of all points is found by it,
@@ -16,7 +16,6 @@ from __future__ import annotations
 import os
 import zlib
 from collections.abc import Iterable
-from contextlib import suppress
 from pathlib import Path
 
 import bpy
@@ -46,20 +45,29 @@ MARK = "roigs_imported"
 FILE = "roigs_file"
 """Custom property of a mesh: `state_of` of the points in their file's frame, if `MARK` differs."""
 
+SOURCE = "roigs_ply"
+"""Custom property of a mesh: `_fingerprint` of the file that it was imported from."""
+
+HEAD = 2**20
+"""Bytes of a file that tell it from others of its size."""
+
 PREFIX = "roigs-edited-"
-"""Of the files with edits."""
+"""Of the files with points."""
 
-_files: dict[int, str | None] = {}
-"""Mesh, by its number in this session -> its file with edits.
+_files: dict[tuple[int, bool], str | None] = {}
+"""Mesh, by its number in this session, and whether its own file holds it -> the file of its points.
 
-Empty: no Gaussians are left. None: it has no edits, or they cannot be written.
+Empty: no Gaussians are left. None: its own file is drawn, or the points cannot be written.
 """
 
 _applied: dict[int, Matrix] = {}
-"""Mesh -> the map that all of its points went through; its file is as it was before."""
+"""Mesh that was edited -> the map that all of its points went through before they were written."""
 
 _written: dict[int, str] = {}
-"""Mesh -> `state_of` of the points in its file with edits."""
+"""Mesh -> `state_of` of the points in their file."""
+
+_fingerprints: dict[tuple[str, int, int], str] = {}
+"""Path, time of change and size of an own file -> its `_fingerprint`."""
 
 _changed: set[int] = set()
 """Meshes that may have been edited since their file was written."""
@@ -75,23 +83,50 @@ _mixed: dict[int, str] = {}
 """Mesh that was joined of both kinds -> that in one line."""
 
 
-def mark_imported(mesh: bpy.types.Mesh) -> None:
-    """Remember the points as they are now: they are what the file holds."""
+def mark_imported(mesh: bpy.types.Mesh, path: Path | None = None) -> None:
+    """Remember the points as they are now: they are what the file holds.
+
+    Args:
+        mesh: of the points.
+        path: of the file, if it was just read.
+    """
     mesh[MARK] = state_of(mesh)
+    if path is not None:
+        mesh[SOURCE] = _fingerprint(str(path))
 
 
 def file_of(item: bpy.types.Object) -> str:
-    """The PLY of what an object shows: its own, or one with its edits; empty if nothing is left."""
+    """The PLY of what an object shows: its own, or one of its points; empty if nothing is left."""
     own: str = object_props(item).ply
     mesh = item.data
     if not own or not isinstance(mesh, bpy.types.Mesh) or mesh.get(MARK) is None:
         return own
-    uid = mesh.session_uid
-    if (uid not in _files or uid in _changed) and not mesh.is_editmode:
-        gone = object_props(item).level == "IMPORTED" and not os.path.isfile(own)
-        _look(mesh, uid, own_file=not gone)
-    edited = _files.get(uid)
-    return own if edited is None else edited
+    uid, held = mesh.session_uid, is_held(item, own)
+    if (uid in _changed or (uid, held) not in _files) and not mesh.is_editmode:
+        _look(mesh, uid, held=held)
+    points = _files.get((uid, held))
+    return own if points is None else points
+
+
+def is_held(item: bpy.types.Object, path: str) -> bool:
+    """Whether a file is there and holds what was imported into an object."""
+    if not os.path.isfile(path):
+        return False
+    source = item.data.get(SOURCE) if item.data is not None else None
+    return source in (None, _fingerprint(path))
+
+
+def _fingerprint(path: str) -> str:
+    """Tells a file's contents from others; empty if it cannot be read."""
+    try:
+        state = os.stat(path)
+        key = path, state.st_mtime_ns, state.st_size
+        if key not in _fingerprints:
+            with open(path, "rb") as file:
+                _fingerprints[key] = f"{state.st_size}-{zlib.crc32(file.read(HEAD)):08x}"
+    except OSError:
+        return ""
+    return _fingerprints[key]
 
 
 def frame_of(item: bpy.types.Object) -> Matrix:
@@ -128,16 +163,19 @@ def remark(items: Iterable[bpy.types.Object]) -> str:
     return next((_mixed[d.session_uid] for d in data if d and d.session_uid in _mixed), "")
 
 
-def _look(mesh: bpy.types.Mesh, uid: int, *, own_file: bool) -> None:
-    """Bring the file with a mesh's edits up to date; without a file of its own, it needs one."""
+def _look(mesh: bpy.types.Mesh, uid: int, *, held: bool) -> None:
+    """Bring the file of a mesh's points up to date; if no file holds them, they need one."""
+    if uid in _changed:
+        _files.pop((uid, not held), None)
     _changed.discard(uid)
     _problems.pop(uid, None)
     _mixed.pop(uid, None)
     try:
-        _files[uid] = _file(mesh, uid, own_file=own_file)
+        file = _file(mesh, uid, held=held)
     except AddonError as error:
-        _problems[uid], _files[uid] = str(error), None
-    found = targets_of(mesh, drawn(mesh)) if _files[uid] else []
+        _problems[uid], file = str(error), None
+    _files[uid, held] = file
+    found = targets_of(mesh, drawn(mesh)) if file else []
     if len(found) > 1:
         _mixed[uid] = MIXED.format(mesh.name, found[0].title)
 
@@ -200,36 +238,35 @@ def look_again(item: bpy.types.Object) -> None:
         _changed.add(item.data.session_uid)
 
 
-def _file(mesh: bpy.types.Mesh, uid: int, *, own_file: bool) -> str | None:
-    """The file with a mesh's edits, written if it is not there, as `_files` has it.
+def _file(mesh: bpy.types.Mesh, uid: int, *, held: bool) -> str | None:
+    """The file of a mesh's points, written if it is not there, as `_files` has it.
 
     Raises:
         AddonError: it cannot be written, or the points are no Gaussians any more.
     """
     state = state_of(mesh)
+    if state == mesh[MARK]:
+        _applied.pop(uid, None)
+        if held:
+            _written.pop(uid, None)
+            return None
     # The same name for all edits of a mesh: while it is read again, its last state is drawn.
     path = Path(bpy.app.tempdir) / f"{PREFIX}{uid}.ply"
-    if state == mesh[MARK] and own_file:
-        _written.pop(uid, None)
-        _applied.pop(uid, None)
-        with suppress(OSError):
-            path.unlink(missing_ok=True)
-        return None
     if state == _written.get(uid) and path.is_file():
         return str(path)
-    _applied.pop(uid, None)
     found = cloud_of(mesh)
     if found is None:
-        raise AddonError(
-            f"'{mesh.name}' is drawn as it was imported: its points lack attributes of Gaussians."
-        )
-    cloud, _applied[uid] = found
+        how = "drawn as it was imported" if held else "not drawn, because its PLY is gone"
+        raise AddonError(f"'{mesh.name}' is {how}: its points lack attributes of Gaussians.")
+    cloud, applied = found
+    if state != mesh[MARK]:
+        _applied[uid] = applied
     if not len(cloud):
         return ""
     try:
         write_splats(path, cloud)
     except (EngineError, OSError) as error:
-        raise AddonError(f"Edits of '{mesh.name}' are not drawn: {error}") from error
+        raise AddonError(f"The points of '{mesh.name}' are not drawn: {error}") from error
     _written[uid] = state
     return str(path)
 
@@ -256,7 +293,7 @@ def _on_change(_: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
 
 @persistent
 def _after_undo(*_: object) -> None:
-    _changed.update(_files)
+    _changed.update(uid for uid, _ in _files)
 
 
 @persistent
@@ -268,7 +305,7 @@ def _after_load(*_: object) -> None:
 
 
 def _forget() -> None:
-    for known in (_files, _written, _changed, _problems, _mixed, _applied):
+    for known in (_files, _written, _changed, _problems, _mixed, _applied, _fingerprints):
         known.clear()
 
 

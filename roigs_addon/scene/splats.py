@@ -8,16 +8,15 @@ hidden and moved in edit mode (edits.py).
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 import bpy
 import numpy as np
 
 from ..blender import delete, leave_edit_mode, mesh_of
-from ..engine.earlier_results import where_it_is_now
+from ..engine.earlier_results import earlier_results
 from ..errors import AddonError
 from ..geometry.splat_cloud import read_splats
 from ..properties import object_props, scene_props
@@ -37,6 +36,9 @@ from .splat_attributes import add_attributes
 
 Part = tuple[str, str]
 """Of a result: the level of `properties.LEVELS`, and the box."""
+
+BELOW = {"RESULT": 1, "SCENE": 2, "ROI": 2, "IMPORTED": 3}
+"""Level -> of how many parts the path of its file is, from the run folder on."""
 
 COLLECTION = "ROI-GS Gaussians"
 HIDE = "Drawn as Gaussians"
@@ -146,16 +148,27 @@ def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
     return item
 
 
-def follow(scene: bpy.types.Scene, folder: Path) -> None:
-    """Keep showing a run's result when a new training has moved its files aside."""
-    for item in lookup.splats(scene):
+def follow(scene: bpy.types.Scene, folder: Path) -> int:
+    """Find files of Gaussians again: in a run folder that was moved, or among earlier results.
+
+    A new training moves those of the last result there. Returns how many objects have found theirs.
+    """
+    shown = [item for item in lookup.splats(scene) if object_props(item).ply]
+    lost = [item for item in shown if not edits.is_held(item, object_props(item).ply)]
+    results = [folder, *(result.folder for result in earlier_results(folder))] if lost else []
+    found = 0
+    for item in lost:
         props = object_props(item)
-        if props.level == "PREVIEW" or not props.ply or os.path.isfile(props.ply):
-            continue
-        now = where_it_is_now(folder, Path(props.ply))
-        now = now or result_files(folder).get((props.level, props.roi))  # the box was renamed
-        if now is not None and now.is_file():
-            props.ply = str(now)
+        own = PureWindowsPath(props.ply)  # its parts, as any system writes them
+        part = own.parts[-BELOW.get(props.level, len(own.parts)) :]
+        places = [result.joinpath(*part) for result in results]
+        if (box := result_files(folder).get((props.level, props.roi))) is not None:
+            places.append(box)  # it was renamed
+        now = next((str(place) for place in places if edits.is_held(item, str(place))), None)
+        if now is not None:
+            props.ply = now
+            found += 1
+    return found
 
 
 def set_points(scene: bpy.types.Scene, points: bool) -> None:
@@ -268,7 +281,7 @@ def _points(name: str, path: Path) -> bpy.types.Object:
         raise AddonError(f"{error} Train or import again.") from error
     item = clouds.new_points(name, cloud.means)
     add_attributes(mesh_of(item), cloud)
-    edits.mark_imported(mesh_of(item))
+    edits.mark_imported(mesh_of(item), path)
     return item
 
 
