@@ -15,11 +15,14 @@ from ..engine.run_settings import RunSettings
 from ..engine.run_status import RunStatus
 from ..jobs import run_folders
 from ..properties import object_props
-from ..scene import lookup, rois
+from ..scene import edits, lookup, rois
 from ..shared import clean_up
 
 SECONDS, DISK_SECONDS = 1.0, 30.0
 """How long what was found is used again; adding up files takes longer."""
+
+OWN_LEVELS = ("IMPORTED", "PREVIEW")
+"""Levels of Gaussians that no result has."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +46,7 @@ _earlier: dict[Path, tuple[float, list[EarlierResult]]] = {}
 _files: dict[Path, tuple[float, bool]] = {}
 _results: dict[Path, tuple[float, ResultFacts]] = {}
 _disk: dict[Path, tuple[float, Disk]] = {}
-_missing: dict[str, tuple[float, list[str]]] = {}
+_lost: dict[str, tuple[float, list[str]]] = {}
 
 
 def run(scene: bpy.types.Scene) -> RunStatus:
@@ -93,18 +96,15 @@ def is_file(path: Path) -> bool:
     return _files[path][1]
 
 
-def missing_splats(scene: bpy.types.Scene) -> list[str]:
-    """Names of the Gaussians whose file is missing: nothing of them can be drawn.
-
-    Imported ones are then drawn from their points.
-    """
-    if is_old(_missing.get(scene.name)):
-        shown = ((item.name, object_props(item)) for item in lookup.splats(scene))
-        files = {n: p.ply for n, p in shown if not p.parked and p.level != "IMPORTED"}
-        _missing.clear()
-        missing = [name for name, file in files.items() if not os.path.isfile(file)]
-        _missing[scene.name] = time.monotonic(), missing
-    return _missing[scene.name][1]
+def lost_splats(scene: bpy.types.Scene) -> list[str]:
+    """Names of a result's Gaussians that are drawn from the .blend: no file holds them any more."""
+    if is_old(_lost.get(scene.name)):
+        shown = ((item, object_props(item)) for item in lookup.splats(scene))
+        own = [(i, p.ply) for i, p in shown if not p.parked and p.level not in OWN_LEVELS]
+        _lost.clear()
+        lost = [item.name for item, file in own if not edits.is_held(item, file)]
+        _lost[scene.name] = time.monotonic(), lost
+    return _lost[scene.name][1]
 
 
 def changed_boxes(scene: bpy.types.Scene, status: RunStatus) -> list[str]:
@@ -130,4 +130,4 @@ def forget() -> None:
     _results.clear()
     _disk.clear()
     _files.clear()
-    _missing.clear()
+    _lost.clear()

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
-from ..blender import leave_edit_mode, registration, scene_of, select_only, view_layer_of
+from ..blender import (
+    following,
+    leave_edit_mode,
+    persistent,
+    registration,
+    scene_of,
+    select_only,
+    view_layer_of,
+)
 from ..engine import earlier_results
 from ..errors import AddonError
 from ..facts import caches, run_facts
@@ -202,10 +210,14 @@ class SelectGaussians(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def _follow() -> None:
-    """A training that was stopped may have moved aside what the scenes show."""
+@persistent
+def _follow(*_: object) -> None:
+    """A training that was stopped may have moved aside what the scenes show; or a person, all."""
     for scene in bpy.data.scenes:
         splats.follow(scene, run_folders.run_folder(scene))
+
+
+_start, _end = following(("load_post", _follow))
 
 
 _register, _unregister = registration(
@@ -216,10 +228,12 @@ _register, _unregister = registration(
 def register() -> None:
     """Register the operators, and follow trainings."""
     _register()
+    _start()
     current.on_end.append(_follow)
 
 
 def unregister() -> None:
     """Undo `register`."""
     current.on_end.remove(_follow)
+    _end()
     _unregister()

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
+from bpy.props import BoolProperty, StringProperty
 
 from ..blender import registration, scene_of
 from ..errors import AddonError
 from ..facts import caches, run_facts
 from ..jobs import current, run_folders
 from ..properties import scene_props
-from ..scene import compared
-from ..shared import EngineError, clean_up, lock, text
-from .base import BUSY, available, failed
+from ..scene import compared, splats
+from ..shared import EngineError, clean_up, files, lock, text
+from .base import BUSY, FRESH, available, failed
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
@@ -64,6 +66,43 @@ def _other(scene: bpy.types.Scene) -> Path | None:
     return next((folder for folder in found if folder != shown), None)
 
 
+class FindFolder(bpy.types.Operator):
+    """Choose the run folder that was moved; without it, the models are drawn from the .blend, \
+but training and levels of detail start again"""
+
+    bl_idname = "roigs.find_folder"
+    bl_label = "Find Folder"
+    bl_options = {"REGISTER", "UNDO"}
+
+    directory: StringProperty(subtype="DIR_PATH", options=FRESH)
+    filter_folder: BoolProperty(default=True, options={"HIDDEN", *FRESH})
+
+    @classmethod
+    def description(
+        cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties
+    ) -> str:
+        """With the folder where it was."""
+        return f"{cls.__doc__}. It was {run_folders.run_folder(scene_of(context))}"
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+        """Ask for the folder; the file browser then calls `execute`."""
+        assert context.window_manager is not None
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Look in the folder, then in those that are directly in it."""
+        scene, chosen = scene_of(context), Path(bpy.path.abspath(self.directory))
+        within = [Path(path) for path in files.matching(chosen, "*") if os.path.isdir(path)]
+        folder = next((f for f in (chosen, *within) if splats.follow(scene, f)), None)
+        if folder is None:
+            return failed(self, f"{chosen} has none of the models that are shown.")
+        if not run_folders.run_folder(scene).is_dir():
+            scene_props(scene).run_dir = str(folder)
+        caches.forget()
+        return {"FINISHED"}
+
+
 class CleanUp(bpy.types.Operator):
     """Remove files that training can recreate: undistorted photos, stages of earlier settings, \
 an old preview. Results stay"""
@@ -106,4 +145,4 @@ an old preview. Results stay"""
         return {"FINISHED"}
 
 
-register, unregister = registration(CompareResults, CleanUp)
+register, unregister = registration(CompareResults, FindFolder, CleanUp)

@@ -153,7 +153,7 @@ def follow(scene: bpy.types.Scene, folder: Path) -> int:
 
     A new training moves those of the last result there. Returns how many objects have found theirs.
     """
-    shown = [item for item in lookup.splats(scene) if object_props(item).ply]
+    shown = [i for i in lookup.splats(scene) if object_props(i).ply and i.library is None]
     lost = [item for item in shown if not edits.is_held(item, object_props(item).ply)]
     results = [folder, *(result.folder for result in earlier_results(folder))] if lost else []
     found = 0

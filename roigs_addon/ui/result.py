@@ -24,8 +24,8 @@ from ..operators.results import (
     ShowInRenders,
     ShowPoints,
 )
-from ..operators.run_folder import CleanUp, CompareResults
-from ..properties import object_props, scene_props
+from ..operators.run_folder import CleanUp, CompareResults, FindFolder
+from ..properties import object_props
 from ..scene import compared, compositor, detail, ladders, lookup, native_splats, splats
 from ..shared import text
 from . import layout as show
@@ -35,8 +35,6 @@ Objects = list[bpy.types.Object]
 
 NAME_SHARE = {2: 0.45, 3: 0.34}
 """Of a row, by the number of buttons beside it; copies differ in the end of their names."""
-NAMED = 2
-"""Missing files that are named."""
 TRUE_COLOURS = ("Standard", "Raw")
 """View transforms that show the photos' colours."""
 
@@ -62,12 +60,15 @@ class ResultPanel(SidebarPanel):
         _draw_as_points(layout, items)
         for path, problem in viewport.problems().items():
             if path and not run_facts.is_file(Path(path)):
-                continue  # the next line says it
+                continue  # its points are drawn instead
             named = not path or path in problem
             show.wrong(layout, problem if named else f"{Path(path).name}: {problem}")
         # While it trains, the engine moves files aside.
-        if not current.busy() and (missing := run_facts.missing_splats(scene)):
-            show.wrong(layout, _missing_in_words(scene, missing))
+        if not current.busy() and (lost := len(run_facts.lost_splats(scene))):
+            verb = "are" if lost > 1 else "is"
+            said = f"{text.counted(lost, 'model')} {verb} drawn from the .blend: the PLY is gone"
+            show.say(layout, said, "INFO")
+            layout.operator(FindFolder.bl_idname, icon="FILE_FOLDER")
         _draw_results(layout, scene)
         if items:
             _draw_render(layout, scene)
@@ -80,18 +81,6 @@ class ResultPanel(SidebarPanel):
             row.operator(FromNative.bl_idname)
         for title in (IMPORTING_GAUSSIANS, EXPORTING):
             show.job(layout, title)
-
-
-def _missing_in_words(scene: bpy.types.Scene, names: list[str]) -> str:
-    """Whose files are missing, where they were, and what helps in this scene."""
-    files = [object_props(scene.objects[name]).ply for name in names]
-    folders = sorted({str(Path(file).parent) for file in files})
-    where = files[0] if len(files) == 1 else ", ".join(folders)
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    helps = "Put them back" + (
-        ", set the Run Folder, or train" if scene_props(scene).colmap else ""
-    )
-    return f"Missing splat files: {', '.join(names[:NAMED])}{more} ({where}). {helps}"
 
 
 def _draw_objects(

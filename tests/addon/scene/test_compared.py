@@ -181,7 +181,7 @@ def test_a_box_of_one_result_comes_back(blender: ModuleType, two) -> None:
         assert not item.visible_get() and item.hide_render
         assert scene.objects["other Gaussians"].visible_get()
         assert not scene.objects["other first pass"].visible_get()
-        assert run_facts.missing_splats(scene) == []
+        assert run_facts.lost_splats(scene) == []
         blender.ops.roigs.compare_results()
         assert item.visible_get() and not item.hide_render and item.location.x == 5
         assert not scene.objects["thing first pass"].visible_get()

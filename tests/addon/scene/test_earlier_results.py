@@ -21,10 +21,10 @@ def test_what_is_shown_stays_when_a_new_training_starts(blender: ModuleType, run
     scene, folder = run
     blender.ops.roigs.load_results()
     place = set_aside(folder)
-    assert run_facts.missing_splats(scene)
+    assert run_facts.lost_splats(scene)
     for listener in current.on_end:  # the training was stopped
         listener()
-    assert not run_facts.missing_splats(scene)
+    assert not run_facts.lost_splats(scene)
     assert all(place in file.parents for file in files(scene))
 
 

@@ -12,20 +12,20 @@ from tests.addon.panels import said
 pytestmark = pytest.mark.blender
 
 
-def test_missing_files_are_named(blender: ModuleType, run) -> None:
+def test_what_is_drawn_from_the_blend_is_said(blender: ModuleType, run) -> None:
     from roigs_addon.facts import run_facts
     from roigs_addon.ui.result import ResultPanel
 
     scene, folder = run
     blender.ops.roigs.load_results()
-    assert run_facts.missing_splats(scene) == []
+    assert run_facts.lost_splats(scene) == []
     moved = folder.rename(folder.with_name("moved"))
-    assert run_facts.missing_splats(scene) == ["Background", "thing Gaussians", "thing first pass"]
+    assert run_facts.lost_splats(scene) == ["Background", "thing Gaussians", "thing first pass"]
     told = " ".join(said(blender, ResultPanel))
-    assert "Missing splat files: Background, thing Gaussians and 1 more" in told
+    assert "3 models are drawn from the .blend" in told
     scene.roigs.run_dir = str(moved)
     blender.ops.roigs.load_results()
-    assert run_facts.missing_splats(scene) == []
+    assert run_facts.lost_splats(scene) == []
 
 
 def test_what_renders_lack_is_said(blender: ModuleType, run) -> None:
@@ -123,7 +123,7 @@ def test_folders_that_cannot_be_looked_at(blender: ModuleType, run, tmp_path: Pa
     assert environments.made([Path(strange)]) == []
 
 
-def test_a_missing_file_is_said_once(
+def test_a_missing_file_is_no_problem(
     blender: ModuleType, run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from roigs_addon import viewport
