@@ -18,7 +18,7 @@ from bpy.props import (
 )
 
 from .engine.presets import PRESETS, follow_preset
-from .shared import choices, declare, project_requests, run_requests, values
+from .shared import choices, declare, project_requests, run_requests, targets, values
 
 KINDS = (
     ("NONE", "None", "Not an object of ROI-GS"),
@@ -177,6 +177,14 @@ class RoigsObject(bpy.types.PropertyGroup):
     )
 
 
+USUAL_TARGET = (targets.CYCLES if bpy.app.version >= (5, 3, 0) else targets.VIEWERS).name
+"""What a result is made for: from 5.3 on, Blender has splats of its own."""
+
+
+def _follow_preset(settings: RoigsScene, _: bpy.types.Context) -> None:
+    follow_preset(settings, USUAL_TARGET)
+
+
 def _other_photos(settings: RoigsScene, _: bpy.types.Context) -> None:
     """Other photos get another project folder, and other masks."""
     settings.project = settings.masks = ""
@@ -241,11 +249,11 @@ class RoigsScene(bpy.types.PropertyGroup):
         description="Select photos until more do not help. Switch off to choose their number",
     )
     seed: setting(IntProperty, "seed", default=0)
-    preset: setting(EnumProperty, "preset", items=PRESETS, update=follow_preset)
+    preset: setting(EnumProperty, "preset", items=PRESETS, update=_follow_preset)
     is_paper: BoolProperty(description="Whether the settings followed the paper's preset last")
     strategy: setting(EnumProperty, "strategy", items=choices.STRATEGY_ITEMS, default="joint")
     steps_factor: setting(FloatProperty, "steps_factor", default=1.0, min=0.001, soft_max=10.0)
-    made_for: setting(EnumProperty, "made_for", items=choices.MADE_FOR_ITEMS)
+    made_for: setting(EnumProperty, "made_for", items=choices.MADE_FOR_ITEMS, default=USUAL_TARGET)
     max_side: setting(
         IntProperty, "max_side", default=640, soft_min=64, soft_max=16384, subtype="PIXEL"
     )

@@ -18,22 +18,23 @@ PRESETS = (
     ),
 )
 PAPER_DEFAULTS = {"strategy": "independent", "method": "gp9", "made_for": targets.PLAIN.name}
-JOINT_DEFAULTS = {"strategy": "joint", "method": "coverage", "made_for": targets.VIEWERS.name}
+JOINT_DEFAULTS = {"strategy": "joint", "method": "coverage"}
 
 
-def follow_preset(settings: Any, _: object = None) -> None:
+def follow_preset(settings: Any, made_for: str) -> None:
     """The paper's preset sets the paper's way; what the user chose stays.
 
     Args:
         settings: a scene's.
+        made_for: the default of the other presets.
     """
     now_paper = settings.preset == PAPER
     if now_paper == settings.is_paper:
         return
     settings.is_paper = now_paper
-    left, taken = JOINT_DEFAULTS, PAPER_DEFAULTS
+    left, taken = JOINT_DEFAULTS | {"made_for": made_for}, PAPER_DEFAULTS
     if not now_paper:
-        left, taken = PAPER_DEFAULTS, JOINT_DEFAULTS
+        left, taken = taken, left
     for name, value in taken.items():
         if getattr(settings, name) == left[name]:
             setattr(settings, name, value)

@@ -28,7 +28,7 @@ class TrainPanel(SidebarPanel):
         """The settings that matter most, and the training."""
         layout, scene = layout_of(self), scene_of(context)
         column = show.setting_column(layout)
-        for name in ("preset", "max_side"):
+        for name in ("preset", "max_side", "made_for"):
             column.prop(scene_props(scene), name)
         _draw_length(layout, scene)
         if device := training_device.of_run(scene):
@@ -93,11 +93,11 @@ class TrainSettingsPanel(SidebarPanel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Steps, strategy, target, test photos, seed, run folder."""
+        """Steps, strategy, test photos, seed, run folder."""
         layout, scene = layout_of(self), scene_of(context)
         column = show.setting_column(layout)
         props = scene_props(scene)
-        for name in ("steps_factor", "strategy", "made_for"):
+        for name in ("steps_factor", "strategy"):
             column.prop(props, name)
         show.draw_where(column)
         show.or_number(column, props, "Test Photos", "no_tests", "test_every", "One Photo in")

@@ -43,6 +43,7 @@ class PackedSet:
         colours: (rows, ROW, 4), 3 * `sh_texels` texels per Gaussian: the coefficients of red, of
             green, of blue, each filled up with zeros to whole texels.
         sh_texels: 1, 3 or 4.
+        lights: whether each cloud is blended in linear light, not as sRGB values.
     """
 
     means: Float32
@@ -51,6 +52,7 @@ class PackedSet:
     geometry: Float32
     colours: Float32
     sh_texels: int
+    lights: tuple[bool, ...]
 
     def __len__(self) -> int:
         return len(self.means)
@@ -78,7 +80,8 @@ def pack(clouds: Sequence[SplatCloud]) -> PackedSet:
         sh[start:stop, :, : cloud.sh.shape[1]] = cloud.sh.transpose(0, 2, 1)
     means = np.ascontiguousarray(by_gaussian[:, 0, :3])
     extent = float(np.sqrt(np.square(means).sum(axis=1).mean(dtype=float))) if count else 1.0
-    return PackedSet(means, ranges, extent, geometry, colours, sh_texels)
+    lights = tuple(cloud.target.linear_light for cloud in clouds)
+    return PackedSet(means, ranges, extent, geometry, colours, sh_texels, lights)
 
 
 def pack_order(order: NDArray[np.uint32]) -> Float32:

@@ -30,13 +30,14 @@ VIEWS = 8
 
 @dataclass(frozen=True, eq=False)
 class GpuSet:
-    """A set of Gaussians on the GPU; `files` has one entry per object in it."""
+    """A set of Gaussians on the GPU; `files` and `lights` have one entry per object in it."""
 
     files: Files
     means: Float32
     ranges: tuple[tuple[int, int], ...]
     extent: float
     sh_texels: int
+    lights: tuple[bool, ...]
     geometry: gpu.types.GPUTexture
     colours: gpu.types.GPUTexture
 
@@ -49,6 +50,7 @@ class GpuSet:
             packed.ranges,
             packed.extent,
             packed.sh_texels,
+            packed.lights,
             targets.texture(packed.geometry, "RGBA32F"),
             targets.texture(packed.colours, "RGBA16F"),
         )
@@ -66,9 +68,19 @@ class Order:
     @property
     def files(self) -> Files:
         """Of the objects in the order."""
+        return tuple(self.gaussians.files[k] for k in self._rows())
+
+    @property
+    def linear_light(self) -> bool:
+        """Whether it is blended in linear light: as most of its Gaussians are made for."""
+        ranges, lights = self.gaussians.ranges, self.gaussians.lights
+        sizes = ((ranges[k][1] - ranges[k][0]) * (1 if lights[k] else -1) for k in self._rows())
+        return sum(sizes) > 0
+
+    def _rows(self) -> list[int]:
+        """Those of the set's objects that are in the order."""
         there = {(segment.start, segment.stop) for segment in self.view.segments}
-        of_set = zip(self.gaussians.files, self.gaussians.ranges, strict=True)
-        return tuple(file for file, range_ in of_set if range_ in there)
+        return [k for k, range_ in enumerate(self.gaussians.ranges) if range_ in there]
 
     @classmethod
     def upload(cls, gaussians: GpuSet, view: SortingView, count: int, texels: Float32) -> Order:
@@ -156,6 +168,7 @@ class Painter:
         shader.uniform_int("origin", targets.viewport_origin())
         shader.uniform_float("view_size", view.size)
         shader.uniform_bool("linear_target", [linear_target])
+        shader.uniform_bool("linear_light", [order.linear_light])
         shader.uniform_float("strength", strength)
         shader.uniform_sampler("picture", picture.target.texture)
         shader.uniform_sampler("scene_depth", depth.texture)
@@ -318,6 +331,7 @@ class Painter:
         shader.uniform_float("frame", frame)
         shader.uniform_float("view_size", view.size)
         shader.uniform_int("sh_texels", order.gaussians.sh_texels)
+        shader.uniform_bool("linear_light", [order.linear_light])
         shader.uniform_sampler("order", order.texture)
         shader.uniform_sampler("geometry", order.gaussians.geometry)
         shader.uniform_sampler("colours", order.gaussians.colours)

@@ -43,6 +43,7 @@ def splat_shader(depth: bool) -> Shader:
     info.push_constant("VEC2", "view_size")
     info.push_constant("INT", "sh_texels")
     info.push_constant("INT", "count")
+    info.push_constant("BOOL", "linear_light")
     for slot, name in enumerate(("order", "geometry", "colours", "objects")):
         info.sampler(slot, "FLOAT_2D", name)
     if depth:
@@ -63,6 +64,7 @@ def composite_shader() -> Shader:
     info.push_constant("IVEC2", "origin")
     info.push_constant("VEC2", "view_size")
     info.push_constant("BOOL", "linear_target")
+    info.push_constant("BOOL", "linear_light")
     info.push_constant("FLOAT", "strength")
     info.sampler(0, "FLOAT_2D", "picture")
     info.sampler(1, "FLOAT_2D", "scene_depth")

@@ -29,7 +29,7 @@ class Target:
 VIEWERS = Target(
     name="viewers",
     title="Splat Viewers",
-    help="Viewers that support anti-aliased Gaussians: sharp from near and far",
+    help="This add-on's view, web pages, viewers with anti-aliasing: sharp from near and far",
     antialiased=True,
     linear_light=False,
 )

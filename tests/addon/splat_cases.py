@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from roigs_engine.formats.splat_ply import write_ply
-from roigs_engine.formats.targets import target_with
+from roigs_engine.formats.targets import VIEWERS, Target, target_with
 
 SH_C0 = 0.28209479177387814
 
@@ -40,13 +40,13 @@ def random_ply(
 
 
 def fine_ply(
-    path: Path, count: int, seed: int = 0, *, thinner: float = 6.0, antialiased: bool = True
+    path: Path, count: int, seed: int = 0, *, thinner: float = 6.0, target: Target = VIEWERS
 ) -> Path:
     """The same with Gaussians so much finer, on which anti-aliasing has an effect."""
     arrays = random_arrays(count, seed)
     arrays["log_scales"] -= np.float32(np.log(thinner))
     arrays["logit_opacities"] += np.float32(2.0)
-    write_ply(path, arrays, target=target_with(antialiased=antialiased))
+    write_ply(path, arrays, target=target)
     return path
 
 

@@ -1,4 +1,4 @@
-// Premultiplied sRGB values, for blending back to front.
+// Premultiplied sRGB values or light, for blending back to front.
 
 void main()
 {

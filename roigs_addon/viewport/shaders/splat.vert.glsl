@@ -53,6 +53,13 @@ vec3 sh_sum(uint first, vec3 v)
   return sum;
 }
 
+// The light of sRGB values, as roigs_engine/rasterize/light.py has it.
+vec3 light_of(vec3 shown)
+{
+  vec3 power = pow((max(shown, 0.04045) + 0.055) / 1.055, vec3(2.4));
+  return mix(shown / 12.92, power, vec3(greaterThan(shown, vec3(0.04045))));
+}
+
 void main()
 {
   // All corners outside: nothing is drawn.
@@ -157,7 +164,7 @@ void main()
 
   vec3 sight = perspective ? normalize(mean - eye.xyz) : eye.xyz;
   vec3 rgb = max(0.5 + sh_sum(uint(3 * sh_texels) * index, sight), 0.0) * OBJECT(number, 4).xyz;
-  paint = vec4(rgb, opacity);
+  paint = vec4(linear_light ? light_of(rgb) : rgb, opacity);
   vec4 clip = projection * vec4(t, 1.0);
   gl_Position = vec4(2.0 * pixel / view_size - 1.0, clip.z / clip.w, 1.0);
 }
