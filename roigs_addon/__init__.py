@@ -30,6 +30,7 @@ MODULES = (
     "scene.active_camera",
     "scene.backgrounds",
     "scene.edits",
+    "scene.carried",
     "scene.formerly_hidden",
     "scene.arrivals",
     "scene.placement",

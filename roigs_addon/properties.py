@@ -291,6 +291,13 @@ class RoigsScene(bpy.types.PropertyGroup):
     has_floor: BoolProperty(description="Whether the floor was put at z = 0")
     placement_key: StringProperty(description="Where the root stood then")
     compared: StringProperty(description="Folder of the earlier result that was shown last")
+    carry_colour: BoolProperty(
+        name="View-Dependent Colour in the .blend",
+        default=True,
+        description="Save the view-dependent colour in the .blend, which is then three times as"
+        " large (57 MB instead of 20 MB for 200,000 Gaussians). Without it, the colour comes from"
+        " the PLY files; if they are gone, colours look the same from all sides",
+    )
     use_levels: BoolProperty(
         name="Levels of Detail",
         default=True,

@@ -22,7 +22,7 @@ from ..errors import AddonError
 from ..facts import caches, run_facts
 from ..jobs import current, run_folders
 from ..properties import object_props
-from ..scene import compared, compositor, detail, edits, lookup, splats
+from ..scene import carried, compared, compositor, detail, edits, lookup, splats
 from ..windows import redraw
 from .base import FRESH, available, failed
 
@@ -215,6 +215,7 @@ def _follow(*_: object) -> None:
     """A training that was stopped may have moved aside what the scenes show; or a person, all."""
     for scene in bpy.data.scenes:
         splats.follow(scene, run_folders.run_folder(scene))
+        carried.bring_back(scene)
 
 
 _start, _end = following(("load_post", _follow))

@@ -14,7 +14,7 @@ from ..errors import AddonError
 from ..facts import caches, run_facts
 from ..jobs import current, run_folders
 from ..properties import scene_props
-from ..scene import compared, splats
+from ..scene import carried, compared, splats
 from ..shared import EngineError, clean_up, files, lock, text
 from .base import BUSY, FRESH, available, failed
 
@@ -97,6 +97,7 @@ but training and levels of detail start again"""
         folder = next((f for f in (chosen, *within) if splats.follow(scene, f)), None)
         if folder is None:
             return failed(self, f"{chosen} has none of the models that are shown.")
+        carried.bring_back(scene)
         if not run_folders.run_folder(scene).is_dir():
             scene_props(scene).run_dir = str(folder)
         caches.forget()

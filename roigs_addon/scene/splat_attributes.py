@@ -24,6 +24,9 @@ WIDTHS = {"FLOAT": 1, "FLOAT_VECTOR": 3, "FLOAT_COLOR": 4, "QUATERNION": 4}
 SHAPE = ("scale", "rotation", "radiance:base")
 """Attributes that every Gaussian has; opacity is the last number of the third."""
 
+SH_NAMES = tuple(f"radiance:sh_{index}" for index in range(15))
+"""Attributes with the view-dependent colour; a lower degree has fewer of them."""
+
 PLACE = "imported"
 """Attribute: where a point was imported."""
 
@@ -67,8 +70,8 @@ def add_attributes(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
         "radiance:base": ("FLOAT_COLOR", radiance),  # four numbers, in any Blender
         PLACE: ("FLOAT_VECTOR", cloud.means),
     }
-    for index in range(1, cloud.sh.shape[1]):
-        columns[_sh_name(index)] = ("FLOAT_VECTOR", cloud.sh[:, index])
+    for index, name in enumerate(SH_NAMES[: cloud.sh.shape[1] - 1], start=1):
+        columns[name] = ("FLOAT_VECTOR", cloud.sh[:, index])
     for name, (kind, numbers) in columns.items():
         clouds.set_attribute(mesh, name, kind, numbers)
     mark_target(mesh, cloud.target)
@@ -141,7 +144,9 @@ def sh_of(data: Points) -> Float32:
     radiance = values(data, "radiance:base")
     assert radiance is not None
     sh = [radiance[:, :3]]
-    while len(sh) < 16 and (band := values(data, _sh_name(len(sh)))) is not None:
+    for name in SH_NAMES:
+        if (band := values(data, name)) is None:
+            break
         sh.append(band)
     degree = int(np.sqrt(len(sh)))
     return np.stack(sh[: degree**2], axis=1)
@@ -171,7 +176,3 @@ def hidden(mesh: bpy.types.Mesh) -> NDArray[np.bool_]:
     found = np.empty(len(mesh.vertices), np.bool_)
     mesh.vertices.foreach_get("hide", found)
     return found
-
-
-def _sh_name(index: int) -> str:
-    return f"radiance:sh_{index - 1}"

@@ -25,8 +25,8 @@ from ..operators.results import (
     ShowPoints,
 )
 from ..operators.run_folder import CleanUp, CompareResults, FindFolder
-from ..properties import object_props
-from ..scene import compared, compositor, detail, ladders, lookup, native_splats, splats
+from ..properties import object_props, scene_props
+from ..scene import carried, compared, compositor, detail, ladders, lookup, native_splats, splats
 from ..shared import text
 from . import layout as show
 from .layout import SidebarPanel
@@ -66,8 +66,9 @@ class ResultPanel(SidebarPanel):
         # While it trains, the engine moves files aside.
         if not current.busy() and (lost := len(run_facts.lost_splats(scene))):
             verb = "are" if lost > 1 else "is"
-            said = f"{text.counted(lost, 'model')} {verb} drawn from the .blend: the PLY is gone"
-            show.say(layout, said, "INFO")
+            said = f"{text.counted(lost, 'model')} {verb} drawn from the .blend"
+            flat = ", without view-dependent colour" if carried.is_left_out(scene) else ""
+            show.say(layout, f"{said}{flat}: the PLY is gone", "INFO")
             layout.operator(FindFolder.bl_idname, icon="FILE_FOLDER")
         _draw_results(layout, scene)
         if items:
@@ -199,6 +200,8 @@ def _draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
         size = f" ({text.in_gb(disk.removable)})" if disk.removable else ""
         label = f"{CleanUp.bl_label}{size}"
         row.operator(CleanUp.bl_idname, text=label, icon="BRUSH_DATA")
+    if shown is not None:
+        layout.prop(scene_props(scene), "carry_colour")
 
 
 def _draw_render(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from roigs_engine.formats.splat_ply import read_ply
 from tests.addon.other_blender import other_blender
+from tests.addon.panels import said
 from tests.addon.pictures import load_rgba
 from tests.addon.results import set_aside
 from tests.addon.scenes import ROOT, with_cycles
@@ -129,3 +130,55 @@ def test_another_result_in_the_files_place_is_not_drawn(blender: ModuleType, sav
     np.testing.assert_allclose(read_ply(shown)["means"], expected, atol=1e-6)
     blender.ops.roigs.load_results()
     assert path in drawn(scene)
+
+
+def colours(scene) -> int:
+    from roigs_addon.scene.splat_attributes import SH_NAMES
+
+    attributes = scene.objects["Background"].data.attributes
+    return sum(attribute.name in SH_NAMES for attribute in attributes)
+
+
+def hide_first(scene, hide: bool = True) -> None:
+    scene.objects["Background"].data.vertices[0].hide = hide
+
+
+def test_saved_without_view_dependent_colour(blender: ModuleType, saved) -> None:
+    """A third of the size; the PLY gives the colour back, except to points that were edited."""
+    from roigs_addon.scene import edits
+    from roigs_addon.ui.result import ResultPanel
+
+    bpy, (scene, folder, blend) = blender, saved
+    path = folder / "background.ply"
+    random_ply(path, 2000, seed=3)
+    bpy.ops.roigs.load_results()
+    bpy.ops.wm.save_mainfile()
+    large = blend.stat().st_size
+    scene.roigs.carry_colour = False
+    bpy.ops.wm.save_mainfile()
+    assert large - blend.stat().st_size > 2000 * 45 * 4 * 0.95
+    assert colours(scene) == 15, "only the file is without"
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    scene = bpy.context.scene
+    assert colours(scene) == 15 and drawn(scene) == {path, folder / "rois" / "thing.ply"}
+    hide_first(scene)  # such points are only in the .blend
+    bpy.ops.wm.save_mainfile()
+    away = path.rename(path.with_name("away.ply"))
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    scene = bpy.context.scene
+    assert colours(scene) == 15
+    hide_first(scene, False)
+    away.rename(path)
+    bpy.ops.wm.save_mainfile()
+    away = path.rename(path.with_name("away.ply"))
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    scene = bpy.context.scene
+    assert colours(scene) == 0
+    told = " ".join(said(bpy, ResultPanel))
+    assert "1 model is drawn from the .blend, without view-dependent colour" in told
+    flat = read_ply(edits.file_of(scene.objects["Background"]))
+    np.testing.assert_allclose(flat["sh"], read_ply(away)["sh"][:, :1], atol=1e-6)
+    folder.rename(folder.with_name("moved"))
+    (folder.with_name("moved") / "away.ply").rename(folder.with_name("moved") / "background.ply")
+    bpy.ops.roigs.find_folder(directory=str(folder.with_name("moved")))
+    assert colours(scene) == 15
