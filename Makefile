@@ -13,7 +13,8 @@
 #              for the CPU. Example: TORCH_INDEX=https://download.pytorch.org/whl/cpu
 # BLENDER      the Blender of `make test-blender` (default: made from Debian's packages) and of
 #              `make extension` (default: its bpy module, from PyPI)
-# SUITE        the Debian suite that test-blender takes: trixie (Blender 4.3, the default) or sid
+# SUITE        where test-blender takes it from: Debian's trixie (Blender 4.3, the default) or sid,
+#              or a version of the bpy module on PyPI, such as 5.3
 # RUN_DIR      where `make demo` puts its results
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3)

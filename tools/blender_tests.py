@@ -1,6 +1,10 @@
 """Runs the add-on's tests inside a real Blender.
 
-    python tools/blender_tests.py [--blender PROGRAM | --suite sid] [arguments of pytest]
+    python tools/blender_tests.py [--blender PROGRAM | --suite SUITE] [arguments of pytest]
+
+A suite that is a number, such as `5.3`, is a version of Blender as a Python module, from PyPI. It
+is put into .blender/5.3, once, and needs Python 3.13: this machine's, or Debian's (below). It has
+no window. Other suites are Debian's.
 
 Without `--blender`, a Blender is put together from Debian's packages in .blender/SUITE, once: they
 are downloaded and unpacked, nothing is installed. `trixie` has Blender 4.3, `sid` a later one. That
@@ -24,19 +28,33 @@ CACHE = ROOT / ".blender"
 PACKAGES = ("blender", "python3-numpy", "libegl1", "libgl1", "libgl1-mesa-dri", "libegl-mesa0")
 MIRROR = "http://deb.debian.org/debian"
 LOADER = "ld-linux-x86-64.so.2"
+EXECUTABLE = stat.S_IXUSR | stat.S_IXGRP | stat.S_IXOTH
+
+MODULE_PYTHON = "3.13"
+"""The Python of Blender's module, from Blender 5.1 on."""
+MODULE_PACKAGES = ("numpy>=2.2,<3", "cattrs")
+"""What the module's own scripts import."""
 
 # Starts a program of another system with that system's C library. Links to it stay what they are
 # called: Python finds its own files from that. Mesa maps its cache of shaders into memory, and
 # another version of it cuts that file to another length: SIGBUS, without a cache of its own.
 PROGRAM = """#!/bin/sh
 here='{root}'
-export BLENDER_SYSTEM_PYTHON="$here/usr" BLENDER_SYSTEM_RESOURCES="$here/usr/share/blender"
-export BLENDER_SYSTEM_SCRIPTS="$here/usr/share/blender/scripts"
-export BLENDER_SYSTEM_DATAFILES="$here/usr/share/blender/datafiles"
+{own}
 export __EGL_VENDOR_LIBRARY_DIRS="$here/usr/share/glvnd/egl_vendor.d" LIBGL_DRIVERS_PATH="{lib}/dri"
 export GBM_BACKENDS_PATH="{lib}/gbm" LIBGL_ALWAYS_SOFTWARE=1
 export MESA_SHADER_CACHE_DIR="$here/var/cache"
 exec '{lib}/{loader}' --library-path '{paths}' --argv0 "$0" '{binary}' "$@"
+"""
+# Of Blender alone: they would mislead another Blender, as a module of that Python.
+BLENDERS = """\
+export BLENDER_SYSTEM_PYTHON="$here/usr" BLENDER_SYSTEM_RESOURCES="$here/usr/share/blender"
+export BLENDER_SYSTEM_SCRIPTS="$here/usr/share/blender/scripts"
+export BLENDER_SYSTEM_DATAFILES="$here/usr/share/blender/datafiles"
+"""
+MODULE_PROGRAM = """#!/bin/sh
+export PYTHONPATH='{packages}' PYTHONNOUSERSITE=1
+exec '{python}' "$@"
 """
 
 
@@ -44,30 +62,60 @@ def main() -> int:
     """Make what is missing, run the tests; pytest's exit status."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--blender", help="the Blender to use")
-    parser.add_argument("--suite", default="trixie", help="Debian's, to take one from")
+    parser.add_argument("--suite", default="trixie", help="Debian's, or the number of a version")
     args, rest = parser.parse_known_args()
-    blender = args.blender or str(debian_blender(args.suite))
     environment = {
         "ROIGS_ENGINE_PYTHON": sys.executable,
         **os.environ,
         "ROIGS_PYTEST": str(pytest_folder()),
-        "ROIGS_BLENDER": str(Path(shutil.which(blender) or blender).absolute()),
     }
-    command = [blender, "-b", "--factory-startup", "--python-exit-code", "1"]
-    command += ["--python", str(ROOT / "tests" / "blender" / "run.py"), "--", *rest]
+    if args.suite[:1].isdigit() and not args.blender:
+        command = [str(blender_module(args.suite))]
+    else:
+        blender = args.blender or str(debian_blender(args.suite))
+        environment["ROIGS_BLENDER"] = str(Path(shutil.which(blender) or blender).absolute())
+        command = [blender, "-b", "--factory-startup", "--python-exit-code", "1", "--python"]
+    command += [str(ROOT / "tests" / "blender" / "run.py"), "--", *rest]
     return subprocess.run(command, env=environment, check=False).returncode
 
 
 def pytest_folder() -> Path:
     """A folder with pytest and what it needs, all pure Python, so that any Blender can use it."""
-    folder = CACHE / "pytest"
+    return install(CACHE / "for_tests", "pytest", "filelock")
+
+
+def install(folder: Path, *arguments: str) -> Path:
+    """A folder with packages, made with these arguments of pip if it is not there."""
     if not folder.is_dir():
         fresh = folder.with_suffix(".part")
         shutil.rmtree(fresh, ignore_errors=True)
         pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
-        subprocess.run([*pip, "--target", str(fresh), "pytest"], check=True)
+        subprocess.run([*pip, "--target", str(fresh), *arguments], check=True)
         fresh.rename(folder)
     return folder
+
+
+def blender_module(version: str) -> Path:
+    """A Python that has Blender of a version as its module `bpy`."""
+    program = CACHE / version / "python"
+    if not program.exists():
+        python = module_python()
+        print(f"Blender {version} from PyPI: downloading to {program.parent}", file=sys.stderr)
+        of_python = ("--python-version", MODULE_PYTHON, "--only-binary=:all:")
+        wanted = (f"bpy=={version}.*", *MODULE_PACKAGES)
+        packages = install(program.with_name("packages"), *of_python, *wanted)
+        program.write_text(MODULE_PROGRAM.format(packages=packages, python=python))
+        program.chmod(program.stat().st_mode | EXECUTABLE)
+    return program
+
+
+def module_python() -> Path:
+    """A Python for Blender's module: this machine's, or Debian's."""
+    name = f"python{MODULE_PYTHON}"
+    own = shutil.which(name)  # may be a stand-in for one that is not installed
+    if own and not subprocess.run([own, "-c", ""], check=False, capture_output=True).returncode:
+        return Path(own)
+    return debian_blender("trixie").parent / "usr" / "bin" / name
 
 
 def debian_blender(suite: str) -> Path:
@@ -147,9 +195,10 @@ def make_programs(folder: Path) -> None:
         binary = program.with_name(f"{program.name}.bin")
         program.rename(binary)
         values = {"root": folder, "lib": lib, "loader": LOADER, "binary": binary}
+        values["own"] = BLENDERS if program.name == "blender" else ""
         paths = ":".join(map(str, folders))
         program.write_text(PROGRAM.format(**values, paths=paths))
-        program.chmod(program.stat().st_mode | stat.S_IXUSR | stat.S_IXGRP | stat.S_IXOTH)
+        program.chmod(program.stat().st_mode | EXECUTABLE)
     (folder / "blender").symlink_to("usr/bin/blender")
 
 

@@ -42,16 +42,18 @@ current look; the Gaussians are hidden"""
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """One object for each; none if one fails."""
         leave_edit_mode(lookup.splats(scene_of(context)))
-        items = point_edits.chosen_or_visible(context)
-        made: list[bpy.types.Object] = []
+        made: dict[bpy.types.Object, bpy.types.Object] = {}
         try:
-            for item in items:
-                made.append(native_splats.of(item))
+            for item in point_edits.chosen_or_visible(context):
+                made[item] = native_splats.of(item)
         except AddonError as error:
-            for other in made:
+            for other in made.values():
                 bpy.data.objects.remove(other)
             return failed(self, error)
-        for item in items:
+        chosen = [other for item, other in made.items() if item == context.active_object]
+        select_only(context, (chosen or [*made.values()])[0])
+        for item, other in made.items():
+            other.select_set(True)
             item.hide_viewport = item.hide_render = True
         return {"FINISHED"}
 

@@ -27,6 +27,7 @@ ATTRIBUTE_KEYS = {
     "FLOAT": "value",
     "FLOAT_VECTOR": "vector",
     "FLOAT_COLOR": "color",
+    "FLOAT4": "vector",
     "BYTE_COLOR": "color",
     "QUATERNION": "value",
 }

@@ -32,15 +32,12 @@ def link(scene: bpy.types.Scene) -> None:
 
 def was_linked(scene: Any) -> bool:
     """Whether `link` has changed the scene's compositor, whatever the user did with it since."""
-    new = hasattr(scene, "compositing_node_group")
-    tree = scene.compositing_node_group if new else scene.node_tree
-    return tree is not None and bool(tree.get(LINKED))
+    return any(tree.get(LINKED) for tree in trees(scene))
 
 
 def find(scene: bpy.types.Scene) -> Any | None:
     """The group in the scene's compositor, if it is there."""
-    tree = _tree(scene)
-    for node in tree.nodes if tree else ():
+    for node in (node for tree in trees(scene, used=True) for node in tree.nodes):
         group = getattr(node, "node_tree", None)
         if group is not None and group.get(MARK):
             return group
@@ -84,25 +81,26 @@ def _file(out: Path, kind: str) -> Path:
     return of(first)
 
 
-def _tree(scene: Any) -> Any:
-    """The scene's compositor; None if it has none."""
-    if hasattr(scene, "compositing_node_group"):  # from Blender 5.0
-        return scene.compositing_node_group
-    return scene.node_tree if scene.use_nodes else None
+def trees(scene: Any, *, used: bool = False) -> list[Any]:
+    """The scene's compositor: none, one, or from Blender 5.3 on several, one after the other.
+
+    `used`: only if it is not switched off.
+    """
+    if hasattr(scene, "compositor_effects"):  # from Blender 5.3
+        found = [effect.node_group for effect in scene.compositor_effects]
+    elif hasattr(scene, "compositing_node_group"):  # from Blender 5.0
+        found = [scene.compositing_node_group]
+    else:
+        found = [scene.node_tree] if scene.use_nodes or not used else []
+    return [tree for tree in found if tree is not None]
 
 
 def _made_tree(scene: Any) -> Any:
-    """The scene's compositor; if it has none, a new one that shows the render layer."""
-    found = _tree(scene)
-    if found is not None:
+    """The scene's compositor, the first of several; a new one that shows the render layer."""
+    for found in trees(scene, used=True):
         return found
     tree: Any
-    if hasattr(scene, "compositing_node_group"):
-        tree = bpy.data.node_groups.new("Compositing", "CompositorNodeTree")
-        tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
-        scene.compositing_node_group = tree
-        end = tree.nodes.new("NodeGroupOutput")
-    else:
+    if hasattr(bpy.types, "CompositorNodeComposite"):  # before Blender 5.0
         fresh = scene.node_tree is None
         scene.use_nodes = True
         tree = scene.node_tree
@@ -110,6 +108,14 @@ def _made_tree(scene: Any) -> Any:
             return tree
         tree.nodes.clear()
         end = tree.nodes.new("CompositorNodeComposite")
+    else:
+        tree = bpy.data.node_groups.new("Compositing", "CompositorNodeTree")
+        tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+        if hasattr(scene, "compositor_effects"):
+            scene.compositor_effects.new(name=tree.name).node_group = tree
+        else:
+            scene.compositing_node_group = tree
+        end = tree.nodes.new("NodeGroupOutput")
     layers = tree.nodes.new("CompositorNodeRLayers")
     layers.scene = scene
     end.location.x = 700

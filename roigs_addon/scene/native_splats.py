@@ -1,7 +1,6 @@
 """Blender's own Gaussian splats (5.3 and later): made of the add-on's objects, and back.
 
-No build of 5.3 was available when this was written; it follows the source of Blender's PLY
-importer. There, a 3DGS PLY becomes a point cloud object with the attributes of
+Blender's PLY importer makes a point cloud object of a 3DGS PLY, with the attributes of
 docs/conventions.md, its values in the file's own frame; a change of axes goes into the object's
 matrix. What an importer makes is checked; anything else is removed. Blender draws all splats in its
 own way: what they are made for is only remembered, for the way back.

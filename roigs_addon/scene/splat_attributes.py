@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Float32 = NDArray[np.float32]
 Points = bpy.types.Mesh | bpy.types.PointCloud
 
-WIDTHS = {"FLOAT": 1, "FLOAT_VECTOR": 3, "FLOAT_COLOR": 4, "QUATERNION": 4}
+WIDTHS = {"FLOAT": 1, "FLOAT_VECTOR": 3, "FLOAT_COLOR": 4, "FLOAT4": 4, "QUATERNION": 4}
 SHAPE = ("scale", "rotation", "radiance:base")
 """Attributes that every Gaussian has; opacity is the last number of the third."""
 

@@ -11,6 +11,7 @@ from types import ModuleType
 import pytest
 
 from roigs_engine.formats.run_files import BACKGROUND, MANIFEST
+from roigs_engine.formats.stage_list import read_stage_list
 from tests.addon.scenes import (
     add_box,
     command_line,
@@ -22,7 +23,6 @@ from tests.addon.scenes import (
     start_training,
     status,
 )
-from tests.engine.runs import stage_of
 
 pytestmark = pytest.mark.blender
 
@@ -100,11 +100,12 @@ def test_the_whole_scene_is_reused_for_another_box(
     scene = ready(bpy, project, run)
     bpy.ops.roigs.train_roi()
     assert set(status(scene).done) == {"joint", "scene"} and not status(scene).left
-    made = stage_of(run, "scene"), (stage_of(run, "scene") / "stage.json").stat().st_mtime_ns
+    made = read_stage_list(run)["scene"] / "stage.json"
+    before = made.stat().st_mtime_ns
     add_box(bpy, "second", (-0.5, -0.5, -0.5), (0.0, 0.1, 0.2))
     bpy.ops.roigs.train_roi(active_only=True)
-    now = stage_of(run, "scene"), (stage_of(run, "scene") / "stage.json").stat().st_mtime_ns
-    assert now == made
+    now = read_stage_list(run)["scene"] / "stage.json"
+    assert now == made and now.stat().st_mtime_ns == before
     assert [path.stem for path in (run / "rois").iterdir()] == ["second"]
     # The first box keeps the Gaussians it had.
     levels = {(o.roigs.level, o.roigs.roi) for o in lookup.splats(scene)}
@@ -123,13 +124,13 @@ def test_a_renamed_box_is_not_trained_again(
     scene.roigs.strategy = "independent"
     bpy.ops.roigs.train_roi()
     assert outdated.in_words(scene, status(scene)) == ""
-    before, made = plys(run), stage_of(run, "object-thing")
+    before, made = plys(run), read_stage_list(run)["object-thing"]
     item = scene.objects["thing Gaussians"]
     item.location.x = 7
     scene.objects["thing"].name = "a pot"  # now the first by name
     assert outdated.in_words(scene, status(scene)) == ""
     bpy.ops.roigs.train_roi()
-    assert stage_of(run, "object-a pot") == made
+    assert read_stage_list(run)["object-a pot"] == made
     names = {name: name if "stages" in name else name.replace("thing", "a pot") for name in before}
     assert plys(run) == {names[name]: data for name, data in before.items()}
     assert item.name == "a pot Gaussians" and item.location.x == 7

@@ -46,7 +46,7 @@ def test_what_renders_lack_is_said(blender: ModuleType, run) -> None:
     assert any("Renders lack" in text for text in said(blender, ResultPanel))
     blender.ops.roigs.load_results()
     assert compositor.find(scene)
-    tree = getattr(scene, "compositing_node_group", None) or scene.node_tree
+    (tree,) = compositor.trees(scene)
     (end,) = (node for node in tree.nodes if node.type in compositor.ENDS)
     assert end.inputs[0].links[0].from_node.node_tree == compositor.find(scene)
 
