@@ -349,8 +349,7 @@ def _before(request: Convert, up: str, model: _Model, context: Context) -> Array
 def _page_extras(request: Convert, before: Arrays | None, model: _Model) -> Extras:
     """What the page shows besides, with boxes and photos turned as the model is."""
     from ..exchange.formats import target_of
-    from ..exchange.page import Extras
-    from ..exchange.page_views import Ball
+    from ..exchange.page import Ball, Extras
 
     matrix, poses = model.matrix, model.poses
     places = [

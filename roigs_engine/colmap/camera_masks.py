@@ -8,14 +8,13 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..context import QUIET, Context
 from ..formats.files import own_folder
@@ -80,15 +79,20 @@ class MaskPlan:
 
         return resized(self._given(), self.size)
 
+    def hint(self) -> str:
+        """What to do if the file cannot be read."""
+        from ..photos.mask_images import HINT, OBJECT_HINT
+
+        return OBJECT_HINT if self.of_object else HINT
+
     def _given(self) -> Mask:
         """The mask as its file has it, turned; raises as `read_mask` and `alpha_mask`."""
         from ..photos import mask_images as masks
 
         if self.file is None:
             return turned(masks.alpha_mask(self.photo), self.turn)
-        hint = masks.OBJECT_HINT if self.of_object else masks.HINT
         return masks.read_mask(
-            self.file, self.size, inverted=self.inverted, hint=hint, turn=self.turn
+            self.file, self.size, inverted=self.inverted, hint=self.hint(), turn=self.turn
         )
 
     def make(self) -> Mask:
@@ -116,38 +120,33 @@ class MaskPlan:
         return mask
 
 
-def plan_mask(
-    photo: Path,
-    digest: str,
-    file: Path | None,
-    *,
-    turn: int = AS_STORED,
-    inverted: bool = False,
-    of_object: bool = False,
+def _plan(
+    photo: Path, digest: str, file: Path | None, turn: int, *, inverted: bool, of_object: bool
 ) -> MaskPlan:
     """How to make a mask of a photo at the size of its file; MaskError if `file` cannot be read.
 
     `photo`, `digest`: the photo's file, and its hash; for the others, see `MaskPlan`.
     """
     size = turned_size(photo_size(photo), turn)
-    if file is not None:
-        try:
-            digest = content_digest(file)
-        except OSError as error:
-            from ..photos.mask_images import HINT, OBJECT_HINT, MaskError
-
-            hint = OBJECT_HINT if of_object else HINT
-            raise MaskError(f"Cannot read the mask {file} ({error.strerror}).", hint) from error
-    return MaskPlan(
+    plan = MaskPlan(
         photo=photo,
         size=size,
         file=file,
         content=digest,
         target=size,
-        turn=turn,
         inverted=inverted,
+        turn=turn,
         of_object=of_object,
     )
+    if file is None:
+        return plan
+    try:
+        return replace(plan, content=content_digest(file))
+    except OSError as error:
+        from ..photos.mask_images import MaskError
+
+        text = f"Cannot read the mask {file} ({error.strerror})."
+        raise MaskError(text, plan.hint()) from error
 
 
 def find_mask(
@@ -161,7 +160,7 @@ def find_mask(
 ) -> MaskPlan | None:
     """How to make a photo's mask, from a file or its alpha channel; None: it has none.
 
-    Raises as `plan_mask`.
+    `photo`, `digest`: the photo's file, and its hash. MaskError: the mask cannot be read.
     """
     from ..photos.mask_images import has_alpha
 
@@ -169,7 +168,7 @@ def find_mask(
     if file is None and not has_alpha(photo):
         return None
     inverted = options.inverted and file is not None and not files.is_made(file)
-    return plan_mask(photo, digest, file, turn=turn, inverted=inverted)
+    return _plan(photo, digest, file, turn, inverted=inverted, of_object=False)
 
 
 def plan_object_masks(
@@ -177,7 +176,7 @@ def plan_object_masks(
 ) -> dict[tuple[int, str], MaskPlan]:
     """How to make the masks of the boxes' objects, by the photos' keys and the boxes' names.
 
-    A file that is also a photo's mask, in a folder of that name, is none. Raises as `plan_mask`.
+    A file that is also a photo's mask, in a folder of that name, is none. Raises as `find_mask`.
     """
     found = {
         (key, box): file
@@ -188,19 +187,13 @@ def plan_object_masks(
     }
     used = options.used and bool(found)  # looking for these takes a while
     taken = {files.find(image.name) for image in images.values()} if used else set()
-    plans = {}
-    for (key, box), file in found.items():
-        if file not in taken:
-            image, inverted = images[key], options.objects_inverted
-            plans[key, box] = plan_mask(
-                image.path,
-                image.file_digest,
-                file,
-                turn=image.turn,
-                inverted=inverted,
-                of_object=True,
-            )
-    return plans
+    inverted = options.objects_inverted
+    return {
+        (key, box): _plan(i.path, i.file_digest, file, i.turn, inverted=inverted, of_object=True)
+        for (key, box), file in found.items()
+        for i in [images[key]]
+        if file not in taken
+    }
 
 
 def make_masks(
@@ -218,6 +211,8 @@ def make_masks(
     """
     if not plans:
         return {}
+    from PIL import Image
+
     folder = temporary_folder() if cache is None else own_folder(cache, MASKS)
     memory = max(decoding_bytes(plan.photo, plan.size) for plan in plans.values())
 
@@ -226,27 +221,20 @@ def make_masks(
         path = folder / f"{plan.digest()}.png"
         mask = plan.kept(path, write=write)
         remake = partial(plan.kept, path, write=True)
+        scale = min(1.0, AREA_SIDE / max(mask.shape))
+        height, width = (max(1, round(side * scale)) for side in mask.shape)
+        small = Image.fromarray(np.where(mask, np.uint8(255), np.uint8(0)))
         photo_mask = PhotoMask(
             digest=plan.digest(),
             path=path,
             remake=remake,
-            small=_small(mask),
+            small=np.asarray(small.resize((width, height), Image.Resampling.BOX)),
             whole=remake if plan.undistortion else plan.whole,
         )
         return photo_mask, float(mask.mean())
 
     with in_parallel(made, [*plans], memory, context, STAGE if write else "") as work:
         return {key: job.result() for key, job in work}
-
-
-def _small(mask: Mask) -> NDArray[np.uint8]:
-    """The mask at about the size of `PhotoMask.small`."""
-    from PIL import Image
-
-    scale = min(1.0, AREA_SIDE / max(mask.shape))
-    height, width = (max(1, round(side * scale)) for side in mask.shape)
-    grey = Image.fromarray(np.where(mask, np.uint8(255), np.uint8(0)))
-    return np.asarray(grey.resize((width, height), Image.Resampling.BOX))
 
 
 def mention_masks(used: int, files: MaskFiles, names: list[str], context: Context) -> None:

@@ -25,9 +25,8 @@ from ..model.gaussians import SH_C0
 from ..model.scene import Float64
 from . import spz
 from .arrays import Arrays, joined, logits, opacities, unit_quats
-from .colours import recoloured
 from .libraries import MOST_PARTS, NotSupportedError, package, read_beside, refuse_bomb
-from .transform import moved
+from .transform import moved, recoloured
 
 TITLE = "glTF"
 NAME = "KHR_gaussian_splatting"
@@ -125,7 +124,7 @@ def _shown(record: dict[str, Any]) -> list[tuple[Float64, dict[str, Any]]]:
     Those of all nodes if the scene has none, and of all meshes if there are no nodes.
     """
     meshes = [
-        [item for item in mesh["primitives"] if _is_gaussians(item)]
+        [item for item in mesh["primitives"] if {NAME, *DRAFTS} & item.get("extensions", {}).keys()]
         for mesh in record.get("meshes", [])
     ]
     nodes = record.get("nodes", [])
@@ -170,10 +169,6 @@ def _refuse_many(count: int) -> None:
         raise NotSupportedError(f"glTF with {count:,} primitives of Gaussians or more")
 
 
-def _is_gaussians(item: dict[str, Any]) -> bool:
-    return any(name in item.get("extensions", {}) for name in (NAME, *DRAFTS))
-
-
 def _node_matrix(node: dict[str, Any]) -> Float64:
     """(4, 4) from a node to its parent."""
     if "matrix" in node:
@@ -197,19 +192,18 @@ class _File:
         self.buffers: dict[int, bytes] = {}
         self.beside: dict[str, bytes] = {}  # content of files by their names
         self.packed: dict[tuple[int, bool], Arrays] = {}  # see `_spz`
-        if path.suffix.lower() == ".gltf":
-            self.record: dict[str, Any] = json.loads(raw)
-            if not isinstance(self.record, dict):
-                raise ValueError("no object of JSON")
-            return
+        text = raw if path.suffix.lower() == ".gltf" else self._json_of_glb(raw)
+        self.record: dict[str, Any] = json.loads(text)
+        if not isinstance(self.record, dict):
+            raise ValueError("no object of JSON")
+
+    def _json_of_glb(self, raw: bytes) -> bytes:
+        """Its first chunk; the next binary one becomes the first buffer."""
         magic, version, _, size, kind = struct.unpack_from("<5I", raw)
         if magic == MAGIC and version != VERSION:
             raise NotSupportedError(f"version {version} of GLB")
         if (magic, kind) != (MAGIC, JSON) or size > MOST_JSON:
             raise ValueError("no GLB 2.0")
-        self.record = json.loads(raw[20 : 20 + size])
-        if not isinstance(self.record, dict):
-            raise ValueError("no object of JSON")
         place = 20 + size
         while place + 8 <= len(raw):  # chunks of other kinds may follow
             length, kind = struct.unpack_from("<2I", raw, place)
@@ -219,6 +213,7 @@ class _File:
                     raise ValueError("its binary part is cut off")
                 break
             place += 8 + length
+        return raw[20 : 20 + size]
 
     def gaussians(self, item: dict[str, Any]) -> Arrays:
         """A primitive's, in its own frame."""
@@ -243,36 +238,33 @@ class _File:
     def _attributes(self, at: dict[str, int]) -> Arrays:
         """As the extension has them, or its drafts, which had no prefix."""
 
-        def get(name: str, *others: str) -> NDArray[np.float32]:
-            there = next((n for n in (f"{NAME}:{name}", *others) if n in at), None)
+        def get(*names: str) -> NDArray[np.float32]:
+            there = next((name for name in names if name in at), None)
             if there is None:
-                raise ValueError(f"no attribute {(name, *others)[-1]}")
+                raise ValueError(f"no attribute {names[-1]}")
             return self._values(int(at[there]))
 
         rest = next((k for k, name in enumerate(SH_NAMES[1:]) if name not in at), len(SH_NAMES))
         rest = max(k for k in (0, 3, 8, 15) if k <= rest)
-        scales = get("SCALE", "_SCALE")
+        scales = get(f"{NAME}:SCALE", "_SCALE")
         if not (scales < 0).any():  # drafts until February 2026 had logarithms
             scales = np.log(np.maximum(scales, LEAST))
-        if SH_NAMES[0] in at and f"{NAME}:OPACITY" in at:
-            base, alpha = get("SH_DEGREE_0_COEF_0"), get("OPACITY")[:, 0]
-        else:  # drafts had colours there, and opacities as their fourth number
-            colours = get("", "COLOR_0")
-            base, alpha = (colours[:, :3] - np.float32(0.5)) / np.float32(SH_C0), colours[:, -1]
-            if colours.shape[1] == 3:
-                alpha = np.ones(len(colours), np.float32)
-            if f"{NAME}:OPACITY" in at:
-                alpha = get("OPACITY")[:, 0]
-            elif SH_NAMES[0] in at:
-                base = get("SH_DEGREE_0_COEF_0")
+        # Drafts had colours for the first coefficient, and opacities as their fourth number.
+        if SH_NAMES[0] in at:
+            base = get(SH_NAMES[0])
+        else:
+            base = (get("COLOR_0")[:, :3] - np.float32(0.5)) / np.float32(SH_C0)
+        if f"{NAME}:OPACITY" in at:
+            alpha = get(f"{NAME}:OPACITY")[:, 0]
+        else:
+            colours = get("COLOR_0")
+            alpha = colours[:, 3] if colours.shape[1] == 4 else np.ones(len(colours), np.float32)
         return {
-            "means": get("", "POSITION"),
-            "quats": np.roll(get("ROTATION", "_ROTATION"), 1, axis=1),
+            "means": get("POSITION"),
+            "quats": np.roll(get(f"{NAME}:ROTATION", "_ROTATION"), 1, axis=1),
             "log_scales": scales,
             "logit_opacities": logits(alpha),
-            "sh": np.stack(
-                [base, *(self._values(int(at[name])) for name in SH_NAMES[1 : 1 + rest])], axis=1
-            ),
+            "sh": np.stack([base, *(get(name) for name in SH_NAMES[1 : 1 + rest])], axis=1),
         }
 
     def _spz(self, inside: dict[str, Any], own: dict[str, Any]) -> Arrays:
@@ -285,7 +277,7 @@ class _File:
             self._count(_bytes(self.packed[key]))
             return self.packed[key]
         raw = bytes(self._view(key[0]))
-        arrays, axes = spz.decoded(raw), spz.axes(raw)
+        arrays, axes = spz.unpacked(raw)
         self._count(_bytes(arrays))
         matrix = np.eye(4)
         matrix[:3, :3] = LUF @ axes if key[1] else axes
@@ -307,20 +299,14 @@ class _File:
             values = self._numbers(accessor, count, width, kind)
         else:
             values = np.zeros((count, width), kind)
-        if "sparse" in accessor:
-            values = self._sparse(accessor["sparse"], values)
+        if sparse := accessor.get("sparse"):
+            number, at = int(sparse["count"]), np.dtype(KINDS[sparse["indices"]["componentType"]])
+            rows = self._numbers(sparse["indices"], number, 1, at)[:, 0]
+            values = values.copy()
+            values[rows] = self._numbers(sparse["values"], number, width, kind)
         if accessor.get("normalized") and kind.kind != "f":
             values = np.maximum(values / np.iinfo(kind).max, -1)
         return values.astype(np.float32)
-
-    def _sparse(self, sparse: dict[str, Any], values: NDArray[Any]) -> NDArray[Any]:
-        """The values with the ones that `sparse` replaces."""
-        count = int(sparse["count"])
-        kind = np.dtype(KINDS[sparse["indices"]["componentType"]])
-        rows = self._numbers(sparse["indices"], count, 1, kind)[:, 0]
-        values = values.copy()
-        values[rows] = self._numbers(sparse["values"], count, values.shape[1], values.dtype)
-        return values
 
     def _numbers(
         self, place: dict[str, Any], count: int, width: int, kind: np.dtype[Any]
@@ -354,14 +340,11 @@ class _File:
             # A buffer of `data:` is within the size of the file already.
             if uri.startswith("data:"):
                 self.buffers[number] = base64.b64decode(uri.partition(",")[2], validate=True)
-            else:
-                self.buffers[number] = self._beside(unquote(uri))
+            else:  # any number of buffers may name one file
+                name = unquote(uri)
+                key = os.path.realpath(self.path.parent / (inner_path(name) or ""))
+                if key not in self.beside:
+                    self.beside[key] = read_beside(self.path, name)
+                    self.size += len(self.beside[key])
+                self.buffers[number] = self.beside[key]
         return self.buffers[number]
-
-    def _beside(self, name: str) -> bytes:
-        """The content of a file beside it, which any number of buffers may name."""
-        key = os.path.realpath(self.path.parent / (inner_path(name) or ""))
-        if key not in self.beside:
-            self.beside[key] = read_beside(self.path, name)
-            self.size += len(self.beside[key])
-        return self.beside[key]

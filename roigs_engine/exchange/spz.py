@@ -8,7 +8,6 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -58,10 +57,22 @@ def write(
     *,
     step: float | None = None,  # of SH above degree 0; None: the finest that makes a small file
     antialiased: bool = False,
-    version: int = 3,  # or 4, which fewer programs read
     check: Check = nothing,
 ) -> int:
     """See `FileFormat`. Gaussians that are far outside are left out."""
+    data, count = encoded(arrays, step, antialiased=antialiased, check=check)
+    write_bytes(path, data)
+    return count
+
+
+def encoded(
+    arrays: Arrays,
+    step: float | None = None,
+    *,
+    antialiased: bool = False,
+    check: Check = nothing,
+) -> tuple[bytes, int]:
+    """A file's bytes, and how many Gaussians it has; the arguments are those of `write`."""
     arrays = in_morton_order(arrays)
     scales = arrays["log_scales"]
     # Points without any size do not count: they would have none in a model of another scale.
@@ -85,15 +96,12 @@ def write(
     kept = {name: values[inside] for name, values in arrays.items()}
     step = step or _finest(kept, fraction, check)
     check()
-    data = _packed(kept, fraction, step, antialiased=antialiased, version=version)
+    data = _packed(kept, fraction, step, antialiased=antialiased)
     check()
-    write_bytes(path, data)
-    return int(inside.sum())
+    return data, int(inside.sum())
 
 
-def _packed(
-    arrays: Arrays, fraction: int, step: float, *, antialiased: bool = False, version: int = 3
-) -> bytes:
+def _packed(arrays: Arrays, fraction: int, step: float, *, antialiased: bool = False) -> bytes:
     """The file of these Gaussians, with so many bits behind the point and this step of SH."""
     gsply: Any = package("gsply", TITLE)
     spz: Any = package("gsply.spz", TITLE)
@@ -109,12 +117,9 @@ def _packed(
     )
     with scratch(TITLE) as folder:
         made = folder / "model.spz"
-        spz.write_spz(made, data, version=version, fractional_bits=fraction)
-        raw = made.read_bytes()
-    whole = bytearray(raw if version == LATEST else gzip.decompress(raw))
+        spz.write_spz(made, data, version=3, fractional_bits=fraction)
+        whole = bytearray(gzip.decompress(made.read_bytes()))
     whole[FLAGS] |= ANTIALIASED if antialiased else 0  # gsply sets no flags
-    if version == LATEST:
-        return bytes(whole)
     # What gsply compresses with is fast, and makes files that are a tenth larger.
     return gzip.compress(whole, 6, mtime=0)
 
@@ -144,7 +149,7 @@ def _enough(log_scales: Float32) -> int:
 
 def read(path: Path) -> Arrays:
     """See `FileFormat`: as the file has them, whatever coordinate system it names."""
-    return decoded(path.read_bytes())
+    return unpacked(path.read_bytes())[0]
 
 
 def frame(path: Path) -> Float64:
@@ -152,7 +157,7 @@ def frame(path: Path) -> Float64:
     with open(path, "rb") as file:
         if not _flags(file.read(HEAD)) & EXTENDED:
             return np.eye(3)
-    return axes(path.read_bytes())
+    return unpacked(path.read_bytes())[1]
 
 
 def is_antialiased(path: Path) -> bool:
@@ -167,13 +172,55 @@ def _flags(head: bytes) -> int:
     return head[FLAGS]
 
 
-def axes(raw: bytes) -> Float64:
-    """As `frame`, for the bytes of a file; the last record of a coordinate system is valid.
+def unpacked(raw: bytes) -> tuple[Arrays, Float64]:
+    """The Gaussians of a file's bytes, in its own axes, and (3, 3) as of `frame`.
+
+    By the description of the format in Niantic's spz, versions 1 to 4; SH of degree 4 is cut to 3.
+    Any error but NotSupportedError means damage.
+    """
+    gzipped = raw[:2] == GZIP
+    unpacker = zlib.decompressobj(wbits=31)
+    head = unpacker.decompress(raw, 16) if gzipped else raw[:16]
+    magic, version, count, degree, fraction, flags, streams = struct.unpack("<IIIBBBB", head)
+    if magic != MAGIC or version < 1:
+        raise ValueError("its header is not that of SPZ")
+    if version > LATEST:
+        raise NotSupportedError(f"version {version} of SPZ")
+    if gzipped is (version == LATEST) or degree not in SH_ROWS or fraction > BITS:
+        raise ValueError("its header is not that of SPZ")
+    if count > MOST:
+        raise ValueError(f"{count} Gaussians")
+    # Positions, opacities, colours, sizes, rotations, SH
+    widths = (6 if version == 1 else 9, 1, 3, 3, 3 if version < 3 else 4, 3 * SH_ROWS[degree])
+    sizes = [count * width for width in widths]
+    refuse_bomb(len(raw), sum(sizes))
+    if gzipped:
+        data, extensions = _gunzipped(unpacker, sum(sizes), extended=bool(flags & EXTENDED))
+    else:
+        data, extensions = _zstd(raw, streams, sizes)
+    parts = np.split(np.frombuffer(data, np.uint8), np.cumsum(sizes)[:-1])
+    means, alphas, colours, scales, quats, higher = (
+        part.reshape(count, width) for part, width in zip(parts, widths, strict=True)
+    )
+    base = (colours[:, None].astype(np.float32) / 255 - 0.5) / COLOUR
+    rest = higher.reshape(count, SH_ROWS[degree], 3)[:, : SH_ROWS[3]].astype(np.float32)
+    arrays = {
+        "means": _positions(means, version, fraction),
+        "quats": _smallest_three(quats) if version >= 3 else _imaginary(quats),
+        "log_scales": scales.astype(np.float32) / 16 - 10,
+        "logit_opacities": logits(alphas[:, 0].astype(np.float32) / 255),
+        "sh": np.concatenate((base, (rest - 128) / 128), axis=1).astype(np.float32),
+    }
+    return arrays, _axes(extensions if flags & EXTENDED else b"")
+
+
+def _axes(records: bytes) -> Float64:
+    """As `frame`, of a file's extensions; the last record of a coordinate system is valid.
 
     The records are `u32 type, u32 length, payload` (extensions/README.md of Niantic's spz); unknown
     types are skipped, and a record that is cut off ends them, as for the format's own reader.
     """
-    records, place, system = _parts(raw).extensions, 0, 0
+    place, system = 0, 0
     while place + 8 <= len(records):
         kind, length = struct.unpack_from("<II", records, place)
         if kind == COORDINATES and length >= 4 and place + 12 <= len(records):
@@ -190,70 +237,14 @@ def axes(raw: bytes) -> Float64:
     return matrix
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Parts:
-    """What an SPZ unpacks to."""
-
-    version: int
-    count: int
-    degree: int  # of SH
-    fraction: int  # bits behind the point
-    sections: bytes  # positions, opacities, colours, sizes, rotations, SH
-    extensions: bytes
-
-
-def decoded(raw: bytes) -> Arrays:
-    """The Gaussians of an SPZ file's bytes, in its own axes; SH of degree 4 is cut to 3.
-
-    By the description of the format in Niantic's spz, versions 1 to 4. Any error but
-    NotSupportedError means damage.
-    """
-    parts = _parts(raw)
-    count, start = parts.count, 0
-
-    def section(width: int) -> NDArray[np.uint8]:
-        nonlocal start
-        found = np.frombuffer(parts.sections, np.uint8, count * width, start)
-        start += count * width
-        return found.reshape(count, width)
-
-    widths = _widths(parts.version, parts.degree)
-    means, alphas, colours, scales, quats, higher = (section(width) for width in widths)
-    sh = np.concatenate(
-        (
-            (colours[:, None].astype(np.float32) / 255 - 0.5) / COLOUR,
-            (
-                higher.reshape(count, SH_ROWS[parts.degree], 3)[:, : SH_ROWS[3]].astype(np.float32)
-                - 128
-            )
-            / 128,
-        ),
-        axis=1,
-    )
-    return {
-        "means": _positions(means, parts),
-        "quats": _smallest_three(quats) if widths[4] == 4 else _imaginary(quats),
-        "log_scales": scales.astype(np.float32) / 16 - 10,
-        "logit_opacities": logits(alphas[:, 0].astype(np.float32) / 255),
-        "sh": sh.astype(np.float32),
-    }
-
-
-def _widths(version: int, degree: int) -> tuple[int, ...]:
-    """Bytes of a Gaussian in each section."""
-    return (6 if version == 1 else 9, 1, 3, 3, 3 if version < 3 else 4, 3 * SH_ROWS[degree])
-
-
-def _positions(found: NDArray[np.uint8], parts: _Parts) -> Float32:
+def _positions(found: NDArray[np.uint8], version: int, fraction: int) -> Float32:
     """(N, 3) of half floats in version 1, of fixed-point numbers with 24 bits in others."""
-    if parts.version == 1:
-        halves: Float32 = found.view("<f2").astype(np.float32)
-        return halves
-    whole = np.zeros((parts.count, 3, 4), np.uint8)
-    whole[:, :, 1:] = found.reshape(parts.count, 3, 3)
+    if version == 1:
+        return np.asarray(found.view("<f2").astype(np.float32))
+    whole = np.zeros((len(found), 3, 4), np.uint8)
+    whole[:, :, 1:] = found.reshape(-1, 3, 3)
     values = whole.view("<i4")[:, :, 0] >> 8  # keeps the sign
-    means: Float32 = values.astype(np.float32) / np.float32(1 << parts.fraction)
-    return means
+    return np.asarray(values.astype(np.float32) / np.float32(1 << fraction))
 
 
 def _imaginary(found: NDArray[np.uint8]) -> Float32:
@@ -278,36 +269,6 @@ def _smallest_three(found: NDArray[np.uint8]) -> Float32:
     rest = np.sqrt(np.maximum(1 - np.square(xyzw).sum(axis=1), 0))
     xyzw[np.arange(len(packed)), largest] = rest
     return np.roll(xyzw, 1, axis=1)
-
-
-def _parts(raw: bytes) -> _Parts:
-    """Unpack a file, after comparing what its header promises with what is there."""
-    gzipped = raw[:2] == GZIP
-    unpacker = zlib.decompressobj(wbits=31)
-    head = unpacker.decompress(raw, 16) if gzipped else raw[:16]
-    magic, version, count, degree, fraction, flags, streams = struct.unpack("<IIIBBBB", head)
-    if magic != MAGIC or version < 1:
-        raise ValueError("its header is not that of SPZ")
-    if version > LATEST:
-        raise NotSupportedError(f"version {version} of SPZ")
-    if gzipped is (version == LATEST) or degree not in SH_ROWS or fraction > BITS:
-        raise ValueError("its header is not that of SPZ")
-    if count > MOST:
-        raise ValueError(f"{count} Gaussians")
-    sizes = [count * width for width in _widths(version, degree)]
-    refuse_bomb(len(raw), sum(sizes))
-    if gzipped:
-        sections, extensions = _gunzipped(unpacker, sum(sizes), extended=bool(flags & EXTENDED))
-    else:
-        sections, extensions = _zstd(raw, streams, sizes)
-    return _Parts(
-        version=version,
-        count=count,
-        degree=degree,
-        fraction=fraction,
-        sections=sections,
-        extensions=extensions if flags & EXTENDED else b"",
-    )
 
 
 def _gunzipped(unpacker: Any, wanted: int, *, extended: bool) -> tuple[bytes, bytes]:

@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,6 @@ from ..formats.files import write_bytes
 from ..machine import child_environment
 from ..model.scene import Float64
 from .arrays import Arrays, Float32, joined, logits, opacities, turn, unit_quats
-from .colours import encoded, recoloured
 from .libraries import (
     MOST_PARTS,
     MOST_RATIO,
@@ -26,7 +26,7 @@ from .libraries import (
     refuse_bomb,
     scratch,
 )
-from .transform import moved
+from .transform import encoded, moved, recoloured
 from .usd_probe import FINE, TOO_DEEP, TOO_LARGE
 
 TITLE = "OpenUSD"
@@ -50,27 +50,24 @@ SPACE = "colorSpace:name"
 SRGB = ("srgb_rec709_scene", "srgb_rec709_display", "identity", "raw", "unknown")
 """Names of colour spaces of which nothing is changed: other programs write the second, too."""
 LINEAR = ("lin_rec709_scene", "lin_rec709_display", "lin_rec709")
-
-
 SETTINGS = {"USDC_USE_ASSET": "1", "TF_ENV_SETTING_ALERTS_ENABLED": "0"}
 """Files are not mapped to memory: of damaged ones, that prints lines of OpenUSD's own."""
 
 
-def _modules() -> tuple[Any, Any, Any, Any, Any]:
+def _pxr(*names: str) -> list[Any]:
+    """Modules of OpenUSD; EngineError if it is missing, or too old."""
     for name, value in SETTINGS.items():
         os.environ.setdefault(name, value)
-    names = ("Usd", "UsdGeom", "UsdVol", "Vt", "UsdUtils")
-    usd, geom, vol, vt, utils = (package(f"pxr.{name}", TITLE, "usd-core") for name in names)
-    if not hasattr(vol, KIND):
+    if not hasattr(package("pxr.UsdVol", TITLE, "usd-core"), KIND):
         raise EngineError(
             f"This version of usd-core has no {KIND}.", "Install usd-core 26.3 or later."
         )
-    return usd, geom, vol, vt, utils
+    return [import_module(f"pxr.{name}") for name in names]
 
 
 def write(path: Path, arrays: Arrays) -> int:
     """See `FileFormat`. The name's end says whether as text, binary or packed."""
-    usd, geom, vol, vt, utils = _modules()
+    usd, geom, vol, vt, utils = _pxr("Usd", "UsdGeom", "UsdVol", "Vt", "UsdUtils")
     packed = path.suffix.lower() == ".usdz"
     with scratch(TITLE) as folder:
         made = folder / ("model.usdc" if packed else f"model{path.suffix.lower()}")
@@ -111,7 +108,7 @@ def read(path: Path) -> Arrays:
 
     In metres, by what the stage says. Of an animation, the first frame.
     """
-    usd, geom, *_ = _modules()
+    usd, geom = _pxr("Usd", "UsdGeom")
     layer, others = _alone(path)
     stage = usd.Stage.Open(layer, usd.Stage.LoadNone)
     prims = [prim for prim in stage.Traverse() if prim.GetTypeName() == KIND]
@@ -142,14 +139,14 @@ def read(path: Path) -> Arrays:
 
 def frame(path: Path) -> Float64:
     """(3, 3) from a file's axes to those of its format: from the stage's upAxis to y."""
-    usd, geom, *_ = _modules()
+    usd, geom = _pxr("Usd", "UsdGeom")
     stage = usd.Stage.Open(_alone(path)[0], usd.Stage.LoadNone)
     return turn(str(geom.GetStageUpAxis(stage)).lower(), "y")[:3, :3]
 
 
 def _gaussians(prim: Any) -> Arrays:
     """A prim's, in its own frame; of float and half attributes the former, if it has both."""
-    first = package("pxr.Usd", TITLE, "usd-core").TimeCode.EarliestTime()
+    first = _pxr("Usd")[0].TimeCode.EarliestTime()
 
     def numbers(name: str, width: int) -> Float32:
         values = (prim.GetAttribute(kind).Get(first) for kind in (name, f"{name}h"))
@@ -175,7 +172,7 @@ def _in_srgb(prim: Any, sh: Float32) -> Float32:
 
     That is how trainers have them, though OpenUSD's own default is linear.
     """
-    gf, vt = (package(f"pxr.{name}", TITLE, "usd-core") for name in ("Gf", "Vt"))
+    gf, vt = _pxr("Gf", "Vt")
     attribute = prim.GetAttribute(SH if prim.GetAttribute(SH).HasValue() else f"{SH}h")
     name, place = str(attribute.GetColorSpace() or ""), prim
     while not name and not place.IsPseudoRoot():  # ColorSpaceAPI knows fewer names
@@ -202,7 +199,7 @@ def _alone(path: Path) -> tuple[Any, bool]:
 
     A small file may name a pipe, any file of the computer, or itself a billion times.
     """
-    sdf = package("pxr.Sdf", TITLE, "usd-core")
+    (sdf,) = _pxr("Sdf")
     _refuse_crash(path)
     layer = sdf.Layer.OpenAsAnonymous(os.fspath(path))
     if layer is None:
@@ -228,7 +225,8 @@ def _refuse_crash(path: Path) -> None:
     """
     with open(path, "rb") as file:
         if file.read(1) == b"#":
-            deepest = _depth(b"#" + file.read())
+            steps = STEPS[np.frombuffer(NO_BRACKETS.sub(b"", b"#" + file.read()), np.uint8)]
+            deepest = int(np.cumsum(steps[steps != 0], dtype=np.int64).max(initial=0))
             if deepest > DEEPEST:
                 raise ValueError(f"its parts are nested {deepest:,} deep")
             return
@@ -254,9 +252,3 @@ def _refuse_crash(path: Path) -> None:
         raise ValueError("it would unpack to far more than it holds")
     if code != FINE:
         raise ValueError("OpenUSD cannot open it")
-
-
-def _depth(text: bytes) -> int:
-    """How many brackets of a .usda are open at once, at most."""
-    steps = STEPS[np.frombuffer(NO_BRACKETS.sub(b"", text), np.uint8)]
-    return int(np.cumsum(steps[steps != 0], dtype=np.int64).max(initial=0))

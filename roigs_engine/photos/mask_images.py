@@ -16,8 +16,7 @@ from PIL import Image, UnidentifiedImageError
 from ..errors import SceneError
 from ..formats.files import atomic_write
 from ..model.scene import PhotoMask, PosedImage
-from .decode import Pixels, load_photo, opacity
-from .deep import deep_values
+from .decode import Pixels, deep_values, load_photo, opacity
 from .headers import MAX_PIXELS, PhotoError, open_photo
 from .rotation import AS_STORED, turned, turned_size
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from roigs_engine.exchange import page
-from roigs_engine.exchange.page_views import FIELD, Ball
+from roigs_engine.exchange.page import FIELD, Ball
 from roigs_engine.formats.targets import target_with
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import Camera

@@ -265,8 +265,8 @@ def test_gltf_that_shows_one_spz_again_and_again(
     }
     path = tmp_path / "a.glb"
     path.write_bytes(exchange.glb_of(record, raw))
-    decoded, moved = Mock(wraps=spz.decoded), Mock(wraps=gltf.moved)
-    monkeypatch.setattr(spz, "decoded", decoded)
+    decoded, moved = Mock(wraps=spz.unpacked), Mock(wraps=gltf.moved)
+    monkeypatch.setattr(spz, "unpacked", decoded)
     monkeypatch.setattr(gltf, "moved", moved)
     one = len(formats.read(path)["means"]) // 120
     assert one and (decoded.call_count, moved.call_count) == (1, 1 + 120)

@@ -14,7 +14,7 @@ from roigs_engine.cli import main
 from roigs_engine.errors import ConfigError, EngineError, RunFolderError
 from roigs_engine.exchange import formats
 from roigs_engine.exchange.arrays import UP
-from roigs_engine.exchange.colours import encoded
+from roigs_engine.exchange.transform import encoded
 from roigs_engine.formats.splat_ply import read_ply, write_ply
 from roigs_engine.formats.targets import VIEWERS
 from tests.engine.exchange.foreign_files import (
@@ -365,8 +365,7 @@ def test_the_curve_of_srgb() -> None:
 
 def test_linear_light_that_depends_on_the_view(tmp_path: Path) -> None:
     """From every side the colour is the encoded one, as well as SH of this degree can be."""
-    from roigs_engine.exchange.colours import recoloured
-    from roigs_engine.exchange.transform import sphere
+    from roigs_engine.exchange.transform import recoloured, sphere
     from roigs_engine.rasterize.reference import sh_basis
 
     torch = pytest.importorskip("torch")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from roigs_engine.exchange import formats, page
-from roigs_engine.exchange.page_views import overview
+from roigs_engine.exchange.page import overview
 from tests import chromium
 from tests.chromium import browser
 from tests.engine.page_cases import (

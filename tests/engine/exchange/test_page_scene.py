@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from roigs_engine.cli import main
 from roigs_engine.exchange import formats
 from roigs_engine.exchange.arrays import UP
-from roigs_engine.exchange.page_views import Ball, viewpoint
+from roigs_engine.exchange.page import Ball, viewpoint
 from roigs_engine.formats.gravity import gravity_alignment
 from roigs_engine.formats.splat_ply import write_ply
 from tests.engine import synthetic_colmap
