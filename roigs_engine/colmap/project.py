@@ -109,7 +109,8 @@ def load_colmap(
     loader.load(cache, context)
     if not loader.posed:
         raise _no_photos(model, folder, photos, loader)
-    _mention_smaller(photos, context)
+    if photos.folder.name in PHOTO_FOLDERS[1:]:
+        context.info(f"The photos are the smaller ones of {photos.folder.name}.")
     loader.skipped[UNPOSED] += photos.others([image.name for image in model.images])
     return _cleaned(_scene(loader, observed, points, colors), loader.why, context)
 
@@ -146,12 +147,6 @@ def _mention_refined(model: Model, folder: Path, context: Context) -> None:
         )
 
 
-def _mention_smaller(photos: PhotoFolder, context: Context) -> None:
-    """Say that the photos are reduced copies, by their folder's name."""
-    if photos.folder.name in PHOTO_FOLDERS[1:]:
-        context.info(f"The photos are the smaller ones of {photos.folder.name}.")
-
-
 def _cleaned(scene: SfmScene, why: Mapping[str, Skip], context: Context) -> SfmScene:
     """The scene without outliers; says what was left out: as warnings, but for unposed photos."""
     scene = without_outliers(scene)
@@ -175,8 +170,7 @@ def model_turns(
     for image in model.images:
         context.check_cancelled()
         found.append(stored_photo(image, model, photos))
-    photos_ = [photo for photo in found if isinstance(photo, StoredPhoto)]
-    return find_turns(photos_, cloud, context)
+    return find_turns([p for p in found if isinstance(p, StoredPhoto)], cloud, context)
 
 
 def find_model(path: Path, context: Context = QUIET) -> Path:
@@ -225,14 +219,12 @@ def _no_model(path: Path) -> SceneError:
     """The error for a folder without a model, by what is there instead."""
     missing = f"{path} has no COLMAP model"
     for folder in (path, path / SPARSE, path / SPARSE / FIRST_MODEL):
-        stems = {
+        lacks = [
             stem
-            for suffix in SUFFIXES
             for stem in MODEL_FILES
-            if (folder / (stem + suffix)).is_file()
-        }
-        lacks = [stem for stem in MODEL_FILES if stem not in stems]
-        if stems and lacks:
+            if not any((folder / (stem + suffix)).is_file() for suffix in SUFFIXES)
+        ]
+        if 0 < len(lacks) < len(MODEL_FILES):
             hint = "Export the model again: it needs cameras, images and points3D, of one kind."
             return SceneError(f"{missing}: {folder} lacks {' and '.join(lacks)}.", hint)
     for pattern, (what, hint) in OTHER_MODELS.items():

@@ -52,7 +52,11 @@ def write_masks(
         MaskError, PhotoError: a mask cannot be used.
         RunFolderError: the folder cannot be written.
     """
-    plans, known = _plans(photos, source, options, context), _record(folder)
+    known: dict[str, Kept] = {}
+    for name, entry in read_record(folder.work(RECORD)).items():
+        with suppress(TypeError):
+            known[name] = Kept(**entry)
+    plans = _plans(photos, source, options, context)
     path, root = Path(os.path.realpath(source)), Path(os.path.realpath(folder.root))
     place = (path.relative_to(root) if path.is_relative_to(root) else path).as_posix()
     digests = {name: plan.digest() for name, plan in plans.items()}
@@ -127,14 +131,14 @@ def _of_other_photos(
         if photo.name in known
         and photo.name not in plans
         and known[photo.name].photos != place
-        and _fits(_place(folder, photo.name), photo)
+        and _size(_place(folder, photo.name)) == photo.size
     }
 
 
-def _fits(mask: Path, photo: Photo) -> bool:
+def _size(mask: Path) -> tuple[int, int] | None:
     with suppress(PhotoError):
-        return photo_size(mask) == photo.size
-    return False
+        return photo_size(mask)
+    return None
 
 
 def _forget(names: Iterable[str], known: Mapping[str, Kept], folder: Folder) -> None:
@@ -148,11 +152,3 @@ def _forget(names: Iterable[str], known: Mapping[str, Kept], folder: Folder) -> 
                 path.unlink()
         except OSError as error:
             raise cannot_write(path, error) from error
-
-
-def _record(folder: Folder) -> dict[str, Kept]:
-    found = {}
-    for name, entry in read_record(folder.work(RECORD)).items():
-        with suppress(TypeError):
-            found[name] = Kept(**entry)
-    return found

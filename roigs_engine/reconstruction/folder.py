@@ -187,7 +187,11 @@ class Folder:
         for photo in photos:
             target = own_folder(self.root, IMAGES) / photo.name
             if os.path.lexists(target):
-                if not _same_bytes(photo.path, target):
+                same = False
+                with suppress(OSError):
+                    same = os.path.samefile(photo.path, target)
+                    same = same or filecmp.cmp(photo.path, target, shallow=False)
+                if not same:
                     raise SceneError(
                         f"{target} is another photo than {photo.path}.",
                         "Remove it, or give another --out.",
@@ -199,12 +203,6 @@ class Folder:
                 _link_or_copy(photo.path, target)
             except OSError as error:
                 raise cannot_write(target, error) from error
-
-
-def _same_bytes(one: Path, other: Path) -> bool:
-    with suppress(OSError):
-        return os.path.samefile(one, other) or filecmp.cmp(one, other, shallow=False)
-    return False
 
 
 def _link_or_copy(source: Path, target: Path) -> None:

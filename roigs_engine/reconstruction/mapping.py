@@ -79,24 +79,20 @@ def map_rest(
         return _map(folder, out, options, settings, total, context, best.folder)
 
     found = low("rest", LOW)
-    if found and _by_chance(found[0], models):
-        others = {name for model in models[1:] for name in model.photos}
-        kept = [name for name in names if name in best.photos or name not in others]
+    others = {
+        name: points
+        for model in models[1:]
+        for name, points in model.photos.items()
+        if name not in best.photos
+    }
+    # A photo of another model was added that observes far fewer points than there.
+    if found and any(found[0].photos.get(k, n) < JOINED * n for k, n in others.items()):
+        kept = [name for name in names if name not in others]
         found = low("apart", LOW | {"": LOW[""] | {"image_names": kept}})
     if not found or len(found[0].photos) <= len(best.photos):
         return list(models)
     rest = [model for model in models[1:] if not model.photos.keys() <= found[0].photos.keys()]
     return [found[0], *rest]
-
-
-def _by_chance(found: Mapped, models: Sequence[Mapped]) -> bool:
-    """Whether a photo of another model was added that observes far fewer points than there."""
-    return any(
-        found.photos.get(name, points) < JOINED * points
-        for model in models[1:]
-        for name, points in model.photos.items()
-        if name not in models[0].photos
-    )
 
 
 def _map(

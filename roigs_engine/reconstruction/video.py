@@ -32,12 +32,8 @@ CONTAINERS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg"
 ENDS_EARLY = 0.98  # of the frames that the file's header promises
 NARROWEST, WIDEST = 0.25, 4.0  # pixels, width by height
 FLAGGING = ("h264", "mpeg1video", "mpeg2video", "vc1")  # codecs that flag each interlaced frame
-INTERLACED = {
-    2: "tff",
-    3: "bff",
-    4: "bff",
-    5: "tff",
-}  # FFmpeg's field orders: the field shown first
+# FFmpeg's field orders: the field shown first
+INTERLACED = {2: "tff", 3: "bff", 4: "bff", 5: "tff"}
 Pixels = NDArray[np.uint8]
 
 
@@ -97,7 +93,13 @@ class Video:
                 for number, frame in enumerate(self._whole(stream, self._decoded(file, stream))):
                     if self.colours is None:
                         self.colours = colours_of(stream.codec_context, frame)
-                        self._check_shape(stream)
+                        self.ratio = float(stream.sample_aspect_ratio or 1)
+                        if not NARROWEST <= self.ratio <= WIDEST:
+                            shape = f"{self.ratio:g} times as wide as high"
+                            raise SceneError(
+                                f"The pixels of {self.path} are {shape}.",
+                                "Convert it to a video with square pixels.",
+                            )
                     yield number, frame
         except (self._av.error.FFmpegError, OSError) as error:
             reason = getattr(error, "strerror", None) or str(error)
@@ -111,22 +113,18 @@ class Video:
             raise SceneError(text, "Convert it to MP4.")
         self.damaged = self.damaged or number + 1 < ENDS_EARLY * self.expected
 
-    def _check_shape(self, stream: Any) -> None:
-        """Read the shape of the pixels of a stream; SceneError if it is no camera's."""
-        self.ratio = float(stream.sample_aspect_ratio or 1)
-        if not NARROWEST <= self.ratio <= WIDEST:
-            text = f"The pixels of {self.path} are {self.ratio:g} times as wide as high."
-            raise SceneError(text, "Convert it to a video with square pixels.")
-
     def words(self) -> list[str]:
         """What the last passes have assumed and converted, in sentences; none before the first."""
         said = self.colours.words() if self.colours else []
         return [*said, "It is interlaced: it was deinterlaced."] if self.deinterlaced else said
 
     def _decoded(self, file: Any, stream: Any) -> Iterator[Any]:
-        """The frames as the file has them."""
-        for packet in self._packets(file, stream):
+        """The frames as the file has them, as far as its packets can be read."""
+        packets = file.demux(stream)
+        while True:
             try:
+                if (packet := next(packets, None)) is None:
+                    return
                 yield from packet.decode()
             except self._av.error.FFmpegError:
                 self.damaged = True
@@ -157,16 +155,11 @@ class Video:
     def _deinterlacer(self, stream: Any, frame: Any, parity: str) -> Any:
         """A graph of filters; `parity` of frames that carry no flags, else empty."""
         graph = self._av.filter.Graph()
-        source = graph.add_buffer(
-            width=frame.width,
-            height=frame.height,
-            format=frame.format.name,
-            time_base=stream.time_base,
-        )
+        size = {"width": frame.width, "height": frame.height, "format": frame.format.name}
+        source = graph.add_buffer(**size, time_base=stream.time_base)
         which = f"parity={parity}:deint=all" if parity else "parity=auto:deint=interlaced"
-        graph.link_nodes(
-            source, graph.add("bwdif", f"mode=send_frame:{which}"), graph.add("buffersink")
-        ).configure()
+        filters = graph.add("bwdif", f"mode=send_frame:{which}"), graph.add("buffersink")
+        graph.link_nodes(source, *filters).configure()
         return graph
 
     def _filtered(self, graph: Any, frame: Any) -> Iterator[Any]:
@@ -178,18 +171,6 @@ class Video:
             try:
                 yield graph.pull()
             except (BlockingIOError, EOFError):
-                return
-
-    def _packets(self, file: Any, stream: Any) -> Iterator[Any]:
-        """The stream's packets, as far as they can be read."""
-        packets = file.demux(stream)
-        while True:
-            try:
-                yield next(packets)
-            except StopIteration:
-                return
-            except self._av.error.FFmpegError:
-                self.damaged = True
                 return
 
 
@@ -262,9 +243,7 @@ def take_frames(path: Path, folder: Folder, wanted: int, context: Context) -> di
     """
     video, images = Video(path), own_folder(folder.root, IMAGES)
     seen = _seen(video, folder, context)
-    files = {
-        frame.number: images / f"frame_{frame.number:06d}.jpg" for frame in choose(seen, wanted)
-    }
+    files = {f.number: images / f"frame_{f.number:06d}.jpg" for f in choose(seen, wanted)}
     if len(files) < 2:
         raise SceneError(
             f"The picture of {path} hardly moves.", "Film while you walk around the object."
