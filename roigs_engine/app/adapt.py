@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from ..model.gaussians import Gaussians
     from ..model.scene import PosedImage, SfmScene
-    from ..photos.cache import PhotoCache
     from ..training.config import TrainConfig
     from ..training.stage_data import StageData
 
@@ -59,9 +58,21 @@ def adapt(request: Adapt, context: Context = QUIET) -> Result:
         scene = load_scene(request, context, cache, check=check)
         scene = frame.scene(_training_photos(scene, request, context))
         context = on_device(context, request.device)
+        import torch
+
+        from ..training.photo_order import shuffled
+        from ..training.stage_data import StageData
+
         context.info(f"Adapting {counted(len(model), 'Gaussian')} to {target.title}.")
         with PhotoCache(scene.images, context.photo_memory) as photos:
-            made = adapted(model, _data(scene, photos, context), target, request.steps, context)
+            data = StageData(
+                images=scene.images,
+                photos=photos,
+                photo_at=shuffled(range(len(scene.images)), 0),
+                extent=scene.extent(),
+                device=torch.device(context.device),
+            )
+            made = adapted(model, data, target, request.steps, context)
     made.save_ply(request.out, frame)
     text = f"{counted(len(made), 'Gaussian')} made for {target.title} in {request.out}"
     return Result(files={"result": request.out}, text=text)
@@ -162,19 +173,4 @@ def _check_shown(model: Gaussians, images: Sequence[PosedImage], request: Adapt)
             return
     raise SceneError(
         f"No photo of {request.scene} shows {request.model}.", "Give the scene that it is of."
-    )
-
-
-def _data(scene: SfmScene, photos: PhotoCache, context: Context) -> StageData:
-    import torch
-
-    from ..training.photo_order import shuffled
-    from ..training.stage_data import StageData
-
-    return StageData(
-        images=scene.images,
-        photos=photos,
-        photo_at=shuffled(range(len(scene.images)), 0),
-        extent=scene.extent(),
-        device=torch.device(context.device),
     )

@@ -18,6 +18,7 @@ from ..formats.names import first_taken, is_file_name, safe_name
 from ..formats.projects import model_folders
 from ..formats.run_files import BATCH_OUTPUTS, BATCH_ROWS, is_of_batch
 from ..formats.text import decode_text, json_digest
+from ..photos.files import EXTENSIONS, HEIC
 from ..requests.declare import options_of, plain
 from ..requests.models import Convert
 from ..requests.runs import Train, TrainAndEvaluate
@@ -236,26 +237,18 @@ def _read(path: Path) -> tuple[str, dict[str, Any]]:
 def _first_lines(text: str) -> dict[tuple[str, ...], int]:
     """The first line of each key, and of what it is in."""
     found: dict[tuple[str, ...], int] = {}
-    for key, number in _lines(text):
+    place: tuple[str, ...] = ()
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := HEADER.match(line):  # such as `[scenes."hall 1"]`
+            names = re.findall(r'"[^"]*"|\'[^\']*\'|[^.\s]+', header[1])
+            key = place = tuple(name.strip("\"'") for name in names)
+        elif named := KEY.match(line):
+            key = (*place, named[1].strip("\"'"))
+        else:
+            continue
         for length in range(1, len(key) + 1):
             found.setdefault(key[:length], number)
     return found
-
-
-def _lines(text: str) -> Iterator[tuple[tuple[str, ...], int]]:
-    """The keys of a table's headers and lines, and the numbers of these lines."""
-    place: tuple[str, ...] = ()
-    for number, line in enumerate(text.splitlines(), start=1):
-        if header := HEADER.match(line):
-            place = tuple(_keys(header[1]))
-            yield place, number
-        elif key := KEY.match(line):
-            yield (*place, key[1].strip("\"'")), number
-
-
-def _keys(text: str) -> list[str]:
-    """The keys of a dotted name, `scenes."hall 1"`."""
-    return [part.strip("\"'") for part in re.findall(r'"[^"]*"|\'[^\']*\'|[^.\s]+', text)]
 
 
 # --- tables of what a folder has ---
@@ -318,13 +311,8 @@ def _scenes(folder: Path, depth: int) -> Iterator[Path]:
 
 def _has_photos(folder: Path) -> bool:
     """Whether photos are right in the folder, or in its folder `images`."""
-    from ..photos.files import EXTENSIONS, HEIC
-
-    known = EXTENSIONS | HEIC
-    for place in (folder, folder / "images"):
-        if place.is_dir() and any(p.suffix.lower() in known for p in place.iterdir()):
-            return True
-    return False
+    places = [place for place in (folder, folder / "images") if place.is_dir()]
+    return any(p.suffix.lower() in EXTENSIONS | HEIC for each in places for p in each.iterdir())
 
 
 def _free_name(folder: Path, scene: Path, taken: set[str]) -> str:

@@ -84,13 +84,16 @@ def convert(request: Convert, context: Context = QUIET) -> Result:
 
 
 def _single(request: Convert, form: FileFormat, context: Context, *, plain: bool) -> _Model:
+    from ..colmap.project import load_poses
     from ..exchange import formats
 
     upright, poses = _upright(request, request.source, context), None
     home = _home(request, request.source, upright)
     matrix = turn(SCENE_UP, request.up or form.up) @ upright
-    if form.suffix == PAGE:
-        poses = _page_poses(request)
+    if form.suffix == PAGE and request.page_scene is not None:
+        poses = load_poses(request.page_scene)
+    elif form.suffix == PAGE and not request.from_up:
+        poses = poses_of_run(request.source.absolute().parent)
     if poses is not None:
         matrix = turn("z", request.up or form.up)
         matrix[:3, :3] = matrix[:3, :3] @ gravity_alignment(poses)
@@ -323,20 +326,10 @@ def _refuse_page_options(request: Convert, *, plain: bool) -> None:
         raise ConfigError("--scene and --from-up both say which way is up.", "Leave out one.")
 
 
-def _page_poses(request: Convert) -> Float64 | None:
-    """(N, 4, 4) world_to_camera of the scene's photos; None if no scene is known."""
-    from ..colmap.project import load_poses
-
-    if request.page_scene is not None:
-        return load_poses(request.page_scene)
-    return None if request.from_up else poses_of_run(request.source.absolute().parent)
-
-
 def _before(request: Convert, up: str, model: _Model, context: Context) -> Arrays | None:
     """The model of `--before`, as the first one is shown."""
     if request.before is None:
         return None
-
     refuse_inputs([request.out], [request.before], OTHER)
     upright = _upright(request, request.before, context)
     home = _home(request, request.before, upright)
@@ -352,17 +345,12 @@ def _page_extras(request: Convert, before: Arrays | None, model: _Model) -> Extr
     from ..exchange.page import Ball, Extras
 
     matrix, poses = model.matrix, model.poses
-    places = [
-        (
-            box.name,
-            Ball(
-                centre=matrix[:3, :3] @ box.centre + matrix[:3, 3],
-                radius=float(np.linalg.norm(box.half_extents)),
-            ),
-        )
-        for box in (load_rois(request.fly_to) if request.fly_to else [])
-    ]
-    shown = None if before is None or request.before is None else target_of(request.before)
+    places = []
+    for box in load_rois(request.fly_to) if request.fly_to else []:
+        centre = matrix[:3, :3] @ box.centre + matrix[:3, 3]
+        ball = Ball(centre=centre, radius=float(np.linalg.norm(box.half_extents)))
+        places.append((box.name, ball))
+    shown = None if request.before is None else target_of(request.before)
     return Extras(
         title=request.title or "",
         places=places,

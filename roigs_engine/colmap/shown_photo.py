@@ -48,20 +48,12 @@ def is_as_stored(path: Path) -> bool:
 
         with open_photo(path) as photo:
             usual = photo.format in USUAL_FORMATS and photo.mode in USUAL_MODES
-            return bool(usual and not colours_of(photo).profile and _usual_tiff(photo))
+            if photo.format == "TIFF":
+                tags: Any = getattr(photo, "tag_v2", {BITS: (16,)})  # none: not read by Pillow
+                usual &= max(tags.get(BITS, (1,))) <= 8
+                usual &= tags.get(PHOTOMETRIC) != WHITE_IS_ZERO and tags.get(PLANAR) != SEPARATE
+            return usual and not colours_of(photo).profile
     return True
-
-
-def _usual_tiff(photo: Any) -> bool:
-    """Whether a photo is no TIFF of a kind that programs read in different ways."""
-    if photo.format != "TIFF":
-        return True
-    tags = photo.tag_v2
-    return bool(
-        max(tags.get(BITS, (1,))) <= 8
-        and tags.get(PHOTOMETRIC) != WHITE_IS_ZERO
-        and tags.get(PLANAR) != SEPARATE
-    )
 
 
 def write_shown(

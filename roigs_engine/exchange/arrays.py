@@ -19,8 +19,7 @@ def unit_quats(arrays: Arrays) -> Float32:
     """(N, 4) rotations of length 1, wxyz."""
     quats = arrays["quats"].astype(np.float64)
     lengths = np.linalg.norm(quats, axis=1, keepdims=True)
-    unit: Float32 = (quats / np.where(lengths > 0, lengths, 1)).astype(np.float32)
-    return unit
+    return np.asarray((quats / np.where(lengths > 0, lengths, 1)).astype(np.float32))
 
 
 def opacities(arrays: Arrays) -> Float32:
@@ -33,8 +32,7 @@ def opacities(arrays: Arrays) -> Float32:
 def logits(opacity: Floats) -> Float32:
     """The inverse of `opacities`, for what files round to 0 or 1 too."""
     inside = np.clip(opacity.astype(np.float64), 1e-6, 1 - 1e-6)
-    values: Float32 = np.log(inside / (1 - inside)).astype(np.float32)
-    return values
+    return np.asarray(np.log(inside / (1 - inside)).astype(np.float32))
 
 
 def extent(means: Float64) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -169,8 +170,10 @@ def read(path: Path, check: Check = nothing) -> Arrays:
     `check` is called while a plain PLY is read, which may be large.
     """
     form = _readable(path)
-    if not form.module and _is_compressed(path):  # whatever its name says
-        form = format_of(Path(COMPRESSED))
+    if not form.module:
+        with suppress(OSError), open(path, "rb", opener=regular) as file:  # its reader says it
+            if b"\nelement chunk " in file.read(HEADER):  # whatever its name says
+                form = format_of(Path(COMPRESSED))
     if not form.module:
         return splat_ply.read_ply(path, check)
     reader: Callable[[Path], Arrays] = import_module(f".{form.module}", __package__).read
@@ -233,12 +236,3 @@ def _readable(path: Path) -> FileFormat:
     if not form.reads:
         raise ConfigError(f"{form.title} files cannot be read.", "Give one of another format.")
     return form
-
-
-def _is_compressed(path: Path) -> bool:
-    """Whether a PLY is a compressed one; False if it cannot be read, which its reader will say."""
-    try:
-        with open(path, "rb", opener=regular) as file:
-            return b"\nelement chunk " in file.read(HEADER)
-    except OSError:
-        return False

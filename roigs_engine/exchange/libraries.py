@@ -77,16 +77,12 @@ def reading(path: Path, title: str) -> Iterator[None]:
             f"Cannot read {path} ({error.strerror or error}).", "Check the file and its rights."
         ) from error
     except Exception as error:  # of struct, zlib, json, numpy, and of the libraries themselves
-        text = " ".join(_words(error).split())[:120]
-        if (held := _held_instead(path)) is not None:
+        text, held = " ".join(_words(error).split())[:120], None
+        with suppress(OSError), open(path, "rb", opener=regular) as file:
+            held = held_instead(path, file.read(FIRST_BYTES))
+        if held is not None:
             raise RunFolderError(f"{path} {held[0]}.", held[1]) from error
         raise RunFolderError(f"{path} is not a whole {title} file ({text}).", HINT) from error
-
-
-def _held_instead(path: Path) -> tuple[str, str] | None:
-    with suppress(OSError), open(path, "rb", opener=regular) as file:
-        return held_instead(path, file.read(FIRST_BYTES))
-    return None
 
 
 def _words(error: Exception) -> str:

@@ -166,8 +166,7 @@ def photographed(poses: Float64) -> Ball | None:
 
 
 def _eyes(poses: Float64) -> Float64:
-    found: Float64 = -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])
-    return found
+    return np.asarray(-np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3]))
 
 
 def photo_directions(poses: Float64, ball: Ball) -> Float64:
@@ -217,5 +216,4 @@ def viewpoint(arrays: Arrays, ball: Ball, poses: Float64 | None = None) -> Float
         cost = before - 0.5 * min(1.0, behind)
         if cost < least:
             best, least = towards, cost
-    position: Float64 = ball.centre + distance * best
-    return position
+    return np.asarray(ball.centre + distance * best)

@@ -127,8 +127,7 @@ def _weights(arrays: Arrays) -> Float32:
     sizes = np.sort(arrays["log_scales"].astype(np.float64), axis=1)
     area = np.exp(np.clip((sizes[:, 1] + sizes[:, 2]) / 2, -30, 30))
     seen = opacities(arrays) * area
-    weights: Float32 = np.maximum(seen / max(float(seen.mean()), 1e-30), 1e-3).astype(np.float32)
-    return weights
+    return np.asarray(np.maximum(seen / max(float(seen.mean()), 1e-30), 1e-3).astype(np.float32))
 
 
 def _positions(means: NDArray[np.float64]) -> tuple[Bytes, Bytes, dict[str, list[float]]]:

@@ -48,5 +48,4 @@ def read(path: Path) -> Arrays:
 
 
 def _bytes(values: Float32) -> Float32:
-    rounded: Float32 = np.clip(np.round(values * 255), 0, 255)
-    return rounded
+    return np.asarray(np.clip(np.round(values * 255), 0, 255))

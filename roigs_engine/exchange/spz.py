@@ -251,8 +251,7 @@ def _imaginary(found: NDArray[np.uint8]) -> Float32:
     """(N, 4) rotations wxyz of versions 1 and 2, which store x, y and z."""
     xyz = found.astype(np.float32) / np.float32(127.5) - 1
     real = np.sqrt(np.maximum(1 - np.square(xyz).sum(axis=1, keepdims=True), 0))
-    quats: Float32 = np.concatenate((real, xyz), axis=1).astype(np.float32)
-    return quats
+    return np.asarray(np.concatenate((real, xyz), axis=1).astype(np.float32))
 
 
 def _smallest_three(found: NDArray[np.uint8]) -> Float32:

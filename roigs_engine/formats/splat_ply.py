@@ -18,6 +18,7 @@ import io
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -159,17 +160,12 @@ def up_axis(path: str | Path) -> tuple[float, float, float] | None:
             found = [0.0, 0.0, 0.0]
             found["xyz".index(match[2])] = -1.0 if match[1] == "-" else 1.0
         elif re.fullmatch(r"[(\[]?" + r"[\s,]+".join([r"([-+.\de]+)"] * 3) + r"[)\]]?", text):
-            found = _direction(re.split(r"[\s,]+", text.strip("()[]")))
+            found = None
+            with suppress(ValueError):
+                numbers = [float(word) for word in re.split(r"[\s,]+", text.strip("()[]"))]
+                if 1e-6 < np.linalg.norm(numbers) < 1e6:  # not NaN either
+                    found = numbers
     return None if found is None else (found[0], found[1], found[2])
-
-
-def _direction(words: list[str]) -> list[float] | None:
-    """Three numbers as a direction; None: they are none."""
-    try:
-        numbers = [float(word) for word in words]
-    except ValueError:
-        return None
-    return numbers if 1e-6 < np.linalg.norm(numbers) < 1e6 else None  # not NaN either
 
 
 def target_of(path: str | Path) -> Target:
@@ -409,22 +405,18 @@ def _decode(table: NDArray[np.void], path: str | Path) -> dict[str, Floats]:
     if FILTER in names:
         blur = columns([FILTER])[:, 0]
         log_scales, logit_opacities = _blurred(log_scales, logit_opacities, blur)
-    colours = _of_rgb(table) if painted else columns(sh)
+    if painted:  # bytes, or numbers from 0 to 1
+        bytes_ = [table[name].dtype.kind != "f" for name in RGB]
+        colours = (columns([*RGB]) / np.where(bytes_, 255, 1) - 0.5) / SH_C0
+    else:
+        colours = columns(sh)
     return {
         "means": means,
         "quats": columns([f"rot_{k}" for k in range(4)]),
         "log_scales": log_scales,
         "logit_opacities": logit_opacities,
-        "sh": colours.reshape(len(table), bands, 3),
+        "sh": colours.astype(np.float32, copy=False).reshape(len(table), bands, 3),
     }
-
-
-def _of_rgb(table: NDArray[np.void]) -> Float32:
-    """(N, 3) SH coefficients of degree 0 of colours that are bytes, or numbers from 0 to 1."""
-    found = [table[name] for name in RGB]
-    shares = [c.astype(np.float32) / (1 if c.dtype.kind == "f" else 255) for c in found]
-    colours: Float32 = ((np.stack(shares, axis=1) - 0.5) / SH_C0).astype(np.float32)
-    return colours
 
 
 def _blurred(

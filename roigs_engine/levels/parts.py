@@ -112,8 +112,7 @@ def _probes(gaussians: Gaussians) -> Float64:
     weights = np.exp(np.clip(logs - np.quantile(logs, 0.99), LEAST_WEIGHT, 0.0))
     shares, count = weights / weights.sum(), min(PROBES, len(weights))
     chosen = np.random.default_rng(0).choice(len(shares), count, replace=False, p=shares)
-    found: Float64 = means[np.sort(chosen)]
-    return found
+    return np.asarray(means[np.sort(chosen)])
 
 
 def views_at(part: Part, views: Sequence[View], coarser: float) -> list[View]:

@@ -87,5 +87,4 @@ class GaussianVotes(Knowledge):
         output = rasterize_view(
             painted, view.camera, view.world_to_camera, limits=PICTURE_LIMITS, background=None
         )
-        shown: NDArray[np.float32] = output.image[0].clamp(0, 1).permute(2, 0, 1).cpu().numpy()
-        return shown
+        return np.asarray(output.image[0].clamp(0, 1).permute(2, 0, 1).cpu().numpy())

@@ -221,21 +221,18 @@ def fenced(view: View) -> Mask:
     gap = (inside & ~eroded(view.near_box, 1)).any()
     if gap or not inside.any() or outside.sum() < LEAST_OUTSIDE * view.near_box.sum():
         return np.zeros(free.shape, dtype=bool)
-    beyond: Mask = ~inside
-    return beyond
+    return np.asarray(~inside)
 
 
 def eroded(mask: Mask, reach: float) -> Mask:
     """The mask without what is within `reach` pixels of its outline; photo's edges are none."""
     cv2 = opencv()
     padded = np.pad(mask.astype(np.uint8), 1, mode="edge")
-    away: Mask = cv2.distanceTransform(padded, cv2.DIST_L2, 3)[1:-1, 1:-1] > reach
-    return away
+    return np.asarray(cv2.distanceTransform(padded, cv2.DIST_L2, 3)[1:-1, 1:-1] > reach)
 
 
 def _is_object(trimap: NDArray[np.uint8]) -> Mask:
-    found: Mask = (trimap == SURE_OBJECT) | (trimap == MAYBE_OBJECT)
-    return found
+    return np.asarray((trimap == SURE_OBJECT) | (trimap == MAYBE_OBJECT))
 
 
 def _small(mask: Mask, area: float, kept: Mask) -> Mask:
@@ -245,5 +242,4 @@ def _small(mask: Mask, area: float, kept: Mask) -> Mask:
     small = stats[:, cv2.CC_STAT_AREA] < area
     small[np.unique(labels[kept])] = False
     small[0] = False  # what is not of the mask
-    found: Mask = small[labels]
-    return found
+    return np.asarray(small[labels])

@@ -68,8 +68,7 @@ class Part:
         """The part of a whole photo's mask."""
         cv2 = opencv()
         grey = np.where(mask[self.rows], np.uint8(255), np.uint8(0))
-        found: Mask = cv2.resize(grey, self.size, interpolation=cv2.INTER_AREA) >= 128
-        return found
+        return np.asarray(cv2.resize(grey, self.size, interpolation=cv2.INTER_AREA) >= 128)
 
     def camera(self, camera: Camera) -> Camera:
         """The photo's camera, for this part alone."""
@@ -108,8 +107,7 @@ class View:
         cv2 = opencv()
         pixels = self.photo.pixels()[self.part.rows]
         pixels = cv2.resize(pixels, self.part.size, interpolation=cv2.INTER_AREA)
-        smooth: NDArray[np.uint8] = cv2.pyrMeanShiftFiltering(pixels, *SMOOTHING)
-        return smooth
+        return np.asarray(cv2.pyrMeanShiftFiltering(pixels, *SMOOTHING))
 
     @property
     def known(self) -> Mask | None:

@@ -279,8 +279,7 @@ def _cell_size(image: PosedImage) -> float:
 def _cells(image: PosedImage, pixels: Float64) -> NDArray[np.uint16]:
     """(2, N) pixels in the image -> (N,) cells of the depth test."""
     x, y = np.floor(pixels / _cell_size(image))
-    cells: NDArray[np.uint16] = (y * (DEPTH_CELLS + 1) + x).astype(np.uint16)
-    return cells
+    return np.asarray((y * (DEPTH_CELLS + 1) + x).astype(np.uint16))
 
 
 def _position(point: Float64) -> str:

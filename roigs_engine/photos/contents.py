@@ -78,8 +78,7 @@ def read_contents(
         if missing and check:
             _remember(memory, found)
     if check:
-        _tell_of_colours(found, context)
-        _warn_of_tones(found, context)
+        _tell(found, context)
     return found
 
 
@@ -129,33 +128,27 @@ def _read(path: Path, check: bool, context: Context) -> Content:
     return replace(content, whole=True, tone=tone)
 
 
-def _tell_of_colours(found: Mapping[str, Content], context: Context) -> None:
-    """Say how many photos are not in sRGB, and name those whose profile cannot be used."""
-    names = {
-        colours: sorted(
-            n for n, content in found.items() if content.whole and content.colours == colours
-        )
-        for colours in (CONVERTED, DAMAGED)
-    }
-    if names[CONVERTED]:
+def _tell(found: Mapping[str, Content], context: Context) -> None:
+    """Name photos in other colour spaces than sRGB, or whose values do not fill their type."""
+
+    def names(what: str, value: str) -> list[str]:
+        return sorted(n for n, c in found.items() if c.whole and getattr(c, what) == value)
+
+    if converted := names("colours", CONVERTED):
         context.info(
-            f"{counted(len(names[CONVERTED]), 'photo')} in another colour space than sRGB:"
+            f"{counted(len(converted), 'photo')} in another colour space than sRGB:"
             " converted; colours outside sRGB are clipped."
         )
-    if names[DAMAGED]:
+    if damaged := names("colours", DAMAGED):
         context.warn(
-            f"{counted(len(names[DAMAGED]), 'photo')} with a colour profile that cannot be used,"
-            f" read as sRGB: {named(names[DAMAGED])}. Save the profile again, or remove it."
+            f"{counted(len(damaged), 'photo')} with a colour profile that cannot be used,"
+            f" read as sRGB: {named(damaged)}. Save the profile again, or remove it."
         )
-
-
-def _warn_of_tones(found: Mapping[str, Content], context: Context) -> None:
-    """Name photos whose values do not fill the type of their file."""
     for tone in sorted({content.tone for content in found.values()} - {""}):
-        names = sorted(name for name, content in found.items() if content.tone == tone)
+        toned = names("tone", tone)
         context.warn(
-            f"{counted(len(names), 'photo')} of more than 8 bits a channel read as nearly {tone}:"
-            f" {named(names)}. Scale the values to the whole range of the file's type (floats:"
+            f"{counted(len(toned), 'photo')} of more than 8 bits a channel read as nearly {tone}:"
+            f" {named(toned)}. Scale the values to the whole range of the file's type (floats:"
             " 0 to 1), or save 8 bits a channel."
         )
 

@@ -164,7 +164,9 @@ def _opened(path: Path) -> Image:
                 check_scans(file)
         if tiff.pillow_reads(photo):
             tiff.check_parts(photo)
-            _keep_as_stored(photo)
+            if photo.format == "TIFF" and photo.getexif().get(ORIENTATION, 1) != 1:
+                photo.getexif()[ORIENTATION] = 1  # Pillow would turn it, as no other format
+                photo._size = getattr(photo, "_tile_size", photo.size)
             return photo
         photo.close()
     except UnidentifiedImageError:
@@ -176,13 +178,6 @@ def _opened(path: Path) -> Image:
     return photo
 
 
-def _keep_as_stored(photo: Image) -> None:
-    """Keep Pillow from turning a TIFF by its tag, which it does with no other format."""
-    if photo.format == "TIFF" and photo.getexif().get(ORIENTATION, 1) != 1:
-        photo.getexif()[ORIENTATION] = 1
-        photo._size = getattr(photo, "_tile_size", photo.size)
-
-
 def unreadable(path: Path, error: Exception) -> PhotoError:
     """The error for a photo that cannot be opened or decoded."""
     reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
@@ -192,11 +187,8 @@ def unreadable(path: Path, error: Exception) -> PhotoError:
     kind = _kind(path)
     if kind == EMPTY or type(error).__name__ == "UnidentifiedImageError":
         reason = kind or "it is no picture"
-        hint = (
-            hint
-            if kind in ("", EMPTY, NOT_FETCHED)
-            else "Convert the photos to JPEG, without turning them."
-        )
+        if kind not in ("", EMPTY, NOT_FETCHED):
+            hint = "Convert the photos to JPEG, without turning them."
     return PhotoError(f"Cannot read photo {path} ({reason}).", hint)
 
 

@@ -66,12 +66,10 @@ def _by_pillow(path: Path) -> int:
     """The tag of a TIFF or WebP; `open_photo` takes that of a TIFF away."""
     from PIL import Image
 
-    try:
-        with Image.open(path, formats=("TIFF", "WEBP")) as photo:
-            return int(photo.getexif().get(ORIENTATION, AS_STORED))
-    except Exception:  # Pillow's readers raise nearly anything on damaged files
-        with open_photo(path) as photo:
-            return int(photo.getexif().get(ORIENTATION, AS_STORED))
+    with suppress(Exception), Image.open(path, formats=("TIFF", "WEBP")) as photo:
+        return int(photo.getexif().get(ORIENTATION, AS_STORED))
+    with open_photo(path) as photo:  # not by Pillow, or damaged
+        return int(photo.getexif().get(ORIENTATION, AS_STORED))
 
 
 def _of_jpeg(file: BinaryIO) -> int:

@@ -199,7 +199,16 @@ class TiffPhoto(ImageFile.ImageFile):
 
     def deep(self) -> NDArray[np.uint16] | None:
         """(H, W, 1 or 3) grey or RGB of more than 8 bits, 65,535 for white; None: it is another."""
-        return self._read(_deep)
+
+        def read(page: Any) -> NDArray[np.uint16] | None:
+            mode = _mode(page)
+            eight = page.bitspersample <= 8 or int(page.photometric) == PALETTE
+            if eight or mode not in ("L", "LA", "RGB", "RGBA"):
+                return None
+            channels = 1 if mode[0] == "L" else 3
+            return np.asarray(_straight(page, np.uint16, 257)[..., :channels])
+
+        return self._read(read)
 
     def _read(self, read: Callable[[Any], Result]) -> Result:
         with _library(self._path).TiffFile(self._path) as file:
@@ -253,23 +262,23 @@ def _check(page: Any) -> None:
     """Raise UnsupportedError if a page is of a kind that is not read, ValueError: it is damaged."""
     photometric = int(page.photometric)
     end = page.parent.filehandle.size
-    if any(o + n > end for o, n in zip(page.dataoffsets, page.databytecounts, strict=False)):
+    places = [*zip(page.dataoffsets, page.databytecounts, strict=False)]
+    if any(offset + count > end for offset, count in places):
         raise ValueError("its data end before the photo does")
-    piece = (page.tilewidth, page.tilelength) if page.is_tiled else None
     size, header = (page.imagewidth, page.imagelength), getattr(page, "jpegheader", None) or b""
-    _check_memory(size, piece, page.samplesperpixel, page.bitspersample)
+    tile = (page.tilewidth, page.tilelength) if page.is_tiled else None
+    piece, samples = tile or _strip(*size, page.rowsperstrip), page.samplesperpixel
+    _check_memory(size, piece, samples, page.bitspersample)
     if page.compression not in READ:
         raise UnsupportedError(f"a TIFF with the compression {page.compression!r:.40}")
-    places = zip(page.dataoffsets, page.databytecounts, strict=False)
-    piece = piece or _strip(*size, page.rowsperstrip)
-    codec, samples = int(page.compression), page.samplesperpixel
-    _check_codec(page.parent.filehandle, places, piece, codec, samples, header)
+    _check_codec(page.parent.filehandle, places, piece, int(page.compression), samples, header)
     channels = CHANNELS.get(photometric, 0)
     if photometric == YCBCR and int(page.compression) in JPEG:
         channels = 3
     kind = page.dtype.kind if page.dtype is not None else "none"
     known = channels and page.samplesperpixel >= channels and kind in "uifb"
-    if not known or page.imagedepth != 1 or (photometric == CMYK and _other_inks(page)):
+    other_inks = photometric == CMYK and INKS in page.tags and int(page.tags[INKS].value) != 1
+    if not known or page.imagedepth != 1 or other_inks:
         name = getattr(page.photometric, "name", photometric)
         raise UnsupportedError(
             f"a TIFF of {page.samplesperpixel} channels, {page.bitspersample} bits, {name}"
@@ -281,13 +290,13 @@ def check_parts(photo: Image.Image) -> None:
     if not isinstance(photo, TiffImagePlugin.TiffImageFile):
         return
     tags = photo.tag_v2
-    piece = (tags[322], tags[323]) if 322 in tags else None
-    size, samples = (tags[256], tags[257]), tags.get(277, 1)
+    size, samples, tiled = (tags[256], tags[257]), tags.get(277, 1), 322 in tags
+    piece = (tags[322], tags[323]) if tiled else _strip(*size, tags.get(278, 0))
     _check_memory(size, piece, samples, max(tags.get(BITS, (1,))))
     if tags.get(COMPRESSION) == 7 and photo.fp is not None:
-        first = 324 if piece else 273  # offsets; the counts
-        places = zip(tags[first], tags[325 if piece else 279], strict=False)
-        _check_codec(photo.fp, places, piece or _strip(*size, tags.get(278, 0)), 7, samples)
+        offsets, counts = (324, 325) if tiled else (273, 279)
+        places = zip(tags[offsets], tags[counts], strict=False)
+        _check_codec(photo.fp, places, piece, 7, samples)
 
 
 def _strip(width: int, height: int, rows: int) -> tuple[int, int]:
@@ -295,15 +304,11 @@ def _strip(width: int, height: int, rows: int) -> tuple[int, int]:
     return width, min(rows or height, height)
 
 
-def _check_memory(
-    size: tuple[int, int], piece: tuple[int, int] | None, samples: int, bits: int
-) -> None:
+def _check_memory(size: tuple[int, int], piece: tuple[int, int], samples: int, bits: int) -> None:
     """Raise UnsupportedError if a page or a tile would take far more memory than a photo."""
-    if piece and any(
-        b > max(a + MOST_SIDE // 4, MOST_SIDE) for a, b in zip(size, piece, strict=True)
-    ):
+    if any(b > max(a + MOST_SIDE // 4, MOST_SIDE) for a, b in zip(size, piece, strict=True)):
         raise UnsupportedError(f"a TIFF of tiles of {piece[0]} x {piece[1]} pixels")
-    for width, height in (size, piece or size):
+    for width, height in (size, piece):
         if width * height * samples * max(8, bits) // 8 > MOST_BYTES:
             text = f"a TIFF of {width} x {height} pixels, {samples} channels, {bits} bits"
             raise UnsupportedError(text)
@@ -356,11 +361,6 @@ def _own_size(inner: BinaryIO, compression: int, samples: int) -> tuple[int, int
     return largest
 
 
-def _other_inks(page: Any) -> bool:
-    """Whether a page's inks are not cyan, magenta, yellow and black."""
-    return INKS in page.tags and int(page.tags[INKS].value) != 1
-
-
 def _alpha(page: Any) -> int:
     """ASSOCIATED or UNASSOCIATED; 0: a page has no alpha."""
     extra = [int(value) for value in page.extrasamples[:1]]
@@ -391,14 +391,6 @@ def _decoded(page: Any) -> Image.Image:
         return _lab(_values(page)[..., :3], signed=photometric == CIELAB)
     rounded = _straight(page, np.uint8, 1)
     return Image.frombytes(mode, (page.imagewidth, page.imagelength), rounded.tobytes())
-
-
-def _deep(page: Any) -> NDArray[np.uint16] | None:
-    mode = _mode(page)
-    eight = page.bitspersample <= 8 or int(page.photometric) == PALETTE
-    if eight or mode not in ("L", "LA", "RGB", "RGBA"):
-        return None
-    return np.asarray(_straight(page, np.uint16, 257)[..., : 1 if mode[0] == "L" else 3])
 
 
 def _straight(page: Any, kind: type[np.unsignedinteger[Any]], factor: int) -> NDArray[Any]:

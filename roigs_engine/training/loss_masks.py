@@ -141,8 +141,7 @@ def _tiles(image: PosedImage, rois: Sequence[OrientedBox]) -> NDArray[np.bool_]:
     for roi in rois:
         pixels |= shown_pixels(roi, image)
     touched = touched_tiles(torch.from_numpy(pixels)).numpy()
-    grown: NDArray[np.bool_] = binary_dilation(touched, np.ones((3, 3)))
-    return grown
+    return np.asarray(binary_dilation(touched, np.ones((3, 3))))
 
 
 def shown_pixels(roi: OrientedBox, image: PosedImage) -> NDArray[np.bool_]:

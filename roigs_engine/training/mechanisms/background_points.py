@@ -141,5 +141,4 @@ def _lifted(pixels: Float64, depths: Float64, image: PosedImage) -> Float64:
     camera, pose = image.camera, image.world_to_camera
     rays = (pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
     seen = depths[:, None] * np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
-    lifted: Float64 = (seen - pose[:3, 3]) @ pose[:3, :3]
-    return lifted
+    return np.asarray((seen - pose[:3, 3]) @ pose[:3, :3])

@@ -69,6 +69,13 @@ def test_which_photos_need_no_picture(tmp_path: Path) -> None:
     assert is_as_stored(tmp_path / "missing.jpg")
 
 
+def test_a_tiff_that_pillow_does_not_read_needs_a_picture(tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    planes = np.zeros((3, 24, 32), np.uint16)
+    tifffile.imwrite(tmp_path / "a.tif", planes, photometric="rgb", planarconfig="separate")
+    assert not is_as_stored(tmp_path / "a.tif")
+
+
 def _gamma(value: float) -> object:
     from PIL.PngImagePlugin import PngInfo
 
