@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -20,7 +21,9 @@ from .. import settings
 from ..blender import following, full_path, persistent
 from ..engine.writing import writing
 from ..errors import AddonError
-from ..properties import scene_props
+from ..properties import object_props, scene_props
+from ..scene import lookup
+from ..shared import run_files
 
 _settled: dict[int, str] = {}
 """Scene -> the path that `settle` stored, which an undo would remove."""
@@ -38,6 +41,9 @@ def run_folder(scene: bpy.types.Scene) -> Path:
 def settle(scene: bpy.types.Scene) -> Path:
     """Create the scene's run folder, and store its path in the scene.
 
+    If nothing was trained before the file was first saved, the folder beside the file takes over
+    what the one in the user's folder has: selections, masks, imported Gaussians.
+
     Raises:
         AddonError: another scene uses it too, or it cannot be created.
     """
@@ -47,11 +53,32 @@ def settle(scene: bpy.types.Scene) -> Path:
             raise AddonError(
                 f"Scene '{other.name}' also uses the run folder {folder}. Change one of them."
             )
+    before, moves = folder, _is_left_behind(folder)
+    if moves:
+        folder = _proposed(scene)
     with writing(folder, "Run Folder"):
+        if moves and not folder.exists():
+            _copy(scene, before, folder)
         folder.mkdir(parents=True, exist_ok=True)
-    if not scene_props(scene).run_dir:
+    if moves or not scene_props(scene).run_dir:
         scene_props(scene).run_dir = _settled[scene.session_uid] = str(folder)
     return folder
+
+
+def _is_left_behind(folder: Path) -> bool:
+    """Whether a folder was made before the file was first saved, and nothing was trained in it."""
+    kept = bpy.data.filepath and folder.is_relative_to(settings.unsaved_folder())
+    trained = run_files.MANIFEST, run_files.STAGES, run_files.LOCK
+    return bool(kept) and not any((folder / name).exists() for name in trained)
+
+
+def _copy(scene: bpy.types.Scene, before: Path, folder: Path) -> None:
+    """Copy a folder, which another file may use too, and refer to the copy."""
+    shutil.copytree(before, folder, symlinks=True)
+    for item in lookup.splats(scene):
+        own = Path(object_props(item).ply)
+        if own.is_relative_to(before) and item.library is None:
+            object_props(item).ply = str(folder / own.relative_to(before))
 
 
 def finder(scene: bpy.types.Scene) -> Callable[[], bpy.types.Scene | None]:
@@ -89,7 +116,7 @@ def _proposed(scene: bpy.types.Scene) -> Path:
 def _beside_blend(scene: bpy.types.Scene) -> Iterator[Path]:
     """Named after the file; from its second scene without a folder on, after the scene as well."""
     blend = Path(bpy.data.filepath)
-    without = (s for s in bpy.data.scenes if not scene_props(s).run_dir)
+    without = (s for s in bpy.data.scenes if s == scene or not scene_props(s).run_dir)
     if next(s for s in without if scene_props(s).colmap or s == scene) == scene:
         yield blend.with_name(f"{blend.stem}_roigs")
     yield from _numbered(blend.with_name(f"{blend.stem}_{_plain(scene.name)}_roigs"))
@@ -140,7 +167,8 @@ def _after_load(*_: object) -> None:
 @persistent
 def _after_undo(*_: object) -> None:
     for scene in bpy.data.scenes:
-        if not scene_props(scene).run_dir and scene.session_uid in _settled:
+        chosen = scene_props(scene).run_dir
+        if scene.session_uid in _settled and (not chosen or _is_left_behind(full_path(chosen))):
             scene_props(scene).run_dir = _settled[scene.session_uid]
 
 

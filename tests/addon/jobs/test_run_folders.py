@@ -10,6 +10,7 @@ from types import ModuleType
 import pytest
 
 from tests.addon.scenes import add_box, imported
+from tests.addon.splat_cases import random_ply
 
 pytestmark = pytest.mark.blender
 UNWRITABLE = "(Cannot write|cannot be created or written to) .*Run Folder"
@@ -80,6 +81,37 @@ def test_two_unsaved_files_of_one_project_have_two_folders(
     shutil.move(second.parents[2] / "home.blend", tmp_path / "moved.blend")
     assert opened(blender, tmp_path / "moved.blend") == second
     assert opened(blender, tmp_path / "a.blend") == first
+
+
+def test_a_run_after_the_first_save_goes_beside_the_file(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    """Though photos were selected before; until something is trained."""
+    from roigs_addon.jobs import run_folders
+    from roigs_addon.scene import splats
+    from roigs_engine.formats.run_files import MANIFEST
+
+    scene = boxed(blender, project)
+    before = use(scene)
+    ply = random_ply(before / "blender" / "imported" / "vase.ply", 9)
+    item = splats.show_imported(scene, ply, "vase", in_model=False)
+    (before / "blender" / "selected").mkdir()
+    save(blender, tmp_path / "g.blend")
+    blender.ops.ed.undo_push(message="before")
+    blender.ops.ed.undo_push(message="something")
+    assert run_folders.run_folder(scene) == before
+    folder = use(scene)
+    assert folder == tmp_path / "g_roigs" == run_folders.run_folder(scene)
+    assert (folder / "blender" / "selected").is_dir() and before.is_dir()
+    assert Path(item.roigs.ply) == folder / "blender" / "imported" / "vase.ply"
+    blender.ops.ed.undo()
+    assert run_folders.run_folder(blender.context.scene) == folder
+    # A run that was trained before stays where it is.
+    blender.ops.wm.read_homefile(use_empty=True)
+    before = use(boxed(blender, project))
+    (before / MANIFEST).touch()
+    save(blender, tmp_path / "h.blend")
+    assert use(blender.context.scene) == before
 
 
 def test_two_scenes_of_a_file_have_two_folders(
