@@ -48,6 +48,7 @@ MODULES = (
     "operators.train",
     "operators.results",
     "operators.levels",
+    "operators.adapt",
     "operators.run_folder",
     "operators.export",
     "operators.import_gaussians",

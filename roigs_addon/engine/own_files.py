@@ -12,6 +12,7 @@ from ..shared import run_files
 CHECK, UNDISTORT, CAMERAS = "photos", "undistort", "refine cameras"
 POINTS = "match points"
 MASKING = "masks"
+ADAPT, EVALUATE = "adapt", "evaluate"
 LOOK, FEATURES, COMPARE = "look at photos", "features", "compare photos"
 MATCHING, MAPPING = "matching", "mapping"
 UNITS = {
@@ -42,6 +43,8 @@ def stage_in_words(stage: str) -> str:
         run_files.JOINT_STAGE: "all boxes",
         run_files.REFINE_STAGE: "refining",
         run_files.CUTOUT_STAGE: "objects alone",
+        ADAPT: "adapting",
+        EVALUATE: "measuring the result",
         CHECK: "checking photos",
         UNDISTORT: "undistorting photos",
         CAMERAS: "cameras",

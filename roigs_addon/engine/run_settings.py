@@ -162,6 +162,8 @@ def title(settings: RunSettings) -> str:
     names = [name for name in ("preset", "max_side") if getattr(settings, name) is not None]
     if settings.steps_factor not in (None, 1.0):
         names.append("steps_factor")
+    if settings.made_for not in (None, targets.VIEWERS.name):
+        names.append("made_for")
     return in_words(settings, names)
 
 

@@ -49,7 +49,7 @@ def spec(context: bpy.types.Context, source: Path, up: str) -> JobSpec:
         raise AddonError(f"There is no file {source}. Choose a file of Gaussians.")
     in_model = up == "colmap"
     if in_model and not has_model(scene):
-        raise AddonError("There is no COLMAP model. Import one first, or choose another axis.")
+        raise AddonError("There are no cameras. Import some first, or choose another axis.")
     name = _name(source)
     folder = made_folder(run_folders.settle(scene), OWN, IMPORTED)
     path = free_file(folder, name)

@@ -85,7 +85,7 @@ def colmap_folder(scene: bpy.types.Scene) -> Path:
     """
     folder = scene_props(scene).colmap
     if not folder:
-        raise AddonError("No COLMAP model has been imported. Import one first.")
+        raise AddonError("There are no cameras. Reconstruct photos or import cameras first.")
     if not os.path.isdir(folder):
         raise AddonError(
             f"The COLMAP folder {folder} no longer exists. Import it again from its new place."

@@ -11,7 +11,7 @@ SELECTING, ESTIMATING = "Selecting", "Estimating"
 TRAINING, EXPORTING = "Training", "Exporting"
 IMPORTING_GAUSSIANS, FLOATERS = "Importing Gaussians", "Finding Floaters"
 MASKING = "Making Masks"
-LEVELS = "Making Levels"
+LEVELS, ADAPTING = "Making Levels", "Adapting"
 """Titles of jobs: each step of the panel shows the progress and the error of its own."""
 
 RESUMED = {TRAINING: "Continue", RECONSTRUCTING: "Continue", LEVELS: "Make Levels"}
@@ -23,7 +23,7 @@ PACKAGES = {"all of the extra 'formats'": "set up the engine again in the add-on
 
 def how_to_resume(title: str) -> str:
     """A sentence to follow another one; empty for jobs that begin again."""
-    return f" Press '{RESUMED[title]}' to resume." if title in RESUMED else ""
+    return f" Click '{RESUMED[title]}' to resume." if title in RESUMED else ""
 
 
 def nothing(*_: object) -> None:

@@ -19,8 +19,9 @@ from ..scene import lookup
 if TYPE_CHECKING:
     from ..blender import OperatorResult
 
-BUSY = "The engine is busy"
+BUSY = "The engine is busy. Wait, or stop it with Esc"
 NO_BOX = "Add a box first"
+NO_CAMERAS = "Reconstruct photos or import cameras first"
 FRESH = {"SKIP_SAVE"}
 """For every property: otherwise Blender reuses the value of the previous call, from any button."""
 
@@ -53,7 +54,11 @@ def model_problem(context: bpy.types.Context) -> str:
     """Why nothing can be done with the model now; empty if it can."""
     if current.busy():
         return BUSY
-    return "" if scene_props(scene_of(context)).colmap else "Import a COLMAP model first"
+    return (
+        ""
+        if scene_props(scene_of(context)).colmap
+        else "Reconstruct photos or import cameras first"
+    )
 
 
 def engine_problem(context: bpy.types.Context) -> str:

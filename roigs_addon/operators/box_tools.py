@@ -108,7 +108,7 @@ def _sparse_points(scene: bpy.types.Scene) -> NDArray[np.float64]:
     """(N, 3) in the world."""
     cloud = lookup.points(scene)
     if cloud is None:
-        raise AddonError("There are no sparse points. Import a COLMAP model first.")
+        raise AddonError("There are no sparse points. Reconstruct photos or import cameras first.")
     world = lookup.matrix_world(cloud)
     return np.asarray(clouds.positions(cloud) @ world[:3, :3].T + world[:3, 3])
 

@@ -45,7 +45,7 @@ class ImportGaussians(BrowsingOperator, ImportHelper):  # type: ignore[misc] # t
             ("-Y", "-Y", "As most trainers of Gaussians write it"),
             ("Y", "Y", "As in glTF and many game engines"),
             ("Z", "Z, as in Blender", "Coordinates are not changed"),
-            ("COLMAP", "As the COLMAP Model", "It was trained on this scene's COLMAP model"),
+            ("COLMAP", "As This Scene", "It was trained on this scene's photos"),
         ],
         options=FRESH,
     )

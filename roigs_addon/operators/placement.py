@@ -15,20 +15,18 @@ from ..geometry import placing
 from ..geometry.frames import Matrix, world_to_camera
 from ..properties import scene_props
 from ..scene import lookup, placement
-from .base import FRESH, available, box_problem, failed, tell
+from .base import FRESH, NO_CAMERAS, available, box_problem, failed, tell
 from .box_tools import checked_box
 from .picking import PickTool, selected
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
 
-NO_MODEL = "Import a COLMAP model first"
-
 
 def root_problem(context: bpy.types.Context) -> str:
     """Why there is nothing to place; empty if there is."""
     root = scene_props(scene_of(context)).root
-    return NO_MODEL if root is None or root.name not in scene_of(context).objects else ""
+    return NO_CAMERAS if root is None or root.name not in scene_of(context).objects else ""
 
 
 def _place(

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class ImportColmap(BrowsingOperator, ImportHelper):  # type: ignore[misc] # the stub's mixin
-    """Import the cameras, photos and points of a COLMAP model"""
+    """Import where photos were taken, the photos and the points: the folder of a COLMAP project"""
 
     bl_idname = "roigs.import_colmap"
     bl_label = "Import Cameras (COLMAP)"
@@ -128,7 +128,7 @@ class LookThrough(bpy.types.Operator):
     def _missing(self, context: bpy.types.Context) -> str:
         if self.photo and lookup.cameras(scene_of(context)):
             return "There is no such photo. Use its name in the COLMAP model."
-        return "There are no photos. Import a COLMAP model first."
+        return "There are no photos. Reconstruct photos or import cameras first."
 
     def _camera(self, context: bpy.types.Context) -> bpy.types.Object | None:
         found = lookup.cameras(scene_of(context))

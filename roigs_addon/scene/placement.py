@@ -43,7 +43,7 @@ def root_of(scene: bpy.types.Scene) -> bpy.types.Object:
     """
     root: bpy.types.Object | None = scene_props(scene).root
     if root is None or root.name not in scene.objects:
-        raise AddonError("There is no model. Import a COLMAP model first.")
+        raise AddonError("There is no scene to place. Reconstruct photos or import cameras first.")
     view_layer_of(bpy.context).update()  # after an undo, as for F9, `matrix_world` is of before
     flaw = _flaw(lookup.matrix_world(root))
     if flaw:

@@ -87,7 +87,7 @@ class CamerasPanel(SidebarPanel):
         if not photos:
             show.todo(layout, f"{roi.name}: photos will be selected when training starts")
         elif selections.is_stale(roi, scene):
-            show.wrong(layout, f"{roi.name} was moved: select again")
+            show.wrong(layout, f"{roi.name} was moved: click Select Cameras")
         else:
             show.done(layout, f"{roi.name}: {photos} photos, best first")
         if photos:

@@ -72,7 +72,7 @@ def _draw_status(layout: bpy.types.UILayout, status: ReconstructionStatus, *, we
     elif status.unfinished:
         show.paused(layout, "Stopped before the end; Continue resumes")
     elif not status.done:
-        show.todo(layout, "Not reconstructed yet")
+        show.todo(layout, "Not reconstructed yet: click Reconstruct")
     else:
         show.say(layout, status.summary, "INFO" if weak or status.remarks else "CHECKMARK")
         for text in status.remarks[:MOST_REMARKS]:

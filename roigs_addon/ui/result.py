@@ -12,7 +12,8 @@ from ..blender import layout_of, registration, scene_of
 from ..engine import run_settings
 from ..facts import outdated, run_facts
 from ..jobs import current
-from ..jobs.spec import EXPORTING, IMPORTING_GAUSSIANS
+from ..jobs.spec import ADAPTING, EXPORTING, IMPORTING_GAUSSIANS
+from ..operators.adapt import AdaptResult
 from ..operators.export import ExportGaussians
 from ..operators.import_gaussians import ImportGaussians
 from ..operators.native_splats import FromNative, ToNative
@@ -26,7 +27,17 @@ from ..operators.results import (
 )
 from ..operators.run_folder import CleanUp, CompareResults, FindFolder
 from ..properties import object_props, scene_props
-from ..scene import carried, compared, compositor, detail, ladders, lookup, native_splats, splats
+from ..scene import (
+    carried,
+    compared,
+    compositor,
+    detail,
+    ladders,
+    lookup,
+    made_for,
+    native_splats,
+    splats,
+)
 from ..shared import text
 from . import layout as show
 from .layout import SidebarPanel
@@ -70,6 +81,8 @@ class ResultPanel(SidebarPanel):
             flat = ", without view-dependent colour" if carried.is_left_out(scene) else ""
             show.say(layout, f"{said}{flat}: the PLY is gone", "INFO")
             layout.operator(FindFolder.bl_idname, icon="FILE_FOLDER")
+        if not current.busy():
+            _draw_made_for(layout, scene)
         _draw_results(layout, scene)
         if items:
             _draw_render(layout, scene)
@@ -80,8 +93,21 @@ class ResultPanel(SidebarPanel):
             row = layout.row(align=True)
             row.operator(ToNative.bl_idname)
             row.operator(FromNative.bl_idname)
-        for title in (IMPORTING_GAUSSIANS, EXPORTING):
+        for title in (IMPORTING_GAUSSIANS, EXPORTING, ADAPTING):
             show.job(layout, title)
+
+
+def _draw_made_for(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """What is drawn by another renderer than it is made for, with the button that adapts it."""
+    if found := made_for.mismatch(scene):
+        was, wanted = found
+        show.wrong(layout, f"Made for {was.title}, not for {wanted.title}")
+        label = f"Adapt to {wanted.title}"
+        button = layout.operator(AdaptResult.bl_idname, text=label, icon="FILE_REFRESH")
+        button.made_for = wanted.name
+    if other := made_for.in_other_light(scene):
+        name, target = other
+        show.wrong(layout, f"'{name}' is made for {target.title}, but drawn as most others are")
 
 
 def _draw_objects(
@@ -181,7 +207,7 @@ def _draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     if last.psnr:
         sides.add(last.settings.max_side)
     if len(sides) > 1:
-        show.say(layout, "PSNR compares results of one photo size only", "INFO")
+        show.say(layout, "Compare PSNR of one photo size only", "INFO")
     for result in results:
         made = time.strftime("%d %b %Y, %H:%M", time.localtime(result.made))
         title = run_settings.title(result.settings)

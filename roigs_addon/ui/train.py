@@ -66,17 +66,18 @@ def _draw_length(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
 def _draw_status(layout: bpy.types.UILayout, scene: bpy.types.Scene, status: RunStatus) -> None:
     stages = ", ".join(map(stage_in_words, status.done))
     changes = "" if status.holder else outdated.in_words(scene, status)
+    resumes = "" if changes else ". Continue resumes"
     if status.holder:
         text = f"Another Blender or terminal is training here (process {status.holder})"
         show.paused(layout, text)
     elif status.left:
-        show.paused(layout, f"Stopped during: {stage_in_words(status.left)}")
+        show.paused(layout, f"Stopped during: {stage_in_words(status.left)}{resumes}")
     elif status.result and not changes:
         show.done(layout, f"Trained: {stages}")
     elif status.done and not status.result:
-        show.paused(layout, f"Stopped after: {stages}")
+        show.paused(layout, f"Stopped after: {stages}{resumes}")
     elif not status.result:
-        show.todo(layout, "Not trained yet")
+        show.todo(layout, "Not trained yet: click Train")
         return
     if changes:
         show.wrong(layout, changes)

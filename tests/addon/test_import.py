@@ -140,7 +140,7 @@ def test_the_panel_warns_of_formats_that_cannot_say_it(
 def test_other_axes_and_the_frame_of_the_model(
     blender: ModuleType, engine, ply: Path, project: Path
 ) -> None:
-    with pytest.raises(RuntimeError, match="There is no COLMAP model"):
+    with pytest.raises(RuntimeError, match="There are no cameras"):
         bring(blender, ply, up="COLMAP")
     stored = read_ply(ply)["means"]
     for up in ("-y", "y"):

@@ -177,7 +177,7 @@ def test_errors_are_one_line(
 
 
 def test_it_needs_a_model(blender: ModuleType, addon: ModuleType) -> None:
-    with pytest.raises(RuntimeError, match="Import a COLMAP model first"):
+    with pytest.raises(RuntimeError, match="import cameras first"):
         blender.ops.roigs.refine_cameras()
 
 

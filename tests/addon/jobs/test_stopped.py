@@ -15,9 +15,9 @@ pytestmark = pytest.mark.blender
 @pytest.mark.parametrize(
     ("title", "resume"),
     [
-        ("TRAINING", " Press 'Continue' to resume."),
-        ("RECONSTRUCTING", " Press 'Continue' to resume."),
-        ("LEVELS", " Press 'Make Levels' to resume."),
+        ("TRAINING", " Click 'Continue' to resume."),
+        ("RECONSTRUCTING", " Click 'Continue' to resume."),
+        ("LEVELS", " Click 'Make Levels' to resume."),
         ("EXPORTING", ""),
         ("MASKING", ""),
         ("FLOATERS", ""),

@@ -1,0 +1,59 @@
+"""A result that was adapted to another renderer, cut into the files of a result. No bpy."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import AddonError
+from ..shared import EngineError, files, run_files, splat_ply
+from .writing import made_folder
+
+SHAPE = ("means", "quats", "log_scales")
+
+
+def write(source: Path, adapted: Path, place: Path) -> None:
+    """Write a result's folder of an adapted model.
+
+    The engine keeps the order of the Gaussians, and a result's parts are some of its rows.
+
+    Args:
+        source: folder of the result that was adapted.
+        adapted: the whole of it as it is now.
+        place: folder to write, which exists. The first pass is copied as it is.
+
+    Raises:
+        AddonError: a file of the result was changed since.
+        EngineError, OSError: a file cannot be read or written.
+    """
+    whole, made = (splat_ply.read_ply(path) for path in (source / run_files.RESULT, adapted))
+    if len(whole["means"]) != len(made["means"]):
+        raise AddonError("The result was changed meanwhile. Adapt it again.")
+    target, rows = splat_ply.target_of(adapted), {k: i for i, k in enumerate(_keys(whole))}
+    fine = made_folder(place, run_files.FINE)
+    parts = sorted((source / run_files.FINE).glob("*.ply"))
+    for path in (source / run_files.BACKGROUND, *parts):
+        keys = _keys(splat_ply.read_ply(path))
+        if not rows.keys() >= set(keys):
+            raise AddonError(f"{path.name} is not a part of {run_files.RESULT}. Train again.")
+        chosen = np.array([rows[key] for key in keys], np.int64)
+        part = {name: values[chosen] for name, values in made.items()}
+        splat_ply.write_ply((fine if path in parts else place) / path.name, part, target)
+    if (source / run_files.COARSE).is_dir():
+        coarse = made_folder(place, run_files.COARSE)
+        shutil.copytree(source / run_files.COARSE, coarse, dirs_exist_ok=True)
+    try:
+        settings = files.read_json(source / run_files.SETTINGS)
+    except EngineError:
+        settings = {}
+    if isinstance(settings, dict):
+        files.write_json(place / run_files.SETTINGS, settings | {"made_for": target.name})
+    splat_ply.write_ply(place / run_files.RESULT, made, target)  # last: it makes the rest a result
+
+
+def _keys(arrays: dict[str, splat_ply.Floats]) -> list[bytes]:
+    """What tells a Gaussian from others."""
+    table = np.column_stack([arrays[name].astype(np.float64) for name in SHAPE])
+    return [row.tobytes() for row in table]

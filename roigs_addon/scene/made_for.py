@@ -1,0 +1,46 @@
+"""Whether what is shown is drawn by the renderer that it is made for."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..properties import object_props, scene_props
+from ..shared import targets
+from . import lookup, native_splats
+from .splat_attributes import marked_target
+
+
+def mismatch(scene: bpy.types.Scene) -> tuple[targets.Target, targets.Target] | None:
+    """What the result is made for, and what draws it or is set; None if they are the same.
+
+    Blender draws its own splats as its render engine does; the add-on draws objects as they are
+    made for.
+    """
+    native = (item for item in scene.objects if native_splats.are_in(item) and item.visible_get())
+    data = next((item.data for item in native), None)
+    wanted = targets.CYCLES if str(scene.render.engine) == "CYCLES" else targets.EEVEE
+    if data is None:
+        shown = (item for item in lookup.splats(scene) if object_props(item).level == "RESULT")
+        data = next((item.data for item in shown), None)
+        wanted = targets.TARGETS[scene_props(scene).made_for]
+    if not isinstance(data, (bpy.types.Mesh, bpy.types.PointCloud)):
+        return None
+    made = marked_target(data)
+    return None if made == wanted else (made, wanted)
+
+
+def in_other_light(scene: bpy.types.Scene) -> tuple[str, targets.Target] | None:
+    """An object that is drawn in another light than it is made for, and what that is.
+
+    Gaussians that are seen together are drawn in the light of most of them.
+    """
+    found: dict[bool, list[tuple[int, str, targets.Target]]] = {False: [], True: []}
+    for item in lookup.splats(scene):
+        mesh = item.data
+        if isinstance(mesh, bpy.types.Mesh) and not item.hide_render and item.visible_get():
+            target = marked_target(mesh)
+            found[target.linear_light].append((len(mesh.vertices), item.name, target))
+    if not (found[False] and found[True]):
+        return None
+    fewer = min(found.values(), key=lambda items: sum(count for count, _, _ in items))
+    return max(fewer)[1:]
