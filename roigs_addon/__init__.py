@@ -31,6 +31,7 @@ MODULES = (
     "scene.backgrounds",
     "scene.edits",
     "scene.carried",
+    "scene.instances",
     "scene.formerly_hidden",
     "scene.arrivals",
     "scene.placement",

@@ -11,7 +11,7 @@ from ..blender import leave_edit_mode
 from ..engine.own_files import ROIS
 from ..engine.writing import writing
 from ..errors import AddonError
-from ..scene import edits, fly_to
+from ..scene import edits, fly_to, instances
 from ..scene.frame_request import Model, models_of, shown, standing
 from ..shared import EngineError, files, splat_ply, targets, text
 from .spec import EXPORTING, PACKAGES, JobSpec
@@ -56,7 +56,12 @@ def spec(
     items, why = _wanted(context, scene, selected=selected, visible=visible)
     leave_edit_mode(items)  # Blender keeps what was done in it to itself until then
     depsgraph = context.evaluated_depsgraph_get()
-    models = _models(items, depsgraph, path)
+    more = [
+        each
+        for each in instances.instances(depsgraph)
+        if not selected or each.instancer in context.selected_objects
+    ]
+    models = _models(items, more, depsgraph, path)
     if not models:
         raise AddonError(NOTHING.format(why))
     if not path.parent.is_dir():
@@ -91,18 +96,22 @@ def spec(
 
 
 def _models(
-    items: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph, path: Path
+    items: list[bpy.types.Object],
+    more: list[instances.Instance],
+    depsgraph: bpy.types.Depsgraph,
+    path: Path,
 ) -> list[Model]:
     """Those to export to a file.
 
     Raises:
         AddonError: an edit cannot be written, or they are made for different renderers.
     """
-    models = models_of(items, depsgraph)
-    if problem := edits.problem(items):
+    models = models_of(items, more, depsgraph)
+    if problem := edits.problem([*items, *(each.item for each in more)]):
         raise AddonError(problem)
     kinds: dict[targets.Target, str] = {}
-    for item, _, _ in standing(items, depsgraph):
+    drawn = [item for item, _, _ in standing(items, depsgraph)]
+    for item in (*drawn, *(each.item for each in more)):
         if ply := edits.file_of(item):
             with suppress(EngineError):  # of a file that is missing, the engine says so
                 kinds.setdefault(splat_ply.target_of(ply), item.name)

@@ -10,11 +10,12 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
-from ..blender import absolute, registration, scene_of
+from ..blender import absolute, registration, scene_of, view_layer_of
 from ..errors import AddonError
 from ..jobs import current, export_job, import_gaussians_job, import_job
 from ..jobs.spec import JobSpec
 from ..properties import scene_props
+from ..scene import instances
 from ..scene.frame_request import shown
 from . import folders
 from .base import BUSY, FRESH, BrowsingOperator, available
@@ -95,7 +96,8 @@ transforms"""
         """There must be Gaussians, and an idle engine."""
         if current.busy():
             return available(cls, BUSY)
-        return available(cls, "" if shown(scene_of(context)) else NOTHING)
+        found = shown(scene_of(context)) or instances.in_view(view_layer_of(context))
+        return available(cls, "" if found else NOTHING)
 
     def spec(self, context: bpy.types.Context) -> JobSpec:
         """Write what is shown."""

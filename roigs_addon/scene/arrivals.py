@@ -6,12 +6,13 @@ Once per scene: a user who removes the node from the compositor wants it gone.
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
 
 import bpy
 
 from ..blender import following, persistent
 from ..properties import object_props
-from . import compositor, lookup
+from . import compositor, instances, lookup
 
 _counted: dict[int, int] = {}
 """Scene, by its number in this session -> its objects when it was looked at."""
@@ -21,8 +22,16 @@ def let_in(scene: bpy.types.Scene) -> None:
     """Merge the Gaussians of a scene into its renders, if that was never done."""
     if scene.library is not None or compositor.was_linked(scene):
         return
-    if any(object_props(item).level != "PREVIEW" for item in lookup.splats(scene)):
+    own = any(object_props(item).level != "PREVIEW" for item in lookup.splats(scene))
+    if own or any(map(instances.is_drawn, _in_collections(scene))):
         compositor.link(scene)
+
+
+def _in_collections(scene: bpy.types.Scene) -> Iterator[bpy.types.Object]:
+    """Objects of the collections that are instanced in a scene, such as linked ones."""
+    placed = (item.instance_collection for item in scene.objects if item.type == "EMPTY")
+    for collection in {collection for collection in placed if collection is not None}:
+        yield from collection.all_objects
 
 
 @persistent

@@ -13,8 +13,7 @@ import numpy as np
 from ..blender import camera_of
 from ..errors import AddonError
 from ..geometry import frames
-from ..properties import object_props
-from . import cameras, edits, ladders, look, lookup
+from . import cameras, edits, instances, ladders, look, lookup
 
 Model = dict[str, Any]
 """Of a request: a file, where it stands, and how it looks."""
@@ -35,7 +34,7 @@ def frame_request(
         AddonError: the camera is of a kind that the engine cannot render, or something stands
             nowhere.
     """
-    whole = [*_models(shown(scene), depsgraph)]
+    whole = [*_models(shown(scene), depsgraph), *_more(instances.instances(depsgraph))]
     if not whole or scene.camera is None:
         return None
     camera = scene.camera.evaluated_get(depsgraph)
@@ -65,15 +64,24 @@ def frame_request(
     return {"camera": record, "models": models, "out": out}
 
 
-def models_of(items: Iterable[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> list[Model]:
+def models_of(
+    items: Iterable[bpy.types.Object],
+    more: Iterable[instances.Instance],
+    depsgraph: bpy.types.Depsgraph,
+) -> list[Model]:
     """The objects that are not hidden in renders, with their edits, looks and where they stand.
 
     They are whole, not at a level of detail.
 
+    Args:
+        items: the objects.
+        more: their instances.
+        depsgraph: where they stand.
+
     Raises:
         AddonError: one of them stands nowhere.
     """
-    return [model for _, model in _models(items, depsgraph)]
+    return [model for _, model in (*_models(items, depsgraph), *_more(more))]
 
 
 def _models(
@@ -82,8 +90,26 @@ def _models(
     for item, moved, matrix in standing(items, depsgraph):
         edits.look_again(item)
         if ply := edits.file_of(item):
-            placed = matrix @ edits.frame_of(item)
-            yield item, {"ply": ply, "matrix": placed.tolist(), "gains": look.gains(moved)}
+            yield item, _model(item, ply, matrix, moved)
+
+
+def _more(
+    found: Iterable[instances.Instance],
+) -> Iterator[tuple[bpy.types.Object, Model]]:
+    files: dict[bpy.types.Object, str] = {}
+    for each in found:
+        if each.item not in files:
+            edits.look_again(each.item)
+            files[each.item] = edits.file_of(each.item)
+        if ply := files[each.item]:
+            yield each.item, _model(each.item, ply, each.matrix, each.item)
+
+
+def _model(
+    item: bpy.types.Object, ply: str, matrix: frames.Matrix, shown_as: bpy.types.Object
+) -> Model:
+    placed = matrix @ edits.frame_of(item)
+    return {"ply": ply, "matrix": placed.tolist(), "gains": look.gains(shown_as)}
 
 
 def standing(
@@ -117,14 +143,7 @@ def shown(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """The objects that a render shows as Gaussians, unless an object itself is hidden."""
     layers = [layer for layer in scene.view_layers if layer.use]
     seen = {item for layer in layers for item in _of(layer.layer_collection)}
-    return [
-        item
-        for item in lookup.splats(scene)
-        if item in seen
-        and object_props(item).ply
-        and not object_props(item).as_points
-        and object_props(item).level != "PREVIEW"
-    ]
+    return [item for item in lookup.splats(scene) if item in seen and instances.is_drawn(item)]
 
 
 def _of(layer: bpy.types.LayerCollection) -> set[bpy.types.Object]:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 from mathutils import Matrix
 
-from ..blender import view_layer_of
+from ..blender import view_layer_of, windows
 from ..properties import object_props
-from ..scene import edits, ladders, look
+from ..scene import edits, instances, ladders, look
 
 SURFACES = frozenset(
     {
@@ -62,7 +62,8 @@ def splat_objects(context: bpy.types.Context) -> list[SplatObject]:
 
     Those that another window shows also belong to the set on the GPU.
     """
-    return marked(bpy.data.objects, context.space_data, context.scene)
+    space, scene = context.space_data, context.scene
+    return marked(bpy.data.objects, space, scene) + _instanced(context)
 
 
 def marked(
@@ -79,24 +80,38 @@ def marked(
     """
     found = []
     for item in objects:
-        props = object_props(item)
-        path = edits.file_of(item) if props.kind == "SPLATS" else ""
-        if not path:
-            continue
-        try:
-            file = FileKey.of(path)
-        except OSError:
-            continue
-        found.append(
-            SplatObject(
-                file,
-                item.matrix_world @ Matrix(edits.frame_of(item).tolist()),
-                not props.as_points and seen(item, space),
-                look.gains(item),
-                levels=_levels(item, scene),
-            )
-        )
+        one = _of(item, scene) if object_props(item).kind == "SPLATS" else None
+        if one is not None:
+            shown = not object_props(item).as_points and seen(item, space)
+            found.append(replace(one, matrix=item.matrix_world @ one.matrix, visible=shown))
     return found
+
+
+def _instanced(context: bpy.types.Context) -> list[SplatObject]:
+    """Those that something instances, in any window; visible are those of this view."""
+    own, found = view_layer_of(context), []
+    layers = {layer.as_pointer(): layer for layer in (own, *(w.view_layer for w in windows()))}
+    known: dict[int, SplatObject | None] = {}
+    for layer in layers.values():
+        for each in instances.in_view(layer):
+            uid = each.item.session_uid
+            if uid not in known:
+                known[uid] = _of(each.item, context.scene)
+            if (one := known[uid]) is not None:
+                shown = layer == own and seen(each.instancer, context.space_data)
+                matrix = Matrix(each.matrix.tolist()) @ one.matrix
+                found.append(replace(one, matrix=matrix, visible=shown))
+    return found
+
+
+def _of(item: bpy.types.Object, scene: bpy.types.Scene | None) -> SplatObject | None:
+    """An object at the origin; None without a PLY."""
+    try:
+        file = FileKey.of(edits.file_of(item))
+    except OSError:
+        return None
+    frame, levels = Matrix(edits.frame_of(item).tolist()), _levels(item, scene)
+    return SplatObject(file, frame, True, look.gains(item), levels=levels)
 
 
 def _levels(item: bpy.types.Object, scene: bpy.types.Scene | None) -> Levels | None:

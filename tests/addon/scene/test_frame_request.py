@@ -113,6 +113,6 @@ def test_exports_are_whole(blender: ModuleType, seen) -> None:
 
     scene, folder = seen
     make_levels(folder, rate=FAR)
-    models = models_of(shown(scene), blender.context.evaluated_depsgraph_get())
+    models = models_of(shown(scene), [], blender.context.evaluated_depsgraph_get())
     assert {Path(m["ply"]).parent.name for m in models} == {"rois", folder.name}
     assert not any("density" in model for model in models)

@@ -1,0 +1,93 @@
+"""Gaussian objects that something else instances: geometry nodes, a collection, also a linked one.
+
+Blender draws nothing of them; each is drawn like an object of its own, without being made real.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ..blender import following, persistent
+from ..geometry.frames import Matrix
+from ..properties import object_props
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Instance:
+    """A Gaussian object in one more place.
+
+    Attributes:
+        item: the object.
+        instancer: the object that has it instanced.
+        matrix: (4, 4) from the object's frame to the world.
+    """
+
+    item: bpy.types.Object
+    instancer: bpy.types.Object
+    matrix: Matrix
+
+
+_known: dict[int, list[Instance]] = {}
+"""View layer, by its address -> its instances, until anything changes: scenes have thousands."""
+
+
+def instances(depsgraph: bpy.types.Depsgraph) -> list[Instance]:
+    """Those that an evaluated scene shows as Gaussians."""
+    found = []
+    for each in depsgraph.object_instances:
+        if not each.is_instance or each.object is None or each.parent is None:
+            continue
+        item, instancer = each.object.original, each.parent.original
+        if item is None or instancer is None or not is_drawn(item):
+            continue
+        matrix = np.array(each.matrix_world, np.float64)
+        if np.isfinite(matrix).all() and np.linalg.matrix_rank(matrix[:3, :3]) == 3:
+            found.append(Instance(item=item, instancer=instancer, matrix=matrix))
+    return found
+
+
+def in_view(layer: bpy.types.ViewLayer) -> list[Instance]:
+    """Those of a view layer as it was evaluated last."""
+    key = layer.as_pointer()
+    if key not in _known:
+        depsgraph = layer.depsgraph if any(map(_may_instance, layer.objects)) else None
+        _known[key] = instances(depsgraph) if depsgraph is not None else []
+    return _known[key]
+
+
+def is_drawn(item: bpy.types.Object) -> bool:
+    """Whether an object is drawn as Gaussians where it is shown."""
+    props = object_props(item)
+    drawn = props.kind == "SPLATS" and props.level != "PREVIEW"
+    return drawn and bool(props.ply) and not props.as_points
+
+
+def _may_instance(item: bpy.types.Object) -> bool:
+    if item.instance_type != "NONE" or item.particle_systems:
+        return True
+    return object_props(item).kind == "NONE" and any(m.type == "NODES" for m in item.modifiers)
+
+
+@persistent
+def _on_change(*_: object) -> None:
+    _known.clear()
+
+
+_follow, _leave = following(
+    *((event, _on_change) for event in ("depsgraph_update_post", "frame_change_post")),
+    *((event, _on_change) for event in ("undo_post", "redo_post", "load_pre", "load_post")),
+)
+
+
+def register() -> None:
+    """Follow changes."""
+    _follow()
+
+
+def unregister() -> None:
+    """Follow none."""
+    _leave()
+    _known.clear()
