@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bpy
 
-from ..blender import leave_edit_mode
+from ..blender import leave_edit_mode, scene_of
 from ..engine.own_files import ROIS
 from ..engine.writing import writing
 from ..errors import AddonError
@@ -51,16 +51,12 @@ def spec(
         AddonError: there is nothing to export, an edit cannot be written, some are drawn with
             anti-aliasing and others without, or the folder is missing.
     """
-    scene = context.scene
-    assert scene is not None
+    scene = scene_of(context)
     items, why = _wanted(context, scene, selected=selected, visible=visible)
     leave_edit_mode(items)  # Blender keeps what was done in it to itself until then
     depsgraph = context.evaluated_depsgraph_get()
-    more = [
-        each
-        for each in instances.instances(depsgraph)
-        if not selected or each.instancer in context.selected_objects
-    ]
+    chosen = set(context.selected_objects if selected else scene.objects)
+    more = [each for each in instances.instances(depsgraph) if each.instancer in chosen]
     models = _models(items, more, depsgraph, path)
     if not models:
         raise AddonError(NOTHING.format(why))
