@@ -113,27 +113,18 @@ def stored_photo(image: ModelImage, model: Model, photos: PhotoFolder) -> Stored
     )
 
 
-class _Files:
-    """Files of photos, each of which counts once, whatever the spellings of its name.
+def _identity(path: Path) -> tuple[object, ...]:
+    """What the spellings of a file's name share, as each photo counts once.
 
     As `a.jpg`, `./a.jpg`, a path through a link to a folder, and `A.JPG` where case is ignored.
     Links to a file are photos of their own.
     """
-
-    def __init__(self) -> None:
-        self._known: dict[tuple[int, int, str], Path] = {}
-
-    def add(self, path: Path) -> bool:
-        """Add a file; returns whether it is new."""
-        try:
-            state = path.stat()
-        except OSError:  # gone since it was looked at; its reader will say so
-            return True
-        key = state.st_dev, state.st_ino, same_name(path.name)
-        known = self._known.setdefault(key, path)
-        return known is path or same_name(os.path.realpath(known)) != same_name(
-            os.path.realpath(path)
-        )
+    try:
+        state = path.stat()
+    except OSError:  # gone since it was looked at; its reader will say so
+        return (path,)
+    real = same_name(os.path.realpath(path))
+    return state.st_dev, state.st_ino, same_name(path.name), real
 
 
 class PhotoLoader:
@@ -169,7 +160,7 @@ class PhotoLoader:
         self._plans: dict[int, UndistortionPlan] = {}
         found: dict[int, StoredPhoto] = {}
         names: set[str] = set()
-        files = _Files()
+        files: set[tuple[object, ...]] = set()
         for image in sorted(model.images, key=lambda image: image.image_id):
             context.check_cancelled()
             name = photo_name(image)
@@ -182,9 +173,10 @@ class PhotoLoader:
                 photo = Skip(MISSING, *photos.missing(name))
             if isinstance(photo, Skip):
                 self._leave_out(name, photo)
-            elif not files.add(photo.path):
+            elif (identity := _identity(photo.path)) in files:
                 self.skipped[DUPLICATE].append(name)
             else:
+                files.add(identity)
                 found[image.image_id] = photo
         turns = find_turns([*found.values()], cloud, context)
         for photo in found.values():

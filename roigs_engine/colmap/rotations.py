@@ -2,7 +2,7 @@
 
 COLMAP ignores the tags, other software obeys them. A photo on its side tells by its size which it
 was. Where the size cannot tell (upside down, mirrored, square), the model's other photos do, and
-else the colours: with photos turned rightly, a point has the same colour in all of them.
+else the points' colours.
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ from ..photos.rotation import AS_STORED, turned, turned_size
 from .records import NO_IDS, ModelCamera, same_shape
 from .undistort import seen_places
 
-ANCHORS, PARTNERS = 4, 2  # photos that are compared; with others, each
-POINTS = 3000
+PHOTOS, POINTS = 4, 3000  # that are compared; of each
 SIDE = 320  # px: the photos' longer side for that
 FEWEST = 60  # places that decide
 CLEARLY = 0.8  # the right way has at most this share of the other's differences
@@ -84,7 +83,7 @@ def find_turns(photos: Sequence[StoredPhoto], cloud: Cloud, context: Context) ->
     if unclear:
         obeys: bool | None = bool(obeyed)
         if bool(obeyed) == ignored:
-            obeys = _look_turned(unclear, photos, turns, cloud, context)
+            obeys = _look_turned(unclear, cloud, context)
         if obeys:
             turns |= {photo.key: photo.tag for photo in unclear}
         elif obeys is None:
@@ -103,98 +102,47 @@ def find_turns(photos: Sequence[StoredPhoto], cloud: Cloud, context: Context) ->
     return turns
 
 
-def _look_turned(
-    unclear: Sequence[StoredPhoto],
-    photos: Sequence[StoredPhoto],
-    turns: Mapping[int, int],
-    cloud: Cloud,
-    context: Context,
-) -> bool | None:
+def _look_turned(unclear: Sequence[StoredPhoto], cloud: Cloud, context: Context) -> bool | None:
     """Whether the photos fit the points' colours better if turned; None: that is not clear."""
-    chosen, rows = _compared(unclear, photos, cloud, context)
-    keys = {photo.key for photo in unclear}
-    samples: dict[bool, list[Float64]] = {False: [], True: []}
+    if cloud.colors.std(axis=0).max(initial=0) <= VARIED:  # the software has stored none
+        return None
+    some = np.linspace(0, len(unclear) - 1, min(PHOTOS, len(unclear))).round().astype(int)
+    found = []
     try:
-        for photo in chosen:
+        for number in some:
             context.check_cancelled()
-            usual = turns.get(photo.key, AS_STORED)
-            ways = (AS_STORED, photo.tag) if photo.key in keys else (usual, usual)
-            pictures = _sampled(photo, ways, rows, cloud)
-            for way, colours in zip((False, True), pictures, strict=True):
-                samples[way].append(colours)
+            found.append(_differences(unclear[number], cloud))
     except SceneError:  # damaged photos and lenses are reported where they are used
         return None
-    open_ = np.array([photo.key in keys for photo in chosen])
-    stored, tagged = (_difference(samples[way], open_, cloud.colors[rows]) for way in (False, True))
-    if tagged < CLEARLY * stored:
+    stored, tagged = (np.concatenate(way) for way in zip(*found, strict=True))
+    if min(len(stored), len(tagged)) < FEWEST:
+        return None
+    if tagged.mean() < CLEARLY * stored.mean():
         return True
-    return False if stored < CLEARLY * tagged else None  # NaN: neither
+    return False if stored.mean() < CLEARLY * tagged.mean() else None
 
 
-def _compared(
-    unclear: Sequence[StoredPhoto], photos: Sequence[StoredPhoto], cloud: Cloud, context: Context
-) -> tuple[list[StoredPhoto], Int64]:
-    """Some unclear photos with those that share most points with them; and rows of points."""
-    places = np.linspace(0, len(unclear) - 1, min(ANCHORS, len(unclear))).round().astype(int)
-    anchors = [unclear[k] for k in places]
-    chosen = {photo.key: photo for photo in anchors}
-    fits = [photo for photo in photos if photo.fits(AS_STORED) or photo.fits(photo.tag)]
-    rng, some = np.random.default_rng(0), []
-    for anchor in anchors:
-        rows = cloud.observed.get(anchor.key, NO_IDS)
-        some.append(rng.permutation(rows)[: POINTS // len(anchors)])
-        shared = []
-        for photo in fits:
-            context.check_cancelled()
-            shared.append(len(np.intersect1d(some[-1], cloud.observed.get(photo.key, NO_IDS))))
-        others = [k for k in np.argsort(shared, kind="stable")[::-1] if fits[k] is not anchor]
-        chosen |= {fits[k].key: fits[k] for k in others[:PARTNERS]}
-    found = np.unique(np.concatenate(some))
-    if not len(found):  # the model has no tracks
-        found = np.sort(rng.permutation(len(cloud.points))[:POINTS])
-    return list(chosen.values()), found
-
-
-def _sampled(photo: StoredPhoto, ways: Sequence[int], rows: Int64, cloud: Cloud) -> list[Float64]:
-    """(N, 3) colours of the points at `rows`, if turned in each of the ways; NaN: not seen."""
+def _differences(photo: StoredPhoto, cloud: Cloud) -> list[Float64]:
+    """Of points' colours from those in a photo as it is stored, and as it is turned by its tag."""
     from ..photos.decode import decode
 
     scale = min(1.0, SIDE / max(photo.size))
     size = (max(1, round(photo.size[0] * scale)), max(1, round(photo.size[1] * scale)))
     pixels = decode(photo.path, size)
-    seen = np.isin(rows, cloud.observed.get(photo.key, NO_IDS))
-    if not any(map(len, cloud.observed.values())):
-        seen[:] = True
+    rows = cloud.observed.get(photo.key, NO_IDS)
+    if not any(map(len, cloud.observed.values())):  # the model has no tracks
+        rows = np.arange(len(cloud.points))
+    rows = np.random.default_rng(0).permutation(rows)[:POINTS]
     rotation, translation = photo.world_to_camera[:3, :3], photo.world_to_camera[:3, 3]
     local = cloud.points[rows] @ rotation.T + translation
-    ahead = seen & (local[:, 2] > 0)
-    places = np.full((len(rows), 2), -1.0)
-    places[ahead] = seen_places(photo.camera, local[ahead])
+    rows, local = rows[local[:, 2] > 0], local[local[:, 2] > 0]
+    places = seen_places(photo.camera, local)
     found = []
-    for turn in ways:
-        picture = turned(pixels, turn)
+    for picture in (pixels, turned(pixels, photo.tag)):
         height, width = picture.shape[:2]
         factors = (width / photo.camera.width, height / photo.camera.height)
         column, row = np.nan_to_num(np.floor(places * factors), nan=-1, posinf=-1, neginf=-1).T
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-        colours = np.full((len(rows), 3), np.nan)
-        colours[inside] = picture[row[inside].astype(int), column[inside].astype(int)]
-        found.append(colours)
+        colours = picture[row[inside].astype(int), column[inside].astype(int)].astype(np.float64)
+        found.append(np.abs(colours - cloud.colors[rows[inside]]).mean(axis=1))
     return found
-
-
-def _difference(
-    samples: Sequence[Float64], unclear: NDArray[np.bool_], colors: NDArray[np.uint8]
-) -> float:
-    """How much the unclear photos' colours differ from those elsewhere; NaN: too few places."""
-    columns = np.array(samples)  # (photos, points, 3)
-    if colors.std(axis=0).max(initial=0) > VARIED:  # else the software has stored none
-        columns = np.concatenate([columns, colors[None].astype(np.float64)])
-    count = np.isfinite(columns[..., 0]).sum(axis=0)
-    total = np.nansum(columns, axis=0)
-    own = columns[: len(samples)][unclear]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        others = (total - own) / (count - 1)[:, None]
-    difference = np.abs(own - others).mean(axis=2)
-    difference = difference[np.isfinite(difference)]
-    return float(difference.mean()) if len(difference) >= FEWEST else float("nan")

@@ -31,7 +31,7 @@ from ..model.scene import PosedImage
 from .colours import Colours, colours_of, deep_to_srgb, kind_of, packing, to_srgb
 from .headers import PhotoError, check_unchanged, open_photo
 from .jpeg import jpeg_segments
-from .profiles import PART, Deep, parts_of
+from .profiles import PART, Deep
 from .rotation import AS_STORED, turned, turned_size
 from .tiff import TiffPhoto
 
@@ -50,7 +50,7 @@ LANCZOS = 3  # pixels that the filter reaches, of the larger of its two pictures
 TILE = 64  # pixels of a side
 BLACK, WHITE = "black", "white"
 # Packings of 16 bits, and those with the other order of bytes.
-COLOUR = re.compile(r"(RGB|RGBA|RGBX|RGBa);16([BLN])$")
+COLOUR = re.compile(r"(RGB|RGBA|RGBX);16([BLN])$")
 OTHER = {"B": "L", "L": "B", "N": "B" if sys.byteorder == "little" else "L"}
 # Of 255. Values of 14 bits in a 16-bit file end at 63; photos that show anything are brighter.
 BRIGHTEST_BLACK, MEAN_WHITE = 63, 250
@@ -296,34 +296,19 @@ def deep_values(photo: Image.Image) -> Deep | None:
     if found is None:
         return None
     channels, order = found.groups()
-    alike = channels.replace("a", "A")
-    values = _halves(
-        photo, *(f"{alike};16{half}" for half in (order, OTHER[order])), alpha=alike != channels
-    )
-    if alike != channels:  # multiplied by alpha
-        for part in parts_of(values):
-            alpha = np.maximum(part[..., 3:], 1).astype(np.float32)
-            part[:] = (part * (65535 / alpha)).round().clip(0, 65535)
-    return values[..., :3]
-
-
-def _halves(photo: Image.Image, high: str, low: str, *, alpha: bool) -> Deep:
-    """(H, W, 3 or 4) of a photo's file, by the packings with which Pillow reads its bytes.
-
-    In parts: a large photo has twice the bytes of Pillow's picture.
-    """
-    values: Deep = np.empty(0, np.uint16)
-    for shift, packed in ((8, high), (0, low)):
-        with open_photo(Path(getattr(photo, "filename", ""))) as again:  # not turned by its tag
-            _read_as(again, packed)
+    colours: Deep = np.empty(0, np.uint16)
+    # In parts: a large photo has twice the bytes of Pillow's picture.
+    for shift, half in ((8, order), (0, OTHER[order])):
+        with open_photo(Path(getattr(photo, "filename", ""))) as again:
+            _read_as(again, f"{channels};16{half}")
             if shift:
-                values = np.zeros((again.height, again.width, 4 if alpha else 3), np.uint16)
+                colours = np.zeros((again.height, again.width, 3), np.uint16)
             rows = max(1, PART // again.width)
             for top in range(0, again.height, rows):
                 box = (0, top, again.width, min(top + rows, again.height))
-                part = np.asarray(again.crop(box))[..., : values.shape[2]]
-                values[top : top + rows] |= np.left_shift(part, shift, dtype=np.uint16)
-    return values
+                part = np.asarray(again.crop(box))[..., :3]
+                colours[top : top + rows] |= np.left_shift(part, shift, dtype=np.uint16)
+    return colours
 
 
 def _read_as(photo: Image.Image, packed: str) -> None:

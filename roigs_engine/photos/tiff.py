@@ -83,7 +83,7 @@ def pillow_reads(photo: Image.Image) -> bool:
         return chunky or not associated
     if formats == {FLOAT} and tags.prefix == b"MM" and compression != 1:
         return False
-    return chunky and tags.get(PHOTOMETRIC) != MINISWHITE
+    return chunky and not associated and tags.get(PHOTOMETRIC) != MINISWHITE
 
 
 def _of_eight_bits(palette: Sequence[int]) -> bool:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pycolmap
 import pytest
 from PIL import Image
 
@@ -37,9 +38,18 @@ BACK = {  # turn -> what makes the stored pixels of the seen ones
 }
 
 
+def colour_of(row: int) -> tuple[int, int, int]:
+    """Of a point."""
+    return 37 * row % 256, 91 * row % 256, 211 * row % 256
+
+
 def painted(folder: Path, **settings: Any) -> tuple[Project, dict[str, np.ndarray]]:
     """A project whose photos show its points in their colours; and the photos."""
     project = write_project(folder, names=NAMES, points=POINTS, **settings)
+    model = pycolmap.Reconstruction(str(folder / "sparse/0"))
+    for row, key in enumerate(sorted(model.points3D)):
+        model.points3D[key].color = np.array(colour_of(row), np.uint8)
+    model.write(str(folder / "sparse/0"))
     rng = np.random.default_rng(2)
     seen = {}
     for index, name in enumerate(NAMES):
@@ -49,7 +59,7 @@ def painted(folder: Path, **settings: Any) -> tuple[Project, dict[str, np.ndarra
             if np.isfinite(place).all():
                 column, line = place.astype(int)
                 part = pixels[max(0, line - 1) : line + 2, max(0, column - 1) : column + 2]
-                part[:] = (37 * row % 256, 91 * row % 256, 211 * row % 256)
+                part[:] = colour_of(row)
         seen[name] = pixels
         Image.fromarray(pixels).save(folder / "images" / name)
     return project, seen
