@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import subprocess
 import sys
 from importlib import import_module
@@ -34,16 +33,7 @@ PRIM = "/Gaussians"
 ARCS = ("references", "payload", "inheritPaths", "specializes", "variantSetNames", "clips")
 """What makes OpenUSD open other files, or the same prims again and again."""
 DEEPEST = 200
-"""Prims, dictionaries or lists in each other; at some thousands OpenUSD's recursion crashes."""
-NO_BRACKETS = re.compile(
-    rb'"""(?:[^"\\]++|\\.|"(?!""))*+"""|"(?:[^"\\\n]++|\\.)*+"'
-    rb"|'''(?:[^'\\]++|\\.|'(?!''))*+'''|'(?:[^'\\\n]++|\\.)*+'"
-    rb"|#[^\r\n]*+|@@@.*?@@@|@[^@\n]*+@|<[^<>\n]*+>",
-    re.DOTALL,
-)
-"""Strings, comments, names of files and paths of a .usda: brackets in them open nothing."""
-STEPS = np.zeros(256, np.int8)
-STEPS[np.frombuffer(b"([{", np.uint8)], STEPS[np.frombuffer(b")]}", np.uint8)] = 1, -1
+"""Prims in each other; at some thousands OpenUSD's recursion crashes."""
 KIND = "ParticleField3DGaussianSplat"
 SH = "radiance:sphericalHarmonicsCoefficients"
 SPACE = "colorSpace:name"
@@ -221,15 +211,8 @@ def _alone(path: Path) -> tuple[Any, bool]:
 def _refuse_crash(path: Path) -> None:
     """Raise ValueError for a file that would end this process, or fill its memory.
 
-    Of text it is enough to count brackets. Other files are opened by a process of its own first.
+    A process of its own opens it first.
     """
-    with open(path, "rb") as file:
-        if file.read(1) == b"#":
-            steps = STEPS[np.frombuffer(NO_BRACKETS.sub(b"", b"#" + file.read()), np.uint8)]
-            deepest = int(np.cumsum(steps[steps != 0], dtype=np.int64).max(initial=0))
-            if deepest > DEEPEST:
-                raise ValueError(f"its parts are nested {deepest:,} deep")
-            return
     limit = max(SMALL, MOST_RATIO * path.stat().st_size)
     command = [sys.executable, "-m", f"{__package__}.usd_probe", str(path), str(limit)]
     command.append(str(DEEPEST))

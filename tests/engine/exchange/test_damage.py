@@ -155,7 +155,7 @@ def test_openusd_text_that_is_nested_too_deep(head: str, opening: str, tmp_path:
     """OpenUSD's recursion ended the whole process."""
     pytest.importorskip("pxr")
     data = f"#usda 1.0\n{head}{opening * 100_000}".encode()
-    refused(tmp_path / "a.usda", data, r"its parts are nested 100,00\d deep")
+    refused(tmp_path / "a.usda", data, "OpenUSD cannot open it")
 
 
 def test_brackets_in_words_open_nothing(tmp_path: Path) -> None:
