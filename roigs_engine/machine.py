@@ -10,8 +10,11 @@ import platform
 import shutil
 import sys
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
+from .errors import EngineError
 from .formats.events import Message
 from .formats.text import in_gb
 
@@ -21,6 +24,25 @@ MEMORY_FULL = ("allocate memory", "bad_alloc", "can't start new thread")
 MEMORY_MAY_BE_FULL = "failed to map segment"  # or the disk is mounted noexec
 NO_MEMORY = "There is not enough memory for this."
 FALLBACK_MEMORY = 8 << 30  # bytes, if the machine's memory is unknown
+
+
+def package(module: str, purpose: str, name: str = "", otherwise: str = "") -> Any:
+    """A module of an optional package; EngineError if it is not installed.
+
+    Args:
+        module: to import.
+        purpose: begins the error's sentence, such as "SPZ".
+        name: of the package, as pip knows it; empty: as the module.
+        otherwise: a sentence on another way.
+    """
+    name = name or module.partition(".")[0]
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise EngineError(
+            f"{purpose} needs {name}, which is not installed ({error}).",
+            f"Run: pip install {name} (Blender: set up the engine again). {otherwise}".rstrip(),
+        ) from error
 
 
 def machine_memory() -> int:

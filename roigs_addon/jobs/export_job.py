@@ -14,7 +14,7 @@ from ..errors import AddonError
 from ..scene import edits, fly_to, instances
 from ..scene.frame_request import Model, models_of, shown, standing
 from ..shared import EngineError, files, splat_ply, targets, text
-from .spec import EXPORTING, PACKAGES, JobSpec
+from .spec import EXPORTING, JobSpec
 
 NAME = "roigs-export"
 """Of the list of models and of the log, in Blender's temporary folder."""
@@ -87,7 +87,6 @@ def spec(
         log=listed.with_suffix(".log"),
         on_done=said,
         done_text=f"Exported {path.name}",
-        words=PACKAGES,
     )
 
 

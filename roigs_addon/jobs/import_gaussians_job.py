@@ -19,7 +19,7 @@ from ..geometry.rounding import rounding
 from ..properties import scene_props
 from ..scene import clouds, splats
 from . import current, run_folders
-from .spec import IMPORTING_GAUSSIANS, PACKAGES, JobSpec
+from .spec import IMPORTING_GAUSSIANS, JobSpec
 
 ENDINGS = (".compressed.ply", ".ply", ".spz", ".sog", ".glb", ".usdc", ".usda", ".usdz", ".splat")
 """Of the names of files that can be imported, and exported."""
@@ -73,7 +73,6 @@ def spec(context: bpy.types.Context, source: Path, up: str) -> JobSpec:
         log=folder / LOG,
         on_done=build,
         done_text=f"Imported {name}",
-        words=PACKAGES,
     )
 
 

@@ -17,9 +17,6 @@ LEVELS, ADAPTING = "Making Levels", "Adapting"
 RESUMED = {TRAINING: "Continue", RECONSTRUCTING: "Continue", LEVELS: "Make Levels"}
 """Jobs that keep what they have done when they stop -> the button that goes on from there."""
 
-PACKAGES = {"all of the extra 'formats'": "set up the engine again in the add-on's preferences"}
-"""Of the engine's error that a package of a format is missing: what a user of Blender does."""
-
 
 def how_to_resume(title: str) -> str:
     """A sentence to follow another one; empty for jobs that begin again."""

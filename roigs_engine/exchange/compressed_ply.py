@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 
 from ..formats.files import write_bytes
-from ..formats.splat_ply import target_lines
+from ..formats.splat_ply import read_header, target_lines
 from ..formats.targets import PLAIN, Target
+from ..machine import package
 from .arrays import Arrays, unit_quats
-from .libraries import NotSupportedError, package
+from .libraries import NotSupportedError
 
 TITLE = "compressed PLY"
 CHUNK = 256  # Gaussians that share their bounds
 BYTES = {"chunk": (72, 48), "vertex": (16,), "sh": (9, 24, 45)}
 """Element -> bytes that one may have."""
-MAX_HEADER = 1 << 16
 
 
 def write(path: Path, arrays: Arrays, *, target: Target = PLAIN) -> int:
@@ -83,38 +83,23 @@ def arrays_of(data: Any) -> Arrays:
 def _check(path: Path) -> int:
     """Compare what the header promises with the file's size: gsply trusts it; bytes of a chunk."""
     with open(path, "rb") as file:
-        head = file.read(MAX_HEADER)
-        size = os.fstat(file.fileno()).st_size
-    end = re.search(rb"\nend_header\r?\n", head)
-    if not head.startswith(b"ply") or end is None:
-        raise ValueError("no header")
-    counts, bytes_of, element, form = {}, {}, "", ""
-    for line in head[: end.start()].decode("ascii", "replace").splitlines():
-        words = line.split()
-        if words[:1] == ["element"] and len(words) == 3:
-            element = words[1]
-            if not re.fullmatch("[0-9]{1,12}", words[2]) or element in counts:
-                raise ValueError(f"'{line:.40}'")
-            counts[element], bytes_of[element] = int(words[2]), 0
-        elif words[:1] == ["property"] and element:
-            if len(words) != 3:
-                raise ValueError(f"'{line:.40}'")
-            bytes_of[element] += {"float": 4, "uint": 4, "uchar": 1}.get(words[1], 1 << 40)
-        elif words[:1] == ["format"]:
-            form = " ".join(words[1:2])
+        form, elements = read_header(file, path)
+        there = os.fstat(file.fileno()).st_size - file.tell()
+    counts = {element.name: element.count for element in elements}
+    bytes_of = {e.name: sum(np.dtype(k).itemsize for k in e.fields.values()) for e in elements}
     if form != "binary_little_endian":
         raise NotSupportedError(f"a compressed PLY in the format '{form:.30}'")
-    if not {"chunk", "vertex"} <= counts.keys():
+    if not {"chunk", "vertex"} <= counts.keys() or len(counts) < len(elements):
         raise ValueError("its elements are not those of a compressed PLY")
     if more := counts.keys() - BYTES.keys():
         raise NotSupportedError(f"the element '{min(more):.30}' of a compressed PLY")
-    if any(bytes_of[name] not in BYTES[name] for name in counts):
+    if any(e.lists or bytes_of[e.name] not in BYTES[e.name] for e in elements):
         raise NotSupportedError("a compressed PLY with other properties than PlayCanvas's")
     if -(-counts["vertex"] // CHUNK) != counts["chunk"]:
         raise ValueError("its chunks do not belong to its Gaussians")
     if counts.get("sh", counts["vertex"]) != counts["vertex"]:
         raise ValueError("its colours do not belong to its Gaussians")
     wanted = sum(counts[name] * bytes_of[name] for name in counts)
-    if size - end.end() < wanted:
-        raise ValueError(f"it has {size - end.end()} of {wanted} bytes")
+    if there < wanted:
+        raise ValueError(f"it has {there} of {wanted} bytes")
     return bytes_of["chunk"]

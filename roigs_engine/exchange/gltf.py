@@ -21,11 +21,12 @@ from scipy.spatial.transform import Rotation
 
 from ..formats.files import write_bytes
 from ..formats.names import inner_path
+from ..machine import package
 from ..model.gaussians import SH_C0
 from ..model.scene import Float64
 from . import spz
 from .arrays import Arrays, joined, logits, opacities, unit_quats
-from .libraries import MOST_PARTS, NotSupportedError, package, read_beside, refuse_bomb
+from .libraries import MOST_PARTS, NotSupportedError, read_beside, refuse_bomb
 from .transform import moved, recoloured
 
 TITLE = "glTF"

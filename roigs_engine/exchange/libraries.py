@@ -10,9 +10,7 @@ import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -28,7 +26,6 @@ class NotSupportedError(Exception):
     """A valid file with something that is not read; the text is a noun phrase that says what."""
 
 
-EXTRA = "formats"  # of pyproject.toml: installs all of them
 HINT = "Write or download the file again."
 CONVERT = "Save it as .ply with the program that it is from, or with SuperSplat."
 MOST_RATIO, SMALL = 100, 64 << 20
@@ -36,24 +33,6 @@ MOST_RATIO, SMALL = 100, 64 << 20
 MOST_PARTS = 4096  # of a file; each takes some milliseconds
 OPENUSD = re.compile(r" at line \d+ in file .*? : '(.*?)\n?'(?:\n|$)", re.DOTALL)
 """Its errors begin with the place in its source."""
-
-
-def package(module: str, purpose: str, name: str = "") -> Any:
-    """A module of an optional package; EngineError if it is not installed.
-
-    Args:
-        module: to import.
-        purpose: begins the error's sentence, such as "SPZ".
-        name: of the package, as pip knows it; empty: as the module.
-    """
-    name = name or module.partition(".")[0]
-    try:
-        return import_module(module)
-    except ImportError as error:
-        raise EngineError(
-            f"{purpose} needs {name}, which is not installed ({error}).",
-            f"Install {name}, or all of the extra '{EXTRA}'.",
-        ) from error
 
 
 @contextmanager

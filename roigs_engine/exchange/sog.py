@@ -21,10 +21,11 @@ from ..errors import ConfigError
 from ..formats.files import atomic_write
 from ..formats.names import inner_path
 from ..formats.splat_ply import Check, nothing
+from ..machine import package
 from ..model.scene import Float64
 from .arrays import Arrays, Float32, extent, in_morton_order, opacities, unit_quats
 from .compressed_ply import arrays_of
-from .libraries import NotSupportedError, package, read_beside, refuse_bomb
+from .libraries import NotSupportedError, read_beside, refuse_bomb
 
 TITLE = "SOG"
 CODES = 256  # numbers that a codebook has

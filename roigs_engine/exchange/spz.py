@@ -18,9 +18,10 @@ from ..errors import ConfigError
 from ..formats.drawable import FLAT
 from ..formats.files import write_bytes
 from ..formats.splat_ply import Check, nothing
+from ..machine import package
 from ..model.scene import Float64
 from .arrays import Arrays, Float32, in_morton_order, logits, unit_quats
-from .libraries import NotSupportedError, package, refuse_bomb, scratch
+from .libraries import NotSupportedError, refuse_bomb, scratch
 
 TITLE = "SPZ"
 MAGIC, GZIP = 0x5053474E, b"\x1f\x8b"

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import EngineError
 from ..formats.files import write_bytes
-from ..machine import child_environment
+from ..machine import child_environment, package
 from ..model.scene import Float64
 from .arrays import Arrays, Float32, joined, logits, opacities, turn, unit_quats
 from .libraries import (
@@ -21,7 +21,6 @@ from .libraries import (
     MOST_RATIO,
     SMALL,
     NotSupportedError,
-    package,
     refuse_bomb,
     scratch,
 )

@@ -198,7 +198,7 @@ def check_ply(path: str | Path) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Element:
+class Element:
     """An element of a PLY's header."""
 
     name: str
@@ -213,8 +213,8 @@ def _tables(
     """The rows of the vertices, in one part or more; with `only_header`, a part without rows."""
     try:
         with open(path, "rb", opener=regular) as file:
-            form, elements = _read_header(file, path)
-            order = FORMS[form]
+            form, elements = read_header(file, path)
+            elements, order = _up_to_vertices(elements, path), FORMS[form]
             vertex = elements[-1]
             row = np.dtype([(name, order + kind) for name, kind in vertex.fields.items()])
             count = vertex.count
@@ -243,7 +243,7 @@ def _truncated(path: str | Path, there: int, count: int) -> RunFolderError:
 
 
 def _skip(
-    file: BinaryIO, elements: list[_Element], order: str, path: str | Path, check: Check
+    file: BinaryIO, elements: list[Element], order: str, path: str | Path, check: Check
 ) -> None:
     """Move `file` behind binary elements that come before the vertices."""
     size, big = os.fstat(file.fileno()).st_size, order == ">"
@@ -272,7 +272,7 @@ def _skip(
 
 def _check_lines(
     file: BinaryIO,
-    elements: list[_Element],
+    elements: list[Element],
     row: np.dtype[np.void],
     path: str | Path,
     check: Check,
@@ -318,8 +318,8 @@ def _text_rows(
         yield table
 
 
-def _read_header(file: BinaryIO, path: str | Path) -> tuple[str, list[_Element]]:
-    """Format and elements up to the vertices, which are last; `file` is left at the first row."""
+def read_header(file: BinaryIO, path: str | Path) -> tuple[str, list[Element]]:
+    """Format and elements of a PLY; `file` is left at the first row. RunFolderError: it is none."""
     head = file.read(MAX_HEADER)
     end = re.search(rb"\nend_header\r?\n", head)
     if not re.match(rb"ply\r?\n", head) or (end is None and len(head) < MAX_HEADER):
@@ -329,32 +329,37 @@ def _read_header(file: BinaryIO, path: str | Path) -> tuple[str, list[_Element]]
         text = f"{path}: the header of this PLY is longer than {MAX_HEADER >> 20} MB."
         raise RunFolderError(text, "Write it again with shorter comments.")
     file.seek(end.end())
-    elements: list[_Element] = []
+    elements: list[Element] = []
     form = ""
     for line in head[: end.start()].decode("ascii", "replace").splitlines()[1:]:
         match line.split():
             case ["format", form, *_]:
                 pass
-            case ["element", "chunk", *_]:
-                raise RunFolderError(f"{path} is a compressed PLY.", "Save it uncompressed.")
             case ["element", name, number]:
                 if not re.fullmatch("[0-9]{1,18}", number):
                     text = f"{path}: '{number:.20}' is not a number of vertices."
                     raise RunFolderError(text, HINT)
-                elements.append(_Element(name=name, count=int(number), fields={}, lists={}))
+                elements.append(Element(name=name, count=int(number), fields={}, lists={}))
             case ["property", *words] if elements:
                 _add_property(elements[-1], words, line, path)
-    place = [k for k, element in enumerate(elements) if element.name == "vertex"]
     if form not in FORMS:
         raise RunFolderError(f"{path} is a PLY in the unknown format '{form:.60}'.", HINT)
+    return form, elements
+
+
+def _up_to_vertices(elements: list[Element], path: str | Path) -> list[Element]:
+    """The elements up to the vertices, which are last; RunFolderError: they are no Gaussians."""
+    place = [k for k, element in enumerate(elements) if element.name == "vertex"]
+    if any(element.name == "chunk" for element in elements):
+        raise RunFolderError(f"{path} is a compressed PLY.", "Save it uncompressed.")
     if not place or not elements[place[0]].fields:
         raise RunFolderError(f"{path} has no vertex element.", HINT)
     if len(place) > 1:
         raise RunFolderError(f"{path} has {len(place)} vertex elements, not one.", HINT)
-    return form, elements[: place[0] + 1]
+    return elements[: place[0] + 1]
 
 
-def _add_property(element: _Element, words: list[str], line: str, path: str | Path) -> None:
+def _add_property(element: Element, words: list[str], line: str, path: str | Path) -> None:
     """Add a line of the header to its element; lists can only be in elements that are skipped."""
     match words:
         case [kind, name] if kind in SCALARS and name not in element.fields:

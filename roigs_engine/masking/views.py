@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..colmap.photo_pixels import PhotoPixels
-from ..errors import EngineError
 from ..formats.scribbles import MOST, OBJECT, Stroke
+from ..machine import package
 from ..model.roi import OrientedBox
 from ..model.scene import Camera, Float64, origin
 
@@ -29,14 +29,7 @@ FREE, ON_OBJECT, ON_BACKGROUND = 0, 1, 2
 
 def opencv() -> Any:
     """The module `cv2`; EngineError if it is not installed."""
-    try:
-        import cv2
-    except ImportError as error:
-        raise EngineError(
-            f"Making masks needs OpenCV, which is not installed ({error}).",
-            "Run: pip install opencv-python-headless (Blender: set up the engine again).",
-        ) from error
-    return cv2
+    return package("cv2", "Making masks", "opencv-python-headless")
 
 
 @dataclass(frozen=True, kw_only=True)

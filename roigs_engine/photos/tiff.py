@@ -14,7 +14,6 @@ import re
 import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
@@ -22,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageFile, TiffImagePlugin
 
-from ..errors import EngineError
 from ..formats.files import regular
+from ..machine import package
 from .jpeg import check_scans, jpeg_size
 from .profiles import parts_of
 
@@ -175,7 +174,7 @@ class TiffPhoto(ImageFile.ImageFile):
         super().__init__(path)
 
     def _open(self) -> None:
-        with _library(self._path).TiffFile(self._path) as file:
+        with _package("tifffile", self._path).TiffFile(self._path) as file:
             page = _photo_page(file)
             _check(page)
             self._size = (page.imagewidth, page.imagelength)
@@ -211,29 +210,19 @@ class TiffPhoto(ImageFile.ImageFile):
         return self._read(read)
 
     def _read(self, read: Callable[[Any], Result]) -> Result:
-        with _library(self._path).TiffFile(self._path) as file:
+        with _package("tifffile", self._path).TiffFile(self._path) as file:
             try:
                 return read(_photo_page(file))
             except ValueError as error:
                 if "imagecodecs" in str(error):
-                    raise _missing(self._path, "imagecodecs") from error
+                    _package("imagecodecs", self._path)
                 raise
 
 
-def _library(path: Path) -> Any:
-    try:
-        library = import_module("tifffile")
-    except ImportError as error:
-        raise _missing(path, "tifffile") from error
+def _package(name: str, path: Path) -> Any:
+    library = package(name, f"Reading the TIFF {path}", otherwise=HINT)
     logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)  # errors are raised as well
     return library
-
-
-def _missing(path: Path, package: str) -> EngineError:
-    return EngineError(
-        f"Reading the TIFF {path} needs {package}, which is not installed.",
-        f"Run: pip install tifffile imagecodecs (Blender: set up the engine again). {HINT}",
-    )
 
 
 def _photo_page(file: Any) -> Any:

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..context import Context
-from ..errors import EngineError, SceneError
+from ..errors import SceneError
 from ..formats.files import atomic_write, own_file, read_record, write_json
 from ..formats.text import counted
+from ..machine import package
 from ..photos.colours import colours_of, say_srgb
 from ..photos.decode import check_whole, to_rgb
 from ..photos.files import HEIC
@@ -49,7 +50,9 @@ def converted(files: Mapping[str, Path], folder: Folder, context: Context) -> di
         return dict(files)
     heic = [name for name in foreign if Path(name).suffix.lower() in HEIC]
     if heic:
-        _register(len(heic))
+        purpose = f"Reading {counted(len(heic), 'photo')} in HEIC format"
+        pillow_heif = package("pillow_heif", purpose, "pillow-heif", "Or convert to JPEG.")
+        pillow_heif.register_heif_opener()
     names = {name: f"{name}.jpg" for name in foreign}
     found = {name: path for name, path in files.items() if name not in {*foreign, *names.values()}}
     made = read_record(folder.work(RECORD))  # name -> digest, and SRGB or nothing
@@ -83,18 +86,6 @@ def _is_foreign(name: str, path: Path) -> bool:
         with suppress(PhotoError), open_photo(path) as photo:
             return not colmap_reads(photo)
     return suffix in FOREIGN
-
-
-def _register(photos: int) -> None:
-    try:
-        import pillow_heif
-    except ImportError as error:
-        raise EngineError(
-            f"{counted(photos, 'photo')} in HEIC format: reading them needs pillow-heif, which is"
-            f" not installed ({error}).",
-            "Run: pip install pillow-heif (Blender: set up the engine again). Or convert to JPEG.",
-        ) from error
-    pillow_heif.register_heif_opener()
 
 
 def _convert(source: Path, target: Path, known: str) -> str:

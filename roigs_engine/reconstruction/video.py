@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..context import Context
-from ..errors import EngineError, SceneError
+from ..errors import SceneError
 from ..formats.events import StageStarted
 from ..formats.files import atomic_write, own_folder, read_record, regular, write_json
 from ..formats.text import counted
+from ..machine import package
 from ..photos.headers import MAX_PIXELS, content_digest
 from .folder import IMAGES, Folder
 from .photo_checks import BLURRED, fine_detail
@@ -35,18 +36,6 @@ FLAGGING = ("h264", "mpeg1video", "mpeg2video", "vc1")  # codecs that flag each 
 # FFmpeg's field orders: the field shown first
 INTERLACED = {2: "tff", 3: "bff", 4: "bff", 5: "tff"}
 Pixels = NDArray[np.uint8]
-
-
-def av_module() -> Any:
-    """The module `av`; EngineError if it is not installed."""
-    try:
-        import av
-    except ImportError as error:
-        raise EngineError(
-            f"Reading videos needs PyAV, which is not installed ({error}).",
-            "Run: pip install av (Blender: set up the engine again). Or give a folder of frames.",
-        ) from error
-    return av
 
 
 class Video:
@@ -68,7 +57,8 @@ class Video:
         self.colours: Colours | None = None
         self.deinterlaced = False
         self.damaged = False
-        self._av = av_module()
+        otherwise = "Or give a folder of frames."
+        self._av = package("av", "Reading videos", otherwise=otherwise)
 
     def frames(self) -> Iterator[tuple[int, Any]]:
         """The number of each frame, from 0, and the frame; the same in every pass.

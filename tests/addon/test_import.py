@@ -10,8 +10,9 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from roigs_engine import machine
 from roigs_engine.errors import EngineError
-from roigs_engine.exchange import formats, libraries
+from roigs_engine.exchange import formats
 from roigs_engine.exchange.arrays import turn
 from roigs_engine.formats.splat_ply import read_ply, target_of, write_ply
 from roigs_engine.formats.targets import TARGETS, VIEWERS, Target
@@ -308,13 +309,13 @@ def test_a_missing_package_is_said(
     def missing(name: str, package: str | None = None) -> None:
         raise ImportError(f"No module named '{name}'")
 
-    monkeypatch.setattr(libraries, "import_module", missing)
+    monkeypatch.setattr(machine, "import_module", missing)
     with pytest.raises(EngineError) as caught:
-        libraries.package("gsply", "SPZ")
+        machine.package("gsply", "SPZ")
     error = caught.value
     event = f"event='failed', message={error.message!r}, hint={error.hint!r}"
     use(monkeypatch, tmp_path, f"say({event}); sys.exit(2)")
-    wanted = "Install gsply, or set up the engine again in the add-on's preferences"
+    wanted = r"Run: pip install gsply \(Blender: set up the engine again\)"
     with pytest.raises(RuntimeError, match=wanted):
         blender.ops.roigs.import_gaussians(filepath=str(ply))
 

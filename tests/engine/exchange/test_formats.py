@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from roigs_engine import machine
 from roigs_engine.cli import main
 from roigs_engine.errors import ConfigError, EngineError, RunFolderError, Stopped
-from roigs_engine.exchange import formats, gltf, libraries
+from roigs_engine.exchange import formats, gltf
 from roigs_engine.exchange.arrays import UP, turn
 from roigs_engine.exchange.transform import moved
 from roigs_engine.formats.splat_ply import read_ply, write_ply
@@ -292,11 +293,11 @@ def test_a_missing_package_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path
     def missing(name: str, package: str | None = None) -> None:
         raise ImportError(f"No module named '{name}'")
 
-    monkeypatch.setattr(libraries, "import_module", missing)
+    monkeypatch.setattr(machine, "import_module", missing)
     for suffix, package in ((".spz", "gsply"), (".glb", "pygltflib"), (".usdc", "usd-core")):
         with pytest.raises(EngineError, match=f"needs {package}, which is not installed") as caught:
             formats.write(tmp_path / f"a{suffix}", arrays())
-        assert "extra 'formats'" in str(caught.value)
+        assert f"pip install {package}" in str(caught.value)
     assert not list(tmp_path.iterdir())
 
 

@@ -216,8 +216,7 @@ def test_a_missing_package_is_one_line(
             raise ValueError("<COMPRESSION.LZW: 5> requires the 'imagecodecs' package")
 
         monkeypatch.setattr(tifffile.TiffPage, "asarray", asarray)
-    else:
-        monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.setitem(sys.modules, package, None)
     assert np.array_equal(decode(tmp_path / "b.tif"), COLOUR)
     with pytest.raises(EngineError, match=f"needs {package}") as caught:
         read_contents({"a": path})

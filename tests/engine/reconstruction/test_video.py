@@ -335,5 +335,5 @@ def test_frames_of_another_video_are_not_mixed_in(tmp_path: Path) -> None:
 
 def test_a_missing_pyav_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(EngineError, match="Reading videos needs PyAV"):
+    with pytest.raises(EngineError, match="Reading videos needs av"):
         Video(tmp_path / "walk.mp4")
