@@ -21,7 +21,7 @@ def test_errors_say_what_is_missing(
     bpy, scene = blender, blender.context.scene
     for operator in (bpy.ops.roigs.select_cameras, bpy.ops.roigs.train_roi):
         assert not operator.poll()
-    with pytest.raises(AddonError, match="No COLMAP model"):
+    with pytest.raises(AddonError, match="There are no cameras"):
         options_files.common_options(scene, [])
     ready(bpy, project, tmp_path / "run")
     with pytest.raises(AddonError, match="no boxes"):
