@@ -3,30 +3,38 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from ..context import QUIET, Context
 from ..errors import ConfigError, EngineError, Stopped
 from ..formats.events import Preview
 from ..formats.files import read_json
 from ..formats.frame_requests import REQUEST, colour_file, depth_file
-from ..formats.text import counted
+from ..formats.names import usable_path
+from ..formats.text import counted, first_line
 from ..requests.models import Render, RenderFrames
 from .inputs import load_scene, on_device, use_threads
-from .instances import HINT, drawable_model, instances
+from .instances import HINT, InstanceRecord, drawable_model, instances
 from .outputs import Result, refuse_run_files
 from .run_scene import levelled_run
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+    from torch import Tensor
+
     from ..model.gaussians import Gaussians
     from ..model.local_frame import LocalFrame
     from ..model.scene import Camera, Float64
     from ..rasterize.camera_path import CameraPath
+    from ..rasterize.instances import Layer
 
-STAGE = "models"
+STAGE, SAMPLES = "models", "samples"
+MOST_SAMPLES = 1024
 PAUSE = 0.005  # seconds between two looks into the folder
 
 
@@ -161,26 +169,78 @@ def _state(path: str) -> tuple[int, int]:
     return state.st_mtime_ns, state.st_size
 
 
+class Sample(NamedTuple):
+    """A sharp picture of a request: its camera, (4, 4) world_to_camera, models and surfaces."""
+
+    camera: Camera
+    pose: Float64
+    models: list[InstanceRecord]
+    surfaces: Path | None  # (T, 3, 3) float32 corners of triangles that hide Gaussians, as .npy
+
+
 def answer(request: Path, models: Models, context: Context) -> Path:
     """Render what a request file asks for; returns the picture, which is written last.
 
-    EngineError: the request is malformed, or a model cannot be read.
+    EngineError: the request is malformed, or a file cannot be read.
     """
-    import torch
-
-    from ..rasterize.camera_path import camera_from_record
     from ..rasterize.image_files import save_layer
-    from ..rasterize.instances import render_instances
+    from ..rasterize.instances import mean_layer
 
     record = read_json(request, ConfigError, HINT)
     try:
-        _, camera, pose = camera_from_record(record["camera"])
         out = request.parent / record["out"]
-        wanted = instances(record, request.parent)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        blurred = "samples" in record
+        samples = [_sample(each, request.parent) for each in record.get("samples", [record])]
+        if not 0 < len(samples) <= MOST_SAMPLES:
+            raise ValueError(f"samples must be from 1 to {MOST_SAMPLES}")
+    except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{request} is malformed ({error}).", HINT) from error
-    read = models.get([item.file for item in wanted], context)
-    placed = [item.of(*model) for model, item in zip(read, wanted, strict=True)]
-    layer = render_instances(placed, camera, pose, torch.device(context.device))
+    layers = _layers(samples, models, context)
+    layer = mean_layer(layers) if blurred else next(layers)[0]
     save_layer(colour_file(out), depth_file(out), layer)
     return colour_file(out)
+
+
+def _sample(record: Any, folder: Path) -> Sample:
+    """A sample of a request; KeyError, TypeError, ValueError or OverflowError if malformed."""
+    from ..rasterize.camera_path import camera_from_record
+
+    _, camera, pose = camera_from_record(record["camera"])
+    surfaces = record.get("surfaces")
+    path = None if surfaces is None else folder / usable_path(surfaces)
+    return Sample(camera, pose, instances(record, folder), path)
+
+
+def _layers(
+    samples: list[Sample], models: Models, context: Context
+) -> Iterator[tuple[Layer, Tensor]]:
+    """Each sample's layer, and the depth of its surfaces."""
+    import torch
+
+    from ..rasterize.instances import render_instances, surface_depth
+
+    paths = list(dict.fromkeys(item.file for sample in samples for item in sample.models))
+    read = dict(zip(paths, models.get(paths, context), strict=True))
+    last, triangles, started = None, torch.zeros(0, 3, 3), time.monotonic()
+    for step, sample in enumerate(samples, start=1):
+        context.check_cancelled()
+        if sample.surfaces is not None and sample.surfaces != last:
+            last, triangles = sample.surfaces, torch.from_numpy(_triangles(sample.surfaces))
+        shown = triangles if sample.surfaces is not None else triangles[:0]
+        posed = [item.of(*read[item.file]) for item in sample.models]
+        layer = render_instances(posed, sample.camera, sample.pose, torch.device(context.device))
+        yield layer, surface_depth(shown, sample.camera, sample.pose)
+        context.progress(SAMPLES, step, len(samples), started)
+
+
+def _triangles(path: Path) -> NDArray[np.float32]:
+    """The surfaces of a file; ConfigError: it is missing, or holds no triangles."""
+    try:
+        found = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise ConfigError(f"Cannot read {path} ({first_line(error)}).", HINT) from error
+    if not isinstance(found, np.ndarray) or found.dtype != np.float32 or found.shape[1:] != (3, 3):
+        raise ConfigError(f"{path} has no triangles: (T, 3, 3) float32.", HINT)
+    if not np.isfinite(found).all():
+        raise ConfigError(f"{path} has a corner that is not finite.", HINT)
+    return found

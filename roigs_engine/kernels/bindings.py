@@ -112,6 +112,11 @@ SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "roigs_adam": (_COUNT, [_COUNT, _ADDRESS, _ADDRESS]),  # rows, Adam, visible
     # matrix, rows, width, chosen, count, out
     "roigs_copy_rows": (None, [_ADDRESS, _COUNT, _COUNT, _ADDRESS, _COUNT, _ADDRESS]),
+    # triangles, count, lens, near, width, height, depth
+    "roigs_surface_depth": (
+        None,
+        [_ADDRESS, _COUNT, _ADDRESS, ctypes.c_double, _COUNT, _COUNT, _ADDRESS],
+    ),
     # width, height; image (3, height, width), target (height, width, 3), weights (height, width) or
     # null; SSIM's weight; gradient (3, height, width) or null, result: loss, L1, SSIM as doubles
     "roigs_photo_loss": (

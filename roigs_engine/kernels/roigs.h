@@ -75,3 +75,8 @@ ROIGS_API int64_t roigs_adam(int64_t rows, const roigs::Adam* adam, const uint8_
 // a number that is none.
 ROIGS_API void roigs_copy_rows(const float* matrix, int64_t rows, int64_t width,
                                const int64_t* chosen, int64_t count, float* out);
+
+// Lowers `depth` (height, width) to the depth of the triangles (count, 3, 3), in the camera's frame
+// and beyond `near`, at each pixel's centre. `lens`: fx, fy, cx, cy, px.
+ROIGS_API void roigs_surface_depth(const float* triangles, int64_t count, const double* lens,
+                                   double near, int64_t width, int64_t height, float* depth);

@@ -3,11 +3,15 @@
 Everything is computed in the camera's own frame, so places far from the origin cost no precision.
 View dependence turns with a model: its colours are evaluated in its own frame, once per picture,
 and drawn as plain colours.
+
+A picture with depth of field or motion blur is the mean of sharp ones, each from another place of
+the lens and at another time (Cook et al. 1984, distributed ray tracing).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import ctypes
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +21,7 @@ from torch import Tensor
 
 from ..cuda.device import CPU
 from ..formats.targets import target_with
+from ..kernels import bindings
 from ..model.gaussians import SH_C0, Gaussians
 from ..model.local_frame import LocalFrame
 from ..model.operations import faded, recoloured
@@ -29,6 +34,7 @@ from .reference import drawn_share, jacobian, sh_basis
 from .view import rasterize_view
 
 NOTHING = 1e10  # depth where nothing is, as in Blender's depth pass
+NEAREST = 1e-5  # of the farthest depth: what is nearer to the camera hides nothing
 SIMILAR = 1e-5  # how unequal the scales of a similarity may be
 
 
@@ -91,6 +97,48 @@ def render_instances(
         alpha=alpha.clamp(0, 1),
         depth=torch.where(alpha > 0, depth / scale, NOTHING),
     )
+
+
+def surface_depth(triangles: Tensor, camera: Camera, world_to_camera: Float64) -> Tensor:
+    """The depth of opaque triangles at each pixel's centre, from both sides; `NOTHING` elsewhere.
+
+    Args:
+        triangles: (T, 3, 3) float32 corners in the world.
+        camera, world_to_camera: of the picture.
+
+    Returns:
+        (H, W) float32, along the camera's axis, world units.
+    """
+    pose = torch.from_numpy(world_to_camera)
+    seen = (triangles.double() @ pose[:3, :3].T + pose[:3, 3]).float().contiguous()
+    depth = torch.full((camera.height, camera.width), NOTHING)
+    if len(seen) and (farthest := float(seen[..., 2].max())) > 0:
+        lens = (ctypes.c_double * 4)(camera.fx, camera.fy, camera.cx, camera.cy)
+        bindings.kernels().roigs_surface_depth(
+            bindings.pointer(seen),
+            len(seen),
+            lens,
+            NEAREST * farthest,
+            camera.width,
+            camera.height,
+            bindings.pointer(depth),
+        )
+    return depth
+
+
+def mean_layer(samples: Iterable[tuple[Layer, Tensor]]) -> Layer:
+    """The mean, in linear light, of at least one layer, each with the depth (H, W) of surfaces.
+
+    What they hide is left out of each: the depth of a blurred picture is not one number for a
+    pixel. The mean's depth is 0 everywhere, as nothing is in front of what is left.
+    """
+    light, alpha, count = torch.zeros(()), torch.zeros(()), 0
+    for layer, surfaces in samples:
+        seen = layer.alpha * (layer.depth < surfaces)
+        light = light + to_linear(layer.image) * seen[..., None]
+        alpha, count = alpha + seen, count + 1
+    image = to_srgb(light / alpha.clamp(min=1e-6)[..., None])
+    return Layer(image=image.clamp(0, 1), alpha=alpha / count, depth=torch.zeros_like(alpha))
 
 
 def _seen(model: Instance, world_to_camera: Float64) -> Gaussians:

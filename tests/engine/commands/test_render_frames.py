@@ -203,3 +203,53 @@ def test_nothing_is_transparent_and_of_the_pictures_size(tmp_path: Path) -> None
     for file in (colour_file(tmp_path / "a0001"), depth_file(tmp_path / "a0001")):
         picture = np.asarray(Image.open(file))
         assert picture.shape == (20, 30, 4) and not picture.any()
+
+
+def sampled(folder: Path, *eyes: float, **more: Any) -> list[dict[str, Any]]:
+    """Samples of cameras that many units to the right."""
+    poses = [[[1, 0, 0, -x], *POSE[1:]] for x in eyes]
+    models = [{"ply": str(folder.parent / "ball.ply"), "matrix": np.eye(4).tolist()}]
+    cameras = [{**CAMERA, "world_to_camera": pose} for pose in poses]
+    return [{"camera": camera, "models": models, **more} for camera in cameras]
+
+
+def test_samples_are_averaged_without_what_surfaces_hide(folder: Path) -> None:
+    wall = np.array([[[-9, -9, -1], [9, -9, -1], [0, 18, -1]]], np.float32)
+    np.save(folder.parent / "wall.npy", wall)
+    both = sampled(folder, -1, 1)
+    half = [both[0] | {"surfaces": "../wall.npy"}, both[1]]
+    outs = [ask(folder, name, samples=s) for name, s in (("a", both), ("b", half))]
+    assert main(["render-frames", str(folder), "--once"]) == 0
+    blurred, hidden = (np.asarray(Image.open(colour_file(out)))[12, :, 3] for out in outs)
+    assert blurred[8] == blurred[23] == pytest.approx(127, abs=2) and blurred[16] < 50
+    assert hidden[8] == blurred[8] and hidden[23] < 2
+    assert not np.asarray(Image.open(depth_file(outs[0]))).any()
+
+
+@pytest.mark.parametrize(
+    ("samples", "reason"),
+    [
+        ([], "samples must be from 1 to"),
+        ([{}], "is malformed ('camera')"),
+        ([1], "is malformed"),
+        ({"a": 1}, "is malformed"),
+    ],
+)
+def test_malformed_samples_are_one_line(
+    folder: Path, samples: Any, reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ask(folder, samples=samples)
+    assert reason in fails(["render-frames", str(folder), "--once"], capsys)
+
+
+@pytest.mark.parametrize("content", [b"", b"text", b"\x93NUMPY\x01\x00\x06\x00{}    "])
+def test_surfaces_that_cannot_be_read_are_one_line(
+    folder: Path, content: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder.parent / "wall.npy").write_bytes(content)
+    ask(folder, samples=sampled(folder, 0, surfaces="../wall.npy"))
+    assert "Cannot read" in fails(["render-frames", str(folder), "--once"], capsys)
+    for wrong in (np.zeros((2, 3, 3)), np.zeros((2, 9), np.float32), np.full((1, 3, 3), np.nan)):
+        np.save(folder.parent / "wall.npy", wrong.astype(wrong.dtype if wrong.size != 9 else "f4"))
+        ask(folder, samples=sampled(folder, 0, surfaces="../wall.npy"))
+        assert "wall.npy has" in fails(["render-frames", str(folder), "--once"], capsys)
