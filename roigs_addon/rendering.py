@@ -23,7 +23,7 @@ from .engine.frame_engine import FrameEngine
 from .engine.python import FOR_TRAINING
 from .errors import AddonError
 from .jobs import options_files
-from .scene import compositor, edits
+from .scene import blur, compositor, edits
 from .scene.frame_request import frame_request, picture, shown
 from .shared import EngineError, frame_requests
 
@@ -36,6 +36,12 @@ problem = ""
 _waiting = False
 """Whether a frame is about to be rendered and its layer is not drawn yet."""
 
+_moments: list[blur.Moment] = []
+"""Of the frame that is about to be rendered, if something moves in it."""
+
+_trouble = ""
+"""What happened while they were looked at."""
+
 _engine: FrameEngine | None = None
 _requests: Path | None = None
 
@@ -43,8 +49,18 @@ _requests: Path | None = None
 @persistent
 def before_frame(scene: bpy.types.Scene, *_: object) -> None:
     """A frame will be rendered; its objects are not in their places yet."""
-    global _waiting
-    _waiting = compositor.find(scene) is not None
+    global _waiting, _moments, _trouble
+    linked = compositor.find(scene) is not None
+    _waiting, _moments, _trouble = False, [], ""
+    if linked and blur.moves(scene):
+        try:
+            if blur.may_step(scene):
+                _moments = blur.moments(scene)
+            else:
+                _trouble = blur.NOT_MOVED
+        except AddonError as error:
+            _trouble = str(error)
+    _waiting = linked
 
 
 @persistent
@@ -73,16 +89,28 @@ def _draw(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> str:
     frame_requests.write_nothing(frame, width, height)
     compositor.point_to(scene, out)
     try:
-        request = frame_request(scene, depsgraph, str(frame))
+        request = _request(scene, depsgraph, frame)
         if request is None:
-            return ""
+            return _trouble
         if _engine is None or not _engine.alive():
             _end_engine()
             _engine = _started()
         items = shown(scene)
-        return _engine.draw(request) or edits.problem(items) or edits.remark(items)
+        drawn = _engine.draw(request)
+        return drawn or _trouble or edits.problem(items) or edits.remark(items)
     finally:
         compositor.reload(scene)
+
+
+def _request(
+    scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, frame: Path
+) -> dict[str, Any] | None:
+    """The engine's request for the frame; None: it shows no Gaussians."""
+    if not _moments and not blur.is_needed(scene, depsgraph):
+        return frame_request(scene, depsgraph, str(frame))
+    now = blur.moment(scene, depsgraph)
+    moments = _moments or ([] if now is None else [now])
+    return blur.request(moments, frame) if moments else None
 
 
 def _started() -> FrameEngine:

@@ -15,6 +15,9 @@ from ..geometry.photo import Photo
 from ..properties import object_props
 from . import backgrounds, lookup
 
+ORTHO_BACK = 2000.0
+"""Widths of its picture that an orthographic camera is put back: what is as deep as it is wide then
+moves by a 4,000th of the picture at its edges."""
 LEAST_CLIP = 1e-6
 """Blender's least clip distance."""
 
@@ -117,21 +120,18 @@ def render_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
 def intrinsics_of(
     data: bpy.types.Camera, render: bpy.types.RenderSettings, width: int, height: int
 ) -> Intrinsics:
-    """The pinhole camera in pixels of any perspective Blender camera, whatever its sensor fit."""
+    """The pinhole camera in pixels of any Blender camera but a panoramic one, of any sensor fit.
+
+    An orthographic one is a pinhole camera `ORTHO_BACK` of its scales behind it.
+    """
     aspect_x, aspect_y = render.pixel_aspect_x, render.pixel_aspect_y
     wide = width * aspect_x >= height * aspect_y
     fit = data.sensor_fit
-    if fit == "AUTO":
-        sensor, along_x = data.sensor_width, wide
-    else:
-        along_x = fit == "HORIZONTAL"
-        sensor = data.sensor_width if along_x else data.sensor_height
-    if along_x:
-        per_width = data.lens / sensor  # focal length in widths of the image
-        unit = 1.0
-    else:
-        per_width = data.lens / sensor * (height * aspect_y) / (width * aspect_x)
-        unit = (height * aspect_y) / (width * aspect_x)
+    along_x = wide if fit == "AUTO" else fit == "HORIZONTAL"
+    sensor = data.sensor_height if fit == "VERTICAL" else data.sensor_width
+    unit = 1.0 if along_x else (height * aspect_y) / (width * aspect_x)
+    # The focal length in widths of the image.
+    per_width = unit * (ORTHO_BACK if data.type == "ORTHO" else data.lens / sensor)
     lens = Lens(
         lens=per_width * frames.SENSOR_WIDTH,
         shift_x=data.shift_x * unit,

@@ -39,8 +39,10 @@ def frame_request(
         return None
     camera = scene.camera.evaluated_get(depsgraph)
     # Blender lets any object be the camera.
-    if camera.type != "CAMERA" or camera_of(camera).type != "PERSP":
-        raise AddonError("The render lacks the Gaussians: the camera is not a perspective camera.")
+    if camera.type != "CAMERA" or camera_of(camera).type not in ("PERSP", "ORTHO"):
+        raise AddonError(
+            "The render lacks the Gaussians: its camera is neither perspective nor orthographic."
+        )
     matrix = lookup.stands(scene.camera, depsgraph)
     if np.linalg.matrix_rank(matrix[:3, :3]) < 3:
         raise AddonError("The render lacks the Gaussians: a scale of the camera is zero.")
@@ -48,6 +50,8 @@ def frame_request(
         camera_of(camera), scene.render, *cameras.render_size(scene.render)
     )
     pose = frames.world_to_camera(matrix, np.eye(4))
+    if camera_of(camera).type == "ORTHO":
+        pose[2, 3] += cameras.ORTHO_BACK * camera_of(camera).ortho_scale
     # Of the whole picture: a region of it looks the same.
     to_clip, focal = frames.clip_matrix(lens) @ pose, max(lens.fx, lens.fy)
     models = []

@@ -28,3 +28,15 @@ def load_rgba(path: Path) -> np.ndarray:
 def read_png(path: Path) -> np.ndarray:
     """(H, W, 3) uint8 of an 8-bit picture."""
     return (load_png(path) * 255).round().astype(np.uint8)
+
+
+def psnr(a: np.ndarray, b: np.ndarray) -> float:
+    return float(-10 * np.log10(np.square(a - b).mean() + 1e-12))
+
+
+def linear(values: np.ndarray) -> np.ndarray:
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+
+
+def srgb(values: np.ndarray) -> np.ndarray:
+    return np.where(values <= 0.0031308, values * 12.92, 1.055 * values ** (1 / 2.4) - 0.055)

@@ -10,7 +10,7 @@ import pytest
 
 from roigs_engine.formats.splat_ply import read_ply, write_ply
 from tests.addon.levels_cases import FAR, make_levels
-from tests.addon.pictures import load_png, load_rgba
+from tests.addon.pictures import linear, load_png, load_rgba, psnr, srgb
 from tests.addon.scenes import command_line, with_cycles
 from tests.addon.splat_cases import recoloured
 
@@ -37,10 +37,6 @@ def only(scene, name: str) -> None:
     for item in scene.objects:
         if item.roigs.kind == "SPLATS":
             item.hide_render = item.name != name
-
-
-def psnr(a: np.ndarray, b: np.ndarray) -> float:
-    return float(-10 * np.log10(np.square(a - b).mean() + 1e-12))
 
 
 def engines(engine, scene, ply: Path, out: Path) -> np.ndarray:
@@ -247,14 +243,6 @@ def test_a_mesh_behind_an_object_stays_behind_it(blender: ModuleType, run, shot)
     assert alone[..., 3].min() > 0.98 and alone[..., 0].min() > 0.5
     black_plane(bpy, camera).location = camera @ bpy_vector(0, 0, -5)
     assert psnr(f12("behind")[..., :3], alone[..., :3]) > 35
-
-
-def linear(values: np.ndarray) -> np.ndarray:
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
-
-
-def srgb(values: np.ndarray) -> np.ndarray:
-    return np.where(values <= 0.0031308, values * 12.92, 1.055 * values ** (1 / 2.4) - 0.055)
 
 
 def bpy_vector(*values: float):

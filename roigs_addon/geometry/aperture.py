@@ -1,0 +1,68 @@
+"""Samples of a camera's aperture, and the sharp pictures that are seen through them. No bpy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .frames import Matrix
+
+GOLDEN = (np.sqrt(5) - 1) / 2
+APART = 2.0  # pixels between neighbouring samples in the blur of what is far away
+FEWEST, MOST = 8, 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class Aperture:
+    """A thin lens as Blender has it.
+
+    Attributes:
+        radius: of its opening, world units.
+        focus: distance of the plane that is sharp, along the camera's axis.
+        blades: sides of the opening; below 3, it is round.
+        rotation: of the blades, radians.
+        ratio: how much narrower it is than high (anamorphic lenses).
+    """
+
+    radius: float
+    focus: float
+    blades: int = 0
+    rotation: float = 0.0
+    ratio: float = 1.0
+
+    def count(self, focal: float) -> int:
+        """How many samples a picture with that focal length (pixels) needs."""
+        blur = 2 * self.radius * focal / self.focus  # of what is infinitely far away, pixels
+        return int(np.clip(np.ceil((blur / APART) ** 2), FEWEST, MOST))
+
+    def points(self, count: int) -> Matrix:
+        """(count, 2) places in the opening, to the right and up, world units; evenly spread.
+
+        A spiral by the golden angle (Vogel 1979), in an order in which neighbours are far apart, so
+        that any run of them is spread as well, as of the moments of a blurred motion.
+        """
+        number = np.argsort((np.arange(count) * GOLDEN) % 1)
+        radius = np.sqrt((number + 0.5) / count)
+        angle = 2 * np.pi * GOLDEN * number
+        if self.blades >= 3:
+            # Blender's sides are where a circle's points would be, not its corners.
+            half = np.pi / self.blades
+            radius = (
+                radius * np.cos(half) / np.cos((angle - self.rotation + half) % (2 * half) - half)
+            )
+        places = np.stack([np.cos(angle) / self.ratio, np.sin(angle)], axis=1)
+        return np.asarray(self.radius * radius[:, None] * places)
+
+    def through(self, camera: dict[str, Any], point: Matrix) -> dict[str, Any]:
+        """The camera record of a picture through a point: what is in focus stays in its place."""
+        right, down = float(point[0]), -float(point[1])
+        pose = np.array(camera["world_to_camera"], dtype=np.float64)
+        pose[:2, 3] -= right, down
+        return {
+            **camera,
+            "cx": camera["cx"] + camera["fx"] * right / self.focus,
+            "cy": camera["cy"] + camera["fy"] * down / self.focus,
+            "world_to_camera": pose.tolist(),
+        }

@@ -1,0 +1,183 @@
+"""Depth of field and motion blur of a frame: the sharp pictures of which the engine takes the mean.
+
+Each is seen from another point of the camera's aperture, at another moment of the shutter's time,
+and with the surfaces of that moment. So Gaussians and meshes blur alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..blender import camera_of
+from ..geometry.aperture import Aperture
+from . import frame_request, lookup, surfaces
+
+MOMENTS = 16
+NEAREST_FOCUS = 1e-5
+NOT_MOVED = (
+    "Gaussians have no motion blur in this render: switch on Render ▸ Lock Interface, or render"
+    " without a window."
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moment:
+    """A moment of a frame: what the engine is asked for, but for the file of its answer."""
+
+    request: dict[str, Any]
+    surfaces: NDArray[np.float32]  # (T, 3, 3) in the world
+    aperture: Aperture | None
+
+
+def moment(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Moment | None:
+    """What a frame shows at the depsgraph's moment; None: no Gaussians.
+
+    Raises:
+        AddonError: as `frame_request`.
+    """
+    request = frame_request.frame_request(scene, depsgraph, "")
+    if request is None or scene.camera is None:
+        return None
+    found = surfaces.triangles(depsgraph)
+    return Moment(request=request, surfaces=found, aperture=_aperture(scene.camera, depsgraph))
+
+
+def is_needed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Whether one sharp picture cannot be compared with Blender's depth."""
+    camera = scene.camera
+    if camera is None or camera.type != "CAMERA":
+        return False
+    return _aperture(camera, depsgraph) is not None or camera_of(camera).type == "ORTHO"
+
+
+def moves(scene: bpy.types.Scene) -> bool:
+    """Whether the frame is to have motion blur."""
+    return scene.render.use_motion_blur and scene.render.motion_blur_shutter > 0
+
+
+def may_step(scene: bpy.types.Scene) -> bool:
+    """Whether other moments of the scene can be looked at while it renders."""
+    return bpy.app.background or scene.render.use_lock_interface
+
+
+def moments(scene: bpy.types.Scene) -> list[Moment]:
+    """The moments of the shutter's time, if anything moves in it.
+
+    To be called before the frame is set: it steps through the scene's time, and comes back.
+
+    Raises:
+        AddonError: as `moment`.
+    """
+    edges, times = _times(scene, 2, edges=True), _times(scene, MOMENTS)
+    with _time_kept(scene):
+        if _alike([_at(scene, time) for time in edges]):
+            return []
+        found = [_at(scene, time) for time in times]
+    return [each for each in found if each is not None]
+
+
+def request(moments: Sequence[Moment], out: Path) -> dict[str, Any]:
+    """The engine's request (docs/files.md) for the mean of moments and of their apertures.
+
+    Args:
+        moments: at least one.
+        out: where the engine's files go, and beside it those of the surfaces.
+    """
+    files, last = [], np.zeros((0, 3, 3), np.float32)
+    for number, each in enumerate(moments):
+        if number == 0 or not np.array_equal(each.surfaces, last):
+            last = each.surfaces
+            path = str(out.with_name(f"{out.name}-{number}.npy")) if len(last) else ""
+            if path:
+                np.save(path, last)
+        files.append(path)
+    aperture = moments[0].aperture
+    count = len(moments)
+    if aperture is not None:
+        count = max(count, aperture.count(moments[0].request["camera"]["fx"]))
+    samples = []
+    for k in range(count):
+        row = k * len(moments) // count
+        now = moments[row]
+        sample = {key: now.request[key] for key in ("camera", "models")}
+        if now.aperture is not None:
+            sample["camera"] = now.aperture.through(sample["camera"], now.aperture.points(count)[k])
+        if files[row]:
+            sample["surfaces"] = files[row]
+        samples.append(sample)
+    return {"samples": samples, "out": str(out)}
+
+
+def _aperture(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Aperture | None:
+    """The opening of a camera; None: all is sharp."""
+    item = camera.evaluated_get(depsgraph)
+    data = camera_of(item)
+    dof = data.dof
+    if dof is None or not dof.use_dof or data.type != "PERSP" or not dof.aperture_fstop > 0:
+        return None
+    focus = dof.focus_distance
+    if dof.focus_object is not None:
+        target = lookup.matrix_world(dof.focus_object.evaluated_get(depsgraph))[:3, 3]
+        matrix = lookup.matrix_world(item)
+        axis = matrix[:3, 2] / np.linalg.norm(matrix[:3, 2])
+        focus = abs(float(axis @ (target - matrix[:3, 3])))
+    return Aperture(
+        radius=data.lens * 1e-3 / (2 * dof.aperture_fstop),
+        focus=max(focus, NEAREST_FOCUS),
+        blades=dof.aperture_blades,
+        rotation=dof.aperture_rotation,
+        ratio=dof.aperture_ratio,
+    )
+
+
+def _times(scene: bpy.types.Scene, count: int, *, edges: bool = False) -> list[float]:
+    """Evenly spaced frames in the shutter's time: the middles of its parts, or its two ends."""
+    shutter = scene.render.motion_blur_shutter
+    begin = {"START": 0.0, "CENTER": -shutter / 2, "END": -shutter}[_position(scene)]
+    shares = np.linspace(0, 1, count) if edges else (np.arange(count) + 0.5) / count
+    return [scene.frame_current_final + begin + shutter * float(share) for share in shares]
+
+
+def _position(scene: Any) -> str:
+    """Where the shutter's time lies; Cycles had the setting before all engines had it."""
+    of_cycles = getattr(scene, "cycles", None)
+    old = getattr(of_cycles, "motion_blur_position", "CENTER")
+    return str(getattr(scene.render, "motion_blur_position", old))
+
+
+def _at(scene: bpy.types.Scene, time: float) -> Moment | None:
+    frame = int(np.floor(time))
+    scene.frame_set(frame, subframe=time - frame)
+    depsgraph = scene.view_layers[0].depsgraph
+    return None if depsgraph is None else moment(scene, depsgraph)
+
+
+def _alike(ends: Sequence[Moment | None]) -> bool:
+    """Whether nothing moves between two moments, or one shows no Gaussians."""
+    first, last = ends
+    if first is None or last is None:
+        return True
+    same = first.request["models"] == last.request["models"]
+    poses = [each.request["camera"]["world_to_camera"] for each in (first, last)]
+    return same and poses[0] == poses[1] and np.array_equal(first.surfaces, last.surfaces)
+
+
+@contextmanager
+def _time_kept(scene: bpy.types.Scene) -> Iterator[None]:
+    """Come back to the frame, with what was moved at it and has keyframes."""
+    frame, subframe = scene.frame_current, scene.frame_subframe
+    moved = [(item, item.matrix_basis.copy()) for item in scene.objects if item.animation_data]
+    try:
+        yield
+    finally:
+        scene.frame_set(frame, subframe=subframe)
+        for item, basis in moved:
+            item.matrix_basis = basis

@@ -1,0 +1,48 @@
+"""Surfaces that a render shows, as triangles: the engine hides Gaussians behind them."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
+
+
+def triangles(depsgraph: bpy.types.Depsgraph) -> NDArray[np.float32]:
+    """(T, 3, 3) corners of all surfaces in the world, instances too.
+
+    Args:
+        depsgraph: of a render, or of a viewport, whose own hiding counts then.
+    """
+    known: dict[str, NDArray[np.float64]] = {}
+    parts = [np.zeros((0, 3, 3))]
+    for instance in depsgraph.object_instances:
+        item = instance.object
+        if item is None or item.type not in TYPES or not instance.show_self:
+            continue
+        if item.hide_render or not item.visible_camera:
+            continue
+        key = item.name_full
+        if key not in known:
+            known[key] = _of(item)
+        matrix = np.array(instance.matrix_world, dtype=np.float64)
+        parts.append(known[key] @ matrix[:3, :3].T + matrix[:3, 3])
+    found: NDArray[np.float32] = np.concatenate(parts).astype(np.float32)
+    kept: NDArray[np.float32] = found[np.isfinite(found).all(axis=(1, 2))]
+    return kept
+
+
+def _of(item: bpy.types.Object) -> NDArray[np.float64]:
+    """(T, 3, 3) corners of an object's surface, in its own frame."""
+    mesh = item.to_mesh()
+    if mesh is None:
+        return np.zeros((0, 3, 3))
+    mesh.calc_loop_triangles()
+    corners = np.empty((len(mesh.vertices), 3), dtype=np.float32)
+    mesh.vertices.foreach_get("co", corners.reshape(-1))
+    rows = np.empty((len(mesh.loop_triangles), 3), dtype=np.int32)
+    mesh.loop_triangles.foreach_get("vertices", rows.reshape(-1))
+    found = corners[rows].astype(np.float64)
+    item.to_mesh_clear()
+    return found

@@ -1,0 +1,163 @@
+"""Depth of field, motion blur and orthographic cameras in Blender's own renders."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from tests.addon.pictures import linear, load_rgba, psnr, srgb
+from tests.addon.scenes import with_cycles
+
+
+@pytest.fixture
+def shot(blender: ModuleType, run, engine, tmp_path: Path):
+    """A scene with results, seen through a photo's camera, and a function that renders it."""
+    bpy, (scene, _) = blender, run
+    bpy.ops.roigs.load_results()
+    bpy.ops.roigs.look_through(photo="photo 3.png")
+    render = with_cycles(scene, samples=1)
+    render.dither_intensity = 0.0
+    render.film_transparent = True
+
+    def f12(samples: int = 1) -> np.ndarray:
+        """In linear light, multiplied by alpha."""
+        scene.cycles.samples = samples
+        render.filepath = str(tmp_path / "f12.png")
+        bpy.ops.render.render(write_still=True)
+        picture = load_rgba(Path(render.filepath))
+        return np.concatenate([linear(picture[..., :3]) * picture[..., 3:], picture[..., 3:]], -1)
+
+    return scene, f12
+
+
+def emitter(bpy: ModuleType, scene, depth: float, x: float, colour: tuple[float, ...]):
+    """A bright square before the scene's camera, which it faces."""
+    from mathutils import Vector
+
+    bpy.ops.mesh.primitive_plane_add(size=0.25 * depth)
+    plane = bpy.context.object
+    plane.rotation_euler = scene.camera.matrix_world.to_euler()
+    plane.location = scene.camera.matrix_world @ Vector((x * depth, 0, -depth))
+    material = bpy.data.materials.new("bright")
+    if material.node_tree is None:
+        material.use_nodes = True
+    material.node_tree.nodes.clear()
+    made = material.node_tree.nodes.new
+    emission, output = made("ShaderNodeEmission"), made("ShaderNodeOutputMaterial")
+    emission.inputs["Color"].default_value = *colour, 1
+    material.node_tree.links.new(emission.outputs[0], output.inputs["Surface"])
+    plane.data.materials.append(material)
+    return plane
+
+
+def alike(a: np.ndarray, b: np.ndarray) -> float:
+    return psnr(srgb(a[..., :3]), srgb(b[..., :3]))
+
+
+def distance(scene) -> float:
+    """Of the middle of the box's Gaussians from the camera, along its axis."""
+    item = scene.objects["thing Gaussians"]
+    corners = [
+        scene.camera.matrix_world.inverted() @ item.matrix_world @ v.co for v in item.data.vertices
+    ]
+    return float(-np.mean([corner.z for corner in corners]))
+
+
+def test_depth_of_field_is_the_mean_of_pinhole_pictures(blender: ModuleType, shot) -> None:
+    """With a mesh in front of the Gaussians, and one behind."""
+    bpy, (scene, f12) = blender, shot
+    depth, camera = distance(scene), scene.camera
+    emitter(bpy, scene, 0.6 * depth, 0.15, (0.1, 0.6, 0.1))
+    emitter(bpy, scene, 40 * depth, -0.1, (0.5, 0.1, 0.1))
+    sharp = f12()
+    data, base = camera.data, camera.matrix_basis.copy()
+    data.dof.use_dof, data.dof.focus_distance = True, depth
+    radius = 0.03 * depth
+    data.dof.aperture_fstop = data.lens * 1e-3 / (2 * radius)
+    blurred = f12(samples=64)
+    data.dof.use_dof = False
+    shift, world = data.shift_x, camera.matrix_world.copy()
+    shift_y, pictures = data.shift_y, []
+    from mathutils import Matrix
+
+    random = np.random.default_rng(0)
+    for k in range(24):
+        r, angle = radius * np.sqrt((k + random.random()) / 24), 2.4 * k
+        x, y = r * np.cos(angle), r * np.sin(angle)
+        camera.matrix_world = world @ Matrix.Translation((x, y, 0))
+        data.shift_x = shift - x * data.lens / data.sensor_width / depth
+        data.shift_y = shift_y - y * data.lens / data.sensor_width / depth
+        pictures.append(f12())
+    camera.matrix_basis, data.shift_x, data.shift_y = base, shift, shift_y
+    mean = np.mean(pictures, axis=0)
+    assert alike(sharp, mean) < 30
+    assert alike(blurred, mean) > 38
+
+
+def test_motion_blur_is_the_mean_over_the_shutters_time(blender: ModuleType, shot) -> None:
+    bpy, (scene, f12) = blender, shot
+    depth = distance(scene)
+    emitter(bpy, scene, 0.6 * depth, 0.15, (0.1, 0.6, 0.1))
+    item = scene.objects["thing Gaussians"]
+    for frame, x in ((1, 0.0), (3, 0.6)):
+        item.location.x = x * depth / 4
+        item.keyframe_insert("location", frame=frame)
+    scene.frame_set(2)
+    still = f12()
+    scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 1.0
+    blurred = f12()
+    moved = item.location.copy()
+    moved.y += 0.1  # against its keyframe, as before a new one is set
+    item.location = moved
+    f12()
+    with_blur = item.location.copy()
+    item.location, scene.render.use_motion_blur = moved, False
+    f12()
+    assert with_blur == item.location and scene.frame_current == 2
+    pictures = []
+    for k in range(12):
+        time = 1.5 + (k + 0.5) / 12
+        scene.frame_set(int(time), subframe=time % 1)
+        pictures.append(f12())
+    scene.frame_set(2)
+    mean = np.mean(pictures, axis=0)
+    assert alike(still, mean) < 34
+    assert alike(blurred, mean) > 38
+
+
+def test_without_motion_the_picture_is_the_sharp_one(blender: ModuleType, shot) -> None:
+    scene, f12 = shot
+    sharp = f12()
+    scene.render.use_motion_blur = True
+    assert (f12() == sharp).all()
+
+
+def test_an_orthographic_camera_shows_gaussians_where_meshes_are(blender: ModuleType, shot) -> None:
+    bpy, (scene, f12) = blender, shot
+    from mathutils import Vector
+
+    depth, camera = distance(scene), scene.camera
+    camera.data.type, camera.data.ortho_scale = "ORTHO", depth
+    for name in ("Background", "thing Gaussians"):
+        scene.objects[name].hide_render = name != "thing Gaussians"
+    both = f12()
+    assert both[..., 3].max() > 0.9
+    item = scene.objects["thing Gaussians"]
+    points = np.array([item.matrix_world @ v.co for v in item.data.vertices])
+    seen = np.array([camera.matrix_world.inverted() @ Vector(p) for p in points])
+    height, width = both.shape[:2]
+    place = seen[:, :2] / depth * max(width, height) * [1, -1] + [width / 2, height / 2]
+    shift = np.array([-camera.data.shift_x, camera.data.shift_y]) * max(width, height)
+    opaque = both[..., 3] > 0.05
+    _, columns = np.nonzero(opaque)
+    low, high = (place + shift).min(axis=0), (place + shift).max(axis=0)
+    assert columns.min() == pytest.approx(max(0, low[0]), abs=6)
+    assert columns.max() == pytest.approx(min(width, high[0]), abs=6)
+    wall = emitter(bpy, scene, 0.3 * depth, 0.0, (0.0, 0.0, 0.0))
+    wall.scale = [100] * 3
+    assert f12()[..., :3].max() == 0
+    wall.location = camera.matrix_world @ Vector((0, 0, -50 * depth))
+    assert alike(f12(), both) > 45
