@@ -20,6 +20,13 @@ MARK = "roigs_layer"
 LINKED = "roigs_linked"
 """Custom property of a compositor that got the group."""
 LAST_FRAME = 1048574
+SOCKETS = (
+    ("Image", "INPUT", "Color"),
+    ("Depth", "INPUT", "Float"),
+    ("Image", "OUTPUT", "Color"),
+    ("Depth", "OUTPUT", "Float"),
+    ("Gaussians", "OUTPUT", "Float"),
+)
 
 
 def link(scene: bpy.types.Scene) -> None:
@@ -144,15 +151,17 @@ def _insert(scene: bpy.types.Scene, tree: Any, group: Any) -> None:
 
 
 def _group() -> Any:
-    """A new group: picture and depth in, merged picture out."""
+    """A new group: picture and depth in; merged picture and depth, and the Gaussians' alpha, out.
+
+    Where a depth of the engine's is negative, what Blender's surfaces hide is left out already.
+    """
     group: Any = bpy.data.node_groups.new(NAME, "CompositorNodeTree")
     group[MARK] = True
-    sockets = ("Image", "INPUT", "Color"), ("Depth", "INPUT", "Float"), ("Image", "OUTPUT", "Color")
-    for name, way, kind in sockets:
+    for name, way, kind in SOCKETS:
         group.interface.new_socket(name, in_out=way, socket_type=f"NodeSocket{kind}")
     start, end = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
     colour, depth = (_image_node(group, kind) for kind in ("colour", "depth"))
-    nearer = _nearer_node(group)
+    nearer, distance, least = (_math_node(group, op) for op in ("LESS_THAN", "ABSOLUTE", "MINIMUM"))
     below, above = (group.nodes.new("CompositorNodeAlphaOver") for _ in range(2))
     chosen, (factor, if_not, if_so), merged = _choice_node(group)
     for source, target in (
@@ -164,9 +173,14 @@ def _group() -> Any:
         (below.outputs[0], if_not),
         (above.outputs[0], if_so),
         (merged, end.inputs[0]),
+        (depth.outputs["Image"], distance.inputs[0]),
+        (distance.outputs[0], least.inputs[0]),
+        (start.outputs[1], least.inputs[1]),
+        (least.outputs[0], end.inputs[1]),
+        (colour.outputs["Alpha"], end.inputs[2]),
     ):
         group.links.new(source, target)
-    columns = (start, colour, depth), (nearer, below, above), (chosen,), (end,)
+    columns = (start, colour, depth), (nearer, below, above), (chosen, distance, least), (end,)
     for x, column in enumerate(columns):
         for y, node in enumerate(column):
             node.location = 300 * x, -350 * y
@@ -176,10 +190,9 @@ def _group() -> Any:
 # Blender 5 has the shader nodes in the compositor, in the place of its own.
 
 
-def _nearer_node(group: Any) -> Any:
-    """1 where the first input is less than the second."""
+def _math_node(group: Any, operation: str) -> Any:
     node = _either(group, "ShaderNodeMath", "CompositorNodeMath")
-    node.operation = "LESS_THAN"
+    node.operation = operation
     return node
 
 

@@ -130,15 +130,17 @@ def mean_layer(samples: Iterable[tuple[Layer, Tensor]]) -> Layer:
     """The mean, in linear light, of at least one layer, each with the depth (H, W) of surfaces.
 
     What they hide is left out of each: the depth of a blurred picture is not one number for a
-    pixel. The mean's depth is 0 everywhere, as nothing is in front of what is left.
+    pixel. So the mean's depth, of what is left, is negative: nothing is in front of that.
     """
-    light, alpha, count = torch.zeros(()), torch.zeros(()), 0
+    light, alpha, depth, count = torch.zeros(()), torch.zeros(()), torch.zeros(()), 0
     for layer, surfaces in samples:
         seen = layer.alpha * (layer.depth < surfaces)
         light = light + to_linear(layer.image) * seen[..., None]
+        depth = depth + seen * torch.where(seen > 0, layer.depth, 0)
         alpha, count = alpha + seen, count + 1
     image = to_srgb(light / alpha.clamp(min=1e-6)[..., None])
-    return Layer(image=image.clamp(0, 1), alpha=alpha / count, depth=torch.zeros_like(alpha))
+    depth = torch.where(alpha > 0, depth / alpha.clamp(min=1e-6), NOTHING)
+    return Layer(image=image.clamp(0, 1), alpha=alpha / count, depth=-depth)
 
 
 def _seen(model: Instance, world_to_camera: Float64) -> Gaussians:

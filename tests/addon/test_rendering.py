@@ -350,10 +350,10 @@ def test_another_kind_of_camera_is_said(blender: ModuleType, shot) -> None:
     from roigs_addon import rendering
 
     scene, f12 = shot
-    scene.camera.data.type = "ORTHO"
+    scene.camera.data.type = "PANO"
     own = plain(blender, scene, f12)
     np.testing.assert_array_equal(f12(), own)
-    assert "not a perspective camera" in rendering.problem
+    assert "neither perspective nor orthographic" in rendering.problem
 
 
 def test_what_is_scaled_to_nothing_is_not_there(blender: ModuleType, shot) -> None:
@@ -384,3 +384,26 @@ def test_a_frame_before_the_first(blender: ModuleType, shot) -> None:
     usual = f12()
     scene.frame_set(-3)
     assert psnr(f12("before"), usual) > 50
+
+
+def test_depth_and_alpha_can_be_used_in_the_compositor(blender: ModuleType, shot) -> None:
+    """For mist and masks: the depth is that of what is seen, Gaussians or meshes."""
+    bpy, (scene, f12) = blender, shot
+    from roigs_addon.scene import compositor
+
+    camera = scene.camera.matrix_world
+    plane = black_plane(bpy, camera)
+    plane.location = camera @ bpy_vector(0, 0, -90)
+    whole, tree = f12(), compositor._tree(scene)
+    node = next(n for n in tree.nodes if n.type == "GROUP")
+    end = next(n for n in tree.nodes if n.type in compositor.ENDS)
+    tree.links.new(node.outputs["Gaussians"], end.inputs[0])
+    alpha = linear(f12("alpha")[..., 0])
+    assert 0 < alpha.mean() < 1 and alpha[whole[..., :3].sum(axis=-1) > 0.3].min() > 0.01
+    scale = compositor._math_node(tree, "MULTIPLY")
+    scale.inputs[1].default_value = 0.01
+    tree.links.new(node.outputs["Depth"], scale.inputs[0])
+    tree.links.new(scale.outputs[0], end.inputs[0])
+    depth = linear(f12("depth")[..., 0]) * 100
+    assert depth[alpha == 0] == pytest.approx(90, rel=0.02)
+    assert depth[alpha > 0.9].max() < 60

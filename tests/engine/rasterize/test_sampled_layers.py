@@ -81,14 +81,16 @@ def test_the_mean_is_that_of_the_light() -> None:
     found = mean_layer(layers)
     light = (0.5 * to_linear(torch.tensor(0.9)) + to_linear(torch.tensor(0.2))) / 1.5
     torch.testing.assert_close(to_linear(found.image), light.expand(1, 1, 3))
-    assert found.alpha.item() == 0.75 and found.depth.item() == 0
+    assert found.alpha.item() == 0.75 and found.depth.item() == pytest.approx(-4 / 1.5)
 
 
 def test_a_surface_hides_what_is_behind_it_in_its_sample_alone() -> None:
     wall = torch.full((1, 1), 2.5)
     found = mean_layer([(plain(0.9, 1.0, 2.0), wall), (plain(0.2, 1.0, 3.0), wall)])
     torch.testing.assert_close(found.image, torch.full((1, 1, 3), 0.9))
-    assert found.alpha.item() == 0.5
+    assert found.alpha.item() == 0.5 and found.depth.item() == -2
+    none = mean_layer([(plain(0.9, 1.0, 3.0), wall)])
+    assert none.alpha.item() == 0 and none.depth.item() == np.float32(-NOTHING)
 
 
 def test_one_sample_is_the_layer() -> None:
