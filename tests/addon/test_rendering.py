@@ -394,7 +394,7 @@ def test_depth_and_alpha_can_be_used_in_the_compositor(blender: ModuleType, shot
     camera = scene.camera.matrix_world
     plane = black_plane(bpy, camera)
     plane.location = camera @ bpy_vector(0, 0, -90)
-    whole, tree = f12(), compositor._tree(scene)
+    whole, tree = f12(), compositor.trees(scene)[0]
     node = next(n for n in tree.nodes if n.type == "GROUP")
     end = next(n for n in tree.nodes if n.type in compositor.ENDS)
     tree.links.new(node.outputs["Gaussians"], end.inputs[0])
