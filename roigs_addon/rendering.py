@@ -97,7 +97,8 @@ def _draw(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> str:
             _engine = _started()
         items = shown(scene)
         drawn = _engine.draw(request)
-        return drawn or _trouble or edits.problem(items) or edits.remark(items)
+        lost = _trouble or blur.lost_shadows(scene, depsgraph)
+        return drawn or lost or edits.problem(items) or edits.remark(items)
     finally:
         compositor.reload(scene)
 

@@ -55,7 +55,21 @@ def is_needed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
     camera = scene.camera
     if camera is None or camera.type != "CAMERA":
         return False
-    return _aperture(camera, depsgraph) is not None or camera_of(camera).type == "ORTHO"
+    if camera_of(camera).type == "ORTHO" or _catches_opaquely(scene, depsgraph):
+        return True
+    return _aperture(camera, depsgraph) is not None
+
+
+def lost_shadows(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> str:
+    """Why a shadow catcher shows no shadow on Gaussians, in one line; empty if none is."""
+    if _catches_opaquely(scene, depsgraph):
+        return "Shadow catchers show no shadow on Gaussians: switch on Render ▸ Film ▸ Transparent."
+    return ""
+
+
+def _catches_opaquely(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Whether Blender's picture has the world's background where a shadow catcher is."""
+    return not scene.render.film_transparent and surfaces.have_catcher(depsgraph)
 
 
 def moves(scene: bpy.types.Scene) -> bool:

@@ -10,7 +10,7 @@ TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
 
 
 def triangles(depsgraph: bpy.types.Depsgraph) -> NDArray[np.float32]:
-    """(T, 3, 3) corners of all surfaces in the world, instances too.
+    """(T, 3, 3) corners of all surfaces in the world, instances too; not of shadow catchers.
 
     Args:
         depsgraph: of a render, or of a viewport, whose own hiding counts then.
@@ -21,7 +21,7 @@ def triangles(depsgraph: bpy.types.Depsgraph) -> NDArray[np.float32]:
         item = instance.object
         if item is None or item.type not in TYPES or not instance.show_self:
             continue
-        if item.hide_render or not item.visible_camera:
+        if item.hide_render or not item.visible_camera or item.is_shadow_catcher:
             continue
         key = item.name_full
         if key not in known:
@@ -46,3 +46,8 @@ def _of(item: bpy.types.Object) -> NDArray[np.float64]:
     found = corners[rows].astype(np.float64)
     item.to_mesh_clear()
     return found
+
+
+def have_catcher(depsgraph: bpy.types.Depsgraph) -> bool:
+    """Whether a shadow catcher is rendered."""
+    return any(item.is_shadow_catcher and not item.hide_render for item in depsgraph.objects)

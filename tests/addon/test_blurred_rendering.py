@@ -161,3 +161,21 @@ def test_an_orthographic_camera_shows_gaussians_where_meshes_are(blender: Module
     assert f12()[..., :3].max() == 0
     wall.location = camera.matrix_world @ Vector((0, 0, -50 * depth))
     assert alike(f12(), both) > 45
+
+
+@pytest.mark.parametrize("transparent", [False, True])
+def test_a_shadow_catcher_leaves_no_hole(blender: ModuleType, shot, transparent: bool) -> None:
+    """Before the Gaussians, where a mesh would hide them."""
+    bpy, (scene, f12) = blender, shot
+    from roigs_addon import rendering
+
+    scene.render.film_transparent = transparent
+    before = f12()
+    wall = emitter(bpy, scene, 0.3 * distance(scene), 0.0, (0.0, 0.0, 0.0))
+    wall.scale = [100] * 3
+    assert alike(f12(), before) < 30
+    wall.is_shadow_catcher = True
+    caught = f12()
+    shown = before[..., 3] > 0.9 if transparent else before[..., :3].sum(-1) > 0.3
+    assert psnr(caught[shown], before[shown]) > 30
+    assert ("Film" in rendering.problem) == (not transparent)
