@@ -18,7 +18,7 @@ from ..model.scene import SfmScene
 from ..requests.choices import PHOTOS, TEST, VALIDATION
 from ..requests.runs import Evaluate
 from ..run.config import RunConfig
-from .inputs import boxes_of, load_scene, mask_options, on_device
+from .inputs import boxes_of, load_model, load_scene, mask_options, on_device
 from .outputs import Evaluated, named_files, refuse_inputs, refuse_run_files
 
 if TYPE_CHECKING:
@@ -31,11 +31,9 @@ SPLIT_HINT = "Use a run's split.json."
 
 def evaluate(request: Evaluate, context: Context = QUIET) -> Evaluated:
     """Render the test photos with every model, and compare; EngineError: an input is wrong."""
-    import torch
 
     from ..evaluation import evaluate as evaluation_module
     from ..evaluation.views import EvaluatedModel
-    from ..model.gaussians import Gaussians
     from ..model.local_frame import LocalFrame
     from ..model.visibility import check_has_points
     from ..selection.split import choose_test_views
@@ -68,9 +66,7 @@ def evaluate(request: Evaluate, context: Context = QUIET) -> Evaluated:
     context = on_device(context, request.device)
     models: list[EvaluatedModel] = []
     for name, path in files.items():
-        loaded = Gaussians.load_ply(path, frame, context.check_cancelled).to(
-            torch.device(context.device)
-        )
+        loaded = load_model(path, frame, context)
         models.append(EvaluatedModel(name=name, gaussians=loaded, seconds=0.0, stages={}))
     evaluation = evaluation_module.evaluate(
         models, scene, test, rois, context=context, baseline=models[0].name, photos=photos

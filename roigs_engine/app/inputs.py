@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..context import Context
 from ..errors import ConfigError, RoiError
@@ -22,6 +23,10 @@ from ..photos.files import EXTENSIONS, HEIC, PhotoFolder
 from ..photos.mask_paths import MaskOptions
 from ..requests.groups import Boxes, ObjectMasks, PhotoMasks, PhotoSize, Scene
 from ..requests.values import AUTO
+
+if TYPE_CHECKING:
+    from ..model.gaussians import Gaussians
+    from ..model.local_frame import LocalFrame
 
 
 def use_threads(threads: int | None) -> None:
@@ -45,6 +50,16 @@ def on_device(context: Context, device: str) -> Context:
 
     return_large_blocks()
     return replace(context, device=str(choose_device(device, context, check_once)))
+
+
+def load_model(path: Path, frame: LocalFrame, context: Context) -> Gaussians:
+    """The Gaussians of a PLY in a frame, on the context's device; raises as `read_ply`."""
+    import torch
+
+    from ..model.gaussians import Gaussians
+
+    model = Gaussians.load_ply(path, frame, context.check_cancelled)
+    return model.to(torch.device(context.device))
 
 
 # --- scene ---

@@ -15,7 +15,7 @@ from ..formats.scribbles import Scribble, read_scribbles
 from ..formats.splat_ply import check_ply
 from ..photos.mask_paths import MaskOptions
 from ..requests.models import Masks
-from .inputs import boxes_of, on_device, use_threads
+from .inputs import boxes_of, load_model, on_device, use_threads
 from .outputs import Result, refuse_inputs, refuse_run_files
 
 if TYPE_CHECKING:
@@ -31,16 +31,20 @@ def make_masks(request: Masks, context: Context = QUIET) -> Result:
 
     EngineError: an input cannot be used, there are no strokes, or OpenCV is missing.
     """
-    import torch
 
     from ..colmap.project import load_colmap
     from ..masking.views import opencv
-    from ..model.gaussians import Gaussians
     from ..model.local_frame import LocalFrame
 
     refuse_run_files(request.out)
     rois = boxes_of(request)
-    scribbles = _scribbles(request, [roi.name for roi in rois])
+    names = [roi.name for roi in rois]
+    scribbles = [each for each in read_scribbles(request.scribbles) if each.box in names]
+    if not scribbles:
+        raise ConfigError(
+            f"{request.scribbles} has no stroke for a box ({', '.join(names)}).",
+            "Name the box as in rois.json.",
+        )
     inputs = (request.options_file, request.rois, request.scribbles, request.model)
     refuse_inputs([request.out], inputs)
     if request.model is not None:
@@ -58,9 +62,7 @@ def make_masks(request: Masks, context: Context = QUIET) -> Result:
     _check_photos([*request.photo, *(each.photo for each in scribbles)], scene)
     frame, model = LocalFrame.of_scene(scene), None
     if request.model is not None:
-        model = Gaussians.load_ply(request.model, frame, context.check_cancelled).to(
-            torch.device(context.device)
-        )
+        model = load_model(request.model, frame, context)
     else:
         context.info("Without --model, masks follow the sparse points and colours: check each.")
     maker = _Maker(request=request, scene=scene, rois=rois, frame=frame, model=model)
@@ -70,17 +72,6 @@ def make_masks(request: Masks, context: Context = QUIET) -> Result:
         if own:
             folders[roi.name] = maker.make(roi, own, context)
     return Result(files=folders).with_places()
-
-
-def _scribbles(request: Masks, names: Sequence[str]) -> list[Scribble]:
-    """The scribbles for these boxes; ConfigError if there is none."""
-    wanted = [each for each in read_scribbles(request.scribbles) if each.box in names]
-    if not wanted:
-        raise ConfigError(
-            f"{request.scribbles} has no stroke for a box ({', '.join(names)}).",
-            "Name the box as in rois.json.",
-        )
-    return wanted
 
 
 def _check_photos(names: Sequence[str], scene: SfmScene) -> None:

@@ -23,7 +23,7 @@ from ..model.mask_coverage import with_useful_masks
 from ..model.ownership import count_owned
 from ..photos.mask_paths import MASKS, MaskOptions
 from ..requests.models import Compose, Cut, Floaters
-from .inputs import boxes_of, load_scene, on_device
+from .inputs import boxes_of, load_model, load_scene, on_device
 from .instances import LIST, InstanceRecord, read_list
 from .outputs import Result, named_files, refuse_inputs, refuse_run_files
 
@@ -81,9 +81,7 @@ def cut(request: Cut, context: Context = QUIET) -> Result:
 
     EngineError: an input cannot be used, or no box has masks.
     """
-    import torch
 
-    from ..model.gaussians import Gaussians
     from ..model.local_frame import LocalFrame
     from ..training.labels import object_owners
 
@@ -95,9 +93,7 @@ def cut(request: Cut, context: Context = QUIET) -> Result:
     check_ply(request.model)
     scene = _masked_scene(request, rois, context)
     frame, context = LocalFrame.of_scene(scene), on_device(context, request.device)
-    model = Gaussians.load_ply(request.model, frame, context.check_cancelled).to(
-        torch.device(context.device)
-    )
+    model = load_model(request.model, frame, context)
     local, images = [frame.box(roi) for roi in rois], frame.scene(scene).images
     owner = object_owners(model, local, images, context)
     _say_owned(owner, count_owned(model, local), local, images, context)

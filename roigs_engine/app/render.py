@@ -151,22 +151,17 @@ class Models:
         known, self._read = self._read, {}
         different, started = dict.fromkeys(paths), time.monotonic()
         for step, path in enumerate(different, start=1):
-            key, entry = _state(path), known.get(path)
+            try:
+                state = Path(path).stat()
+            except OSError as error:
+                text = f"Cannot read {path} ({error.strerror or error})."
+                raise ConfigError(text, "Load results again.") from error
+            key, entry = (state.st_mtime_ns, state.st_size), known.get(path)
             if entry is None or entry[0] != key:
                 entry = key, *drawable_model(Path(path), self._say, context.check_cancelled)
                 context.progress(STAGE, step, len(different), started)
             self._read[path] = entry
         return [self._read[path][1:] for path in paths]
-
-
-def _state(path: str) -> tuple[int, int]:
-    """Time of change and size of a file; ConfigError if it cannot be read."""
-    try:
-        state = Path(path).stat()
-    except OSError as error:
-        reason = error.strerror or error
-        raise ConfigError(f"Cannot read {path} ({reason}).", "Load results again.") from error
-    return state.st_mtime_ns, state.st_size
 
 
 class Sample(NamedTuple):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -47,6 +47,11 @@ class FileFormat:
     says_axes: bool = False  # whether its module has `frame`, as a file may name other axes
     checks: bool = False  # whether its `write` takes `check`, as it takes long
     keeps_antialiased: bool = True  # whether a file says if its Gaussians are drawn with it
+
+    @property
+    def code(self) -> Any:
+        """Its module."""
+        return import_module(f".{self.module}", __package__)
 
     @property
     def keeps_target(self) -> bool:
@@ -140,14 +145,13 @@ def write(
         splat_ply.write_ply(path, arrays, target)
         return len(arrays["means"])
     arrays = storable(arrays, form.title)
-    writer: Callable[..., int] = import_module(f".{form.module}", __package__).write
     if form.checks:
         more["check"] = check
     if form.keeps_target:
         more["target"] = target
     elif form.keeps_antialiased:
         more["antialiased"] = target.antialiased
-    return writer(path, arrays, **more)
+    return int(form.code.write(path, arrays, **more))
 
 
 def storable(arrays: Arrays, title: str) -> Arrays:
@@ -176,9 +180,9 @@ def read(path: Path, check: Check = nothing) -> Arrays:
                 form = format_of(Path(COMPRESSED))
     if not form.module:
         return splat_ply.read_ply(path, check)
-    reader: Callable[[Path], Arrays] = import_module(f".{form.module}", __package__).read
+    code = form.code
     with reading(path, form.title):
-        found = reader(path)
+        found: Arrays = code.read(path)
         if problem := flaw(found):
             raise ValueError(problem)
     arrays = usable(found)
@@ -194,9 +198,9 @@ def target_of(path: Path) -> Target:
         return PLAIN
     if form.keeps_target:  # both kinds of PLYs say it alike
         return splat_ply.target_of(path)
-    said: Callable[[Path], bool] = import_module(f".{form.module}", __package__).is_antialiased
+    code = form.code
     with reading(path, form.title):
-        return target_with(antialiased=said(path))
+        return target_with(antialiased=code.is_antialiased(path))
 
 
 def frame(path: Path) -> Float64:
@@ -206,9 +210,9 @@ def frame(path: Path) -> Float64:
         if (up := splat_ply.up_axis(path)) is not None:
             matrix = upright(np.array(up), form.up)
     elif form.says_axes:
-        said: Callable[[Path], Float64] = import_module(f".{form.module}", __package__).frame
+        code = form.code
         with reading(path, form.title):
-            matrix[:3, :3] = said(path)
+            matrix[:3, :3] = code.frame(path)
     return matrix
 
 

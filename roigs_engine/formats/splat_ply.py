@@ -5,11 +5,8 @@ Written is binary little-endian; ASCII and big-endian are read, too.
 docs/conventions.md has the layout. Values go out and come back bit for bit. Centres far from the
 origin, as in map coordinates, are `double x y z`: float32 would be too coarse there.
 
-Gaussians must be drawn as they were trained. Of anti-aliasing, a comment says so:
-`SplatRenderMode: mip`, as Brush, gsplat and PlayCanvas's splat-transform have it; Postshot's
-`antialiased 1` is read too. So is Mip-Splatting's property `filter_3D`: such Gaussians were trained
-with anti-aliasing, and as they are stored, they lack a blur in space that belongs to them. Of
-linear light, a comment of our own does: `made_for` and the name of the target.
+What a file says of anti-aliasing and light, ours and other programs', is in docs/formats.md (Made
+for).
 """
 
 from __future__ import annotations
