@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -59,7 +59,13 @@ def make_masks(request: Masks, context: Context = QUIET) -> Result:
         pixels=False,
         context=replace(context, emit=QUIET.emit),
     )
-    _check_photos([*request.photo, *(each.photo for each in scribbles)], scene)
+    there = {image.name for image in scene.images}
+    for name in (*request.photo, *(each.photo for each in scribbles)):
+        if name not in there:
+            raise ConfigError(
+                f"The scene has no photo '{name}' that can be used.",
+                "Use the name of a photo in the COLMAP model.",
+            )
     frame, model = LocalFrame.of_scene(scene), None
     if request.model is not None:
         model = load_model(request.model, frame, context)
@@ -72,17 +78,6 @@ def make_masks(request: Masks, context: Context = QUIET) -> Result:
         if own:
             folders[roi.name] = maker.make(roi, own, context)
     return Result(files=folders).with_places()
-
-
-def _check_photos(names: Sequence[str], scene: SfmScene) -> None:
-    """Raise ConfigError if the scene has not all photos that are named."""
-    there = {image.name for image in scene.images}
-    for name in names:
-        if name not in there:
-            raise ConfigError(
-                f"The scene has no photo '{name}' that can be used.",
-                "Use the name of a photo in the COLMAP model.",
-            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,6 +29,7 @@ PNG = b"\x89PNG\r\n\x1a\n"
 FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "JPEG2000", "PPM")  # as Pillow calls them
 PNG_END = b"IEND"
 ORIENTATION = 0x0112  # EXIF and TIFF tag
+TURN = "turn"  # what `open_photo` calls the tag that it has taken from a TIFF
 EXIF = b"Exif\0\0"
 TAIL = 1 << 16  # bytes at the end of a file that are searched for them
 # A larger photo has a damaged or malicious header: the largest cameras today have 150 megapixels,
@@ -164,7 +165,8 @@ def _opened(path: Path) -> Image:
                 check_scans(file)
         if tiff.pillow_reads(photo):
             tiff.check_parts(photo)
-            if photo.format == "TIFF" and photo.getexif().get(ORIENTATION, 1) != 1:
+            if photo.format == "TIFF" and (tag := photo.getexif().get(ORIENTATION, 1)) != 1:
+                photo.info[TURN] = tag
                 photo.getexif()[ORIENTATION] = 1  # Pillow would turn it, as no other format
                 photo._size = getattr(photo, "_tile_size", photo.size)
             return photo

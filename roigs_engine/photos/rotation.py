@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..formats.files import regular
-from .headers import EXIF, ORIENTATION, PNG, PhotoError, open_photo, png_chunk
+from .headers import EXIF, ORIENTATION, PNG, TURN, PhotoError, open_photo, png_chunk
 from .jpeg import jpeg_segments
 
 AS_STORED = 1
@@ -42,7 +42,8 @@ def rotation_tag(path: Path) -> int:
             data = png_chunk(file, b"eXIf")  # may follow the pixels
             tag = _of_exif(data.removeprefix(EXIF)) if data else AS_STORED
         elif start[:2] in (b"II", b"MM") or start.startswith(b"RIFF"):
-            tag = _by_pillow(path)
+            with open_photo(path) as photo:
+                tag = int(photo.info.get(TURN) or photo.getexif().get(ORIENTATION, AS_STORED))
     return tag if tag in range(1, 9) else AS_STORED
 
 
@@ -60,16 +61,6 @@ def turned(pixels: Values, turn: int) -> Values:
     if turn in (3, 4, 7, 8):
         pixels = pixels[::-1]
     return np.ascontiguousarray(pixels)
-
-
-def _by_pillow(path: Path) -> int:
-    """The tag of a TIFF or WebP; `open_photo` takes that of a TIFF away."""
-    from PIL import Image
-
-    with suppress(Exception), Image.open(path, formats=("TIFF", "WEBP")) as photo:
-        return int(photo.getexif().get(ORIENTATION, AS_STORED))
-    with open_photo(path) as photo:  # not by Pillow, or damaged
-        return int(photo.getexif().get(ORIENTATION, AS_STORED))
 
 
 def _of_jpeg(file: BinaryIO) -> int:
