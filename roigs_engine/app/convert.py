@@ -10,6 +10,7 @@ import numpy as np
 
 from ..context import QUIET, Context
 from ..errors import ConfigError, RoiError
+from ..exchange import formats
 from ..exchange.arrays import turn
 from ..formats.drawable import usable
 from ..formats.gravity import gravity_alignment
@@ -52,8 +53,6 @@ class _Model:
 
 def convert(request: Convert, context: Context = QUIET) -> Result:
     """Read the models, make them one, and write it; EngineError: input or options do not fit."""
-    from ..exchange import formats
-
     refuse_run_files(request.out)
     if request.out.name == STREAMED:
         _refuse_page_options(request, plain=False)
@@ -85,7 +84,6 @@ def convert(request: Convert, context: Context = QUIET) -> Result:
 
 def _single(request: Convert, form: FileFormat, context: Context, *, plain: bool) -> _Model:
     from ..colmap.project import load_poses
-    from ..exchange import formats
 
     upright, poses = _upright(request, request.source, context), None
     home = _home(request, request.source, upright)
@@ -122,7 +120,6 @@ def _single(request: Convert, form: FileFormat, context: Context, *, plain: bool
 
 
 def _listed(request: Convert, form: FileFormat, context: Context, *, plain: bool) -> _Model:
-    from ..exchange import formats
     from ..exchange.transform import merged
     from ..model.gaussians import Gaussians
 
@@ -180,8 +177,6 @@ def _home(request: Convert, path: Path, upright: Float64) -> Float64:
     format was turned; OUT, if it is one that keeps the scene's frame, tells how to turn it back.
     `upright`: see `_upright`.
     """
-    from ..exchange import formats
-
     if formats.format_of(path).up == SCENE_UP:
         return np.eye(4)
     own = formats.format_of(request.out).up == SCENE_UP
@@ -195,8 +190,6 @@ def _upright(request: Convert, path: Path, context: Context) -> Float64:
     By --from-up, else by what the file says, else as its format has it. A file that says that its
     axes are left-handed is mirrored in both cases.
     """
-    from ..exchange import formats
-
     said = context.interruptible(lambda: formats.frame(path))
     if request.from_up is None:
         matrix: Float64 = turn(formats.format_of(path).up, SCENE_UP) @ said
@@ -258,7 +251,6 @@ def _read(
     With `plain`, they are made about right without it, as far as photos tell how: those of `scene`,
     or of the run that made the file.
     """
-    from ..exchange import formats
     from ..exchange.transform import without_antialiasing
     from ..model.gaussians import Gaussians
 
@@ -273,8 +265,6 @@ def _read(
 
 
 def _arrays(path: Path, context: Context) -> Arrays:
-    from ..exchange import formats
-
     return context.interruptible(lambda: formats.read(path, context.check_cancelled))
 
 
@@ -341,7 +331,6 @@ def _before(request: Convert, up: str, model: _Model, context: Context) -> Array
 
 def _page_extras(request: Convert, before: Arrays | None, model: _Model) -> Extras:
     """What the page shows besides, with boxes and photos turned as the model is."""
-    from ..exchange.formats import target_of
     from ..exchange.page import Ball, Extras
 
     matrix, poses = model.matrix, model.poses
@@ -350,7 +339,7 @@ def _page_extras(request: Convert, before: Arrays | None, model: _Model) -> Extr
         centre = matrix[:3, :3] @ box.centre + matrix[:3, 3]
         ball = Ball(centre=centre, radius=float(np.linalg.norm(box.half_extents)))
         places.append((box.name, ball))
-    shown = None if request.before is None else target_of(request.before)
+    shown = None if request.before is None else formats.target_of(request.before)
     return Extras(
         title=request.title or "",
         places=places,
@@ -364,7 +353,7 @@ def _page_extras(request: Convert, before: Arrays | None, model: _Model) -> Extr
 
 
 def _write_streamed(request: Convert, context: Context) -> Result:
-    from ..exchange import formats, streamed_sog
+    from ..exchange import streamed_sog
     from ..formats.levels import read_ladders
 
     folder = levelled_run(request.source)
