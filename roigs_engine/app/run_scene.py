@@ -11,18 +11,9 @@ import numpy as np
 from ..context import QUIET, Context
 from ..errors import ConfigError, EngineError
 from ..exchange.arrays import UP
+from ..formats import run_files
 from ..formats.files import read_record
 from ..formats.gravity import gravity_alignment
-from ..formats.run_files import (
-    BACKGROUND,
-    COARSE,
-    FINE,
-    LEVELS_FILE,
-    MANIFEST,
-    PROJECT,
-    RESULT,
-    SETTINGS,
-)
 from ..requests.choices import MAX_SIDE
 
 if TYPE_CHECKING:
@@ -43,10 +34,10 @@ def poses_of_run(folder: Path) -> Float64 | None:
 def levelled_run(result: Path) -> Path:
     """The run folder of a result that has levels of detail; ConfigError: it has none."""
     folder = result.absolute().parent
-    if result.name != RESULT or not (folder / LEVELS_FILE).is_file():
+    if result.name != run_files.RESULT or not (folder / run_files.LEVELS_FILE).is_file():
         raise ConfigError(
             f"{result} has no levels of detail.",
-            f"Make them with `levels`, and give the {RESULT} of that run.",
+            f"Make them with `levels`, and give the {run_files.RESULT} of that run.",
         )
     return folder
 
@@ -86,10 +77,10 @@ def source_of_run(model: Path) -> tuple[Path | None, Path | None, int | None]:
     folder = _run_folder(model)
     if folder is None:
         return None, None, None
-    if model.name != RESULT:
+    if model.name != run_files.RESULT:
         raise ConfigError(
             f"{model} is a part of a result, and photos show all of it.",
-            f"Give {folder / RESULT}.",
+            f"Give {folder / run_files.RESULT}.",
         )
     scene = next((place for place in _places(folder) if place.is_dir()), None)
     return scene, _path(folder, "images"), _longest_side(folder)
@@ -113,15 +104,15 @@ def cameras_of_result(path: Path, scene: Path | None = None) -> SfmScene | None:
 def _run_folder(path: Path) -> Path | None:
     """The run folder of a result, or of a part of one; None: the file is not called like one."""
     folder = path.absolute().parent
-    if folder.name in (FINE, COARSE):
+    if folder.name in (run_files.FINE, run_files.COARSE):
         return folder.parent
-    return folder if path.name in (RESULT, BACKGROUND) else None
+    return folder if path.name in (run_files.RESULT, run_files.BACKGROUND) else None
 
 
 def _longest_side(folder: Path) -> int | None:
     """The longest side of the photos that a run was trained on, pixels; None: not known."""
     with suppress(TypeError, ValueError):
-        sizes = read_record(folder / MANIFEST).get("sizes", ())
+        sizes = read_record(folder / run_files.MANIFEST).get("sizes", ())
         side = max(int(side) for size in sizes for side in str(size).split("x"))
         return side if 0 < side <= MAX_SIDE else None
     return None
@@ -129,7 +120,7 @@ def _longest_side(folder: Path) -> int | None:
 
 def _path(folder: Path, option: str) -> Path | None:
     """A path among the settings of a run; None: there is none, or they are damaged."""
-    found = read_record(folder / SETTINGS).get(option)
+    found = read_record(folder / run_files.SETTINGS).get(option)
     return Path(found) if isinstance(found, str) and found else None
 
 
@@ -149,4 +140,4 @@ def up_in_run(path: Path) -> str | None:
 def _places(folder: Path) -> list[Path]:
     """Where the scene of a run folder may be, the likelier place first."""
     known = _path(folder, "scene")
-    return [*([] if known is None else [known]), folder / PROJECT]
+    return [*([] if known is None else [known]), folder / run_files.PROJECT]
