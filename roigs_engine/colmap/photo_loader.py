@@ -24,28 +24,10 @@ from ..photos.files import PhotoFolder
 from ..photos.headers import check_complete, photo_size
 from ..photos.mask_paths import USUAL_MASKS, MaskFiles, MaskOptions
 from ..photos.rotation import AS_STORED, rotation_tag, turned_size
-from .camera_masks import (
-    HIDDEN,
-    MaskPlan,
-    find_mask,
-    make_masks,
-    mention_folders,
-    mention_masks,
-    plan_object_masks,
-)
+from . import camera_masks, undistort
 from .records import Model, ModelImage
 from .rotations import Cloud, StoredPhoto, find_turns
 from .shown_photo import lens_in_words
-from .undistort import (
-    UndistortionPlan,
-    as_pinhole,
-    has_pycolmap,
-    plan_undistortion,
-    resized_lens,
-    undistort_again,
-    undistort_all,
-    without_distortion,
-)
 
 MISSING = "missing on disk"
 UNPOSED = "without a pose"
@@ -157,7 +139,7 @@ class PhotoLoader:
         self.skipped: defaultdict[str, list[str]] = defaultdict(list)
         self.why: dict[str, Skip] = {}
         self.posed: dict[int, PosedImage] = {}
-        self._plans: dict[int, UndistortionPlan] = {}
+        self._plans: dict[int, undistort.UndistortionPlan] = {}
         found: dict[int, StoredPhoto] = {}
         names: set[str] = set()
         files: set[tuple[object, ...]] = set()
@@ -196,18 +178,19 @@ class PhotoLoader:
             text = f"{photo.name} has {size[0]} x {size[1]} pixels, its camera"
             text += f" {camera.width} x {camera.height}: another shape"
             return Skip(WRONG_SIZE, text, HINT_SIDE if photo.on_its_side else HINT_SHAPE)
-        pinhole = as_pinhole(camera)
+        pinhole = undistort.as_pinhole(camera)
         try:
             if pinhole is not None:
                 target = pinhole.resized(*shrink(*size))
-            elif self._pixels or has_pycolmap():
-                plan = plan_undistortion(path, camera, size, shrink, turn)
+            elif self._pixels or undistort.has_pycolmap():
+                plan = undistort.plan_undistortion(path, camera, size, shrink, turn)
                 self._plans[photo.key], target = plan, plan.target
             else:
                 self.approximate = True
-                target = without_distortion(camera).resized(*shrink(*size))
+                target = undistort.without_distortion(camera).resized(*shrink(*size))
         except SceneError:
             return Skip(f"{camera.model} {CANNOT_UNDISTORT}")
+        lens = "" if pinhole else lens_in_words(undistort.resized_lens(camera, *size))
         self.posed[photo.key] = PosedImage(
             name=photo.name,
             path=path,
@@ -215,7 +198,7 @@ class PhotoLoader:
             world_to_camera=photo.world_to_camera,
             turn=turn,
             distorted=pinhole is None,
-            lens="" if pinhole is not None else lens_in_words(resized_lens(camera, *size)),
+            lens=lens,
         )
         return None
 
@@ -256,7 +239,7 @@ class PhotoLoader:
         """Give the photos their masks; skip those that are hidden whole."""
         plans = {}
         for key, image in self.posed.items():
-            plan = find_mask(
+            plan = camera_masks.find_mask(
                 image.name,
                 image.path,
                 image.file_digest,
@@ -266,10 +249,10 @@ class PhotoLoader:
             )
             if plan is not None:
                 plans[key] = self._for_camera(plan, key)
-        made = make_masks(plans, cache, context, write=self._pixels)
+        made = camera_masks.make_masks(plans, cache, context, write=self._pixels)
         for key, (mask, share) in made.items():
             if not share:
-                self._skip(key, HIDDEN)
+                self._skip(key, camera_masks.HIDDEN)
             elif share < 1:
                 image, digest = self.posed[key], self.posed[key].digest
                 if key in self._plans:
@@ -280,9 +263,9 @@ class PhotoLoader:
                 self.posed[key] = replace(image, mask=mask, digest=digest)
         if self._pixels:
             used = sum(0 < share < 1 for _, share in made.values())
-            mention_masks(used, self._mask_files, self._names, context)
+            camera_masks.mention_masks(used, self._mask_files, self._names, context)
 
-    def _for_camera(self, plan: MaskPlan, key: int) -> MaskPlan:
+    def _for_camera(self, plan: camera_masks.MaskPlan, key: int) -> camera_masks.MaskPlan:
         """The plan of a mask as the photo's camera sees it."""
         camera = self.posed[key].camera
         target = (camera.width, camera.height)
@@ -295,10 +278,10 @@ class PhotoLoader:
     def _mask_objects(self, cache: Path | None, context: Context) -> None:
         """Give the photos the masks of the boxes' objects."""
         if self._pixels and not self._masks.other_boxes:
-            mention_folders(self._mask_files, self._masks.boxes, self._names, context)
-        found = plan_object_masks(self.posed, self._mask_files, self._masks)
+            camera_masks.mention_folders(self._mask_files, self._masks.boxes, self._names, context)
+        found = camera_masks.plan_object_masks(self.posed, self._mask_files, self._masks)
         plans = {(key, box): self._for_camera(plan, key) for (key, box), plan in found.items()}
-        made = make_masks(plans, cache, context, write=self._pixels)
+        made = camera_masks.make_masks(plans, cache, context, write=self._pixels)
         for (key, box), (mask, _) in made.items():
             image = self.posed[key]
             self.posed[key] = replace(image, objects={**image.objects, box: mask})
@@ -306,14 +289,14 @@ class PhotoLoader:
     def _undistort(self, cache: Path | None, context: Context) -> None:
         if not self._plans:
             return
-        made = undistort_all(self._plans.values(), cache, context)
+        made = undistort.undistort_all(self._plans.values(), cache, context)
         for key, plan in self._plans.items():
             image, path = self.posed[key], made.get(plan.key())
             if path is None:
                 self.skipped[UNREADABLE].append(image.name)
                 del self.posed[key]
                 continue
-            remake = partial(undistort_again, plan, path)
+            remake = partial(undistort.undistort_again, plan, path)
             self.posed[key] = replace(
                 image, path=path, remake=remake, distorted=False, lens="", turn=AS_STORED
             )

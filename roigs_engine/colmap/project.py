@@ -12,19 +12,7 @@ from numpy.typing import NDArray
 
 from ..context import QUIET, Context
 from ..errors import ConfigError, SceneError
-from ..formats.projects import (
-    FIRST_MODEL,
-    PHOTO_FOLDERS,
-    SPARSE,
-    SUFFIXES,
-    folders_above,
-    is_refined_model,
-    is_refined_name,
-    model_folders,
-    model_suffix,
-    project_folder,
-    refined_folder,
-)
+from ..formats import projects
 from ..formats.rois import FAR
 from ..formats.text import counted, named
 from ..model.scene import Float64, Int64, SfmScene
@@ -109,7 +97,7 @@ def load_colmap(
     loader.load(cache, context)
     if not loader.posed:
         raise _no_photos(model, folder, photos, loader)
-    if photos.folder.name in PHOTO_FOLDERS[1:]:
+    if photos.folder.name in projects.PHOTO_FOLDERS[1:]:
         context.info(f"The photos are the smaller ones of {photos.folder.name}.")
     loader.skipped[UNPOSED] += photos.others([image.name for image in model.images])
     return _cleaned(_scene(loader, observed, points, colors), loader.why, context)
@@ -135,10 +123,10 @@ def _mention_refined(model: Model, folder: Path, context: Context) -> None:
     """Say that refined cameras may be better, or where they are, if the lens model is simple."""
     used = {camera.model for camera in model.cameras.values()}
     simple = [name for name in SIMPLE_LENSES if name in used]
-    if not simple or is_refined_name(folder):
+    if not simple or projects.is_refined_name(folder):
         return
-    refined = refined_folder(folder)
-    if is_refined_model(refined):
+    refined = projects.refined_folder(folder)
+    if projects.is_refined_model(refined):
         context.info(f"{refined} has refined cameras: with that folder, results are sharper.")
     else:
         context.info(
@@ -179,12 +167,12 @@ def find_model(path: Path, context: Context = QUIET) -> Path:
     A project's folder of photos stands for the project. If there are several models, the one with
     the most photos is used, with a warning. SceneError: there is none.
     """
-    if model_suffix(path):
+    if projects.model_suffix(path):
         return path
     if not path.is_dir():
         raise SceneError(f"{path} is not a folder.", "Give the project's folder.")
-    path = project_folder(path)
-    counts = {folder: count_images(folder) for folder in model_folders(path)}
+    path = projects.project_folder(path)
+    counts = {folder: count_images(folder) for folder in projects.model_folders(path)}
     if not counts:
         raise _no_model(path)
     best = max(counts, key=lambda folder: counts[folder])
@@ -218,11 +206,11 @@ OTHER_MODELS = {
 def _no_model(path: Path) -> SceneError:
     """The error for a folder without a model, by what is there instead."""
     missing = f"{path} has no COLMAP model"
-    for folder in (path, path / SPARSE, path / SPARSE / FIRST_MODEL):
+    for folder in (path, path / projects.SPARSE, path / projects.SPARSE / projects.FIRST_MODEL):
         lacks = [
             stem
             for stem in MODEL_FILES
-            if not any((folder / (stem + suffix)).is_file() for suffix in SUFFIXES)
+            if not any((folder / (stem + suffix)).is_file() for suffix in projects.SUFFIXES)
         ]
         if 0 < len(lacks) < len(MODEL_FILES):
             hint = "Export the model again: it needs cameras, images and points3D, of one kind."
@@ -332,7 +320,7 @@ def _no_photos(model: Model, folder: Path, photos: PhotoFolder, loader: PhotoLoa
 def _folder_with(model: Model, folder: Path) -> Path | None:
     """A folder of the project that has the model's first photo; None: not found."""
     first = photo_name(model.images[0])
-    for root in folders_above(folder):
+    for root in projects.folders_above(folder):
         with suppress(OSError):
             for child in sorted(root.iterdir()):
                 if (child / first).is_file():
