@@ -39,6 +39,12 @@ LEVELS = (
     ("IMPORTED", "Imported", "A file of Gaussians that the user imported"),
 )
 
+SHOWN_AS = (
+    ("GAUSSIANS", "Gaussians", "Blender's own splats, from version 5.3 on; before, the exact look"),
+    ("EXACT", "Exact Look", "Drawn by ROI-GS, as they were trained"),
+    ("POINTS", "Points", "A point for each Gaussian"),
+)
+
 
 MOST = (1 << 31) - 1  # that Blender's integers hold
 
@@ -141,7 +147,7 @@ class RoigsObject(bpy.types.PropertyGroup):
     selected_box: StringProperty(description="Box: where it was when its photos were selected")
     ply: StringProperty(description="Gaussians: their file", subtype="FILE_PATH")
     level: EnumProperty(items=LEVELS, description="Gaussians: the model they belong to")
-    as_points: BoolProperty(description="Gaussians: the viewport shows points instead")
+    shown_as: EnumProperty(items=SHOWN_AS, description="Gaussians: how they are drawn")
     roi: StringProperty(description="Gaussians: name of their box")
     parked: StringProperty(
         description="Gaussians: not in the result that is shown; how they were seen before"

@@ -23,7 +23,7 @@ from .engine.frame_engine import FrameEngine
 from .engine.python import FOR_TRAINING
 from .errors import AddonError
 from .jobs import options_files
-from .scene import blur, compositor, edits
+from .scene import blur, compositor, display, edits
 from .scene.frame_request import frame_request, picture, shown
 from .shared import EngineError, frame_requests
 
@@ -52,7 +52,7 @@ def before_frame(scene: bpy.types.Scene, *_: object) -> None:
     global _waiting, _moments, _trouble
     linked = compositor.find(scene) is not None
     _waiting, _moments, _trouble = False, [], ""
-    if linked and blur.moves(scene):
+    if linked and display.in_layer(scene) and blur.moves(scene):
         try:
             if blur.may_step(scene):
                 _moments = blur.moments(scene)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
-from bpy.props import BoolProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from ..blender import (
     following,
@@ -21,7 +21,7 @@ from ..engine import earlier_results
 from ..errors import AddonError
 from ..facts import caches, run_facts
 from ..jobs import current, run_folders
-from ..properties import object_props
+from ..properties import SHOWN_AS, object_props
 from ..scene import carried, compared, compositor, detail, edits, lookup, splats
 from ..windows import redraw
 from .base import FRESH, available, failed
@@ -158,17 +158,22 @@ def _select_shown(context: bpy.types.Context) -> None:
         select_only(context, pair.shown)
 
 
-class ShowPoints(bpy.types.Operator):
-    """Show the Gaussians as points or in full"""
+class ShowAs(bpy.types.Operator):
+    """Show the Gaussians in full or as points"""
 
-    bl_idname = "roigs.show_points"
-    bl_label = "Points or Gaussians"
+    bl_idname = "roigs.show_as"
+    bl_label = "Gaussians or Points"
 
-    points: BoolProperty(default=True, options=FRESH)
+    way: EnumProperty(items=SHOWN_AS, options=FRESH)
+
+    @classmethod
+    def description(cls, _: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
+        """What the button does."""
+        return next(text for name, _, text in SHOWN_AS if name == properties.way)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Switch all Gaussians of the scene."""
-        splats.set_points(scene_of(context), self.points)
+        splats.show_as(scene_of(context), self.way)
         redraw()
         return {"FINISHED"}
 
@@ -222,7 +227,7 @@ _start, _end = following(("load_post", _follow))
 
 
 _register, _unregister = registration(
-    LoadResults, DeleteResult, SetDetail, ShowPoints, ShowInRenders, SelectGaussians
+    LoadResults, DeleteResult, SetDetail, ShowAs, ShowInRenders, SelectGaussians
 )
 
 

@@ -6,32 +6,24 @@ Once per scene: a user who removes the node from the compositor wants it gone.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
 
 import bpy
 
 from ..blender import following, persistent
-from ..properties import object_props
-from . import compositor, instances, lookup
+from . import compositor, display, lookup
 
 _counted: dict[int, int] = {}
 """Scene, by its number in this session -> its objects when it was looked at."""
 
 
 def let_in(scene: bpy.types.Scene) -> None:
-    """Merge the Gaussians of a scene into its renders, if that was never done."""
-    if scene.library is not None or compositor.was_linked(scene):
-        return
-    own = any(object_props(item).level != "PREVIEW" for item in lookup.splats(scene))
-    if own or any(map(instances.is_drawn, _in_collections(scene))):
+    """Show the Gaussians of a scene as this Blender can, and merge those into its renders that
+    the engine draws, if that was never done.
+    """
+    for item in lookup.splats(scene):
+        display.refresh(item)
+    if scene.library is None and not compositor.was_linked(scene):
         compositor.link(scene)
-
-
-def _in_collections(scene: bpy.types.Scene) -> Iterator[bpy.types.Object]:
-    """Objects of the collections that are instanced in a scene, such as linked ones."""
-    placed = (item.instance_collection for item in scene.objects if item.type == "EMPTY")
-    for collection in {collection for collection in placed if collection is not None}:
-        yield from collection.all_objects
 
 
 @persistent

@@ -92,7 +92,7 @@ def geometry_group(name: str) -> Any:
     return group
 
 
-def add_nodes_modifier(item: bpy.types.Object, name: str, group: bpy.types.NodeTree) -> None:
+def add_nodes_modifier(item: bpy.types.Object, name: str, group: bpy.types.NodeTree | None) -> None:
     """Add a modifier with a geometry-nodes group to an object.
 
     It is off in edit mode: with it, Blender 5.2 does not show which points are selected.

@@ -12,6 +12,7 @@ from typing import Any
 import bpy
 
 from ..shared import frame_requests
+from . import display
 
 NAME = "ROI-GS Gaussians"
 ENDS = ("COMPOSITE", "GROUP_OUTPUT")
@@ -30,7 +31,9 @@ SOCKETS = (
 
 
 def link(scene: bpy.types.Scene) -> None:
-    """Merge Gaussians into the scene's renders; does nothing twice."""
+    """Merge Gaussians into the scene's renders; does nothing twice, nor for Blender's own."""
+    if not display.in_layer(scene):
+        return
     tree = _made_tree(scene)
     if find(scene) is None:
         _insert(scene, tree, _group())

@@ -13,7 +13,7 @@ import numpy as np
 from ..blender import camera_of
 from ..errors import AddonError
 from ..geometry import frames
-from . import cameras, edits, instances, ladders, look, lookup
+from . import cameras, display, edits, instances, ladders, look, lookup
 
 Model = dict[str, Any]
 """Of a request: a file, where it stands, and how it looks."""
@@ -34,7 +34,9 @@ def frame_request(
         AddonError: the camera is of a kind that the engine cannot render, or something stands
             nowhere.
     """
-    whole = [*_models(shown(scene), depsgraph), *_more(instances.instances(depsgraph))]
+    own = (item for item in shown(scene) if not display.is_native(item))
+    more = (i for i in instances.instances(depsgraph) if not display.is_native(i.item))
+    whole = [*_models(own, depsgraph), *_more(more)]
     if not whole or scene.camera is None:
         return None
     camera = scene.camera.evaluated_get(depsgraph)

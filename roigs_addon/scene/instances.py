@@ -5,6 +5,7 @@ Blender draws nothing of them; each is drawn like an object of its own, without 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import bpy
@@ -41,7 +42,7 @@ def instances(depsgraph: bpy.types.Depsgraph) -> list[Instance]:
         if not each.is_instance or each.object is None or each.parent is None:
             continue
         item, instancer = each.object.original, each.parent.original
-        if item is None or instancer is None or not is_drawn(item):
+        if item is None or instancer in (None, item) or not is_drawn(item):
             continue
         matrix = np.array(each.matrix_world, np.float64)
         if np.isfinite(matrix).all() and np.linalg.matrix_rank(matrix[:3, :3]) == 3:
@@ -58,11 +59,18 @@ def in_view(layer: bpy.types.ViewLayer) -> list[Instance]:
     return _known[key]
 
 
+def in_collections(scene: bpy.types.Scene) -> Iterator[bpy.types.Object]:
+    """Objects of the collections that are instanced in a scene, such as linked ones."""
+    placed = (item.instance_collection for item in scene.objects if item.type == "EMPTY")
+    for collection in {collection for collection in placed if collection is not None}:
+        yield from collection.all_objects
+
+
 def is_drawn(item: bpy.types.Object) -> bool:
     """Whether an object is drawn as Gaussians where it is shown."""
     props = object_props(item)
     drawn = props.kind == "SPLATS" and props.level != "PREVIEW"
-    return drawn and bool(props.ply) and not props.as_points
+    return drawn and bool(props.ply) and props.shown_as != "POINTS"
 
 
 def _may_instance(item: bpy.types.Object) -> bool:

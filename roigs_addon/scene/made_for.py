@@ -6,7 +6,7 @@ import bpy
 
 from ..properties import object_props, scene_props
 from ..shared import targets
-from . import lookup, native_splats
+from . import display, lookup, native_splats
 from .splat_attributes import marked_target
 
 
@@ -16,8 +16,8 @@ def mismatch(scene: bpy.types.Scene) -> tuple[targets.Target, targets.Target] | 
     Blender draws its own splats as its render engine does; the add-on draws objects as they are
     made for.
     """
-    native = (item for item in scene.objects if native_splats.are_in(item) and item.visible_get())
-    data = next((item.data for item in native), None)
+    blenders = (i for i in scene.objects if native_splats.are_in(i) or _is_native(i))
+    data = next((item.data for item in blenders if item.visible_get()), None)
     wanted = targets.CYCLES if str(scene.render.engine) == "CYCLES" else targets.EEVEE
     if data is None:
         shown = (item for item in lookup.splats(scene) if object_props(item).level == "RESULT")
@@ -29,6 +29,10 @@ def mismatch(scene: bpy.types.Scene) -> tuple[targets.Target, targets.Target] | 
     return None if made == wanted else (made, wanted)
 
 
+def _is_native(item: bpy.types.Object) -> bool:
+    return bool(object_props(item).kind == "SPLATS") and display.is_native(item)
+
+
 def in_other_light(scene: bpy.types.Scene) -> tuple[str, targets.Target] | None:
     """An object that is drawn in another light than it is made for, and what that is.
 
@@ -37,6 +41,8 @@ def in_other_light(scene: bpy.types.Scene) -> tuple[str, targets.Target] | None:
     found: dict[bool, list[tuple[int, str, targets.Target]]] = {False: [], True: []}
     for item in lookup.splats(scene):
         mesh = item.data
+        if display.is_native(item):
+            continue
         if isinstance(mesh, bpy.types.Mesh) and not item.hide_render and item.visible_get():
             target = marked_target(mesh)
             found[target.linear_light].append((len(mesh.vertices), item.name, target))

@@ -1,9 +1,9 @@
 """Trained and imported Gaussians as Blender objects: for every render engine, and for the viewport.
 
-Each object is a mesh of points with the attributes of docs/conventions.md. A modifier hides the
-points: the add-on draws the Gaussians themselves in the viewport (viewport/), and the engine draws
-them in renders (compositor.py). Where the user wants points, it is off. Points can be deleted,
-hidden and moved in edit mode (edits.py).
+Each object is a mesh of points with the attributes of docs/conventions.md. A modifier makes
+Blender's own splats of them or hides them (display.py). In the second case the add-on draws the
+Gaussians in the viewport (viewport/), and the engine draws them in renders (compositor.py). Points
+can be deleted, hidden and moved in edit mode (edits.py).
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from . import (
     clouds,
     compositor,
     detail,
+    display,
     edits,
     lookup,
     origins,
@@ -41,7 +42,6 @@ BELOW = {"RESULT": 1, "SCENE": 2, "ROI": 2, "IMPORTED": 3}
 """Level -> of how many parts the path of its file is, from the run folder on."""
 
 COLLECTION = "ROI-GS Gaussians"
-HIDE = "Drawn as Gaussians"
 UNUSED = "ROI-GS new"
 MATERIAL = "ROI-GS Gaussians"
 
@@ -140,6 +140,7 @@ def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
             scene, "ROI-GS Preview", clouds.new_points("Preview", np.zeros((0, 3), np.float32))
         )
         object_props(item).level = "PREVIEW"
+        display.show_as(item, "EXACT")  # its file is all that it has
         for other in lookup.splats(scene):
             if other != item and object_props(other).level != "IMPORTED":
                 visibility.wait(other)
@@ -171,13 +172,12 @@ def follow(scene: bpy.types.Scene, folder: Path) -> int:
     return found
 
 
-def set_points(scene: bpy.types.Scene, points: bool) -> None:
-    """Show points in the viewport instead of Gaussians."""
+def show_as(scene: bpy.types.Scene, way: str) -> None:
+    """Show all Gaussians in one of the ways of `properties.SHOWN_AS`; a preview is as it is."""
     for item in lookup.splats(scene):
-        modifier = item.modifiers.get(HIDE)
-        if modifier is not None:
-            object_props(item).as_points = points
-            modifier.show_viewport = modifier.show_render = not points
+        if object_props(item).level != "PREVIEW":
+            display.show_as(item, way)
+    compositor.link(scene)
 
 
 def remove_preview(scene: bpy.types.Scene) -> None:
@@ -286,6 +286,8 @@ def _points(name: str, path: Path) -> bpy.types.Object:
 
 
 def _new_object(scene: bpy.types.Scene, name: str, item: bpy.types.Object) -> bpy.types.Object:
+    others = (object_props(other) for other in lookup.splats(scene))
+    way = next((props.shown_as for props in others if props.level != "PREVIEW"), "GAUSSIANS")
     item.name = name
     object_props(item).kind = "SPLATS"
     item.parent = scene_props(scene).root
@@ -296,16 +298,6 @@ def _new_object(scene: bpy.types.Scene, name: str, item: bpy.types.Object) -> bp
     collection.objects.link(item)
     material = bpy.data.materials.get(MATERIAL) or clouds.colour_material(MATERIAL, "opacity")
     clouds.show_as_points(item, material, "radius")
-    clouds.add_nodes_modifier(item, HIDE, _nothing_group())
+    clouds.add_nodes_modifier(item, display.MODIFIER, None)
+    display.show_as(item, way)
     return item
-
-
-def _nothing_group() -> bpy.types.NodeTree:
-    """A geometry-nodes group without any geometry."""
-    known = bpy.data.node_groups.get(HIDE)
-    if known is not None:
-        return known
-    group = clouds.geometry_group(HIDE)
-    group.nodes.new("NodeGroupOutput")
-    made: bpy.types.NodeTree = group
-    return made

@@ -24,7 +24,7 @@ class LookPanel(SidebarPanel):
         item = context.active_object
         if item is None or object_props(item).kind != "SPLATS":
             return False
-        return not object_props(item).as_points
+        return bool(object_props(item).shown_as != "POINTS")
 
     def draw(self, context: bpy.types.Context) -> None:
         """Its exposure and tint, which can be keyframed."""

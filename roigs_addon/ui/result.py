@@ -22,16 +22,17 @@ from ..operators.results import (
     LoadResults,
     SelectGaussians,
     SetDetail,
+    ShowAs,
     ShowInRenders,
-    ShowPoints,
 )
 from ..operators.run_folder import CleanUp, CompareResults, FindFolder
-from ..properties import object_props, scene_props
+from ..properties import SHOWN_AS, object_props, scene_props
 from ..scene import (
     carried,
     compared,
     compositor,
     detail,
+    display,
     ladders,
     lookup,
     made_for,
@@ -68,7 +69,7 @@ class ResultPanel(SidebarPanel):
             show.todo(layout, "Train to get Gaussians, or import some")
         names = outdated.renamed(scene, run_facts.run(scene))
         _draw_objects(layout.column(align=True), scene, names)
-        _draw_as_points(layout, items)
+        _draw_ways(layout, items)
         for path, problem in viewport.problems().items():
             if path and not run_facts.is_file(Path(path)):
                 continue  # its points are drawn instead
@@ -182,14 +183,16 @@ def _draw_name(row: bpy.types.UILayout, item: bpy.types.Object, name: str) -> No
     button.name = item.name
 
 
-def _draw_as_points(layout: bpy.types.UILayout, splats: Objects) -> None:
+def _draw_ways(layout: bpy.types.UILayout, splats: Objects) -> None:
+    """How the Gaussians are shown, and what does not show right so."""
     if not splats:
         return
-    row = layout.row(align=True)
-    as_points = object_props(splats[0]).as_points
-    for label, points in (("Gaussians", False), ("Points", True)):
-        button = row.operator(ShowPoints.bl_idname, text=label, depress=as_points == points)
-        button.points = points
+    row, now = layout.row(align=True), object_props(splats[0]).shown_as
+    for way, label, _ in SHOWN_AS:
+        if way != "EXACT" or native_splats.exist():
+            row.operator(ShowAs.bl_idname, text=label, depress=now == way).way = way
+    if problem := display.remark(splats):
+        show.wrong(layout, problem)
 
 
 def _draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
@@ -232,10 +235,11 @@ def _draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
 
 def _draw_render(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     """Blender's own render, and what keeps the Gaussians out of it or changes their colours."""
-    problem = compositor.lacking(scene) or rendering.problem
-    if problem:
-        show.wrong(layout, problem)
-    if compositor.find(scene) is None:
+    if layer := display.in_layer(scene):
+        problem = compositor.lacking(scene) or rendering.problem
+        if problem:
+            show.wrong(layout, problem)
+    if layer and compositor.find(scene) is None:
         layout.operator(ShowInRenders.bl_idname, icon="RENDER_STILL")
     view = scene.view_settings
     if view is not None and view.view_transform not in TRUE_COLOURS:

@@ -11,7 +11,7 @@ from mathutils import Matrix
 
 from ..blender import view_layer_of, windows
 from ..properties import object_props
-from ..scene import edits, instances, ladders, look
+from ..scene import display, edits, instances, ladders, look
 
 SURFACES = frozenset(
     {
@@ -80,9 +80,10 @@ def marked(
     """
     found = []
     for item in objects:
-        one = _of(item, scene) if object_props(item).kind == "SPLATS" else None
-        if one is not None:
-            shown = not object_props(item).as_points and seen(item, space)
+        if object_props(item).kind != "SPLATS" or display.is_native(item, viewport=True):
+            continue
+        if (one := _of(item, scene)) is not None:
+            shown = object_props(item).shown_as != "POINTS" and seen(item, space)
             found.append(replace(one, matrix=item.matrix_world @ one.matrix, visible=shown))
     return found
 
@@ -96,7 +97,8 @@ def _instanced(context: bpy.types.Context) -> list[SplatObject]:
         for each in instances.in_view(layer):
             uid = each.item.session_uid
             if uid not in known:
-                known[uid] = _of(each.item, context.scene)
+                native = display.is_native(each.item)
+                known[uid] = None if native else _of(each.item, context.scene)
             if (one := known[uid]) is not None:
                 shown = layer == own and seen(each.instancer, context.space_data)
                 matrix = Matrix(each.matrix.tolist()) @ one.matrix
@@ -135,7 +137,7 @@ def surfaces_are_visible(context: bpy.types.Context) -> bool:
     """Whether the view shows anything that could hide Gaussians."""
     return any(
         item.type in SURFACES
-        and (object_props(item).kind != "SPLATS" or object_props(item).as_points)
+        and (object_props(item).kind != "SPLATS" or object_props(item).shown_as == "POINTS")
         and item.display_type in ("SOLID", "TEXTURED")
         and seen(item, context.space_data)
         for item in view_layer_of(context).objects

@@ -77,6 +77,17 @@ def warm(request: pytest.FixtureRequest) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(autouse=True)
+def exact_look(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Tests of the add-on's own drawing, marked so, see a Blender without splats of its own."""
+    with pytest.MonkeyPatch.context() as patch:
+        if not MISSING and request.node.get_closest_marker("exact_look"):
+            from roigs_addon.scene import native_splats
+
+            patch.setattr(native_splats, "exist", lambda: False)
+        yield
+
+
 @pytest.fixture
 def engine(addon: ModuleType) -> object:
     """An engine that can train; skips without one."""

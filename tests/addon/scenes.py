@@ -7,6 +7,10 @@ import subprocess
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
+
+from tests.addon.pictures import load_rgba
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -86,6 +90,18 @@ def with_cycles(scene, *, samples: int):
     return render
 
 
+def seen_from_afar(bpy: ModuleType, scene, out: Path) -> np.ndarray:
+    """A render of the origin."""
+    camera = bpy.data.objects.new("far", bpy.data.cameras.new("far"))
+    scene.collection.objects.link(camera)
+    camera.location.z, scene.camera = 5.0, camera
+    render = with_cycles(scene, samples=1)
+    render.resolution_x = render.resolution_y = 64
+    render.filepath = str(out)
+    bpy.ops.render.render(write_still=True)
+    return load_rgba(out)
+
+
 def command_line(engine, *arguments: object) -> subprocess.CompletedProcess[str]:
     """The engine as a person starts it, from the same Python and source as the add-on's."""
     return subprocess.run(
@@ -110,6 +126,7 @@ def drawn_points(bpy: ModuleType) -> dict[str, dict[str, object]]:
                 "points": len(data.points),
                 "radius": data.points[0].radius if len(data.points) else 0.0,
                 "attributes": set(data.attributes.keys()),
+                "type": getattr(data, "type", "POINTS"),
             }
     return found
 

@@ -11,6 +11,8 @@ import pytest
 from tests.addon.pictures import linear, load_rgba, psnr, srgb
 from tests.addon.scenes import with_cycles
 
+pytestmark = pytest.mark.exact_look
+
 
 @pytest.fixture
 def shot(blender: ModuleType, run, engine, tmp_path: Path):

@@ -66,6 +66,7 @@ def delete_first(item, count: int) -> None:
     made.free()
 
 
+@pytest.mark.exact_look
 def test_the_file_is_what_a_render_shows(
     blender: ModuleType, scene, engine, tmp_path: Path
 ) -> None:

@@ -14,6 +14,8 @@ from tests.addon.pictures import linear, load_png, load_rgba, psnr, srgb
 from tests.addon.scenes import command_line, with_cycles
 from tests.addon.splat_cases import recoloured
 
+pytestmark = pytest.mark.exact_look
+
 
 @pytest.fixture
 def shot(blender: ModuleType, run, engine, tmp_path: Path):

@@ -65,9 +65,9 @@ def check_hidden(a: bpy.types.Object, b: bpy.types.Object) -> None:
     """Marks and visibility are respected; a path to a missing file is ignored."""
     alone = seen(a)
     assert psnr(alone, seen(a, b)) < 40
-    b.roigs.as_points = True
+    b.roigs.shown_as = "POINTS"
     assert (seen(a, b) == alone).all()
-    b.roigs.as_points = False
+    b.roigs.shown_as = "GAUSSIANS"
     b.hide_viewport = True
     assert (seen(a, b) == alone).all()
     b.hide_viewport = False

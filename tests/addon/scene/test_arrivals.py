@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from types import ModuleType
 
-import numpy as np
 import pytest
 
-from tests.addon.pictures import load_rgba
-from tests.addon.scenes import with_cycles
+from tests.addon.scenes import seen_from_afar
 
 pytestmark = pytest.mark.blender
 
@@ -32,18 +30,6 @@ def brought(blender: ModuleType, run, tmp_path: Path):
         return bpy.context.scene, folder
 
     return bring
-
-
-def seen_from_afar(bpy: ModuleType, scene, out: Path) -> np.ndarray:
-    """A render of the origin."""
-    camera = bpy.data.objects.new("far", bpy.data.cameras.new("far"))
-    scene.collection.objects.link(camera)
-    camera.location.z, scene.camera = 5.0, camera
-    render = with_cycles(scene, samples=1)
-    render.resolution_x = render.resolution_y = 64
-    render.filepath = str(out)
-    bpy.ops.render.render(write_still=True)
-    return load_rgba(out)
 
 
 @pytest.mark.parametrize("way", WAYS)

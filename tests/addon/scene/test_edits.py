@@ -12,7 +12,7 @@ from roigs_engine.formats.splat_ply import read_ply, target_of
 from tests.addon.results import choose, cut
 from tests.addon.splat_cases import random_arrays, random_ply
 
-pytestmark = pytest.mark.blender
+pytestmark = [pytest.mark.blender, pytest.mark.exact_look]
 
 
 @pytest.fixture

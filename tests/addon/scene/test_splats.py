@@ -81,12 +81,13 @@ def test_points_and_gaussians(blender: ModuleType, run) -> None:
     blender.ops.roigs.load_results()
     item = levels(scene)["RESULT"]
     assert item.name not in drawn_points(blender)
-    blender.ops.roigs.show_points(points=True)
+    blender.ops.roigs.show_as(way="POINTS")
     drawn = drawn_points(blender)[item.name]
     assert drawn["points"] == 41 and drawn["radius"] > 0 and "opacity" in drawn["attributes"]
-    assert item.roigs.as_points
-    blender.ops.roigs.show_points(points=False)
-    assert item.name not in drawn_points(blender) and not item.roigs.as_points
+    assert item.roigs.shown_as == "POINTS"
+    blender.ops.roigs.show_as(way="GAUSSIANS")
+    assert item.name not in drawn_points(blender)
+    assert item.roigs.shown_as == "GAUSSIANS"
 
 
 def test_coarse_and_fine(blender: ModuleType, run) -> None:

@@ -98,7 +98,7 @@ def test_the_look_is_that_of_gaussians(blender: ModuleType, run) -> None:
         assert LookPanel.poll(blender.context) == shown
     blender.context.view_layer.objects.active = run[0].objects["Background"]
     assert said(blender, LookPanel) == ["Background"]
-    blender.ops.roigs.show_points(points=True)
+    blender.ops.roigs.show_as(way="POINTS")
     assert not LookPanel.poll(blender.context)
 
 

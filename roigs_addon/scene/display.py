@@ -1,0 +1,209 @@
+"""How an object's Gaussians are shown: as Blender's own splats, by the add-on, or as points.
+
+This is the one place that decides it. However it is shown, an object is the same mesh of points
+with attributes, so whatever changes those works in each way. From Blender 5.3 on, a modifier makes
+Blender's own splats of it. Before, and as the exact look, a modifier hides the points, and the
+add-on draws the Gaussians of the object's file.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ..geometry.splat_cloud import SH_C0
+from ..properties import object_props
+from . import clouds, edits, instances, lookup, native_splats
+from .splat_attributes import SH_NAMES
+
+MODIFIER = "Drawn as Gaussians"
+NOTHING = MODIFIER
+"""Name of the group without any geometry."""
+SPLATS = "Blender's Splats"
+"""Name of the group that makes Blender's own splats."""
+EXPOSURE, TINT = "Exposure", "Tint"
+"""Inputs of that group; drivers give them the object's look."""
+BASE = "radiance:base"
+STRETCHED = (
+    "'{}' was turned or scaled by Apply: Blender's splats do not follow. Undo it, or choose Exact"
+    " Look"
+)
+
+
+def is_native(item: bpy.types.Object, *, viewport: bool = False) -> bool:
+    """Whether Blender shows an object as its own splats, in renders or in the viewport.
+
+    There, the add-on draws objects in edit mode, in which Blender shows only their points.
+    """
+    if viewport and item.mode == "EDIT":
+        return False
+    return bool(object_props(item).shown_as == "GAUSSIANS") and native_splats.exist()
+
+
+def in_layer(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The Gaussians of a scene that the engine draws in renders."""
+    found = (*lookup.splats(scene), *instances.in_collections(scene))
+    return [item for item in found if instances.is_drawn(item) and not is_native(item)]
+
+
+def show_as(item: bpy.types.Object, way: str) -> None:
+    """Show an object in one of the ways of `properties.SHOWN_AS`."""
+    object_props(item).shown_as = way
+    refresh(item)
+
+
+def refresh(item: bpy.types.Object) -> None:
+    """Bring an object's modifiers to how it is shown: the file may be of another Blender."""
+    points, hide = (item.modifiers.get(name) for name in (clouds.POINTS, MODIFIER))
+    if not isinstance(hide, bpy.types.NodesModifier) or not item.is_editable:
+        return
+    native = is_native(item)
+    if points is not None:
+        _switch(points, on=not native)
+    _switch(hide, on=object_props(item).shown_as != "POINTS")
+    group = _splats_group() if native else _nothing_group()
+    if hide.node_group != group:
+        hide.node_group = group
+    if native:
+        _drive(item, hide)
+
+
+def remark(items: list[bpy.types.Object]) -> str:
+    """What Blender's splats do not show right, in one line; or nothing."""
+    for item in filter(is_native, items):
+        edits.file_of(item)  # looks at edits
+        frame = edits.frame_of(item)[:3, :3]
+        if not np.allclose(frame, np.eye(3), atol=1e-4):
+            return STRETCHED.format(item.name)
+    return ""
+
+
+def _switch(modifier: bpy.types.Modifier, *, on: bool) -> None:
+    if modifier.show_viewport != on:
+        modifier.show_viewport = on
+    if modifier.show_render != on:
+        modifier.show_render = on
+
+
+def _drive(item: bpy.types.Object, modifier: bpy.types.NodesModifier) -> None:
+    """Have the group's inputs follow the object's look, which may be animated."""
+    group: Any = modifier.node_group
+    ids = {s.name: s.identifier for s in group.interface.items_tree if s.in_out == "INPUT"}
+    drivers = item.animation_data.drivers if item.animation_data is not None else ()
+    known = {(curve.data_path, curve.array_index) for curve in drivers}
+    for name, index in ((EXPOSURE, 0), (TINT, 0), (TINT, 1), (TINT, 2)):
+        path = f'modifiers["{MODIFIER}"].properties.inputs.{ids[name]}.value'
+        if (path, index) in known:
+            continue
+        curve: Any = item.driver_add(path, *([index] if name == TINT else []))
+        driver = curve.driver
+        driver.type = "SUM"  # no script: it runs in files of strangers, too
+        target = driver.variables.new().targets[0]
+        target.id = item
+        target.data_path = f"roigs.tint[{index}]" if name == TINT else "roigs.exposure"
+
+
+def _nothing_group() -> bpy.types.NodeTree:
+    """A geometry-nodes group without any geometry."""
+    known = bpy.data.node_groups.get(NOTHING)
+    if known is not None:
+        return known
+    group = clouds.geometry_group(NOTHING)
+    group.nodes.new("NodeGroupOutput")
+    made: bpy.types.NodeTree = group
+    return made
+
+
+def _splats_group() -> bpy.types.NodeTree:
+    """A geometry-nodes group that makes Blender's splats of a mesh's points, with a look.
+
+    Colours are 0.5 + SH. To multiply them by gains, all coefficients are, and the rest is added to
+    the first. Without gains no attribute is written, so Blender does not copy any.
+    """
+    known = bpy.data.node_groups.get(SPLATS)
+    if known is not None:
+        return known
+    group = clouds.geometry_group(SPLATS)
+    for name, kind in ((EXPOSURE, "NodeSocketFloat"), (TINT, "NodeSocketVector")):
+        socket = group.interface.new_socket(name, in_out="INPUT", socket_type=kind)
+        socket.default_value = 0.0 if name == EXPOSURE else (1.0, 1.0, 1.0)
+    new, link = group.nodes.new, group.links.new
+    start, end = new("NodeGroupInput"), new("NodeGroupOutput")
+    points, splats = new("GeometryNodeMeshToPoints"), new("GeometryNodePointsSetType")
+    splats.inputs["Type"].default_value = "3D Gaussian Splat"
+    link(start.outputs[0], points.inputs[0])
+    link(points.outputs[0], splats.inputs[0])
+    power = new("ShaderNodeMath")
+    power.operation, power.inputs[0].default_value = "POWER", 2.0
+    link(start.outputs[EXPOSURE], power.inputs[1])
+    gains = _vector_math(group, "SCALE", start.outputs[TINT], scale=power.outputs[0])
+    looks = splats.outputs[0]
+    for name in SH_NAMES:
+        read = _attribute(group, name, "FLOAT_VECTOR")
+        seen = _vector_math(group, "MULTIPLY", read.outputs["Attribute"], gains)
+        looks = _store(group, looks, name, "FLOAT_VECTOR", seen, read.outputs["Exists"])
+    read = _attribute(group, BASE, "FLOAT_COLOR")
+    parts, whole = new("FunctionNodeSeparateColor"), new("FunctionNodeCombineColor")
+    link(read.outputs["Attribute"], parts.inputs[0])
+    triple = new("ShaderNodeCombineXYZ")
+    for k in range(3):
+        link(parts.outputs[k], triple.inputs[k])
+    scaled = _vector_math(group, "MULTIPLY", triple.outputs[0], gains)
+    more = _vector_math(group, "SUBTRACT", gains, (1.0, 1.0, 1.0))
+    added = _vector_math(group, "MULTIPLY_ADD", more, (0.5 / SH_C0,) * 3, scaled)
+    apart = new("ShaderNodeSeparateXYZ")
+    link(added, apart.inputs[0])
+    for k in range(3):
+        link(apart.outputs[k], whole.inputs[k])
+    link(parts.outputs["Alpha"], whole.inputs["Alpha"])
+    looks = _store(group, looks, BASE, "FLOAT_COLOR", whole.outputs[0], read.outputs["Exists"])
+    same = new("FunctionNodeCompare")
+    same.data_type, same.mode, same.operation = "VECTOR", "ELEMENT", "EQUAL"
+    link(gains, _enabled(same.inputs)[0])
+    _enabled(same.inputs)[1].default_value = (1.0, 1.0, 1.0)
+    chosen = new("GeometryNodeSwitch")
+    chosen.input_type = "GEOMETRY"
+    link(same.outputs[0], chosen.inputs[0])
+    link(looks, _enabled(chosen.inputs)[1])
+    link(splats.outputs[0], _enabled(chosen.inputs)[2])
+    link(_enabled(chosen.outputs)[0], end.inputs[0])
+    made: bpy.types.NodeTree = group
+    return made
+
+
+def _enabled(sockets: Any) -> list[Any]:
+    """The sockets that a node has as it is set."""
+    return [socket for socket in sockets if socket.enabled]
+
+
+def _vector_math(group: Any, operation: str, *values: Any, scale: Any = None) -> Any:
+    """The output of a node; `values` are sockets or numbers."""
+    node = group.nodes.new("ShaderNodeVectorMath")
+    node.operation = operation
+    if scale is not None:
+        group.links.new(scale, node.inputs["Scale"])
+    for socket, value in zip(node.inputs, values, strict=False):
+        if isinstance(value, tuple):
+            socket.default_value = value
+        else:
+            group.links.new(value, socket)
+    return node.outputs[0]
+
+
+def _attribute(group: Any, name: str, kind: str) -> Any:
+    node = group.nodes.new("GeometryNodeInputNamedAttribute")
+    node.data_type = kind
+    node.inputs["Name"].default_value = name
+    return node
+
+
+def _store(group: Any, geometry: Any, name: str, kind: str, value: Any, there: Any) -> Any:
+    """Geometry with an attribute written, if it was there."""
+    node = group.nodes.new("GeometryNodeStoreNamedAttribute")
+    node.data_type, node.domain = kind, "POINT"
+    node.inputs["Name"].default_value = name
+    for source, socket in ((geometry, "Geometry"), (there, "Selection"), (value, "Value")):
+        group.links.new(source, node.inputs[socket])
+    return node.outputs[0]
