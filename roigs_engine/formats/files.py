@@ -109,17 +109,17 @@ def _refuse_no_folder(folder: Path) -> None:
         raise cannot_write(folder, OSError(errno.ENOTDIR, "Not a folder"))
 
 
-def refuse_linked_folders(root: Path) -> None:
-    """Raise RunFolderError if there is a link to a folder anywhere below `root`."""
-    for parent, folders, _ in os.walk(root):
-        for name in sorted(folders):
-            if is_link(Path(parent, name)):
-                raise _linked(Path(parent, name))
+def refuse_linked_folders(root: Path, *others: Path) -> None:
+    """Raise RunFolderError if a folder anywhere below `root`, or one of `others`, is a link."""
+    folders = (Path(parent, name) for parent, names, _ in os.walk(root) for name in sorted(names))
+    for path in (*others, *folders):
+        if is_link(path):
+            raise _linked(path)
 
 
-def _linked(folder: Path) -> RunFolderError:
+def _linked(path: Path) -> RunFolderError:
     return RunFolderError(
-        f"The folder {folder} is a link; results are not written through links.",
+        f"{path} is a link; results are not written through links.",
         "Remove the link, or choose another folder.",
     )
 

@@ -18,7 +18,15 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import SceneError
-from ..formats.files import cannot_write, own_file, own_folder, read_record, write_json
+from ..formats.files import (
+    atomic_write,
+    cannot_write,
+    own_file,
+    own_folder,
+    read_record,
+    refuse_linked_folders,
+    write_json,
+)
 from ..formats.lock import locked
 from ..formats.projects import PHOTO_FOLDERS, RECONSTRUCTION, SPARSE, model_suffix
 from ..photos.files import EXTENSIONS, HEIC, UNREAD, PhotoFolder
@@ -65,7 +73,8 @@ class Folder:
         """Keep other engines out while the block runs.
 
         Raises:
-            RunFolderError: another engine is at work here, or the folder cannot be written.
+            RunFolderError: another engine is at work here, the folder cannot be written, or what
+                would be written is a link.
             SceneError: it has a model or a database that this command did not make.
         """
         if not self._record.exists():
@@ -74,6 +83,8 @@ class Folder:
             for path in filter(os.path.lexists, self._replaced()):
                 raise SceneError(f"{path} is not of this command.", "Give another --out.")
         with locked(self.work(), warn, "--out"):
+            own_folder(self.root, SPARSE, self.model.name)
+            refuse_linked_folders(self.work(), self.log, *self._replaced())
             yield
 
     def begin(self, photos: Sequence[Photo], features: Mapping[str, Any]) -> str:
@@ -95,6 +106,20 @@ class Folder:
         state |= {"version": VERSION, "features": features, "photos": digests}
         write_json(self._record, state)
         return why
+
+    def emptied(self, *names: str) -> Path:
+        """An empty folder of the engine's own; RunFolderError: something in it cannot be removed.
+
+        What stayed could be links, through which pycolmap would write.
+        """
+        folder = self.work(*names)
+        try:
+            with suppress(FileNotFoundError):
+                shutil.rmtree(folder)
+            folder.mkdir(parents=True)
+        except OSError as error:
+            raise cannot_write(folder, error) from error
+        return folder
 
     def forget(self) -> None:
         """Remove the database and what was made of it, except results."""
@@ -198,18 +223,10 @@ class Folder:
                     )
                 continue
             own_file(self.root, f"{IMAGES}/{photo.name}")  # refuses a link
-            try:
+            with suppress(OSError):
                 target.parent.mkdir(parents=True, exist_ok=True)
-                _link_or_copy(photo.path, target)
-            except OSError as error:
-                raise cannot_write(target, error) from error
-
-
-def _link_or_copy(source: Path, target: Path) -> None:
-    """A hard link; a copy on file systems without, or between two."""
-    with suppress(OSError):
-        os.link(os.path.realpath(source), target)
-        return
-    partial = target.with_name(f".{target.name}.part")
-    shutil.copyfile(source, partial)
-    os.replace(partial, target)
+                os.link(os.path.realpath(photo.path), target)
+                continue
+            # Some file systems have no second names, and none is of a file of another one.
+            with atomic_write(target, durable=False) as copy, open(photo.path, "rb") as file:
+                shutil.copyfileobj(file, copy)

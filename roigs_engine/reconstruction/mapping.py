@@ -43,8 +43,7 @@ def map_models(
     `settings`: `seed` and `threads` of the task. After a stop, snapshots stay, from which the next
     call resumes. SceneError: pycolmap failed.
     """
-    out = folder.work("models")
-    shutil.rmtree(out, ignore_errors=True)
+    out = folder.emptied("models")
     snapshots = folder.work("snapshots")
     snapshots.mkdir(parents=True, exist_ok=True)
     own = {"snapshot_path": str(snapshots), "snapshot_frames_freq": max(20, total // 10)}
@@ -74,8 +73,7 @@ def map_rest(
     best, total = models[0], len(names)
 
     def low(place: str, options: Options) -> list[Mapped]:
-        out = folder.work("models", place)
-        shutil.rmtree(out, ignore_errors=True)
+        out = folder.emptied("models", place)
         return _map(folder, out, options, settings, total, context, best.folder)
 
     found = low("rest", LOW)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from roigs_engine.cli import main
 from roigs_engine.context import QUIET
 from roigs_engine.errors import RunFolderError, SceneError
 from roigs_engine.reconstruction.folder import Folder
@@ -86,6 +87,50 @@ def test_what_others_made_is_refused(tmp_path: Path, place: str) -> None:
         pass
     assert theirs.read_bytes() == b"theirs"
     assert [path.name for path in tmp_path.iterdir()] == [Path(place).parts[0]]
+
+
+FOLDERS = ("sparse", "sparse/0", "images", "reconstruction")
+OWN = ("models", "models/first", "models/second", "snapshots", "earlier", "earlier/0", "masks")
+FILES = ("database.db", "database.db-wal", "database.db-journal", "reconstruction/log.txt")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links need rights on Windows")
+@pytest.mark.parametrize(
+    "place", [*FOLDERS, *(f"reconstruction/{name}" for name in OWN), *FILES], ids=str
+)
+def test_nothing_is_written_through_a_link(
+    photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], place: str
+) -> None:
+    out, outside = tmp_path / "scene", tmp_path / "outside"
+    outside.mkdir()
+    theirs = outside / "theirs"
+    theirs.write_bytes(b"")
+    Folder(out).begin(looked(Folder(out), photos), {})
+    if place == "reconstruction":
+        (out / place).rename(outside / place)
+    (out / place).parent.mkdir(parents=True, exist_ok=True)
+    (out / place).symlink_to(theirs if place in FILES else outside, place not in FILES)
+    before = {path: path.stat().st_mtime_ns for path in (outside, *outside.rglob("*"))}
+    words = ("reconstruct", photos, "--out", out, "--features", 300)
+    assert main([str(word) for word in words]) == 2
+    assert f"{out / place} is a link" in capsys.readouterr().err.splitlines()[-1]
+    assert before == {path: path.stat().st_mtime_ns for path in (outside, *outside.rglob("*"))}
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links need rights on Windows")
+def test_copies_of_photos_are_not_written_through_links(
+    photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_links(*names: object) -> None:
+        raise OSError
+
+    monkeypatch.setattr("os.link", no_links)
+    folder, theirs = Folder(tmp_path / "scene"), tmp_path / "theirs"
+    theirs.write_bytes(b"theirs")
+    (folder.images / "sub").mkdir(parents=True)
+    (folder.images / "sub/.1.png.part").symlink_to(theirs)
+    folder.take_photos(looked(folder, photos))
+    assert theirs.read_bytes() == b"theirs" and (folder.images / "sub/1.png").is_file()
 
 
 def test_another_engine_in_the_folder_is_one_line(tmp_path: Path) -> None:
