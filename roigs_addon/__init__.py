@@ -48,6 +48,7 @@ MODULES = (
     "operators.masks",
     "operators.train",
     "operators.results",
+    "operators.click",
     "operators.levels",
     "operators.adapt",
     "operators.run_folder",

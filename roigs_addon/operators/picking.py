@@ -10,9 +10,9 @@ from bpy_extras import view3d_utils
 from mathutils import Vector
 from numpy.typing import NDArray
 
-from ..blender import scene_of, view_3d_of
+from ..blender import scene_of, view_3d_of, view_layer_of
 from ..geometry.picking import Sight, under
-from ..scene import clouds, lookup, rois
+from ..scene import clouds, instances, lookup, rois
 from ..scene.splat_attributes import values
 from ..viewport import picks
 from ..windows import redraw
@@ -69,7 +69,7 @@ class PickTool(bpy.types.Operator):
             return self.execute(context)
         if context.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")
-        self._points, self._clouds = [], list(_shown_points(context))
+        self._points, self._clouds = [], [points for _, points in shown_points(context)]
         assert context.window_manager is not None
         context.window_manager.modal_handler_add(self)
         self._show(context, None)
@@ -89,7 +89,8 @@ class PickTool(bpy.types.Operator):
         place = place_in_view(context, event)
         if place is None:
             return {"PASS_THROUGH"}
-        point = _under(context, *place, self._clouds)
+        found = in_front(context, *place, self._clouds)
+        point = None if found is None else found[0]
         if event.type == "LEFTMOUSE" and event.value == "PRESS":
             if point is not None:
                 self._points.append(point)
@@ -129,20 +130,27 @@ def selection_is_there(context: bpy.types.Context) -> bool:
     return bool(item.data.total_vert_sel)
 
 
-def _shown_points(context: bpy.types.Context) -> list[Points]:
-    """(N, 3) in the world, of the sparse points and of each object of Gaussians that is seen."""
+def shown_points(context: bpy.types.Context) -> list[tuple[bpy.types.Object, Points]]:
+    """(N, 3) in the world, of the sparse points and of each object of Gaussians that is seen.
+
+    With the object that a click there means: for an instance, what instances it.
+    """
     scene, space = scene_of(context), view_3d_of(context)
-    cloud = lookup.points(scene)
+    own = filter(None, (lookup.points(scene), *lookup.splats(scene)))
+    places = [(i, i, lookup.matrix_world(i)) for i in own if i.visible_get(viewport=space)]
+    for each in instances.in_view(view_layer_of(context)):
+        if each.instancer.visible_get(viewport=space):
+            places.append((each.instancer, each.item, each.matrix))
     found = []
-    for item in filter(None, (cloud, *lookup.splats(scene))):
+    for meant, item, matrix in places:
         mesh = item.data
-        if not isinstance(mesh, bpy.types.Mesh) or not item.visible_get(viewport=space):
+        if not isinstance(mesh, bpy.types.Mesh):
             continue
         points, opacities = clouds.positions(item), values(mesh, "opacity")
         if opacities is not None:
             points = points[opacities[:, 0] >= SOLID]
-        world = lookup.matrix_world(item).astype(np.float32)
-        found.append(points @ world[:3, :3].T + world[:3, 3])
+        world = matrix.astype(np.float32)
+        found.append((meant, points @ world[:3, :3].T + world[:3, 3]))
     return found
 
 
@@ -173,20 +181,25 @@ def _inside(region: bpy.types.Region, event: bpy.types.Event) -> bool:
     return bool(0 <= x < region.width and 0 <= y < region.height)
 
 
-def _under(
+def in_front(
     context: bpy.types.Context, view: View, at: tuple[float, float], found: list[Points]
-) -> Vector | None:
-    """The sparse point, the Gaussian or the place on a mesh that is in front at the mouse."""
+) -> tuple[Vector, int] | None:
+    """The sparse point, the Gaussian or the place on a mesh that is in front at the mouse.
+
+    With the number of its points in `found`; -1 for a mesh.
+    """
     region, data = view
     size = region.width, region.height
     sight = Sight(np.array(data.view_matrix), np.array(data.window_matrix), size)
-    hits = [points[row] for points in found if (row := under(points, sight, at)) is not None]
+    rows = [(number, under(points, sight, at)) for number, points in enumerate(found)]
+    hits = [(found[number][row], number) for number, row in rows if row is not None]
     eye = view3d_utils.region_2d_to_origin_3d(region, data, at)
     ray = view3d_utils.region_2d_to_vector_3d(region, data, at)
     hit, place, *_ = scene_of(context).ray_cast(context.evaluated_depsgraph_get(), eye, ray)
     if hit:
-        hits.append(np.array(place, np.float32))
+        hits.append((np.array(place, np.float32), -1))
     if not hits:
         return None
-    nearest = int(np.argmin(sight.depths(np.array(hits))))
-    return Vector(hits[nearest].tolist())
+    nearest = int(np.argmin(sight.depths(np.array([point for point, _ in hits]))))
+    point, number = hits[nearest]
+    return Vector(point.tolist()), number

@@ -197,7 +197,7 @@ class ShowInRenders(bpy.types.Operator):
 
 
 class SelectGaussians(bpy.types.Operator):
-    """Select these Gaussians, to move or edit them: a click in the view does not reach them"""
+    """Select these Gaussians, to move or edit them"""
 
     bl_idname = "roigs.select_gaussians"
     bl_label = "Select Gaussians"
