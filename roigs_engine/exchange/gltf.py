@@ -301,10 +301,11 @@ class _File:
         else:
             values = np.zeros((count, width), kind)
         if sparse := accessor.get("sparse"):
-            number, at = int(sparse["count"]), np.dtype(KINDS[sparse["indices"]["componentType"]])
-            rows = self._numbers(sparse["indices"], number, 1, at)[:, 0]
+            replaced = int(sparse["count"])
+            whole = np.dtype(KINDS[sparse["indices"]["componentType"]])
+            rows = self._numbers(sparse["indices"], replaced, 1, whole)[:, 0]
             values = values.copy()
-            values[rows] = self._numbers(sparse["values"], number, width, kind)
+            values[rows] = self._numbers(sparse["values"], replaced, width, kind)
         if accessor.get("normalized") and kind.kind != "f":
             values = np.maximum(values / np.iinfo(kind).max, -1)
         return values.astype(np.float32)

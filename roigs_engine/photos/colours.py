@@ -88,10 +88,9 @@ def colours_in_words(path: Path) -> str:
 
 def to_srgb(pixels: Image.Image, colours: Colours) -> Image.Image:
     """Decoded pixels (L, RGB, CMYK or LAB) of a photo as RGB."""
-    if not colours.profile:
+    convert = _conversion(colours.profile, pixels.mode) if colours.profile else None
+    if convert is None:
         return pixels if pixels.mode == "RGB" else pixels.convert("RGB")
-    convert = _conversion(colours.profile, pixels.mode)
-    assert convert is not None
     converted = convert(pixels)
     converted.info = {}  # with a profile of what it was
     return converted
