@@ -97,7 +97,7 @@ def _draw(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> str:
             _engine = _started()
         items = shown(scene)
         drawn = _engine.draw(request)
-        lost = _trouble or blur.lost_shadows(scene, depsgraph)
+        lost = _trouble or blur.remark(scene, depsgraph)
         return drawn or lost or edits.problem(items) or edits.remark(items)
     finally:
         compositor.reload(scene)
@@ -111,7 +111,8 @@ def _request(
         return frame_request(scene, depsgraph, str(frame))
     now = blur.moment(scene, depsgraph)
     moments = _moments or ([] if now is None else [now])
-    return blur.request(moments, frame) if moments else None
+    transparent = scene.render.film_transparent
+    return blur.request(moments, frame, transparent=transparent) if moments else None
 
 
 def _started() -> FrameEngine:

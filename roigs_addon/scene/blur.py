@@ -60,10 +60,14 @@ def is_needed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
     return _aperture(camera, depsgraph) is not None
 
 
-def lost_shadows(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> str:
-    """Why a shadow catcher shows no shadow on Gaussians, in one line; empty if none is."""
+def remark(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> str:
+    """What is not right in a blurred frame because its film is opaque, in one line."""
     if _catches_opaquely(scene, depsgraph):
         return "Shadow catchers show no shadow on Gaussians: switch on Render ▸ Film ▸ Transparent."
+    if is_needed(scene, depsgraph) and not scene.render.film_transparent:
+        return (
+            "Blurred meshes have rims in the World's colour: switch on Render ▸ Film ▸ Transparent."
+        )
     return ""
 
 
@@ -98,12 +102,13 @@ def moments(scene: bpy.types.Scene) -> list[Moment]:
     return [each for each in found if each is not None]
 
 
-def request(moments: Sequence[Moment], out: Path) -> dict[str, Any]:
+def request(moments: Sequence[Moment], out: Path, *, transparent: bool) -> dict[str, Any]:
     """The engine's request (docs/files.md) for the mean of moments and of their apertures.
 
     Args:
         moments: at least one.
         out: where the engine's files go, and beside it those of the surfaces.
+        transparent: whether Blender's film is.
     """
     files, last = [], np.zeros((0, 3, 3), np.float32)
     for number, each in enumerate(moments):
@@ -127,7 +132,7 @@ def request(moments: Sequence[Moment], out: Path) -> dict[str, Any]:
         if files[row]:
             sample["surfaces"] = files[row]
         samples.append(sample)
-    return {"samples": samples, "out": str(out)}
+    return {"samples": samples, "transparent": transparent, "out": str(out)}
 
 
 def _aperture(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Aperture | None:

@@ -191,7 +191,8 @@ def answer(request: Path, models: Models, context: Context) -> Path:
     except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{request} is malformed ({error}).", HINT) from error
     layers = _layers(samples, models, context)
-    layer = mean_layer(layers) if blurred else next(layers)[0]
+    below = record.get("transparent") is True
+    layer = mean_layer(layers, below=below) if blurred else next(layers)[0]
     save_layer(colour_file(out), depth_file(out), layer)
     return colour_file(out)
 

@@ -126,21 +126,37 @@ def surface_depth(triangles: Tensor, camera: Camera, world_to_camera: Float64) -
     return depth
 
 
-def mean_layer(samples: Iterable[tuple[Layer, Tensor]]) -> Layer:
+def mean_layer(samples: Iterable[tuple[Layer, Tensor]], *, below: bool = False) -> Layer:
     """The mean, in linear light, of at least one layer, each with the depth (H, W) of surfaces.
 
     What they hide is left out of each: the depth of a blurred picture is not one number for a
     pixel. So the mean's depth, of what is left, is negative: nothing is in front of that.
+
+    Args:
+        samples: the layers and depths.
+        below: whether the surfaces' own picture is transparent where they are not. It then lies
+            over the Gaussians, whose depth is 10 times `NOTHING`, where surfaces are more in front
+            of them than behind: in the blurred edges of what is in front, the two cover different
+            shares of a pixel, and the alpha is that of the Gaussians in their own share.
     """
-    light, alpha, depth, count = torch.zeros(()), torch.zeros(()), torch.zeros(()), 0
+    light, alpha, depth = torch.zeros(()), torch.zeros(()), torch.zeros(())
+    front, behind, count = torch.zeros(()), torch.zeros(()), 0
     for layer, surfaces in samples:
-        seen = layer.alpha * (layer.depth < surfaces)
+        hidden = surfaces <= layer.depth
+        seen = layer.alpha * ~hidden
         light = light + to_linear(layer.image) * seen[..., None]
         depth = depth + seen * torch.where(seen > 0, layer.depth, 0)
+        there = surfaces < NOTHING
+        front, behind = front + (hidden & there).float(), behind + (~hidden & there).float()
         alpha, count = alpha + seen, count + 1
     image = to_srgb(light / alpha.clamp(min=1e-6)[..., None])
-    depth = torch.where(alpha > 0, depth / alpha.clamp(min=1e-6), NOTHING)
-    return Layer(image=image.clamp(0, 1), alpha=alpha / count, depth=-depth)
+    depth = -torch.where(alpha > 0, depth / alpha.clamp(min=1e-6), NOTHING)
+    under = (front > behind) if below else torch.zeros_like(alpha, dtype=torch.bool)
+    return Layer(
+        image=image.clamp(0, 1),
+        alpha=torch.where(under, alpha / (count - front).clamp(min=1), alpha / count),
+        depth=torch.where(under, 10 * NOTHING, depth),
+    )
 
 
 def _seen(model: Instance, world_to_camera: Float64) -> Gaussians:

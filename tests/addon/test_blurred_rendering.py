@@ -72,7 +72,7 @@ def test_depth_of_field_is_the_mean_of_pinhole_pictures(blender: ModuleType, sho
     """With a mesh in front of the Gaussians, and one behind."""
     bpy, (scene, f12) = blender, shot
     depth, camera = distance(scene), scene.camera
-    emitter(bpy, scene, 0.6 * depth, 0.15, (0.1, 0.6, 0.1))
+    emitter(bpy, scene, 0.5 * depth, 0.05, (0.1, 0.6, 0.1))
     emitter(bpy, scene, 40 * depth, -0.1, (0.5, 0.1, 0.1))
     sharp = f12()
     data, base = camera.data, camera.matrix_basis.copy()

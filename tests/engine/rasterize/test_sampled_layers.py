@@ -104,3 +104,14 @@ def test_one_sample_is_the_layer() -> None:
     assert not hidden.alpha.any() and hidden.image.isfinite().all()
     shorter = replace(layer, depth=layer.depth * 0)
     torch.testing.assert_close(mean_layer([(shorter, nothing)]).alpha, layer.alpha)
+
+
+def test_what_is_partly_in_front_covers_another_share_of_the_pixel() -> None:
+    """Three of four samples are hidden by a surface: opaque Gaussians fill the rest, below it."""
+    wall, none = torch.full((1, 1), 2.0), torch.full((1, 1), NOTHING)
+    samples = [(plain(0.5, 1.0, 3.0), wall)] * 3 + [(plain(0.5, 1.0, 3.0), none)]
+    above, under = mean_layer(samples), mean_layer(samples, below=True)
+    assert above.alpha.item() == 0.25 and above.depth.item() == -3
+    assert under.alpha.item() == 1 and under.depth.item() > NOTHING
+    further = [(plain(0.5, 1.0, 1.0), wall)] * 3
+    assert mean_layer(further, below=True).depth.item() == -1
