@@ -123,7 +123,7 @@ def test_the_photo_at_hand(blender: ModuleType, addon: ModuleType, project: Path
     from roigs_addon.ui.scene import photo_at_hand
 
     bpy = blender
-    with pytest.raises(RuntimeError, match="Import a COLMAP model"):
+    with pytest.raises(RuntimeError, match="import cameras first"):
         bpy.ops.roigs.look_through()
     scene = imported(bpy, project)
     assert photo_at_hand(bpy.context) == "Look Through"
