@@ -49,7 +49,7 @@ class PhotoList(bpy.types.UIList):
     ) -> None:
         """Name, the score as a bar, and a button that looks through the camera."""
         excluded = used.is_excluded(scene_of(context), item.name)
-        split = layout.split(factor=0.55, align=True)
+        split = layout.split(factor=0.42, align=True)
         split.active = not excluded
         split.label(text=f"{index + 1}  {photo_names.short_name(scene_of(context), item.name)}")
         row = split.row(align=True)
@@ -106,9 +106,10 @@ def _draw_list(layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.typ
     layout.operator(EditSelection.bl_idname, text="Clear List", icon="X").action = "CLEAR"
     if props.selection_index < len(props.selection):
         photo = props.selection[props.selection_index].name
-        exclusions.toggle(layout, scene, photo)
+        layout.separator()
         if picture := photo_pictures.icon(scene, photo):
             layout.template_icon(icon_value=picture, scale=PICTURE_SCALE)
+        exclusions.toggle(layout, scene, photo)
 
 
 register, unregister = registration(PhotoList, CamerasPanel)

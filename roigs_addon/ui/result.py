@@ -45,8 +45,8 @@ from .layout import SidebarPanel
 
 Objects = list[bpy.types.Object]
 
-NAME_SHARE = {2: 0.45, 3: 0.34}
-"""Of a row, by the number of buttons beside it; copies differ in the end of their names."""
+NAME_SHARE = 0.36
+"""Of a row with two buttons; copies differ in the end of their names."""
 TRUE_COLOURS = ("Standard", "Raw")
 """View transforms that show the photos' colours."""
 
@@ -127,7 +127,7 @@ def _draw_objects(
             if ladders.of(item, scene) is None:
                 _draw_name(row, item, item.name)
             else:
-                split = row.split(factor=NAME_SHARE[2], align=True)
+                split = row.split(factor=NAME_SHARE, align=True)
                 _draw_name(split, item, item.name)
                 row = split.row(align=True)
                 whole, buttons = object_props(item).whole, _side_by_side(row, 2)
@@ -137,19 +137,24 @@ def _draw_objects(
     for pair in detail.pairs(scene):
         if pair.shown is not None:
             levels = pair.fine is not None and ladders.of(pair.fine, scene) is not None
-            _draw_pair(layout.row(align=True), pair, names, levels=levels)
+            _draw_pair(layout, pair, names, levels=levels)
 
 
 def _draw_pair(
-    row: bpy.types.UILayout, pair: detail.Pair, names: dict[str, str], *, levels: bool
+    layout: bpy.types.UILayout, pair: detail.Pair, names: dict[str, str], *, levels: bool
 ) -> None:
     shown = pair.shown
     assert shown is not None
     props = object_props(shown)
     own = shown.name != splats.object_name(props.level, props.roi)  # a copy, or renamed
-    split = row.split(factor=NAME_SHARE[2 + levels], align=True)
-    _draw_name(split, shown, shown.name if own else names.get(props.roi, props.roi))
-    row = split.row(align=True)
+    name = shown.name if own else names.get(props.roi, props.roi)
+    if levels:  # beside the name, labels of three buttons would be cut
+        _draw_name(layout, shown, name)
+        row = layout.row(align=True)
+    else:
+        split = layout.split(factor=NAME_SHARE, align=True)
+        _draw_name(split, shown, name)
+        row = split.row(align=True)
     fine, buttons = shown == pair.fine, _side_by_side(row, 2 + levels)
     whole = fine and (props.whole or not levels)
     if levels:
