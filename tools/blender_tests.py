@@ -44,7 +44,7 @@ here='{root}'
 export __EGL_VENDOR_LIBRARY_DIRS="$here/usr/share/glvnd/egl_vendor.d" LIBGL_DRIVERS_PATH="{lib}/dri"
 export GBM_BACKENDS_PATH="{lib}/gbm" LIBGL_ALWAYS_SOFTWARE=1
 export MESA_SHADER_CACHE_DIR="$here/var/cache"
-exec '{lib}/{loader}' --library-path '{paths}' --argv0 "$0" '{binary}' "$@"
+exec '{lib}/{loader}' --library-path "$LIBRARIES_FIRST"'{paths}' --argv0 "$0" '{binary}' "$@"
 """
 # Of Blender alone: they would mislead another Blender, as a module of that Python.
 BLENDERS = """\
@@ -53,7 +53,7 @@ export BLENDER_SYSTEM_SCRIPTS="$here/usr/share/blender/scripts"
 export BLENDER_SYSTEM_DATAFILES="$here/usr/share/blender/datafiles"
 """
 MODULE_PROGRAM = """#!/bin/sh
-export PYTHONPATH='{packages}' PYTHONNOUSERSITE=1
+export PYTHONPATH='{packages}' PYTHONNOUSERSITE=1 LIBRARIES_FIRST='{packages}/bpy/lib:'
 exec '{python}' "$@"
 """
 

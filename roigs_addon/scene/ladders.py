@@ -16,7 +16,7 @@ import numpy as np
 from ..geometry.frames import Matrix
 from ..properties import object_props, scene_props
 from ..shared import EngineError, levels, run_files
-from . import edits, lookup
+from . import display, edits, lookup
 
 ABOVE = {"RESULT": 1, "ROI": 2}
 """Level of an object -> how many folders its file is below the run folder."""
@@ -74,7 +74,7 @@ _lists: dict[str, _List] = {}
 def of(
     item: bpy.types.Object, scene: bpy.types.Scene | None, *, whole: bool = False
 ) -> Detail | None:
-    """The levels of an object; None if it has only one.
+    """The levels of an object; None if it has only one, as Blender's own splats have.
 
     Args:
         item: the object.
@@ -83,7 +83,9 @@ def of(
     """
     props = object_props(item)
     listed = _list_of(item) if scene is not None else None
-    if scene is None or listed is None or edits.file_of(item) != props.ply:
+    if scene is None or listed is None or display.is_native(item, viewport=True):
+        return None
+    if edits.file_of(item) != props.ply:
         return None
     folder, found = listed
     ladder = found.ladders.get(os.path.normpath(props.ply))

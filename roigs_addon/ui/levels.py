@@ -8,7 +8,7 @@ from ..blender import layout_of, registration, scene_of
 from ..jobs.spec import LEVELS
 from ..operators.levels import MakeLevels
 from ..properties import object_props, scene_props
-from ..scene import ladders, lookup
+from ..scene import display, ladders, lookup
 from ..viewport import draw
 from . import layout as show
 from .layout import SidebarPanel
@@ -45,6 +45,8 @@ class LevelsPanel(SidebarPanel):
             show.say(layout, "Drawn now: {:,} of {:,} Gaussians".format(*counts), "INFO")
         if problem:
             show.wrong(layout, problem)
+        elif lookup.splats(scene) and not display.in_layer(scene):
+            show.say(layout, "For Exact Look: Blender draws all of its splats", "INFO")
         elif not some:
             show.todo(layout, "Make levels to draw far objects faster")
         layout.operator(MakeLevels.bl_idname, icon="MOD_DECIM")

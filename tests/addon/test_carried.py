@@ -17,7 +17,7 @@ from tests.addon.results import set_aside
 from tests.addon.scenes import ROOT, with_cycles
 from tests.addon.splat_cases import random_ply
 
-pytestmark = pytest.mark.blender
+pytestmark = [pytest.mark.blender, pytest.mark.exact_look]
 
 BLENDER_SCRIPT = """
 import sys

@@ -12,7 +12,7 @@ from tests.addon.fake_engine import fake
 from tests.addon.levels_cases import FAR, make_levels
 from tests.addon.scenes import ready
 
-pytestmark = pytest.mark.blender
+pytestmark = [pytest.mark.blender, pytest.mark.exact_look]
 
 CODE = """
 from pathlib import Path

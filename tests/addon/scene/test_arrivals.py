@@ -9,7 +9,7 @@ import pytest
 
 from tests.addon.scenes import seen_from_afar
 
-pytestmark = pytest.mark.blender
+pytestmark = [pytest.mark.blender, pytest.mark.exact_look]
 
 NAME = "thing Gaussians"
 WAYS = ["append", "link"]

@@ -10,6 +10,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from roigs_engine.formats.splat_ply import read_ply
+from tests.addon.levels_cases import make_levels
+from tests.addon.panels import said
 from tests.addon.scenes import drawn_points, seen_from_afar
 from tests.addon.splat_cases import recoloured
 
@@ -118,6 +120,22 @@ def test_deleted_gaussians_are_gone(blender: ModuleType, native) -> None:
     blender.ops.ed.undo_push(message="deleted")
     blender.ops.ed.undo()
     assert splats(blender)[FINE] == 42
+
+
+def test_levels_of_detail_are_of_the_exact_look(blender: ModuleType, native, run) -> None:
+    """Blender draws all of its splats; the panel says so, and offers no levels."""
+    from roigs_addon.scene import ladders
+    from roigs_addon.ui.levels import LevelsPanel
+    from roigs_addon.ui.result import ResultPanel
+
+    make_levels(run[1], rate=1.0)
+    item = native.objects[FINE]
+    assert ladders.of(item, native) is None
+    assert "Auto" not in said(blender, ResultPanel)
+    assert any("Blender draws all" in text for text in said(blender, LevelsPanel))
+    blender.ops.roigs.show_as(way="EXACT")
+    assert ladders.of(item, native) is not None
+    assert not any("Blender draws all" in text for text in said(blender, LevelsPanel))
 
 
 def test_the_look_is_in_the_colours(blender: ModuleType, native) -> None:

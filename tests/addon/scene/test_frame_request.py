@@ -9,7 +9,7 @@ import pytest
 
 from tests.addon.levels_cases import FAR, NEAR, make_levels
 
-pytestmark = pytest.mark.blender
+pytestmark = [pytest.mark.blender, pytest.mark.exact_look]
 
 
 @pytest.mark.parametrize("kind", ["EMPTY", "ORTHO"])

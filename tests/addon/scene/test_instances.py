@@ -13,7 +13,7 @@ from tests.addon.pictures import load_rgba
 from tests.addon.scenes import with_cycles
 from tests.addon.splat_cases import random_ply
 
-pytestmark = pytest.mark.blender
+pytestmark = [pytest.mark.blender, pytest.mark.exact_look]
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 
 from tests.addon.levels_cases import FAR, NEAR, age, make_levels
 
-pytestmark = pytest.mark.blender
+pytestmark = [pytest.mark.blender, pytest.mark.exact_look]
 
 CLIP = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 1, 0]])
 POSE = np.eye(4)

@@ -13,7 +13,7 @@ from roigs_engine.formats.splat_ply import read_ply, write_ply
 from tests.addon.results import PARTS, cut, set_aside
 from tests.addon.splat_cases import random_arrays
 
-pytestmark = pytest.mark.blender
+pytestmark = [pytest.mark.blender, pytest.mark.exact_look]
 
 CENTRE = (2.0, -1.0, 0.5)
 COUNT = 60
