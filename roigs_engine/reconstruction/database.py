@@ -7,11 +7,13 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SceneError
+from ..formats.text import first_line
 
 # COLMAP reads lists of pairs up to the first space, and leaves out lines that begin with #.
 HIDDEN = {" ": "\x1f", "#": "\x1e"}
@@ -29,32 +31,43 @@ def _opened(database: Path) -> Iterator[sqlite3.Connection]:
     """The database, to read; SceneError if it is damaged."""
     address = f"{database.absolute().as_uri()}?mode=ro"
     with _explained(database), closing(sqlite3.connect(address, uri=True)) as file:
+        # Queries of views and triggers may never end; COLMAP makes none.
+        if file.execute("SELECT 1 FROM sqlite_master WHERE type IN ('view', 'trigger')").fetchone():
+            raise ValueError("it is not as COLMAP makes it")
         yield file
 
 
 @contextmanager
 def _explained(database: Path) -> Iterator[None]:
-    """Turn SQLite's errors into one line."""
+    """Turn what SQLite raises, and what values that COLMAP never writes lead to, into one line."""
     try:
         yield
-    except sqlite3.Error as error:
+    except (sqlite3.Error, TypeError, ValueError, LookupError, ArithmeticError) as error:
         raise SceneError(
-            f"Cannot use {database} ({error}).",
+            f"Cannot use {database} ({first_line(error):.100}).",
             "Free some space if the disk is full; else delete it and give the command again.",
         ) from error
+
+
+def _rows(file: sqlite3.Connection, query: str, *kinds: type) -> Iterator[Any]:
+    """The rows of a query, with values of these types; TypeError if not: SQLite takes others."""
+    for row in file.execute(query):
+        if tuple(map(type, row)) != kinds:
+            raise TypeError("it has values of other types than COLMAP writes")
+        yield row
 
 
 def feature_counts(database: Path) -> dict[str, int]:
     """Photo's name -> number of its features, of the photos whose features were looked for."""
     query = "SELECT name, rows FROM images JOIN descriptors USING (image_id)"
     with _opened(database) as file:
-        return dict(file.execute(query))
+        return dict(_rows(file, query, str, int))
 
 
 def camera_ids(database: Path) -> dict[str, int]:
     """Photo's name -> id of its camera."""
     with _opened(database) as file:
-        return dict(file.execute("SELECT name, camera_id FROM images"))
+        return dict(_rows(file, "SELECT name, camera_id FROM images", str, int))
 
 
 def count(database: Path, table: str) -> int:
@@ -71,36 +84,38 @@ def count(database: Path, table: str) -> int:
 
 def matched_pairs(database: Path) -> dict[Pair, int]:
     """Names of two photos, in order -> number of verified matches, of all pairs tried."""
-    with _opened(database) as file:
-        names = dict(file.execute("SELECT image_id, name FROM images"))
-        rows = file.execute("SELECT pair_id, rows FROM two_view_geometries").fetchall()
     found = {}
-    for pair, matches in rows:
-        one, other = sorted(names[key] for key in divmod(pair, PAIR_BASE))
-        found[one, other] = int(matches)
+    with _opened(database) as file:
+        names = dict(_rows(file, "SELECT image_id, name FROM images", int, str))
+        for pair, matches in _rows(file, "SELECT pair_id, rows FROM two_view_geometries", int, int):
+            one, other = sorted(names[key] for key in divmod(pair, PAIR_BASE))
+            found[one, other] = matches
     return found
 
 
 def pair_kinds(database: Path) -> Counter[int]:
     """How often verified pairs are of each kind: `PANORAMIC`, `STILL`, or another of COLMAP's."""
-    query = "SELECT config, COUNT(*) FROM two_view_geometries WHERE rows >= ? GROUP BY config"
+    query = "SELECT config, rows FROM two_view_geometries"
     with _opened(database) as file:
-        return Counter(dict(file.execute(query, (FEWEST_INLIERS,))))
+        pairs = _rows(file, query, int, int)
+        return Counter(config for config, matches in pairs if matches >= FEWEST_INLIERS)
 
 
 def largest_features(database: Path, most: int) -> Iterator[tuple[str, NDArray[np.uint8]]]:
     """Each photo's name, and the (N, 128) descriptors of its features of the largest scales."""
     query = (
-        "SELECT name, keypoints.rows, keypoints.cols, keypoints.data, descriptors.data"
+        "SELECT name, keypoints.rows, keypoints.cols, coalesce(keypoints.data, x''),"
+        " coalesce(descriptors.data, x'')"
         " FROM images JOIN keypoints USING (image_id) JOIN descriptors USING (image_id)"
         " ORDER BY name"
     )
     with _opened(database) as file:
-        for name, rows, columns, points, data in file.execute(query):
-            shape = np.frombuffer(points or b"", dtype=np.float32).reshape(rows, columns)[:, 2:6]
-            scale = np.abs(shape[:, 0] * shape[:, 3] - shape[:, 1] * shape[:, 2])
+        for name, rows, columns, points, data in _rows(file, query, str, int, int, bytes, bytes):
+            shape = np.frombuffer(points, dtype=np.float32).reshape(max(rows, 0), columns)[:, 2:6]
+            with np.errstate(invalid="ignore", over="ignore"):
+                scale = np.abs(shape[:, 0] * shape[:, 3] - shape[:, 1] * shape[:, 2])
             largest = np.argsort(-scale, kind="stable")[:most]
-            descriptors = np.frombuffer(data or b"", dtype=np.uint8).reshape(rows, 128)
+            descriptors = np.frombuffer(data, dtype=np.uint8).reshape(rows, 128)
             yield name, descriptors[largest]
 
 

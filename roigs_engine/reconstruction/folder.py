@@ -99,7 +99,7 @@ class Folder:
         if self.database.exists():
             if state.get("version") != VERSION or state.get("features") != features:
                 why = "The settings changed, so features are found again."
-            elif any(digests.get(name) != digest for name, digest in known.items()):
+            elif not isinstance(known, dict) or not known.items() <= digests.items():
                 why = "Photos were changed or removed, so features are found again."
         if why:
             self.forget()
