@@ -36,8 +36,11 @@ _known: dict[int, list[Instance]] = {}
 
 
 def instances(depsgraph: bpy.types.Depsgraph) -> list[Instance]:
-    """Those that an evaluated scene shows as Gaussians."""
-    found = []
+    """Those that an evaluated scene shows as Gaussians.
+
+    Blender lists an object of several kinds of geometry more than once.
+    """
+    found: dict[tuple[int, int, bytes], Instance] = {}
     for each in depsgraph.object_instances:
         if not each.is_instance or each.object is None or each.parent is None:
             continue
@@ -46,8 +49,9 @@ def instances(depsgraph: bpy.types.Depsgraph) -> list[Instance]:
             continue
         matrix = np.array(each.matrix_world, np.float64)
         if np.isfinite(matrix).all() and np.linalg.matrix_rank(matrix[:3, :3]) == 3:
-            found.append(Instance(item=item, instancer=instancer, matrix=matrix))
-    return found
+            key = item.session_uid, instancer.session_uid, matrix.tobytes()
+            found[key] = Instance(item=item, instancer=instancer, matrix=matrix)
+    return list(found.values())
 
 
 def in_view(layer: bpy.types.ViewLayer) -> list[Instance]:

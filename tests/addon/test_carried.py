@@ -24,10 +24,13 @@ import sys
 sys.path.insert(0, {root!r})
 import bpy
 import roigs_addon
+from roigs_addon.scene import native_splats
 from roigs_addon.viewport.objects import marked
+native_splats.exist = lambda: False  # as the mark exact_look
 roigs_addon.register()
 bpy.ops.wm.open_mainfile(filepath={blend!r})
 scene = bpy.context.scene
+scene.render.compositor_device = "CPU"  # a fresh Blender without a window looks for a GPU
 scene.render.filepath = {picture!r}
 bpy.ops.render.render(write_still=True)
 print("VIEWPORT", sum(item.visible for item in marked(scene.objects)))
