@@ -80,6 +80,8 @@ def _folder_with_libraries() -> Path:
             _check_age(folder)
             return folder
     folder = PACKAGE_FOLDER if _is_writable(PACKAGE_FOLDER) else cache
+    if folder is cache:
+        refuse_others_code(folder)
     try:
         build.build(folder)
     except (build.BuildError, OSError) as error:
@@ -166,24 +168,31 @@ def refuse_others_code(path: Path) -> None:
     """Refuse a file or folder in the user's cache that others can change: what it holds is run.
 
     Raises:
-        KernelError: it, or a folder above it, belongs to somebody else or is writable for all, or
-            for a group that others may be in.
+        KernelError: it, a folder above it, or one on the way of a link, belongs to somebody else or
+            is writable for all, or for a group that others may be in.
     """
     if not hasattr(os, "getuid"):
         return
-    home = user_cache()
-    inside = [path, *path.rglob("*")]
-    for place in (*inside, *path.parents):
-        with suppress(FileNotFoundError):
-            status = place.stat()
-            foreign = place.is_relative_to(home) and status.st_uid not in (0, os.getuid())
-            others = stat.S_IWOTH | (stat.S_IWGRP if _is_shared(status.st_gid) else 0)
-            if foreign or (status.st_mode & others and not status.st_mode & stat.S_ISVTX):
-                raise KernelError(
-                    f"Others can change {place}, from which the engine loads code.",
-                    f"Delete {home}, and make {home.parent} writable for yourself only, or set"
-                    " XDG_CACHE_HOME to such a folder.",
-                )
+    home, seen = user_cache(), set[Path]()
+    ways = [(place, False) for place in (path, *path.rglob("*"))]
+    for way, beyond in ways:  # it grows by where links lead
+        for place in (way, *way.parents):
+            if place in seen:
+                continue
+            seen.add(place)
+            ours = beyond or place.is_relative_to(home)
+            if place.is_symlink():
+                ways.append((place.parent / place.readlink(), ours))
+            with suppress(FileNotFoundError):
+                status = place.stat()
+                foreign = ours and status.st_uid not in (0, os.getuid())
+                others = stat.S_IWOTH | (stat.S_IWGRP if _is_shared(status.st_gid) else 0)
+                if foreign or (status.st_mode & others and not status.st_mode & stat.S_ISVTX):
+                    raise KernelError(
+                        f"Others can change {place}, from which the engine loads code.",
+                        f"Delete {home}, and make {home.parent} writable for yourself only, or set"
+                        " XDG_CACHE_HOME to such a folder.",
+                    )
 
 
 @functools.cache

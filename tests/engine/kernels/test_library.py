@@ -274,6 +274,30 @@ def test_a_cache_that_others_can_change_is_not_loaded(
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="owners and modes of POSIX")
+@pytest.mark.parametrize("linked", ["roigs", "roigs/kernels", "roigs/kernels/1/kernels.so", ""])
+def test_links_that_others_can_change_are_not_followed_to_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, linked: str
+) -> None:
+    home, shared, real = tmp_path / "home", tmp_path / "shared", tmp_path / "real"
+    shared.mkdir()
+    (home / "roigs/kernels/1").mkdir(parents=True)
+    (home / "roigs/kernels/1/kernels.so").write_bytes(b"code")
+    (home / linked).rename(real)
+    (shared / "way").symlink_to(real)  # a link to a link
+    (home / linked).symlink_to(shared / "way")
+    monkeypatch.setattr(library, "user_cache", lambda: home / "roigs")
+    library.refuse_others_code(home / "roigs/kernels/1")
+    shared.chmod(0o777)
+    with pytest.raises(KernelError, match=f"Others can change {shared}, from which"):
+        library.refuse_others_code(home / "roigs/kernels/1")
+    shared.chmod(0o755)
+    if linked and os.getuid() == 0:
+        os.chown(shared, 12345, -1)
+        with pytest.raises(KernelError, match=f"Others can change {shared}, from which"):
+            library.refuse_others_code(home / "roigs/kernels/1")
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="owners and modes of POSIX")
 @pytest.mark.parametrize(
     ("name", "own", "members", "shared"),
     [
