@@ -129,7 +129,7 @@ class RoigsPreferences(bpy.types.AddonPreferences):
         layout.prop(self, "device")
         layout.prop(self, "preview_seconds")
         row = layout.row()
-        row.use_property_split = False
+        row.use_property_split, row.alignment = False, "LEFT"
         icon: IconItems = "DISCLOSURE_TRI_DOWN" if self.advanced else "DISCLOSURE_TRI_RIGHT"
         row.prop(self, "advanced", icon=icon, emboss=False)
         if self.advanced:
@@ -168,7 +168,7 @@ def _draw_engine(layout: bpy.types.UILayout, page: RoigsPreferences) -> None:
     if made is not None and made.message:
         _lines(layout, made.message, "ERROR")
     elif made is not None:
-        _lines(layout, f"{made.title} {NEXT}", "CHECKMARK")
+        _lines(layout, f"{made.title}. {NEXT}", "CHECKMARK")
     for finding in check.last:
         _lines(layout, finding.text, "CHECKMARK" if finding.works else "ERROR")
     if device := training_device.asked():
