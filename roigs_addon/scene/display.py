@@ -25,6 +25,7 @@ SPLATS = "Blender's Splats"
 """Name of the group that makes Blender's own splats."""
 EXPOSURE, TINT = "Exposure", "Tint"
 """Inputs of that group; drivers give them the object's look."""
+INPUTS = f'modifiers["{MODIFIER}"].properties.inputs'
 BASE = "radiance:base"
 STRETCHED = (
     "'{}' was turned or scaled by Apply: Blender's splats do not follow. Undo it, or choose Exact"
@@ -64,6 +65,8 @@ def refresh(item: bpy.types.Object) -> None:
         _switch(points, on=not native)
     _switch(hide, on=object_props(item).shown_as != "POINTS")
     group = _splats_group() if native else _nothing_group()
+    if not native:
+        _let_go(item)
     if hide.node_group != group:
         hide.node_group = group
     if native:
@@ -94,7 +97,7 @@ def _drive(item: bpy.types.Object, modifier: bpy.types.NodesModifier) -> None:
     drivers = item.animation_data.drivers if item.animation_data is not None else ()
     known = {(curve.data_path, curve.array_index) for curve in drivers}
     for name, index in ((EXPOSURE, 0), (TINT, 0), (TINT, 1), (TINT, 2)):
-        path = f'modifiers["{MODIFIER}"].properties.inputs.{ids[name]}.value'
+        path = f"{INPUTS}.{ids[name]}.value"
         if (path, index) in known:
             continue
         curve: Any = item.driver_add(path, *([index] if name == TINT else []))
@@ -103,6 +106,13 @@ def _drive(item: bpy.types.Object, modifier: bpy.types.NodesModifier) -> None:
         target = driver.variables.new().targets[0]
         target.id = item
         target.data_path = f"roigs.tint[{index}]" if name == TINT else "roigs.exposure"
+
+
+def _let_go(item: bpy.types.Object) -> None:
+    """Remove these drivers: without the group, Blender would warn of them."""
+    if item.animation_data is not None:
+        for curve in [c for c in item.animation_data.drivers if c.data_path.startswith(INPUTS)]:
+            item.animation_data.drivers.remove(curve)
 
 
 def _nothing_group() -> bpy.types.NodeTree:

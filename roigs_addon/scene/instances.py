@@ -44,6 +44,8 @@ def instances(depsgraph: bpy.types.Depsgraph) -> list[Instance]:
     for each in depsgraph.object_instances:
         if not each.is_instance or each.object is None or each.parent is None:
             continue
+        if each.object.type != "MESH":  # Blender's own splats of it are instanced, too
+            continue
         item, instancer = each.object.original, each.parent.original
         if item is None or instancer in (None, item) or not is_drawn(item):
             continue

@@ -107,6 +107,32 @@ def test_the_first_pass_of_a_box(blender: ModuleType, native) -> None:
     assert splats(blender) == {"Background": 41, FINE: 42}
 
 
+def test_another_result_is_blenders_splats(blender: ModuleType, native, two) -> None:
+    """Compare shows the earlier result's Gaussians, and Load Results the last one's again."""
+    item, found = native.objects[FINE], {}
+    for result in ("last", "earlier", "last again"):
+        file = read_ply(item.roigs.ply)["sh"]
+        found[result] = shown(blender, item)["sh"]
+        assert_allclose(found[result], file, atol=1e-6)
+        blender.ops.roigs.compare_results()
+    assert not np.allclose(found["last"], found["earlier"])
+    assert np.array_equal(found["last"], found["last again"])
+    assert splats(blender) == {"Background": 41, FINE: 42}
+
+
+def test_an_instance_is_counted_once(blender: ModuleType, native) -> None:
+    """An export would have its Gaussians twice: of the mesh, and of the splats made of it."""
+    from roigs_addon.scene import instances
+
+    collection = blender.data.collections.new("vases")
+    collection.objects.link(native.objects[FINE])
+    empty = blender.data.objects.new("vases", None)
+    empty.instance_type, empty.instance_collection = "COLLECTION", collection
+    native.collection.objects.link(empty)
+    found = instances.instances(blender.context.evaluated_depsgraph_get())
+    assert [(each.item.name, each.instancer) for each in found] == [(FINE, empty)]
+
+
 def test_deleted_gaussians_are_gone(blender: ModuleType, native) -> None:
     """From what Blender shows at once; undo brings them back, and an export has the same."""
     from roigs_addon.scene import edits, point_edits
@@ -164,8 +190,11 @@ def test_the_exact_look(blender: ModuleType, native) -> None:
     from roigs_addon.scene import compositor, lookup
     from roigs_addon.viewport.objects import marked
 
+    item = native.objects[FINE]
+    assert len(item.animation_data.drivers) == 4
     blender.ops.roigs.show_as(way="EXACT")
     assert not splats(blender) and compositor.find(native)
+    assert not len(item.animation_data.drivers)  # Blender would warn of them
     assert len([item for item in marked(native.objects) if item.visible]) == 2
     blender.data.objects.remove(native.objects[FINE])
     blender.ops.roigs.load_results()
