@@ -56,7 +56,7 @@ class Camera(ctypes.Structure):
         ("focal_and_centre", ctypes.c_float * 4),
         ("background", ctypes.c_float * 3),
         ("blur", ctypes.c_float * 2),
-        ("centre_bounds", ctypes.c_float * 4),
+        ("max_slope", ctypes.c_float),
         ("min_sigmas", ctypes.c_float),
         ("min_transmittance", ctypes.c_float),
         ("size", ctypes.c_int32 * 2),

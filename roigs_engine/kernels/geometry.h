@@ -79,7 +79,7 @@ ROIGS_INLINE void linearise(const Camera& camera, Geometry& g) {
 }
 
 // Projects the centres of the Gaussians in rows `ids`. Returns the lanes in front of the near plane
-// whose projection lies inside the camera's bounds; the others hold finite nonsense or not.
+// that do not lie far beside the image; the others hold finite nonsense or not.
 ROIGS_INLINE Mask project_centres(const Gaussians& gaussians, const Camera& camera,
                                   const int32_t* ids, Geometry& g) {
     Floats mean[4];
@@ -92,8 +92,11 @@ ROIGS_INLINE Mask project_centres(const Gaussians& gaussians, const Camera& came
     g.inverse_z = 1.0f / g.t[2];
     g.x = camera.fx * g.t[0] * g.inverse_z + camera.cx;
     g.y = camera.fy * g.t[1] * g.inverse_z + camera.cy;
-    const Mask columns = both(greater(g.x, splat(camera.left)), less(g.x, splat(camera.right)));
-    const Mask rows = both(greater(g.y, splat(camera.top)), less(g.y, splat(camera.bottom)));
+    const float far_x = camera.max_slope * camera.fx, far_y = camera.max_slope * camera.fy;
+    const Mask columns = both(greater(g.x, min(Floats{}, splat(camera.cx - far_x))),
+                              less(g.x, max(splat(float(camera.width)), splat(camera.cx + far_x))));
+    const Mask rows = both(greater(g.y, min(Floats{}, splat(camera.cy - far_y))),
+                           less(g.y, max(splat(float(camera.height)), splat(camera.cy + far_y))));
     return both(greater(g.t[2], splat(kNear)), both(columns, rows));
 }
 

@@ -51,7 +51,8 @@ struct Camera {
     float background[3];
     float blur;         // added to the 2D covariance's diagonal, px^2
     float stored_blur;  // .. with which a Gaussian has its stored opacity
-    float left, top, right, bottom;  // px: Gaussians with a centre not inside are left out
+    float max_slope;   // Gaussians with a centre beside the image and a larger |x / z|, or above or
+                       // below it and a larger |y / z|, are left out
     float min_sigmas;  // .. and those not farther than so many standard deviations along z
     float min_transmittance;  // blending ends where less is left in all pixels of a block, and a
                               // splat gets no gradient from a block in which no weight is larger

@@ -28,6 +28,7 @@ FAINTEST = (ALPHA_MIN / 2) ** 2
 """Of areas, squared: Gaussians below this ratio are not drawn; keeps the root's gradient finite."""
 FRUSTUM_MARGIN = 0.3
 """The Jacobian is evaluated inside the view, widened by this share of its half width."""
+STEEPEST = 1e30  # a slope that is none: in pixels still a float32
 SH_SIZES = (1, 4, 9, 16)  # coefficients per colour for degrees 0 to 3
 
 Depth = bool | Literal["median"]
@@ -137,23 +138,11 @@ class RenderInputs:
     def fill(self, camera: bindings.Camera, c: int) -> None:
         """Set what all kernels read of camera `c` on the CPU."""
         camera.blur[:] = self.blur
-        camera.centre_bounds[:] = self.centre_bounds(c)
+        camera.max_slope = min(self.limits.max_slope, STEEPEST)
         camera.min_sigmas = self.limits.min_sigmas
         camera.min_transmittance = self.limits.min_transmittance
         camera.size[:] = [self.width, self.height]
         camera.tiles[:] = self.tiles
-
-    def centre_bounds(self, camera: int) -> tuple[float, float, float, float]:
-        """Left, top, right, bottom, px: Gaussians with a centre not inside are culled.
-
-        They follow from the camera and the whole image, also where only a part of it is active.
-        """
-        slope = self.limits.max_slope
-        if slope == math.inf:  # the intrinsics wait for the GPU: not in training
-            return -math.inf, -math.inf, math.inf, math.inf
-        (fx, _, cx), (_, fy, cy), _ = self.Ks[camera].tolist()
-        x, y = slope * fx, slope * fy
-        return min(0, cx - x), min(0, cy - y), max(self.width, cx + x), max(self.height, cy + y)
 
 
 def check_inputs(

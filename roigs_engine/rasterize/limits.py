@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..errors import EngineError
 
@@ -39,20 +39,26 @@ class Limits:
 
 NO_LIMITS = Limits()
 
-TRAINING_LIMITS = Limits(min_transmittance=1e-3)
-"""Of training. It culls none: what it does not draw costs no loss, and other viewers draw it. A
-thousandth of the light is a quarter of what 8 bits can tell apart (notebook/cpu_speed.md)."""
-
-LINEAR_TRAINING_LIMITS = Limits(min_transmittance=1e-3 / 12.92)
-"""Of training in linear light. 12.92: slope of the sRGB curve at black, its steepest place."""
-
 PICTURE_LIMITS = Limits(max_slope=MAX_SLOPE, min_sigmas=MIN_SIGMAS)
 """Of every picture that is shown or measured."""
 
+TRAINING_LIMITS = Limits(min_transmittance=1e-3)
+"""Of half of the training steps, with `PICTURE_LIMITS` in the others (`training_limits`). A
+thousandth of the light is a quarter of what 8 bits can tell apart (notebook/cpu_speed.md)."""
 
-def training_limits(*, linear_light: bool) -> Limits:
-    """Those of training: what they leave out changes no sRGB value by more than a thousandth.
+GOLDEN = (math.sqrt(5) - 1) / 2  # its multiples keep no other period: not that of masks, nor photos
 
-    In linear light, a thousandth of the light over black would be 13 thousandths of the sRGB value.
+
+def training_limits(step: int, *, linear_light: bool) -> Limits:
+    """The limits of a training step (ours): those of pictures in half of the steps, evenly spread.
+
+    Training that knows no limits hides light in large Gaussians around the cameras, which pictures
+    do not draw; training with them alone leaves fog that costs no loss, and other viewers draw it
+    (docs/method.md, "Where Gaussians are not drawn").
     """
-    return LINEAR_TRAINING_LIMITS if linear_light else TRAINING_LIMITS
+    limits = TRAINING_LIMITS
+    if linear_light:  # 12.92: slope of the sRGB curve at black, its steepest place
+        limits = replace(limits, min_transmittance=limits.min_transmittance / 12.92)
+    if step * GOLDEN % 1 < 0.5:
+        limits = replace(PICTURE_LIMITS, min_transmittance=limits.min_transmittance)
+    return limits

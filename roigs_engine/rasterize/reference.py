@@ -106,9 +106,11 @@ def within(inputs: RenderInputs, camera: int, means2d: Tensor) -> Tensor:
 
     Call it without gradients.
     """
-    left, top, right, bottom = inputs.centre_bounds(camera)
     x, y = means2d.unbind(-1)
-    inside = (x > left) & (x < right) & (y > top) & (y < bottom)
+    (fx, _, cx), (_, fy, cy), _ = inputs.Ks[camera].tolist()
+    far_x, far_y = inputs.limits.max_slope * fx, inputs.limits.max_slope * fy
+    inside = (x > min(0, cx - far_x)) & (x < max(inputs.width, cx + far_x))
+    inside &= (y > min(0, cy - far_y)) & (y < max(inputs.height, cy + far_y))
     means, quats, scales, _, _ = inputs.parameters
     axis = inputs.viewmats[camera, 2].to(means)
     axes = rotation_matrices(quats / quats.norm(dim=-1, keepdim=True))

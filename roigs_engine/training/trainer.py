@@ -251,7 +251,7 @@ class Trainer:
             raw=True,
             antialiased=self.config.target.antialiased,
             linear_light=self.config.target.linear_light,
-            limits=training_limits(linear_light=self.config.target.linear_light),
+            limits=training_limits(self.step, linear_light=self.config.target.linear_light),
             mask=active,
             backward_step=self._ahead.backward_step(optimizer, self.step, (*view, camera.width)),
             **options,

@@ -18,7 +18,12 @@ from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.rasterize import RenderOutput, rasterize
-from roigs_engine.rasterize.limits import NO_LIMITS, TRAINING_LIMITS
+from roigs_engine.rasterize.limits import (
+    NO_LIMITS,
+    PICTURE_LIMITS,
+    TRAINING_LIMITS,
+    training_limits,
+)
 from roigs_engine.training import photo_order
 from roigs_engine.training import trainer as trainer_module
 from roigs_engine.training.checkpoint import load_checkpoint, save_checkpoint
@@ -96,17 +101,31 @@ def test_training_lowers_the_loss(scene: SfmScene) -> None:
     assert mean_loss(trainer, 12) < 0.5 * start
 
 
-def test_training_culls_no_gaussians(scene: SfmScene, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Other viewers have none: what only they would draw must cost the loss."""
-    seen = set()
+def test_half_of_the_steps_draw_as_pictures_do(
+    scene: SfmScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The others cull nothing, as other viewers: what only these would draw must cost the loss."""
+    seen = []
 
     def noted(*args: Any, **options: Any) -> RenderOutput:
-        seen.add(options.get("limits", NO_LIMITS))
+        seen.append(options.get("limits", NO_LIMITS))
         return rasterize(*args, **options)
 
     monkeypatch.setattr(trainer_module, "rasterize", noted)
     Trainer(first_model(scene), stage_data(scene), SHORT).run()
-    assert seen == {TRAINING_LIMITS}
+    as_pictures = replace(PICTURE_LIMITS, min_transmittance=TRAINING_LIMITS.min_transmittance)
+    assert set(seen) == {TRAINING_LIMITS, as_pictures}
+    assert abs(seen.count(TRAINING_LIMITS) - len(seen) / 2) <= 1
+
+
+@pytest.mark.parametrize("period", [2, 3, 5, 84, 91])
+def test_every_photo_is_drawn_both_ways(period: int) -> None:
+    """Whatever the order of photos and masks, which often has a period."""
+    drawn = [
+        training_limits(step, linear_light=False) != TRAINING_LIMITS for step in range(12 * period)
+    ]
+    for first in range(period):
+        assert 3 <= sum(drawn[first::period]) <= 9
 
 
 def test_whole_photos_can_be_small_for_longer() -> None:
