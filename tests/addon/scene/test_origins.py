@@ -151,6 +151,6 @@ def test_renders_get_them_where_they_were_trained(blender: ModuleType, far) -> N
     scene, folder = far
     item = scene.objects["thing Gaussians"]
     graph = blender.context.evaluated_depsgraph_get()
-    (model,) = models_of([item], graph)
+    (model,) = models_of([item], [], graph)
     assert model["ply"] == str(folder / "rois" / "thing.ply")
     np.testing.assert_allclose(model["matrix"], scene.roigs.root.matrix_world, atol=1e-5)
