@@ -75,7 +75,7 @@ def run_batch(request: Batch, context: Context = QUIET) -> Result:
         count = write_table(table_path, request.init)
         context.info(f"{table_path} has {counted(count, 'scene')}. Look at it, then start it.")
         return Result(files={"table": table_path})
-    folder, store = _place(request)
+    folder, store = _place(request, context)
     assert request.table is not None
     table = Table(request.table, folder)
     chosen = _chosen(table, request.scenes)
@@ -105,7 +105,7 @@ def run_batch(request: Batch, context: Context = QUIET) -> Result:
     return done.with_places(*(f"failed: {reason}" for reason in failed))
 
 
-def _place(request: Batch) -> tuple[Path, Store | None]:
+def _place(request: Batch, context: Context) -> tuple[Path, Store | None]:
     """The folder of the batch, here, and the store that it is on; ConfigError for wrong options."""
     if request.only:
         raise ConfigError(
@@ -119,7 +119,7 @@ def _place(request: Batch) -> tuple[Path, Store | None]:
     if request.jobs and request.cluster:
         raise ConfigError("--jobs is for this machine.", "Leave it out with --cluster.")
     if isinstance(request.run_dir, str):
-        store = Store(request.run_dir)
+        store = Store(request.run_dir, context)
         return store.folder, store
     if is_run_folder(request.run_dir):
         raise ConfigError(

@@ -15,6 +15,7 @@ from ..errors import ConfigError, EngineError, RunFolderError
 from ..formats.run_files import BATCH, CACHE, CROPS, MANIFEST, REPORT_DATA, REPORT_PAGE
 from ..photos.contents import FILE as CONTENTS
 from ..requests.values import is_url
+from ..storage.commits import StoredRun
 from ..storage.lease import Lease, LeaseTakenError
 from ..storage.mirror import sign
 from ..storage.quota import make_copy
@@ -29,12 +30,13 @@ SHOWN = (MANIFEST, REPORT_DATA, REPORT_PAGE, f"{CACHE}/{CONTENTS}")
 class Store:
     """The folder of a batch on a store (`url`), and a copy here of what its page needs."""
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, context: Context) -> None:
         """Raises ConfigError if the address cannot be used."""
         refuse_lost(url)
         self.url = url
         self.folder = folder_of(url, BATCHES)
-        self._found, self._place = file_system(url, own=True)
+        self._should_stop = context.should_stop
+        self._found, self._place = file_system(url, context.should_stop, own=True)
         self._there: set[str] = set()
 
     @contextmanager
@@ -60,6 +62,10 @@ class Store:
         for name in names:
             self.fetch(name)
 
+    def run(self, name: str) -> StoredRun:
+        """A run folder on the store."""
+        return stored_run(self.url, name, self._should_stop)
+
     def fetch(self, name: str) -> None:
         """Copy here what the page and the record need of a run."""
 
@@ -67,7 +73,7 @@ class Store:
             self._there.add(f"{name}/{file}")
             return file in SHOWN or file.startswith(f"{CROPS}/")
 
-        stored_run(self.url, name).fetch(self.folder / name, wanted)
+        self.run(name).fetch(self.folder / name, wanted)
 
     def is_there(self, name: str) -> bool:
         """Whether a run that was fetched has a file, by its name in the batch's folder."""
@@ -88,11 +94,11 @@ class StoredRecord(BatchRecord):
     """What is done on a store: files by their hashes, as no copy of them needs to be here."""
 
     def __init__(self, store: Store) -> None:
-        self._url, self._store = store.url, store
+        self._store = store
         super().__init__(store.folder)
 
     def _stamps(self, run: Path, files: Iterable[Path]) -> dict[str, list[Any]]:
-        entries = stored_run(self._url, run.name).entries()
+        entries = self._store.run(run.name).entries()
         if not entries:
             raise FileNotFoundError(2, "nothing is published", str(run))
         return {name: [entries[name]["size"], entries[name]["sha"]] for name in sorted(entries)}

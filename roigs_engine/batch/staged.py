@@ -32,9 +32,9 @@ PUBLISH_SECONDS = 60.0  # between two looks for new checkpoints
 INPUTS = ("scene", "rois", "images", "masks", "object_masks", "selection")
 
 
-def stored_run(url: str, run: str) -> StoredRun:
+def stored_run(url: str, run: str, should_stop: Callable[[], bool] = lambda: False) -> StoredRun:
     """A run folder of a batch on a store; ConfigError if the address cannot be used."""
-    found, place = file_system(url, own=True)
+    found, place = file_system(url, should_stop, own=True)
     return StoredRun(found, f"{place}/{run}")
 
 
@@ -64,8 +64,8 @@ def run_part(
         return run_engine(argv, emit, should_stop)
     context = Context(should_stop=should_stop)
     try:
-        found, _ = file_system(part.staging.url, own=True)
-        run = stored_run(part.staging.url, part.scene)
+        found, _ = file_system(part.staging.url, should_stop, own=True)
+        run = stored_run(part.staging.url, part.scene, should_stop)
         with Lease(found, run.lease_folder(part.name), should_stop) as lease:
             return _leased(argv, part, part.staging, run, lease, emit, context)
     except LeaseTakenError:

@@ -13,7 +13,6 @@ import hmac
 import json
 import os
 import re
-import shutil
 import tempfile
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -26,7 +25,7 @@ from ..formats.files import LEFTOVER, own_file
 from ..formats.names import inner_path
 from ..formats.run_files import CACHE, PREVIEW, UNDISTORTED
 from ..formats.text import json_digest, parse_json
-from .urls import FileSystem, guarded
+from .urls import FileSystem
 
 COMMITS, OBJECTS, LEASES = ".commits", ".objects", ".leases"
 TIDIED = re.compile(rf"{re.escape(COMMITS)}/[^/]+\.json|{re.escape(OBJECTS)}/[0-9a-f]{{64}}")
@@ -150,8 +149,7 @@ class StoredRun:
             ):
                 file.seek(0)
                 self._found.makedirs(target.rsplit("/", 1)[0], exist_ok=True)
-                with guarded(target), self._found.open(target, "wb") as out:
-                    shutil.copyfileobj(file, out)
+                self._found.upload(file, target)
         return {"sha": sha, "size": size, "at": at}
 
     def _has(self, target: str, size: int) -> bool:
@@ -181,7 +179,7 @@ class StoredRun:
         for path in [*self._safe_find(COMMITS), *self._safe_find(OBJECTS)]:
             own = TIDIED.fullmatch(path[len(self._place) + 1 :])
             if own and path != self._commit(keep):
-                with suppress(Exception):
+                with suppress(RunFolderError):
                     self._found.rm_file(path)
 
     def _safe_find(self, name: str) -> list[str]:

@@ -6,7 +6,7 @@ import os
 import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from ..context import Context
@@ -17,14 +17,16 @@ from .quota import alone, claim, enforce_quota, keep, limit
 from .urls import FileSystem, file_system, folder_of, guarded
 
 SCENES, FILES, INDEX, LOCK = "scenes", "files", "index.json", "copy.lock"
+LONGEST = 255  # bytes that file systems allow in the name of a file
 
 
 def mirror(url: str, context: Context) -> Path:
     """A copy of a scene's folder, brought up to date: only files that changed are read.
 
-    ConfigError: there is no such folder. StoreError: it cannot be read.
+    ConfigError: there is no such folder, or no disk has a file of that name. StoreError: it cannot
+    be read.
     """
-    found, place = file_system(url)
+    found, place = file_system(url, context.should_stop)
     limit()
     folder = folder_of(url, SCENES)
     claim(context, folder)
@@ -59,9 +61,17 @@ def _listed(found: FileSystem, place: str, url: str) -> dict[str, list[Any]]:
         listed = found.find(place, detail=True)
     if not listed:
         raise ConfigError(f"There is nothing at {url}.", "Correct the address.")
+    names = {str(path)[len(place) :].removeprefix("/"): facts for path, facts in listed.items()}
+    # Empty objects stand for folders on some stores, by their name or with a slash behind it.
+    folders = {str(above) for name in names for above in PurePosixPath(name).parents}
     files = {}
-    for path, facts in listed.items():
-        name = str(path)[len(place) :].lstrip("/")
+    for name, facts in names.items():
+        if not name or name.endswith("/") or (name in folders and not facts["size"]):
+            continue
+        lengths = [len(part.encode("utf-8", "replace")) for part in name.split("/")]
+        if name in folders or min(lengths) == 0 or max(lengths) > LONGEST:
+            text = f"No file here can be called {name!a:.300}, as one at {url:.100} is."
+            raise ConfigError(text, "Rename it there.")
         if inner_path(name):
             files[name] = sign(facts)
     return files

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
+import shutil
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
-from ..errors import ConfigError, RunFolderError
+from ..context import Context
+from ..errors import ConfigError, RunFolderError, Stopped
 from ..formats.files import is_link
 from ..formats.text import first_line
-from ..requests.values import SCHEME
+from ..requests.values import SCHEME, SECRET
 
 LOST = ("memory",)
 """Kinds of addresses that are in the memory of this process."""
@@ -37,10 +41,17 @@ PACKAGES = {
     "huggingface_hub": ("hf",),
 }
 """What fsspec needs for which kinds of addresses."""
+ENDPOINTS = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3")
+"""Environment variables: the address of a server of S3."""
 HOME = "ROIGS_CACHE"
 """Environment variable: the folder of this machine's copies."""
 
 
+SILENT = 120.0
+"""Seconds after which a store counts as one that does not answer; copying files may take longer."""
+GRACE, UPLOAD = 5.0, 60.0
+"""Seconds that a call goes on after a stop was requested; of an upload, which saves work."""
+COPIES = ("get_file", "put_file", "upload")
 READS = ("cat_file", "find", "get_file", "info")
 """Calls that say by FileNotFoundError that a file is missing."""
 
@@ -55,7 +66,7 @@ def guarded(place: str, *passes: type[Exception]) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        if isinstance(error, (StoreError, *passes)):
+        if isinstance(error, (StoreError, Stopped, *passes)):
             raise
         text = f"Cannot use {place:.200} ({first_line(error):.100})."
         raise StoreError(text, "Is the store there, with space?") from error
@@ -66,23 +77,53 @@ class FileSystem:
 
     Those of `READS` raise FileNotFoundError for what is missing.
 
+    A call may wait for ever, so it is left to itself, in a thread, soon after a stop was requested:
+    then it raises Stopped. What it writes may be half there, as if this process had been killed.
+
     Args:
         own: a folder of this machine below which links, pipes and devices are refused; empty: none.
+        should_stop: whether a stop was requested.
     """
 
-    def __init__(self, found: Any, url: str, own: str = "") -> None:
-        self._found, self._url, self._own = found, url, own
+    def __init__(
+        self, found: Any, url: str, own: str = "", should_stop: Callable[[], bool] = lambda: False
+    ) -> None:
+        self._found, self._url, self._own, self._should_stop = found, url, own, should_stop
 
     def __getattr__(self, name: str) -> Any:
         method = getattr(self._found, name)
+        return lambda *given, **options: self._call(name, method, *given, **options)
 
-        def call(*given: Any, **options: Any) -> Any:
-            with guarded(self._url, *([FileNotFoundError] if name in READS else [])):
-                if self._own:
-                    _refuse_links(Path(self._own), given[name == "put_file"])
-                return method(*given, **options)
+    def upload(self, file: BinaryIO, target: str) -> None:
+        """Write what follows in an open file, which may be replaced meanwhile."""
 
-        return call
+        def copy(target: str) -> None:
+            with self._found.open(target, "wb") as out:
+                shutil.copyfileobj(file, out)
+
+        self._call("upload", copy, target)
+
+    def _call(self, name: str, method: Any, *given: Any, **options: Any) -> Any:
+        with guarded(self._url, *([FileNotFoundError] if name in READS else [])):
+            if self._own:
+                _refuse_links(Path(self._own), given[name == "put_file"])
+            given_up = Context(should_stop=self._patience(name))
+            return given_up.interruptible(lambda: method(*given, **options))
+
+    def _patience(self, name: str) -> Callable[[], bool]:
+        """Whether a call that begins now is given up; TimeoutError if the store is silent."""
+        began, since = time.monotonic(), math.inf
+        grace = UPLOAD if name in ("put_file", "upload") else GRACE
+
+        def over() -> bool:
+            nonlocal since
+            now = time.monotonic()
+            if name not in COPIES and now - began > SILENT:
+                raise TimeoutError("it does not answer")
+            since = min(since, now) if self._should_stop() else since
+            return now - since > grace
+
+        return over
 
 
 def _refuse_links(root: Path, place: str) -> None:
@@ -115,11 +156,15 @@ def folder_of(url: str, kind: str) -> Path:
     return home() / kind / name
 
 
-def file_system(url: str, *, own: bool = False) -> tuple[FileSystem, str]:
+def file_system(
+    url: str, should_stop: Callable[[], bool] = lambda: False, *, own: bool = False
+) -> tuple[FileSystem, str]:
     """The file system of an address, and the place in it without a slash at the end.
 
     With `own`, files are written there, and nothing there is read or written through links.
-    ConfigError: fsspec, or the package for such addresses, is missing, or it knows none such.
+    `should_stop`: see `FileSystem`.
+    ConfigError: fsspec, or the package for such addresses, is missing, it knows none such, or a
+    password is where none may be.
     """
     match = SCHEME.match(url)
     kind = match[1].lower() if match else ""
@@ -128,6 +173,12 @@ def file_system(url: str, *, own: bool = False) -> tuple[FileSystem, str]:
             f"{url:.200} is not an address of a store.",
             f"It may begin with {', '.join(STORES[:-1])}.",
         )
+    for name in ENDPOINTS if kind in PACKAGES["s3fs"] else ():
+        if SECRET.search(os.environ.get(name, "")):
+            raise ConfigError(
+                f"{name} has a password, which S3 does not take there.",
+                "Use AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY.",
+            )
     try:
         import fsspec
 
@@ -145,4 +196,4 @@ def file_system(url: str, *, own: bool = False) -> tuple[FileSystem, str]:
             f"{url:.200} cannot be used ({reason:.100}).", "Use an address that fsspec knows."
         ) from error
     place = str(place).rstrip("/")
-    return FileSystem(found, url, place if own and kind == "file" else ""), place
+    return FileSystem(found, url, place if own and kind == "file" else "", should_stop), place

@@ -18,6 +18,8 @@ ERRORS: dict[str, Callable[[], Exception]] = {
 }
 """What packages of stores raise, by a name."""
 MOMENTS = ("before", "after", "half")
+SILENT = "silent"
+"""Instead of a moment: a call that never ends; those that copy files fail."""
 Fault = tuple[str, str]
 """A moment and the name of an error."""
 WRITES = ("pipe_file", "put_file")
@@ -40,6 +42,8 @@ class FailingStore:
             writes = name == "open" and "wb" in (*given, *more.values())
             return _FailingFile(found, self._fault) if writes else found
         moment, error = fault
+        if moment == SILENT and name not in (*WRITES, "get_file", "open"):
+            threading.Event().wait()
         if moment == "after" and name != "open":
             does(*given, **more)
         if moment == "half" and name == "pipe_file":

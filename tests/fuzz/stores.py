@@ -28,10 +28,11 @@ from roigs_engine.formats.text import json_digest
 from roigs_engine.requests.declare import Request, option
 from roigs_engine.requests.runs import Batch
 from roigs_engine.requests.values import PATH
+from roigs_engine.storage import urls
 from roigs_engine.storage.lease import Lease
 from tests.fuzz.cases import Case, good_boxes, good_scene, json_bytes, odd_tree, write
 from tests.fuzz.damage import ODD_TEXTS, ODD_VALUES, bytes_damaged
-from tests.fuzz.failing_store import ERRORS, MOMENTS, Countdown, failing
+from tests.fuzz.failing_store import ERRORS, MOMENTS, SILENT, Countdown, failing
 from tests.fuzz.run_folders import run_files
 
 RUN = "hall"
@@ -70,6 +71,7 @@ def a_machine(home: Path) -> Iterator[None]:
     with (
         mock.patch.dict(os.environ, {"ROIGS_CACHE": str(home)}),
         mock.patch.object(staged, "run_engine", engine),
+        mock.patch.object(urls, "SILENT", 0.5),
         mock.patch.dict(Lease.__init__.__kwdefaults__, brief),
     ):
         yield
@@ -170,7 +172,12 @@ def commits(dice: random.Random, folder: Path) -> Case:
 def outages(dice: random.Random, folder: Path) -> Case:
     """A batch on a store that fails at some call; what it was to do is done by the next one."""
     count = dice.choice((1, 1, 1, 2, 5, 1000))
-    calls = (dice.randint(1, MOST_CALLS), count, dice.choice(MOMENTS), dice.choice(list(ERRORS)))
+    calls = (
+        dice.randint(1, MOST_CALLS),
+        count,
+        dice.choice((*MOMENTS, SILENT)),
+        dice.choice(list(ERRORS)),
+    )
     return on_store(folder, "batch", folder / "out" / "runs", calls)
 
 

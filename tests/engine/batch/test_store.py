@@ -231,6 +231,10 @@ def test_addresses_that_cannot_be_used_are_one_line(
         assert main(["batch", str(table), "--run-dir", str(tmp_path / "run")]) == 2
         said = capsys.readouterr().err
         assert expected in said and "hidden" not in said
+    with monkeypatch.context() as endpoint:
+        endpoint.setenv("AWS_ENDPOINT_URL", "http://me:hidden@host:9000")
+        line = refused(capsys, "batch", table, "--run-dir", "s3://bucket/runs")
+        assert "AWS_ENDPOINT_URL has a password" in line and "hidden" not in line
     monkeypatch.setitem(__import__("sys").modules, "fsspec", None)
     line = refused(capsys, "batch", table, "--run-dir", "s3://bucket/runs")
     assert "s3://bucket/runs needs fsspec, which is not installed" in line

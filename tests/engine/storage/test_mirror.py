@@ -54,6 +54,37 @@ def test_a_file_is_read_once_until_it_changes(store: Any) -> None:
     assert (folder / "images" / "1.png").read_bytes() == b"other"
 
 
+@pytest.mark.parametrize("marker", ["images/", "images", "empty/", ""])
+def test_markers_of_folders_are_no_files(
+    store: Any, monkeypatch: pytest.MonkeyPatch, marker: str
+) -> None:
+    real = type(store).find
+
+    def find(self: Any, place: str, **options: Any) -> Any:
+        found = real(self, place, **options)
+        return {f"{place}/{marker}": {"size": 0, "type": "file"}} | found
+
+    monkeypatch.setattr(type(store), "find", find)
+    folder = mirror(URL.format("hall"), QUIET)
+    assert {path.name for path in (folder / "images").iterdir()} == {"1.png", "2.png"}
+    assert not (folder / "empty").exists()
+
+
+@pytest.mark.parametrize("name", ["/x.png", "a//x.png", "a" * 300, "ä" * 128 + "/x.png", "images"])
+def test_a_name_that_no_file_can_have_is_named(
+    store: Any, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    real = type(store).find
+
+    def find(self: Any, place: str, **options: Any) -> Any:
+        return real(self, place, **options) | {f"{place}/{name}": {"size": 9, "type": "file"}}
+
+    monkeypatch.setattr(type(store), "find", find)
+    with pytest.raises(ConfigError, match="No file here can be called") as error:
+        mirror(URL.format("hall"), QUIET)
+    assert error.value.hint == "Rename it there."
+
+
 def test_the_limit(store: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     hall = mirror(URL.format("hall"), QUIET)
     monkeypatch.setenv("ROIGS_CACHE_GB", "0.00005")
