@@ -309,6 +309,7 @@ def test_results_can_be_undone(
 def test_no_undo_step_comes_before_the_results(addon: ModuleType) -> None:
     """Called by the file browser, such an operator ends before its engine does."""
     from roigs_addon.operators import (
+        adapt,
         export,
         floaters,
         levels,
@@ -325,6 +326,7 @@ def test_no_undo_step_comes_before_the_results(addon: ModuleType) -> None:
         *(photos.SelectCameras, reconstruct.Reconstruct, scene.ImportColmap),
         *(scene.RefineCameras, train.EstimateTime, train.TrainRoi, export.ExportGaussians),
         *(imports.ImportGaussians, floaters.FindFloaters, levels.MakeLevels, masks.MakeMasks),
+        adapt.AdaptResult,
     )
     found = {*EngineOperator.__subclasses__(), *BrowsingOperator.__subclasses__()}
     assert found - {BrowsingOperator} == set(running)
