@@ -75,6 +75,7 @@ def test_attributes(blender: ModuleType, run, coefficients: int) -> None:
     np.testing.assert_allclose(values(mesh, "Color")[:, :3], linear, atol=1e-5)
 
 
+@pytest.mark.exact_look
 def test_points_and_gaussians(blender: ModuleType, run) -> None:
     """As points the objects have geometry in the viewport; as Gaussians they have none."""
     scene, _ = run

@@ -28,6 +28,7 @@ def test_what_is_drawn_from_the_blend_is_said(blender: ModuleType, run) -> None:
     assert run_facts.lost_splats(scene) == []
 
 
+@pytest.mark.exact_look
 def test_what_renders_lack_is_said(blender: ModuleType, run) -> None:
     from roigs_addon.scene import compositor
     from roigs_addon.ui.result import ResultPanel
@@ -218,6 +219,7 @@ def test_the_label_of_test_photos_says_what_the_number_is(
         assert (("test_every", "One Photo in") in shown) is not none
 
 
+@pytest.mark.exact_look
 def test_levels_of_detail(blender: ModuleType, run, monkeypatch: pytest.MonkeyPatch) -> None:
     from roigs_addon.ui.levels import LevelsPanel
     from roigs_addon.ui.result import ResultPanel
