@@ -59,7 +59,7 @@ def converted(files: Mapping[str, Path], folder: Folder, context: Context) -> di
 
     def convert(name: str) -> str:
         target = own_file(folder.root, f"{IMAGES}/{names[name]}")
-        return _convert(files[name], target, made.get(name, ""))
+        return _convert(files[name], target, str(made.get(name, "")))
 
     try:
         with in_parallel(convert, foreign, BYTES, context, STAGE) as work:

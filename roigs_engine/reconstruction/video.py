@@ -196,6 +196,7 @@ def _upright(pixels: Pixels, display: Any) -> Pixels:
 
 
 LOOK, WRITE = "look at the video", "write frames"
+FARTHEST = 1e6  # longer sides: no camera moves so far
 VERSION = 2  # of the record; increase it if other frames would be chosen
 STEP = 0.05  # of the picture's longer side: how far the picture moves from photo to photo
 FEWEST, MOST = 30, 300  # photos, if their number is not given
@@ -260,17 +261,31 @@ def _seen(video: Video, folder: Folder, context: Context) -> list[Seen]:
         if any(folder.images.glob("frame_*.jpg")):
             raise SceneError(f"{folder.images} has frames of another video.", "Give another --out.")
         record = {}
-    if record.get("version") != VERSION:
-        rows = [[frame.moved, frame.sharpness] for frame in look(video, context)]
+    seen = _remembered(record)
+    if not seen:
+        seen = look(video, context)
         for made_before in folder.images.glob("frame_*.jpg"):  # by another version
             made_before.unlink()
+        rows = [[frame.moved, frame.sharpness] for frame in seen]
         record = {"version": VERSION, "video": digest, "frames": rows, "damaged": video.damaged}
         write_json(path, record)
-    if record["damaged"]:
+    if record.get("damaged"):
         context.warn(f"Parts of {video.path} cannot be read; the other frames are used.")
+    return seen
+
+
+def _remembered(record: Mapping[str, Any]) -> list[Seen]:
+    """The frames of a record; none if it is of another version or damaged."""
+    if record.get("version") != VERSION:
+        return []
+    try:
+        rows = np.array(record.get("frames"), dtype=np.float64).reshape(-1, 2)
+    except (TypeError, ValueError, OverflowError):
+        return []
+    if not (np.abs(rows) < FARTHEST).all():
+        return []
     return [
-        Seen(number=number, moved=moved, sharpness=sharpness)
-        for number, (moved, sharpness) in enumerate(record["frames"])
+        Seen(number=n, moved=way, sharpness=fine) for n, (way, fine) in enumerate(rows.tolist())
     ]
 
 

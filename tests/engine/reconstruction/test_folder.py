@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from dataclasses import replace
@@ -154,6 +155,17 @@ def test_changed_settings_and_photos_begin_again(photos: Path, tmp_path: Path) -
     assert folder.database.exists()
     assert "settings changed" in folder.begin(found, features | {"masks": {}})
     assert not folder.database.exists()
+
+
+@pytest.mark.parametrize("known", [None, 7, [7], "x", {"a": []}])
+def test_a_damaged_record_begins_again(photos: Path, tmp_path: Path, known: object) -> None:
+    folder = Folder(tmp_path / "scene")
+    found = looked(folder, photos)
+    folder.begin(found, {})
+    folder.database.write_bytes(b"features")
+    record = folder.work("state.json")
+    record.write_text(json.dumps(json.loads(record.read_text("utf-8")) | {"photos": known}))
+    assert "features are found again" in folder.begin(found, {})
 
 
 def test_an_earlier_result_is_kept(tmp_path: Path) -> None:

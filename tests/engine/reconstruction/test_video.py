@@ -257,6 +257,25 @@ def test_frames_of_an_earlier_version_are_written_again(tmp_path: Path) -> None:
     assert {file: file.read_bytes() for file in (scene / "images").iterdir()} == before
 
 
+@pytest.mark.parametrize(
+    "damage",
+    [
+        *({"frames": frames} for frames in (None, 7, [7], [[1]], [["x", 1]], [[None, None]], {})),
+        *({"frames": [[0, number]] * 9} for number in (float("nan"), 1e300, 10**400)),
+        {"damaged": None},
+    ],
+    ids=repr,
+)
+def test_a_damaged_record_is_made_again(tmp_path: Path, damage: dict[str, object]) -> None:
+    path, scene = film(tmp_path / "pan.mp4", list(range(0, 200, 8))), tmp_path / "scene"
+    before = taken(path, scene, 4)
+    record = scene / "reconstruction/video.json"
+    whole = json.loads(record.read_text("utf-8"))
+    record.write_text(json.dumps({**whole, **damage}), encoding="utf-8")
+    assert taken(path, scene, 4) == before
+    assert json.loads(record.read_text("utf-8"))["frames"] == whole["frames"]
+
+
 def test_a_stop_is_resumed_and_nothing_is_done_twice(tmp_path: Path) -> None:
     path, done = film(tmp_path / "pan.mp4", list(range(0, 400, 8))), list[str]()
     asked = False
