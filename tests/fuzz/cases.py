@@ -119,6 +119,7 @@ def all_families() -> dict[str, tuple[Family, int]]:
         stores,
         texts,
         user_input,
+        work_folders,
         working_folders,
     )
 
@@ -133,6 +134,7 @@ def all_families() -> dict[str, tuple[Family, int]]:
         masks,
         stores,
         names,
+        work_folders,
         working_folders,
     )
     tables = [file.FAMILIES for file in (*files, levels_and_scribbles)]
