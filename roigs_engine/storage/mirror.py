@@ -70,7 +70,7 @@ def _listed(found: FileSystem, place: str, url: str) -> dict[str, list[Any]]:
             continue
         lengths = [len(part.encode("utf-8", "replace")) for part in name.split("/")]
         if name in folders or min(lengths) == 0 or max(lengths) > LONGEST:
-            text = f"No file here can be called {name!a:.300}, as one at {url:.100} is."
+            text = f"No file here can be called {name!a:.100}, as one at {url:.100} is."
             raise ConfigError(text, "Rename it there.")
         if inner_path(name):
             files[name] = sign(facts)
