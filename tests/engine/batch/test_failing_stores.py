@@ -90,19 +90,20 @@ def at_random(rng: random.Random) -> Any:
 @contextmanager
 def killed_engines(rng: random.Random, kills: list[int]) -> Iterator[None]:
     """Kill some engines a while after their start."""
-    real = forked.ForkedEngine.__init__
+    real = forked.FORKED.Popen
 
-    def begin(self: Any, *given: Any, **more: Any) -> None:
-        real(self, *given, **more)
+    def begin(*given: Any, **more: Any) -> Any:
+        engine = real(*given, **more)
         if rng.random() < KILLED:
-            threading.Timer(rng.uniform(0.05, 2.5), kill, [self._process.pid]).start()
+            threading.Timer(rng.uniform(0.05, 2.5), kill, [engine.pid]).start()
+        return engine
 
     def kill(process: int) -> None:
         with suppress(ProcessLookupError):
             os.kill(process, signal.SIGKILL)
             kills.append(process)
 
-    with mock.patch.object(forked.ForkedEngine, "__init__", begin):
+    with mock.patch.object(forked.FORKED, "Popen", begin):
         yield
 
 
