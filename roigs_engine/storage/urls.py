@@ -50,7 +50,7 @@ HOME = "ROIGS_CACHE"
 SILENT = 120.0
 """Seconds after which a store counts as one that does not answer; copying files may take longer."""
 GRACE, UPLOAD = 5.0, 60.0
-"""Seconds that a call goes on after a stop was requested; of an upload, which saves work."""
+"""Seconds that a call goes on after a stop was requested; of `upload`, which saves work."""
 COPIES = ("get_file", "put_file", "upload")
 READS = ("cat_file", "find", "get_file", "info")
 """Calls that say by FileNotFoundError that a file is missing."""
@@ -113,7 +113,7 @@ class FileSystem:
     def _patience(self, name: str) -> Callable[[], bool]:
         """Whether a call that begins now is given up; TimeoutError if the store is silent."""
         began, since = time.monotonic(), math.inf
-        grace = UPLOAD if name in ("put_file", "upload") else GRACE
+        grace = UPLOAD if name == "upload" else GRACE
 
         def over() -> bool:
             nonlocal since

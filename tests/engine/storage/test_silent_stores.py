@@ -6,6 +6,7 @@ import io
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -77,8 +78,15 @@ def test_an_upload_that_takes_long_is_finished_after_a_stop(
     silent: Silent, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(urls, "UPLOAD", 30.0)
-    slow = SimpleNamespace(put_file=lambda *_: time.sleep(3 * urls.GRACE) or "done")
-    assert FileSystem(slow, URL, should_stop=lambda: True).put_file("x", "y") == "done"
+    written = list[bytes]()
+
+    def slowly(*_: object) -> Any:
+        time.sleep(3 * urls.GRACE)
+        return nullcontext(SimpleNamespace(write=written.append))
+
+    slow = SimpleNamespace(open=slowly)
+    FileSystem(slow, URL, should_stop=lambda: True).upload(io.BytesIO(b"work"), "x")
+    assert written == [b"work"]
 
 
 @pytest.mark.parametrize("dry", [True, False])
