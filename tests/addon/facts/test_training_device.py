@@ -8,7 +8,6 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 from roigs_engine.context import Context
-from roigs_engine.cuda.device import choose_device
 from roigs_engine.formats import events
 from tests.addon.fake_engine import fake, until
 
@@ -76,7 +75,9 @@ def test_the_panel_says_it_of_the_training_and_of_its_log(
 def test_a_torch_without_cuda_says_what_to_do(
     blender: ModuleType, addon: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    pytest.importorskip("torch")  # the Blender of `make test-blender` has none
     from roigs_addon.facts import training_device
+    from roigs_engine.cuda.device import choose_device
 
     said: list[events.Event] = []
     monkeypatch.setattr("torch.version.cuda", None)
