@@ -157,6 +157,7 @@ def test_other_axes_and_the_frame_of_the_model(
     np.testing.assert_allclose(points(item), stored @ place[:3, :3].T + place[:3, 3], atol=1e-5)
 
 
+@pytest.mark.exact_look
 def test_it_is_rendered_and_exported_without_a_model(
     blender: ModuleType, engine, ply: Path, tmp_path: Path
 ) -> None:

@@ -85,7 +85,7 @@ def test_several_settings(trained) -> None:
     ("name", "value", "expected"),
     [
         ("strategy", "independent", "boxes one by one"),
-        ("made_for", "cycles", "made for Blender 5.3, Cycles"),
+        ("made_for", "eevee", "made for Blender 5.3, EEVEE"),
         ("steps_factor", 2.0, "2 x steps"),
         ("test_every", 4, "test photos: 1 in 4"),
         ("method", "fvs", "method fvs"),

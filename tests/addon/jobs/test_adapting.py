@@ -51,12 +51,14 @@ def made(blender: ModuleType, run, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     return scene, folder, names["ARGUMENTS"], adapted
 
 
+@pytest.mark.exact_look
 def test_the_result_is_adapted_and_shown(blender: ModuleType, made) -> None:
     from roigs_addon.jobs import current
     from roigs_addon.scene import compared, made_for
     from roigs_addon.ui.result import ResultPanel
 
     scene, folder, arguments, adapted = made
+    scene.roigs.made_for = "viewers"
     assert not made_for.mismatch(scene)
     scene.roigs.made_for = "cycles"
     told = said(blender, ResultPanel)
@@ -87,6 +89,7 @@ def test_a_result_that_was_changed_is_not_cut(blender: ModuleType, made) -> None
     assert not (folder / "earlier" / "adapted-cycles" / "result.ply").exists()
 
 
+@pytest.mark.exact_look
 def test_what_is_drawn_in_another_light_is_named(blender: ModuleType, made, tmp_path: Path) -> None:
     from roigs_addon.scene import made_for, splats
     from roigs_addon.ui.result import ResultPanel

@@ -67,6 +67,7 @@ def test_the_result_is_the_engines(
     # Options by hand instead of the options file.
     boxes = tmp_path / "run" / "blender" / "rois.json"
     arguments = ["--rois", boxes, "--max-side", 640, "--test-every", 0, "--steps-factor", 0.004]
+    arguments += ["--made-for", scene.roigs.made_for]
     command_line(engine, "train", project, *arguments, "--run-dir", tmp_path / "2")
     assert plys(tmp_path / "2") == results
     # A root that is turned and scaled, the box with it.
