@@ -109,8 +109,9 @@ def _request(
     """The engine's request for the frame; None: it shows no Gaussians."""
     if not _moments and not blur.is_needed(scene, depsgraph):
         return frame_request(scene, depsgraph, str(frame))
-    now = blur.moment(scene, depsgraph)
-    moments = _moments or ([] if now is None else [now])
+    moments = _moments
+    if not moments and (now := blur.moment(scene, depsgraph)) is not None:
+        moments = [now]
     transparent = scene.render.film_transparent
     return blur.request(moments, frame, transparent=transparent) if moments else None
 

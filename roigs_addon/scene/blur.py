@@ -122,13 +122,14 @@ def request(moments: Sequence[Moment], out: Path, *, transparent: bool) -> dict[
     count = len(moments)
     if aperture is not None:
         count = max(count, aperture.count(moments[0].request["camera"]["fx"]))
+    points = [each.aperture.points(count) if each.aperture else None for each in moments]
     samples = []
     for k in range(count):
         row = k * len(moments) // count
-        now = moments[row]
+        now, opening = moments[row], points[row]
         sample = {key: now.request[key] for key in ("camera", "models")}
-        if now.aperture is not None:
-            sample["camera"] = now.aperture.through(sample["camera"], now.aperture.points(count)[k])
+        if now.aperture is not None and opening is not None:
+            sample["camera"] = now.aperture.through(sample["camera"], opening[k])
         if files[row]:
             sample["surfaces"] = files[row]
         samples.append(sample)

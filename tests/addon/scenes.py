@@ -73,6 +73,32 @@ def record(roi, scene) -> dict[str, object]:
     return lookup.box(roi, scene).record(roi.name).to_dict()
 
 
+def through_a_photo(bpy: ModuleType, scene):
+    """Show a run's results through a photo's camera in Cycles. Returns the render settings."""
+    bpy.ops.roigs.load_results()
+    bpy.ops.roigs.look_through(photo="photo 3.png")
+    render = with_cycles(scene, samples=1)
+    render.dither_intensity = 0.0
+    return render
+
+
+def emitting_plane(bpy: ModuleType, camera, size: float, colour: tuple[float, float, float]):
+    """A plane in one colour that faces a camera, at the origin; `camera` is the camera's matrix."""
+    bpy.ops.mesh.primitive_plane_add(size=size)
+    plane = bpy.context.object
+    plane.rotation_euler = camera.to_euler()
+    material = bpy.data.materials.new("emitting")
+    if material.node_tree is None:
+        material.use_nodes = True
+    material.node_tree.nodes.clear()
+    made = material.node_tree.nodes.new
+    emission, output = made("ShaderNodeEmission"), made("ShaderNodeOutputMaterial")
+    emission.inputs["Color"].default_value = *colour, 1
+    material.node_tree.links.new(emission.outputs[0], output.inputs["Surface"])
+    plane.data.materials.append(material)
+    return plane
+
+
 def with_cycles(scene, *, samples: int):
     """Have a scene render transparent PNGs with Cycles; skips without it. Returns its settings."""
     import pytest  # not in the Blenders that tests start, which use this file too

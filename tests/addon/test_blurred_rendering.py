@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.addon.pictures import linear, load_rgba, psnr, srgb
-from tests.addon.scenes import with_cycles
+from tests.addon.scenes import emitting_plane, through_a_photo
 
 pytestmark = pytest.mark.exact_look
 
@@ -18,10 +18,7 @@ pytestmark = pytest.mark.exact_look
 def shot(blender: ModuleType, run, engine, tmp_path: Path):
     """A scene with results, seen through a photo's camera, and a function that renders it."""
     bpy, (scene, _) = blender, run
-    bpy.ops.roigs.load_results()
-    bpy.ops.roigs.look_through(photo="photo 3.png")
-    render = with_cycles(scene, samples=1)
-    render.dither_intensity = 0.0
+    render = through_a_photo(bpy, scene)
     render.film_transparent = True
 
     def f12(samples: int = 1) -> np.ndarray:
@@ -35,23 +32,13 @@ def shot(blender: ModuleType, run, engine, tmp_path: Path):
     return scene, f12
 
 
-def emitter(bpy: ModuleType, scene, depth: float, x: float, colour: tuple[float, ...]):
+def emitter(bpy: ModuleType, scene, depth: float, x: float, colour: tuple[float, float, float]):
     """A bright square before the scene's camera, which it faces."""
     from mathutils import Vector
 
-    bpy.ops.mesh.primitive_plane_add(size=0.25 * depth)
-    plane = bpy.context.object
-    plane.rotation_euler = scene.camera.matrix_world.to_euler()
-    plane.location = scene.camera.matrix_world @ Vector((x * depth, 0, -depth))
-    material = bpy.data.materials.new("bright")
-    if material.node_tree is None:
-        material.use_nodes = True
-    material.node_tree.nodes.clear()
-    made = material.node_tree.nodes.new
-    emission, output = made("ShaderNodeEmission"), made("ShaderNodeOutputMaterial")
-    emission.inputs["Color"].default_value = *colour, 1
-    material.node_tree.links.new(emission.outputs[0], output.inputs["Surface"])
-    plane.data.materials.append(material)
+    camera = scene.camera.matrix_world
+    plane = emitting_plane(bpy, camera, 0.25 * depth, colour)
+    plane.location = camera @ Vector((x * depth, 0, -depth))
     return plane
 
 

@@ -11,7 +11,7 @@ import pytest
 from roigs_engine.formats.splat_ply import read_ply, write_ply
 from tests.addon.levels_cases import FAR, make_levels
 from tests.addon.pictures import linear, load_png, load_rgba, psnr, srgb
-from tests.addon.scenes import command_line, with_cycles
+from tests.addon.scenes import command_line, emitting_plane, through_a_photo
 from tests.addon.splat_cases import recoloured
 
 pytestmark = pytest.mark.exact_look
@@ -21,10 +21,7 @@ pytestmark = pytest.mark.exact_look
 def shot(blender: ModuleType, run, engine, tmp_path: Path):
     """A scene with results, seen through a photo's camera, and a function that renders it."""
     bpy, (scene, _) = blender, run
-    bpy.ops.roigs.load_results()
-    bpy.ops.roigs.look_through(photo="photo 3.png")
-    render = with_cycles(scene, samples=1)
-    render.dither_intensity = 0.0
+    render = through_a_photo(bpy, scene)
 
     def f12(name: str = "f12") -> np.ndarray:
         render.filepath = str(tmp_path / f"{name}.png")
@@ -196,19 +193,7 @@ def bmesh_delete(edit, chosen: np.ndarray) -> None:
 
 def black_plane(bpy: ModuleType, camera):
     """A plane that faces the camera."""
-    bpy.ops.mesh.primitive_plane_add(size=1000)
-    plane = bpy.context.object
-    plane.rotation_euler = camera.to_euler()
-    black = bpy.data.materials.new("black")
-    if black.node_tree is None:
-        black.use_nodes = True
-    black.node_tree.nodes.clear()
-    made = black.node_tree.nodes.new
-    emission, output = made("ShaderNodeEmission"), made("ShaderNodeOutputMaterial")
-    emission.inputs["Color"].default_value = 0, 0, 0, 1
-    black.node_tree.links.new(emission.outputs[0], output.inputs["Surface"])
-    plane.data.materials.append(black)
-    return plane
+    return emitting_plane(bpy, camera, 1000, (0, 0, 0))
 
 
 def test_meshes_cover_by_depth(blender: ModuleType, shot) -> None:
