@@ -34,6 +34,7 @@ PACKAGES = (
     "masking",
     "evaluation",
     "levels",
+    "surface",
     "run",
     "storage",
     "batch",

@@ -1,0 +1,1 @@
+"""A boxed object as a mesh with the photos' texture."""

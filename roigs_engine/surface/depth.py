@@ -1,0 +1,127 @@
+"""Depth maps of a box: how far away its surface is in each photo that shows it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..context import QUIET, Context
+from ..formats.events import StageStarted
+from ..model.gaussians import Gaussians
+from ..model.roi import OrientedBox
+from ..model.scene import Camera, Float64, PosedImage, SfmScene
+from ..rasterize.limits import PICTURE_LIMITS
+from ..rasterize.view import rasterize_view
+
+STAGE = "depth"
+MARGIN = 2  # pixels around the box's silhouette
+
+Float32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DepthMap:
+    """The depth of the surface in the part of a photo that shows a box.
+
+    Attributes:
+        image: the photo.
+        x, y: of the part's first pixel in the photo.
+        camera: of the part.
+        depth: (H, W) along the camera's z axis, units of the scene; 0: not known.
+        weight: (H, W) how certain it is, 0 to 1.
+        normal: (H, W, 3) unit vectors in the world that point to the camera; None: not known.
+    """
+
+    image: PosedImage
+    x: int
+    y: int
+    camera: Camera
+    depth: Float32
+    weight: Float32
+    normal: Float32 | None = None
+
+    @property
+    def world_to_camera(self) -> Float64:
+        """(4, 4) the photo's pose."""
+        return self.image.world_to_camera
+
+
+def depth_maps(
+    gaussians: Gaussians,
+    scene: SfmScene,
+    roi: OrientedBox,
+    photos: Collection[str],
+    context: Context = QUIET,
+) -> Iterator[DepthMap]:
+    """The depth map of each of these photos that shows the box, in the scene's order.
+
+    The depth is the median one of the Gaussians, the weight their alpha.
+
+    Args:
+        gaussians: the trained scene, on the context's device.
+        scene: with the photos, in the frame of the Gaussians and the box.
+        photos: names of the photos.
+    """
+    images = scene.select(set(photos)).images
+    started = time.monotonic()
+    if images:
+        context.emit(StageStarted(stage=STAGE, total=len(images)))
+    for step, image in enumerate(images, start=1):
+        context.check_cancelled()
+        window = box_window(roi, image)
+        if window is not None:
+            yield _rendered(gaussians, image, window)
+        context.progress(STAGE, step, len(images), started)
+
+
+def box_window(roi: OrientedBox, image: PosedImage) -> tuple[int, int, int, int] | None:
+    """x0, y0, x1, y1, end exclusive: the pixels around a box in a photo; None: it shows none."""
+    camera, pose = image.camera, image.world_to_camera
+    if roi.camera_inside(pose):
+        return 0, 0, camera.width, camera.height
+    polygon = roi.silhouette_polygon(camera, pose)
+    if polygon is None:
+        return None
+    size = np.array([camera.width, camera.height], dtype=float)
+    low = np.clip(polygon.min(axis=0) - MARGIN, 0, size)
+    high = np.clip(polygon.max(axis=0) + MARGIN, 0, size)
+    x0, y0 = (math.floor(value) for value in low)
+    x1, y1 = (math.ceil(value) for value in high)
+    return (x0, y0, x1, y1) if x1 - x0 > 1 and y1 - y0 > 1 else None
+
+
+def cropped(camera: Camera, window: tuple[int, int, int, int]) -> Camera:
+    """The camera of a part of its picture: x0, y0, x1, y1, end exclusive."""
+    x0, y0, x1, y1 = window
+    return replace(camera, width=x1 - x0, height=y1 - y0, cx=camera.cx - x0, cy=camera.cy - y0)
+
+
+@torch.no_grad()
+def _rendered(
+    gaussians: Gaussians, image: PosedImage, window: tuple[int, int, int, int]
+) -> DepthMap:
+    camera = cropped(image.camera, window)
+    output = rasterize_view(
+        gaussians,
+        camera,
+        image.world_to_camera,
+        limits=PICTURE_LIMITS,
+        sh_degree=0,  # colours do not matter
+        with_depth="median",
+    )
+    assert output.depth is not None
+    alpha = output.alpha[0].clamp(0, 1)
+    return DepthMap(
+        image=image,
+        x=window[0],
+        y=window[1],
+        camera=camera,
+        depth=output.depth[0].cpu().numpy(),
+        weight=alpha.cpu().numpy(),
+    )
