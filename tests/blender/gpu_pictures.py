@@ -10,6 +10,7 @@ import gpu
 import numpy as np
 from mathutils import Matrix
 
+from roigs_addon.scene import native_splats
 from roigs_addon.viewport import draw
 from roigs_addon.viewport.objects import marked
 from roigs_addon.viewport.view import Frame, View
@@ -56,11 +57,12 @@ def psnr(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def with_gpu(task: Callable[[], bool]) -> bool:
-    """Do `task` where the GPU can be used without a window.
+    """Do `task` where the GPU can be used without a window, and the add-on draws all Gaussians.
 
     Blender 5.2 can start it; before, only the `render()` of a render engine that asks for it has
     it.
     """
+    native_splats.exist = lambda: False
     if hasattr(gpu, "init"):
         gpu.init()
         return task()

@@ -49,7 +49,8 @@ def run(blender: str, script: str, *folders: Path) -> str:
         "LIBGL_ALWAYS_SOFTWARE": "1",
         "PYTHONUNBUFFERED": "1",
     }
-    environment.pop("PYTHONPATH", None)
+    if blender != sys.executable:  # this one may have found `bpy` by it
+        environment.pop("PYTHONPATH", None)
     done = subprocess.run(
         command, env=environment, capture_output=True, text=True, timeout=600, check=False
     )
