@@ -69,7 +69,7 @@ def check_levels_being_read(_a: bpy.types.Object, _b: bpy.types.Object) -> None:
         assert now[..., 3].max() > 0.5 and painter.counts[0] == (150, 600)
         while not painter.idle():
             time.sleep(0.01)
-    for _ in range(50):
+    for _ in range(3000):  # a minute
         now = glance(item, 1.0, painter)
         if painter.counts[0] == (600, 600):
             break
