@@ -1,6 +1,7 @@
-"""A click in the 3D view selects the Gaussians that it meets. Blender's own click misses them.
+"""Clicks in the 3D view that meet Gaussians: they select them, and place the 3D cursor on them.
 
-Blender's click comes first. What it finds stays selected, unless it is behind Gaussians.
+Blender's own clicks miss Gaussians that the add-on draws. They come first, and what they find
+stays, unless it is behind Gaussians.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 from bpy.props import BoolProperty
+from bpy_extras import view3d_utils
 from mathutils import Matrix, Vector
 
 from ..blender import scene_of, view_3d_of, view_layer_of
@@ -16,7 +18,7 @@ from ..properties import object_props
 from ..scene import instances, lookup
 from ..viewport.objects import SURFACES
 from .base import FRESH
-from .picking import in_front, place_in_view, shown_points
+from .picking import Place, in_front, place_in_view, shown_points
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
@@ -37,11 +39,7 @@ class ClickGaussians(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """In object mode, where Gaussians are drawn, and where the left button selects."""
-        if context.mode != "OBJECT" or view_3d_of(context) is None:
-            return False
-        items = lookup.splats(scene_of(context))
-        drawn = any(map(instances.is_drawn, items)) or instances.in_view(view_layer_of(context))
-        return bool(drawn) and _left_selects(context)
+        return context.mode == "OBJECT" and _has_gaussians(context) and _left_selects(context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Let Blender select; then look what is in front."""
@@ -71,6 +69,46 @@ class ClickGaussians(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class PlaceCursor(bpy.types.Operator):
+    """Set the 3D cursor on the surface under the mouse, of Gaussians too"""
+
+    bl_idname = "roigs.place_cursor"
+    bl_label = "Set 3D Cursor on Gaussians"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Where Gaussians are drawn, and where this key is Blender's for the cursor."""
+        return _has_gaussians(context) and _left_selects(context)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+        """Let Blender place it; then move it to Gaussians that are in front."""
+        place = place_in_view(context, event)
+        if place is None:
+            return {"PASS_THROUGH"}
+        bpy.ops.view3d.cursor3d("INVOKE_DEFAULT")
+        point = surface(context, place)
+        if point is not None:
+            scene_of(context).cursor.location = point
+        return {"FINISHED"}
+
+
+def surface(context: bpy.types.Context, place: Place) -> Vector | None:
+    """Where at the mouse the Gaussians are, in the world; None if they are not in front there."""
+    (region, view), at = place
+    found = in_front(context, (region, view), at, [points for _, points in shown_points(context)])
+    if found is None or found[1] < 0:
+        return None
+    return view3d_utils.region_2d_to_location_3d(region, view, at, found[0])
+
+
+def _has_gaussians(context: bpy.types.Context) -> bool:
+    """Whether it is a 3D view of a scene in which Gaussians may be drawn."""
+    if view_3d_of(context) is None:
+        return False
+    items = lookup.splats(scene_of(context))
+    return any(map(instances.is_drawn, items)) or bool(instances.in_view(view_layer_of(context)))
+
+
 def _stays(item: bpy.types.Object, point: Vector, eye: Matrix) -> bool:
     """Whether something that Blender has found is in front of a Gaussian, or is a box."""
     if object_props(item).kind == "ROI":
@@ -87,20 +125,30 @@ def _left_selects(context: bpy.types.Context) -> bool:
     return getattr(preferences, "select_mouse", "LEFT") == "LEFT"
 
 
+KEYS = (
+    ("Object Mode", "EMPTY", ClickGaussians.bl_idname, "LEFTMOUSE", "CLICK", False),
+    ("Object Mode", "EMPTY", ClickGaussians.bl_idname, "LEFTMOUSE", "CLICK", True),
+    ("3D View", "VIEW_3D", PlaceCursor.bl_idname, "RIGHTMOUSE", "PRESS", True),
+    ("3D View Tool: Cursor", "VIEW_3D", PlaceCursor.bl_idname, "LEFTMOUSE", "PRESS", False),
+)
+"""Keymap, its space, operator, button, event, and whether Shift is held."""
+
 _keys: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
 
 
 def register() -> None:
-    """Register the operator, and bind it; in background mode there are no keys."""
+    """Register the operators, and bind them; in background mode there are no keys."""
     bpy.utils.register_class(ClickGaussians)
+    bpy.utils.register_class(PlaceCursor)
     manager = bpy.context.window_manager
     config: Any = manager.keyconfigs.addon if manager is not None else None
     if config is None or bpy.app.background:
         return
-    keymap = config.keymaps.new("Object Mode")
-    for toggle in (False, True):
-        key = keymap.keymap_items.new(ClickGaussians.bl_idname, "LEFTMOUSE", "CLICK", shift=toggle)
-        key.properties.toggle = toggle
+    for name, space, operator, button, value, shift in KEYS:
+        keymap = config.keymaps.new(name, space_type=space)
+        key = keymap.keymap_items.new(operator, button, value, shift=shift)
+        if operator == ClickGaussians.bl_idname:
+            key.properties.toggle = shift
         _keys.append((keymap, key))
 
 
@@ -109,4 +157,5 @@ def unregister() -> None:
     for keymap, key in _keys:
         keymap.keymap_items.remove(key)
     _keys.clear()
+    bpy.utils.unregister_class(PlaceCursor)
     bpy.utils.unregister_class(ClickGaussians)

@@ -50,6 +50,13 @@ def test_what_is_in_front(blender: ModuleType, addon: ModuleType, view, tmp_path
     assert abs(at(-3, 0)[0].z - 2) < 1.1
     assert np.isclose(at(2, 0)[0].z, 5)
 
+    from roigs_addon.operators.click import surface
+
+    found = surface(bpy.context, (view, (50.5, 50)))
+    assert np.allclose(found[:2], (0.05, 0), atol=1e-4), "at the mouse, not at a Gaussian's centre"
+    assert np.isclose(found.z, at(0.05, 0)[0].z, atol=1e-4)
+    assert surface(bpy.context, (view, (70, 50))) is None, "a mesh, which Blender finds"
+
 
 def test_what_blender_finds_stays_if_it_is_in_front(
     blender: ModuleType, addon: ModuleType, view
