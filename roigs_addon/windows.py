@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import bpy
+import numpy as np
+from mathutils import Matrix
+from numpy.typing import NDArray
 
 from . import blender
+
+SHOWN = 2, 98
+"""Percentiles between which points are framed."""
+LEAST_RADIUS = 1e-6
+VIEW_SENSOR, LONGER_SIDE = 36.0, 1.5
+"""Half a 3D view's sensor in millimetres along its longer side, which is about so much longer."""
 
 
 class Timer:
@@ -62,18 +72,40 @@ def redraw_sidebars() -> None:
                 region.tag_redraw()
 
 
-def scale_views(scene: bpy.types.Scene, factor: float) -> None:
-    """Have the 3D views of a scene show it as before, if all of it is that much larger now."""
+def move_views(scene: bpy.types.Scene, matrix: NDArray[np.float64]) -> None:
+    """Have the 3D views of a scene show it as large as before, if a similarity (4, 4) moved it.
+
+    Their directions stay, so that a floor that became level is seen as one.
+    """
+    factor, move = np.cbrt(np.linalg.det(matrix[:3, :3])), Matrix(matrix.tolist())
+    for space, views in _views_of(scene):
+        space.clip_start, space.clip_end = space.clip_start * factor, space.clip_end * factor
+        for view in views:
+            view.view_location = move @ view.view_location
+            view.view_distance *= factor
+
+
+def frame_views(scene: bpy.types.Scene, points: NDArray[Any]) -> None:
+    """Have the 3D views of a scene show these points, (N, 3) in the world, but for outliers."""
+    if not len(points):
+        return
+    low, high = np.percentile(points, SHOWN, axis=0)
+    radius = max(float(np.linalg.norm(high - low)) / 2, LEAST_RADIUS)
+    for space, views in _views_of(scene):
+        distance = radius * space.lens / VIEW_SENSOR * LONGER_SIDE
+        space.clip_start = min(space.clip_start, distance / 100)
+        space.clip_end = max(space.clip_end, distance * 10)
+        for view in views:
+            view.view_location, view.view_distance = ((low + high) / 2).tolist(), distance
+
+
+def _views_of(
+    scene: bpy.types.Scene,
+) -> Iterator[tuple[bpy.types.SpaceView3D, set[bpy.types.RegionView3D]]]:
+    """The 3D views of a scene in all windows, which are then drawn again."""
     for window in blender.windows():
-        if window.scene != scene:
-            continue
-        for area in window.screen.areas:
+        for area in window.screen.areas if window.scene == scene else ():
             space = area.spaces.active
-            if not isinstance(space, bpy.types.SpaceView3D):
-                continue
-            space.clip_start, space.clip_end = space.clip_start * factor, space.clip_end * factor
-            views = {*space.region_quadviews, space.region_3d} - {None}
-            for view in views:
-                view.view_location *= factor
-                view.view_distance *= factor
-            area.tag_redraw()
+            if isinstance(space, bpy.types.SpaceView3D):
+                yield space, {*space.region_quadviews, space.region_3d} - {None}
+                area.tag_redraw()

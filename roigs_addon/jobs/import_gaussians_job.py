@@ -11,13 +11,14 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..blender import scene_of, select_only
+from ..blender import scene_of, select_only, view_layer_of
 from ..engine.own_files import IMPORTED, OWN
 from ..engine.writing import made_folder
 from ..errors import AddonError
 from ..geometry.rounding import rounding
 from ..properties import scene_props
-from ..scene import clouds, splats
+from ..scene import clouds, lookup, splats
+from ..windows import frame_views
 from . import current, run_folders
 from .spec import IMPORTING_GAUSSIANS, JobSpec
 
@@ -66,6 +67,9 @@ def spec(context: bpy.types.Context, source: Path, up: str) -> JobSpec:
             current.warn(TOO_FAR.format(name, lost))
         if bpy.context.scene == now and bpy.context.mode == "OBJECT":  # what is edited stays so
             select_only(bpy.context, item)
+        view_layer_of(bpy.context).update()
+        world = lookup.matrix_world(item)
+        frame_views(now, clouds.positions(item) @ world[:3, :3].T + world[:3, 3])
 
     return JobSpec(
         title=IMPORTING_GAUSSIANS,

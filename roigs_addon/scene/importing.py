@@ -10,13 +10,14 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from ..blender import camera_of, mesh_of
+from ..blender import camera_of, mesh_of, view_layer_of
 from ..errors import AddonError
 from ..geometry.frames import camera_matrix
 from ..geometry.photo import Photo
 from ..geometry.rounding import rounding
 from ..properties import object_props, scene_props
 from ..shared import gravity, text
+from ..windows import frame_views
 from . import backgrounds, cameras, clouds, lookup, placement, start_cube
 
 ROOT_NAME = "COLMAP"
@@ -62,7 +63,9 @@ def import_folder(
     _remove_earlier(scene)
     if scene_props(scene).root is None:
         start_cube.hide(scene)
+    known = scene_props(scene).root
     same_frame = same_frame or _same_frame(before, photos)
+    stays = same_frame and known is not None and known.name in scene.objects
     if not same_frame:
         scene_props(scene).excluded.clear()  # another model's photos may have the same names
     root = _root(scene, name, record, same_frame=same_frame)
@@ -83,6 +86,11 @@ def import_folder(
     cameras.fit_clips(scene, lookup.root_scale(scene))
     props.skipped = skipped_in_words(record.get("skipped") or {})
     centres = np.array([camera_matrix(photo.pose)[:3, 3] for photo in photos]).reshape(-1, 3)
+    if not stays:
+        view_layer_of(bpy.context).update()
+        world = lookup.matrix_world(root)
+        alike = np.repeat(centres, 1 + len(points) // max(1, len(centres)), axis=0)
+        frame_views(scene, np.concatenate([alike, points]) @ world[:3, :3].T + world[:3, 3])
     lost = rounding(np.concatenate([centres, points]))
     return TOO_FAR.format(lost) if lost else ""
 

@@ -19,7 +19,7 @@ from ..geometry.frames import Matrix
 from ..properties import scene_props
 from ..shared import EngineError, files, transforms
 from ..shared import scene_transform as stored
-from ..windows import scale_views
+from ..windows import move_views
 from . import cameras, lookup
 
 MOVED = ("ROOT", "CAMERA", "POINTS", "ROI", "SPLATS")
@@ -31,8 +31,8 @@ _written: dict[Path, str] = {}
 _found: dict[Path, str] = {}
 """File -> its text before this session wrote it; empty: there was none."""
 
-_scales: dict[Path, float] = {}
-"""File -> scale of the root that the 3D views show."""
+_roots: dict[Path, Matrix] = {}
+"""File -> where the root stands that the 3D views show."""
 
 
 def root_of(scene: bpy.types.Scene) -> bpy.types.Object:
@@ -70,9 +70,8 @@ def move(scene: bpy.types.Scene, matrix: Matrix) -> None:
     root, path = root_of(scene), _file(scene)
     if flaw := _flaw(matrix @ lookup.matrix_world(root)):
         raise AddonError(f"The scene cannot be moved there: {flaw}. Pick other points.")
-    factor = transforms.scale_of(matrix)
     if path is not None:
-        _scales.setdefault(path, lookup.root_scale(scene))
+        _roots.setdefault(path, lookup.matrix_world(root))
     own = {item for kind in MOVED for item in lookup.of_kind(scene, kind)} | {root}
     tops = [item for item in own if not own.intersection(_ancestors(item))]
     graph = bpy.context.evaluated_depsgraph_get()
@@ -81,7 +80,14 @@ def move(scene: bpy.types.Scene, matrix: Matrix) -> None:
     if root in before and not _stays(scene, root, matrix @ before[root]):
         _put(before)
         raise AddonError(f"'{root.name}' is animated or has constraints. Remove them first.")
-    _follow_scale(scene, path, factor)
+    _move_cursor(scene, matrix)
+    _follow_root(scene, path, matrix)
+
+
+def _move_cursor(scene: bpy.types.Scene, matrix: Matrix) -> None:
+    """Take the 3D cursor along, unless nobody has moved it from the world's origin."""
+    if scene.cursor.location.length > 0:
+        scene.cursor.matrix = BlenderMatrix((matrix @ np.array(scene.cursor.matrix)).tolist())
 
 
 def _put(places: dict[bpy.types.Object, Matrix]) -> None:
@@ -175,13 +181,12 @@ def _key(scene: bpy.types.Scene, root: bpy.types.Object) -> str:
     return " ".join(f"{number / size:.5f}" for number in numbers) + f" {size:.5g}"
 
 
-def _follow_scale(scene: bpy.types.Scene, path: Path | None, factor: float) -> None:
+def _follow_root(scene: bpy.types.Scene, path: Path | None, moved: Matrix) -> None:
     """Have the 3D views show the same as before, and the photos' cameras clip the same."""
-    scale = lookup.root_scale(scene)
-    cameras.fit_clips(scene, scale)
-    scale_views(scene, factor)
+    cameras.fit_clips(scene, lookup.root_scale(scene))
+    move_views(scene, moved)
     if path is not None:
-        _scales[path] = scale
+        _roots[path] = lookup.matrix_world(scene_props(scene).root)
 
 
 @persistent
@@ -199,10 +204,11 @@ def _after_undo(scene: bpy.types.Scene, *_: object) -> None:
         else:
             path.unlink(missing_ok=True)
         _written[path] = wanted
-    before = _scales.get(path)
-    if before:
+    before = _roots.get(path)
+    if before is not None:
         view_layer_of(bpy.context).update()  # `matrix_world` may still be that of before
-        _follow_scale(scene, path, lookup.root_scale(scene) / before)
+        now = lookup.matrix_world(scene_props(scene).root)
+        _follow_root(scene, path, now @ np.linalg.inv(before))
 
 
 _follow, _leave = following(("undo_post", _after_undo), ("redo_post", _after_undo))
@@ -216,5 +222,5 @@ def register() -> None:
 def unregister() -> None:
     """Follow none."""
     _leave()
-    for known in (_written, _found, _scales):
+    for known in (_written, _found, _roots):
         known.clear()

@@ -128,6 +128,38 @@ def test_tools_in_scenes_of_any_size(
     np.testing.assert_allclose((again.data.clip_start, again.data.clip_end), found, rtol=1e-4)
 
 
+def view_of(bpy: ModuleType):
+    """A 3D view."""
+    screens = (window.screen for window in bpy.context.window_manager.windows)
+    area = next(area for screen in screens for area in screen.areas if area.type == "VIEW_3D")
+    return area.spaces.active
+
+
+def test_views_and_the_3d_cursor_come_along(blender: ModuleType, garden) -> None:
+    bpy, (scene, folder) = blender, garden
+    view, cursor = view_of(bpy), scene.cursor
+    eyes = [c.matrix_world.translation for c in bpy.data.objects if c.roigs.kind == "CAMERA"]
+    far = max((eye - view.region_3d.view_location).length for eye in eyes)
+    assert far < view.region_3d.view_distance < 5 * far, "the import is framed"
+    view.region_3d.view_location = before = 0.3, 0.2, 0.1
+    away, turned = view.region_3d.view_distance, tuple(view.region_3d.view_rotation)
+    bpy.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=3)
+    np.testing.assert_allclose(view.region_3d.view_location, np.multiply(before, 3), rtol=1e-5)
+    assert view.region_3d.view_distance == pytest.approx(3 * away)
+    assert tuple(cursor.location) == (0, 0, 0), "nobody has set it"
+    cursor.location, before = view.region_3d.view_location, matrix(scene)
+    bpy.ops.roigs.set_floor(first=(0, 0, -3), second=(1, 0, -3), third=(0, 1, -2))
+    moving = matrix(scene) @ np.linalg.inv(before)
+    wanted = moved(moving, np.array([[0.9, 0.6, 0.3]]))[0]
+    np.testing.assert_allclose(view.region_3d.view_location, wanted, atol=1e-4)
+    np.testing.assert_allclose(cursor.location, wanted, atol=1e-4)
+    turn = np.array(cursor.matrix.to_3x3())
+    np.testing.assert_allclose(turn, moving[:3, :3], atol=1e-4)
+    assert tuple(view.region_3d.view_rotation) == turned
+    imported(bpy, folder)
+    np.testing.assert_allclose(view.region_3d.view_location, wanted, atol=1e-4)
+
+
 def test_the_users_clip_range_stays(blender: ModuleType, garden) -> None:
     from roigs_addon.scene import lookup
 
