@@ -23,7 +23,7 @@ from .engine.frame_engine import FrameEngine
 from .engine.python import FOR_TRAINING
 from .errors import AddonError
 from .jobs import options_files
-from .scene import blur, compositor, display, edits
+from .scene import blur, compositor, edits
 from .scene.frame_request import frame_request, picture, shown
 from .shared import EngineError, frame_requests
 
@@ -36,12 +36,6 @@ problem = ""
 _waiting = False
 """Whether a frame is about to be rendered and its layer is not drawn yet."""
 
-_moments: list[blur.Moment] = []
-"""Of the frame that is about to be rendered, if something moves in it."""
-
-_trouble = ""
-"""What happened while they were looked at."""
-
 _engine: FrameEngine | None = None
 _requests: Path | None = None
 
@@ -49,18 +43,8 @@ _requests: Path | None = None
 @persistent
 def before_frame(scene: bpy.types.Scene, *_: object) -> None:
     """A frame will be rendered; its objects are not in their places yet."""
-    global _waiting, _moments, _trouble
-    linked = compositor.find(scene) is not None
-    _waiting, _moments, _trouble = False, [], ""
-    if linked and display.in_layer(scene) and blur.moves(scene):
-        try:
-            if blur.may_step(scene):
-                _moments = blur.moments(scene)
-            else:
-                _trouble = blur.NOT_MOVED
-        except AddonError as error:
-            _trouble = str(error)
-    _waiting = linked
+    global _waiting
+    _waiting = compositor.find(scene) is not None
 
 
 @persistent
@@ -89,31 +73,23 @@ def _draw(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> str:
     frame_requests.write_nothing(frame, width, height)
     compositor.point_to(scene, out)
     try:
-        request = _request(scene, depsgraph, frame)
+        moments = blur.moments(scene, depsgraph)
+        if moments:
+            transparent = scene.render.film_transparent
+            request: Any = blur.request(moments, frame, transparent=transparent)
+        else:
+            request = frame_request(scene, depsgraph, str(frame))
         if request is None:
-            return _trouble
+            return ""
         if _engine is None or not _engine.alive():
             _end_engine()
             _engine = _started()
         items = shown(scene)
         drawn = _engine.draw(request)
-        lost = _trouble or blur.remark(scene, depsgraph)
+        lost = blur.remark(scene, depsgraph, moments)
         return drawn or lost or edits.problem(items) or edits.remark(items)
     finally:
         compositor.reload(scene)
-
-
-def _request(
-    scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, frame: Path
-) -> dict[str, Any] | None:
-    """The engine's request for the frame; None: it shows no Gaussians."""
-    if not _moments and not blur.is_needed(scene, depsgraph):
-        return frame_request(scene, depsgraph, str(frame))
-    moments = _moments
-    if not moments and (now := blur.moment(scene, depsgraph)) is not None:
-        moments = [now]
-    transparent = scene.render.film_transparent
-    return blur.request(moments, frame, transparent=transparent) if moments else None
 
 
 def _started() -> FrameEngine:

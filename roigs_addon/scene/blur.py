@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..blender import camera_of
 from ..geometry.aperture import Aperture
-from . import frame_request, lookup, surfaces
+from . import display, frame_request, lookup, surfaces
 
 MOMENTS = 16
 NEAREST_FOCUS = 1e-5
@@ -50,56 +50,72 @@ def moment(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Moment | N
     return Moment(request=request, surfaces=found, aperture=_aperture(scene.camera, depsgraph))
 
 
-def is_needed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether one sharp picture cannot be compared with Blender's depth."""
-    camera = scene.camera
-    if camera is None or camera.type != "CAMERA":
-        return False
-    if camera_of(camera).type == "ORTHO" or _catches_opaquely(scene, depsgraph):
-        return True
-    return _aperture(camera, depsgraph) is not None
+def moments(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> list[Moment]:
+    """What a blurred frame is the mean of; nothing if one sharp picture is enough.
+
+    It steps through the scene's time, and comes back.
+
+    Args:
+        scene: that is rendered.
+        depsgraph: of the render, at the frame.
+
+    Raises:
+        AddonError: as `moment`.
+    """
+    found: list[Moment | None] = []
+    if _moves(scene) and _may_step(scene) and display.in_layer(scene):
+        found = _in_shutter(scene, depsgraph)
+    if not found and _is_needed(scene, depsgraph):
+        found = [moment(scene, depsgraph)]
+    return [each for each in found if each is not None]
 
 
-def remark(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> str:
-    """What is not right in a blurred frame because its film is opaque, in one line."""
-    if _catches_opaquely(scene, depsgraph):
+def remark(
+    scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, moments: Sequence[Moment]
+) -> str:
+    """What is not right in a frame that is the mean of moments, in one line; or nothing."""
+    if _moves(scene) and not _may_step(scene):
+        return NOT_MOVED
+    if scene.render.film_transparent:
+        return ""
+    if surfaces.have_catcher(depsgraph):
         return "Shadow catchers show no shadow on Gaussians: switch on Render ▸ Film ▸ Transparent."
-    if is_needed(scene, depsgraph) and not scene.render.film_transparent:
+    blurred = len(moments) > 1 or any(each.aperture for each in moments)
+    if blurred and any(len(each.surfaces) for each in moments):
         return (
             "Blurred meshes have rims in the World's colour: switch on Render ▸ Film ▸ Transparent."
         )
     return ""
 
 
-def _catches_opaquely(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether Blender's picture has the world's background where a shadow catcher is."""
-    return not scene.render.film_transparent and surfaces.have_catcher(depsgraph)
+def _is_needed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Whether one sharp picture cannot be compared with Blender's depth."""
+    camera = scene.camera
+    if camera is None or camera.type != "CAMERA":
+        return False
+    # With an opaque film, Blender's picture has the world's background where a catcher is.
+    catches = not scene.render.film_transparent and surfaces.have_catcher(depsgraph)
+    return catches or camera_of(camera).type == "ORTHO" or _aperture(camera, depsgraph) is not None
 
 
-def moves(scene: bpy.types.Scene) -> bool:
+def _moves(scene: bpy.types.Scene) -> bool:
     """Whether the frame is to have motion blur."""
     return scene.render.use_motion_blur and scene.render.motion_blur_shutter > 0
 
 
-def may_step(scene: bpy.types.Scene) -> bool:
+def _may_step(scene: bpy.types.Scene) -> bool:
     """Whether other moments of the scene can be looked at while it renders."""
     return bpy.app.background or scene.render.use_lock_interface
 
 
-def moments(scene: bpy.types.Scene) -> list[Moment]:
-    """The moments of the shutter's time, if anything moves in it.
-
-    To be called before the frame is set: it steps through the scene's time, and comes back.
-
-    Raises:
-        AddonError: as `moment`.
-    """
-    edges, times = _times(scene, 2, edges=True), _times(scene, MOMENTS)
-    with _time_kept(scene):
-        if _alike([_at(scene, time) for time in edges]):
+def _in_shutter(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> list[Moment | None]:
+    """The moments of the shutter's time, if anything moves in it."""
+    first, *between, last = _times(scene)
+    with _time_kept(scene, depsgraph):
+        ends = [_at(scene, depsgraph, time) for time in (first, last)]
+        if _alike(ends):
             return []
-        found = [_at(scene, time) for time in times]
-    return [each for each in found if each is not None]
+        return [ends[0], *(_at(scene, depsgraph, time) for time in between), ends[1]]
 
 
 def request(moments: Sequence[Moment], out: Path, *, transparent: bool) -> dict[str, Any]:
@@ -158,11 +174,11 @@ def _aperture(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Apert
     )
 
 
-def _times(scene: bpy.types.Scene, count: int, *, edges: bool = False) -> list[float]:
-    """Evenly spaced frames in the shutter's time: the middles of its parts, or its two ends."""
+def _times(scene: bpy.types.Scene) -> list[float]:
+    """Evenly spaced frames in the shutter's time: the middles of its parts."""
     shutter = scene.render.motion_blur_shutter
     begin = {"START": 0.0, "CENTER": -shutter / 2, "END": -shutter}[_position(scene)]
-    shares = np.linspace(0, 1, count) if edges else (np.arange(count) + 0.5) / count
+    shares = (np.arange(MOMENTS) + 0.5) / MOMENTS
     return [scene.frame_current_final + begin + shutter * float(share) for share in shares]
 
 
@@ -173,11 +189,10 @@ def _position(scene: Any) -> str:
     return str(getattr(scene.render, "motion_blur_position", old))
 
 
-def _at(scene: bpy.types.Scene, time: float) -> Moment | None:
-    frame = int(np.floor(time))
-    scene.frame_set(frame, subframe=time - frame)
-    depsgraph = scene.view_layers[0].depsgraph
-    return None if depsgraph is None else moment(scene, depsgraph)
+def _at(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, time: float) -> Moment | None:
+    scene.frame_float = time
+    depsgraph.update()
+    return moment(scene, depsgraph)
 
 
 def _alike(ends: Sequence[Moment | None]) -> bool:
@@ -191,13 +206,15 @@ def _alike(ends: Sequence[Moment | None]) -> bool:
 
 
 @contextmanager
-def _time_kept(scene: bpy.types.Scene) -> Iterator[None]:
-    """Come back to the frame, with what was moved at it and has keyframes."""
-    frame, subframe = scene.frame_current, scene.frame_subframe
-    moved = [(item, item.matrix_basis.copy()) for item in scene.objects if item.animation_data]
+def _time_kept(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Iterator[None]:
+    """Come back to the frame, with all that the renderer is to know of as changed."""
+    time, changed = scene.frame_float, [each.id for each in depsgraph.updates]
+    originals = [each.original for each in changed if each is not None]
     try:
         yield
     finally:
-        scene.frame_set(frame, subframe=subframe)
-        for item, basis in moved:
-            item.matrix_basis = basis
+        scene.frame_float = time
+        depsgraph.update()
+        if scene.render.use_persistent_data:
+            for each in filter(None, originals):
+                each.update_tag()

@@ -117,6 +117,92 @@ def test_motion_blur_is_the_mean_over_the_shutters_time(blender: ModuleType, sho
     assert alike(blurred, mean) > 38
 
 
+def moving(bpy: ModuleType, scene):
+    """Have Gaussians move behind a wall; the wall, which hides all of them."""
+    depth, item = distance(scene), scene.objects["thing Gaussians"]
+    wall = emitter(bpy, scene, 0.3 * depth, 0.0, (0.0, 0.0, 0.0))
+    wall.scale = [100] * 3
+    for frame, x in ((1, 0.0), (3, 0.15)):
+        item.location.x = x * depth
+        item.keyframe_insert("location", frame=frame)
+    scene.frame_set(2)
+    scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 1.0
+    return wall
+
+
+def test_surfaces_of_a_motion_are_those_of_the_render(blender: ModuleType, shot) -> None:
+    """Not those of the viewport, which has hidings of its own."""
+    scene, f12 = shot
+    wall = moving(blender, scene)
+    before = f12()
+    assert before[..., :3].max() == 0
+    wall.hide_viewport = True
+    assert (f12() == before).all()
+    wall.hide_viewport = False
+    kept = blender.data.collections.new("not rendered")
+    scene.collection.children.link(kept)
+    kept.objects.link(wall)
+    for other in [c for c in wall.users_collection if c is not kept]:
+        other.objects.unlink(wall)
+    kept.hide_render = True
+    assert f12()[..., :3].max() > 0.2
+
+
+def test_persistent_data_follows_animations_and_edits(blender: ModuleType, shot) -> None:
+    """Stepping through the shutter's time does not hide from Cycles what has changed."""
+    bpy, (scene, f12) = blender, shot
+    moving(bpy, scene).hide_render = True
+    depth, render = distance(scene), scene.render
+    still, slow = (emitter(bpy, scene, 0.4 * depth, x, (0.1, 0.6, 0.1)) for x in (0.05, -0.05))
+    for frame in (1, 3):
+        slow.location.z += 0.05 * depth
+        slow.keyframe_insert("location", frame=frame)
+
+    def change_frame() -> None:
+        scene.frame_set(1)
+
+    def edit() -> None:
+        for vertex in still.data.vertices:
+            vertex.co *= 2
+        still.data.update_tag()
+
+    render.use_persistent_data = True
+    before = f12()
+    for change in (change_frame, edit):
+        change()
+        kept = f12()
+        assert alike(kept, before) < 40
+        render.use_persistent_data = False
+        assert (f12() == kept).all()
+        render.use_persistent_data = True
+        before = f12()
+
+
+def test_what_is_said_of_rims(blender: ModuleType, shot) -> None:
+    """With an opaque film, where meshes are blurred."""
+    from roigs_addon import rendering
+
+    bpy, (scene, f12) = blender, shot
+    scene.render.film_transparent = False
+    camera = scene.camera.data
+    emitter(bpy, scene, 2 * distance(scene), 0.0, (0.1, 0.6, 0.1))
+    camera.type = "ORTHO"
+    f12()
+    assert not rendering.problem
+    camera.type, camera.dof.use_dof = "PERSP", True
+    f12()
+    assert "rims" in rendering.problem
+    camera.dof.use_dof, scene.render.use_motion_blur = False, True
+    f12()
+    assert not rendering.problem
+    item = scene.objects["thing Gaussians"]
+    for frame in (0, 3):
+        item.location.x = frame / 10
+        item.keyframe_insert("location", frame=frame)
+    f12()
+    assert "rims" in rendering.problem
+
+
 def test_without_motion_the_picture_is_the_sharp_one(blender: ModuleType, shot) -> None:
     scene, f12 = shot
     sharp = f12()
