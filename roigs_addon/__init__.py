@@ -68,6 +68,7 @@ MODULES = (
     "ui.placement",
     "ui.boxes",
     "ui.box_handles",
+    "ui.wipe_handle",
     "ui.cameras",
     "ui.masks",
     "ui.train",

@@ -119,7 +119,7 @@ def _set_half_sides(props: RoigsObject, sides: Sequence[float]) -> None:
     item.scale = [largest / item.empty_display_size] * 3
 
 
-def _look_again(props: RoigsObject, _: bpy.types.Context) -> None:
+def _look_again(props: bpy.types.PropertyGroup, _: bpy.types.Context) -> None:
     """Exports read evaluated objects, and Blender does not see a script's change by itself."""
     owner = props.id_data
     assert owner is not None
@@ -280,6 +280,22 @@ class RoigsScene(bpy.types.PropertyGroup):
         description="Show the photo with the active box's strokes and mask, in a view through a"
         " photo's camera",
         default=False,
+    )
+    compare_photo: BoolProperty(
+        name="Compare",
+        default=True,
+        update=_look_again,
+        description="In a view through a photo's camera, show the photo left of a line and the"
+        " Gaussians right of it. Off: the photo is behind the Gaussians",
+    )
+    wipe: FloatProperty(
+        name="Photo",
+        subtype="FACTOR",
+        default=0.5,
+        min=0.0,
+        max=1.0,
+        precision=2,
+        description="How much of the view shows the photo. Or drag the line in the view",
     )
     known_length: FloatProperty(
         name="Length",

@@ -10,28 +10,31 @@ import threading
 import bpy
 
 from ..blender import following, persistent
-from . import compositor, display, lookup
+from ..properties import scene_props
+from . import backgrounds, compositor, display, lookup
 
-_counted: dict[int, int] = {}
-"""Scene, by its number in this session -> its objects when it was looked at."""
+_counted: dict[int, tuple[int, bool]] = {}
+"""Scene, by its number in this session -> its objects when it was looked at, and whether photos
+are compared."""
 
 
 def let_in(scene: bpy.types.Scene) -> None:
     """Show the Gaussians of a scene as this Blender can, and merge those into its renders that
-    the engine draws, if that was never done.
+    the engine draws, if that was never done. Photos are then seen beside them.
     """
     for item in lookup.splats(scene):
         display.refresh(item)
     if scene.library is None and not compositor.was_linked(scene):
         compositor.link(scene)
+    backgrounds.follow(scene)
 
 
 @persistent
 def _on_change(scene: bpy.types.Scene, *_: object) -> None:
-    """After every change, so a scene is searched only if it has more or fewer objects."""
+    """After every change, so a scene is searched only if its objects are more or fewer."""
     if not _in_main_thread():
         return
-    count = len(scene.objects)
+    count = len(scene.objects), scene_props(scene).compare_photo
     if _counted.get(scene.session_uid) != count:
         _counted[scene.session_uid] = count
         let_in(scene)

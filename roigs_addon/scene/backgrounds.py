@@ -22,6 +22,7 @@ from ..engine.process import EngineProcess
 from ..engine.python import FOR_DISTORTION, FOR_PICTURES
 from ..errors import AddonError
 from ..geometry.photo import Photo
+from ..properties import scene_props
 from ..windows import Timer, redraw
 from . import lookup
 
@@ -75,10 +76,31 @@ def show(data: bpy.types.Camera, photo: Photo) -> None:
         _timer.start()
 
 
+def shown(photo: Photo) -> Path:
+    """The file that shows a photo as training sees it; its own file until the picture is made."""
+    picture = _picture(photo)
+    return picture if picture is not None and picture.is_file() else Path(photo.path)
+
+
 def with_distortion(photo: Photo) -> Path:
     """The file that shows a photo with its distortion, on which strokes and masks are drawn."""
-    picture = None if photo.lens else _picture(photo)
-    return picture if picture is not None and picture.is_file() else Path(photo.path)
+    return Path(photo.path) if photo.lens else shown(photo)
+
+
+def is_compared(scene: bpy.types.Scene) -> bool:
+    """Whether a view through a photo's camera shows the photo beside the Gaussians, not behind."""
+    return scene_props(scene).compare_photo and bool(lookup.splats(scene))
+
+
+def follow(scene: bpy.types.Scene) -> None:
+    """Hide the photo behind the active camera's view while the photo is beside the Gaussians."""
+    photo = lookup.photo_record(scene.camera) if scene.camera is not None else None
+    if scene.camera is None or photo is None or scene.camera.library is not None:
+        return
+    behind = not is_compared(scene)
+    for background in camera_of(scene.camera).background_images:
+        if _is_own(background.image, photo) and background.show_background_image != behind:
+            background.show_background_image = behind
 
 
 def in_background() -> bool:
@@ -156,6 +178,8 @@ def _step(*, wait: bool = False) -> bool:
     if result.complete and made.picture.is_file():
         for data in _cameras_of(made.photo):
             _put(data, made.photo, made.picture)
+        for scene in bpy.data.scenes:
+            follow(scene)
         redraw()
     else:
         _give_up(made.picture, result.message)

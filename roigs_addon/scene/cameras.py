@@ -76,6 +76,7 @@ def activate(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
     render.resolution_x, render.resolution_y = k.width, k.height
     render.pixel_aspect_x, render.pixel_aspect_y = lens.aspect_x, lens.aspect_y
     backgrounds.show(camera_of(item), photo)
+    backgrounds.follow(scene)
     _free_others(scene, camera_of(item))
 
 

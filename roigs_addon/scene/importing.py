@@ -77,6 +77,7 @@ def import_folder(
         if scene.camera is None and active is not None and active.name == photo.name:
             scene.camera = item
             backgrounds.show(camera_of(item), photo)
+            backgrounds.follow(scene)
     if len(points):
         cloud = _new_cloud(f"{name} Points", points, colours, extent)
         cloud.parent = root

@@ -56,6 +56,12 @@ class ScenePanel(SidebarPanel):
         row.operator(LookThrough.bl_idname, text="", icon="TRIA_LEFT").step = -1
         row.operator(LookThrough.bl_idname, text=name, icon="CAMERA_DATA").step = 0
         row.operator(LookThrough.bl_idname, text="", icon="TRIA_RIGHT").step = 1
+        if photo and lookup.splats(scene):
+            row = layout.row(align=True)
+            row.prop(props, "compare_photo")
+            part = row.row(align=True)
+            part.active = props.compare_photo
+            part.prop(props, "wipe", slider=True)
         if photo:
             exclusions.toggle(layout, scene, photo.name)
         exclusions.selected(layout, context)

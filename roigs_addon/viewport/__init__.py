@@ -17,6 +17,7 @@
 | `picture` | the viewport as a picture |
 | `points` | the sparse points in their colours |
 | `chosen` | Gaussians that a clean-up tool has selected |
+| `photo_wipe` | a photo beside the Gaussians, over the view through its camera |
 | `photo_overlay` | a photo with strokes and a mask, over the view through its camera |
 | `marks` | boxes, chosen and excluded cameras as coloured lines |
 
@@ -29,13 +30,14 @@ from __future__ import annotations
 
 def register() -> None:
     """Start drawing; does nothing in background mode."""
-    from . import chosen, draw, marks, photo_overlay, points
+    from . import chosen, draw, marks, photo_overlay, photo_wipe, points
 
     points.register()  # before those that look at its depth
     draw.register()
     chosen.register()
     marks.register()
     photo_overlay.register()
+    photo_wipe.register()
 
 
 def problems() -> dict[str, str]:
@@ -43,9 +45,9 @@ def problems() -> dict[str, str]:
     import bpy
 
     from ..scene import edits
-    from . import chosen, draw, marks, points
+    from . import chosen, draw, marks, photo_wipe, points
 
-    marking = marks.problem() or chosen.problem()
+    marking = marks.problem() or chosen.problem() or photo_wipe.problem()
     edited = edits.problem(bpy.data.objects) or edits.remark(bpy.data.objects)
     own = points.problem() or marking or edited
     return {**({"": own} if own else {}), **draw.problems()}
@@ -53,8 +55,9 @@ def problems() -> dict[str, str]:
 
 def unregister() -> None:
     """Stop drawing and free everything."""
-    from . import chosen, draw, marks, photo_overlay, points
+    from . import chosen, draw, marks, photo_overlay, photo_wipe, points
 
+    photo_wipe.unregister()
     photo_overlay.unregister()
     marks.unregister()
     chosen.unregister()

@@ -74,9 +74,9 @@ def _draw(context: bpy.types.Context) -> None:
         return
     gpu.state.depth_test_set("NONE")
     gpu.state.blend_set("ALPHA")
-    _image(_texture(backgrounds.with_distortion(photo), mask=False), frame)
+    image(texture(backgrounds.with_distortion(photo)), frame)
     mask = masks.file(scene, run_folders.run_folder(scene), roi, photo.name)
-    _image(mask and _texture(mask, mask=True), frame)
+    image(mask and texture(mask, mask=True), frame)
     size = masks.size_of(photo)
     drawn = [(s["kind"], s["points"], s["width"]) for s in scribbles.strokes(roi, photo.name)]
     for kind, points, width in [*drawn, *([drawing] if drawing else [])]:
@@ -97,21 +97,22 @@ def _line(region: bpy.types.Region, places: NDArray[Any], width: float, kind: st
     batch.draw(shader)
 
 
-def _image(texture: Any, frame: Frame) -> None:
-    """Fill the frame with a texture, if it is there already."""
-    if texture is None:
+def image(texture: Any, frame: Frame, share: float = 1.0) -> None:
+    """Fill the frame, or its left part, with a texture, if it is there already."""
+    if texture is None or share <= 0:
         return
     left, bottom, right, top = frame
+    right = left + share * (right - left)
     shader = gpu.shader.from_builtin("IMAGE")
     corners = [(left, bottom), (right, bottom), (right, top), (left, top)]
-    content: Any = {"pos": corners, "texCoord": [(0, 0), (1, 0), (1, 1), (0, 1)]}
+    content: Any = {"pos": corners, "texCoord": [(0, 0), (share, 0), (share, 1), (0, 1)]}
     batch = batch_for_shader(shader, "TRI_FAN", content)
     shader.bind()
     shader.uniform_sampler("image", texture)
     batch.draw(shader)
 
 
-def _texture(path: Path, *, mask: bool) -> Any:
+def texture(path: Path, *, mask: bool = False) -> Any:
     """The texture of a file; None if there is none, or it is not read yet."""
     try:
         key = os.fspath(path), os.stat(path).st_mtime_ns

@@ -168,3 +168,24 @@ def test_without_an_engine_the_file_is_shown(
         assert background(scene)[0] == bent / "images/photo 3.png"
     said = capsys.readouterr().out
     assert said.count("The photo is shown as it is stored. There is no engine.") == 1
+
+
+def test_beside_gaussians_no_photo_is_behind_them(blender: ModuleType, run) -> None:
+    scene, _ = run
+    name = next(item.name for item in scene.objects if item.roigs.kind == "CAMERA")
+    blender.ops.roigs.look_through(photo=name)
+    (shown,) = scene.camera.data.background_images
+    assert shown.show_background_image, "without Gaussians there is nothing to compare"
+    blender.ops.roigs.load_results()
+    blender.context.view_layer.update()
+    assert not shown.show_background_image
+    scene.roigs.compare_photo = False
+    blender.context.view_layer.update()
+    assert shown.show_background_image
+    scene.roigs.compare_photo = True
+    blender.context.view_layer.update()
+    assert not shown.show_background_image
+    for item in [item for item in scene.objects if item.roigs.kind == "SPLATS"]:
+        blender.data.objects.remove(item)
+    blender.context.view_layer.update()
+    assert shown.show_background_image

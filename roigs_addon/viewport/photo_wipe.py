@@ -1,0 +1,96 @@
+"""A photo beside the Gaussians, in a view through its camera: left and right of a line."""
+
+from __future__ import annotations
+
+import blf
+import bpy
+import gpu
+from gpu_extras.batch import batch_for_shader
+
+from .. import blender
+from ..blender import region_of, scene_of
+from ..geometry.photo_places import Frame
+from ..properties import scene_props
+from ..scene import backgrounds, lookup, masks
+from . import photo_overlay
+from .handler import ViewHandler
+
+LINE = (1.0, 1.0, 1.0, 0.9)
+SHADE = (0.0, 0.0, 0.0, 0.55)
+WIDTH, LETTERS, GAP = 2.0, 13.0, 10.0
+"""Of the line, the letters and the space around them, in pixels at an interface scale of 1."""
+
+
+def frame_of(context: bpy.types.Context) -> Frame | None:
+    """The camera's frame in a region that compares a photo with the Gaussians, else None."""
+    scene = scene_of(context)
+    masked = scene_props(scene).show_masks and lookup.active_roi(context) is not None
+    if masked or not backgrounds.is_compared(scene):
+        return None
+    return photo_overlay.frame_of(context)
+
+
+def line_of(context: bpy.types.Context, frame: Frame) -> float:
+    """Where the line is, in pixels from the region's left."""
+    share: float = scene_props(scene_of(context)).wipe
+    return frame[0] + share * (frame[2] - frame[0])
+
+
+def _draw(context: bpy.types.Context) -> None:
+    frame, photo = frame_of(context), masks.photo_at_hand(context)
+    if frame is None or photo is None:
+        return
+    wipe = scene_props(scene_of(context)).wipe
+    gpu.state.depth_test_set("NONE")
+    gpu.state.blend_set("ALPHA")
+    photo_overlay.image(photo_overlay.texture(backgrounds.shown(photo)), frame, wipe)
+    scale, x, region = blender.interface_scale(), line_of(context, frame), region_of(context)
+    bottom, gap = max(frame[1], 0.0) + GAP * scale, GAP * scale
+    middle = (bottom + min(frame[3], region.height)) / 2
+    ends = [(x, frame[1]), (x, frame[3])]
+    for side in (-gap, gap):
+        tip = (x + 1.8 * side, middle)
+        ends += [(x + side, middle + gap), tip, tip, (x + side, middle - gap)]
+    _lines(region, ends, WIDTH * scale)
+    gpu.state.blend_set("NONE")
+    _say("Photo", x - gap, bottom, scale, left_of=True)
+    _say("Result", x + gap, bottom, scale)
+
+
+def _lines(region: bpy.types.Region, ends: list[tuple[float, float]], width: float) -> None:
+    shader = gpu.shader.from_builtin("POLYLINE_UNIFORM_COLOR")
+    batch = batch_for_shader(shader, "LINES", {"pos": [(x, y, 0.0) for x, y in ends]})
+    shader.bind()
+    shader.uniform_float("viewportSize", (region.width, region.height))
+    for colour, wide in ((SHADE, 2.5 * width), (LINE, width)):
+        shader.uniform_float("lineWidth", wide)
+        shader.uniform_float("color", colour)
+        batch.draw(shader)
+
+
+def _say(text: str, x: float, y: float, scale: float, *, left_of: bool = False) -> None:
+    blf.size(0, LETTERS * scale)
+    blf.position(0, x - blf.dimensions(0, text)[0] if left_of else x, y, 0)
+    blf.enable(0, blf.SHADOW)
+    blf.shadow(0, 5, 0.0, 0.0, 0.0, 0.9)
+    blf.color(0, *LINE)
+    blf.draw(0, text)
+    blf.disable(0, blf.SHADOW)
+
+
+_handler = ViewHandler(_draw, "Photos cannot be compared here", after="POST_PIXEL")
+
+
+def problem() -> str:
+    """Why nothing can be drawn, in one line; empty if it can."""
+    return _handler.failure
+
+
+def register() -> None:
+    """Start drawing; in background mode there is no viewport."""
+    _handler.start()
+
+
+def unregister() -> None:
+    """Stop drawing."""
+    _handler.stop()
