@@ -71,8 +71,11 @@ def read_splats(path: str | Path) -> SplatCloud:
     )
 
 
-def write_splats(path: Path, cloud: SplatCloud) -> None:
-    """Write a PLY of Gaussians; raises EngineError or OSError if that fails."""
+def write_splats(path: Path, cloud: SplatCloud, *, durable: bool = True) -> None:
+    """Write a PLY of Gaussians; raises EngineError or OSError if that fails.
+
+    `durable`: wait until the disk has it.
+    """
     opacities = np.clip(cloud.opacities.astype(np.float64), 1e-6, 1 - 1e-6)
     logits = np.log(opacities / (1 - opacities))
     arrays = {
@@ -82,4 +85,4 @@ def write_splats(path: Path, cloud: SplatCloud) -> None:
         "logit_opacities": logits.astype(np.float32),
         "sh": cloud.sh,
     }
-    splat_ply.write_ply(path, arrays, cloud.target)
+    splat_ply.write_ply(path, arrays, cloud.target, durable=durable)

@@ -76,9 +76,7 @@ def refresh(item: bpy.types.Object) -> None:
 def remark(items: list[bpy.types.Object]) -> str:
     """What Blender's splats do not show right, in one line; or nothing."""
     for item in filter(is_native, items):
-        edits.file_of(item)  # looks at edits
-        frame = edits.frame_of(item)[:3, :3]
-        if not np.allclose(frame, np.eye(3), atol=1e-4):
+        if not np.allclose(edits.drawn_frame(item)[:3, :3], np.eye(3), atol=1e-4):
             return STRETCHED.format(item.name)
     return ""
 

@@ -30,6 +30,7 @@ from ..shared import EngineError
 from . import clouds
 from .splat_attributes import (
     SHAPE,
+    applied_map,
     cloud_of,
     drawn,
     hidden,
@@ -62,6 +63,9 @@ Empty: no Gaussians are left. None: its own file is drawn, or the points cannot 
 
 _applied: dict[int, Matrix] = {}
 """Mesh that was edited -> the map that all of its points went through before they were written."""
+
+_maps: dict[int, Matrix] = {}
+"""Mesh -> its `whole_frame`, until it changes."""
 
 _written: dict[int, str] = {}
 """Mesh -> `state_of` of the points in their file."""
@@ -140,8 +144,18 @@ def frame_of(item: bpy.types.Object) -> Matrix:
 
 def whole_frame(mesh: bpy.types.Mesh) -> Matrix:
     """(4, 4) from the frame of a mesh's file to its own, with what all points went through."""
-    found = cloud_of(mesh) if _differs(mesh) else None
-    return imported_frame(mesh) if found is None else found[1]
+    return applied_map(mesh) if _differs(mesh) else imported_frame(mesh)
+
+
+def drawn_frame(item: bpy.types.Object) -> Matrix:
+    """As `frame_of`, for an object whose points are drawn: no file is written. Fast."""
+    mesh = item.data
+    if not isinstance(mesh, bpy.types.Mesh):
+        return np.eye(4)
+    uid = mesh.session_uid
+    if uid not in _maps and not mesh.is_editmode:
+        _maps[uid] = whole_frame(mesh)
+    return _maps.get(uid, imported_frame(mesh))
 
 
 def place(mesh: bpy.types.Mesh, frame: Matrix) -> None:
@@ -235,7 +249,13 @@ def _points_of(data: bpy.types.ID | None) -> object:
 def look_again(item: bpy.types.Object) -> None:
     """Notice edits by scripts, of which Blender may not have told."""
     if item.data is not None:
-        _changed.add(item.data.session_uid)
+        _tell(item.data)
+
+
+def _tell(data: bpy.types.ID) -> None:
+    """A mesh may have been edited."""
+    _changed.add(data.session_uid)
+    _maps.pop(data.session_uid, None)
 
 
 def _file(mesh: bpy.types.Mesh, uid: int, *, held: bool) -> str | None:
@@ -264,7 +284,7 @@ def _file(mesh: bpy.types.Mesh, uid: int, *, held: bool) -> str | None:
     if not len(cloud):
         return ""
     try:
-        write_splats(path, cloud)
+        write_splats(path, cloud, durable=False)
     except (EngineError, OSError) as error:
         raise AddonError(f"The points of '{mesh.name}' are not drawn: {error}") from error
     _written[uid] = state
@@ -285,15 +305,16 @@ def state_of(mesh: bpy.types.Mesh) -> str:
 @persistent
 def _on_change(_: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
     """After every change."""
-    for update in graph.updates if _files else ():
+    for update in graph.updates if _files or _maps else ():
         changed = update.id if update.is_updated_geometry else None
         if isinstance(changed, bpy.types.Mesh) and changed.original is not None:
-            _changed.add(changed.original.session_uid)
+            _tell(changed.original)
 
 
 @persistent
 def _after_undo(*_: object) -> None:
     _changed.update(uid for uid, _ in _files)
+    _maps.clear()
 
 
 @persistent
@@ -305,7 +326,7 @@ def _after_load(*_: object) -> None:
 
 
 def _forget() -> None:
-    for known in (_files, _written, _changed, _problems, _mixed, _applied, _fingerprints):
+    for known in (_files, _written, _changed, _maps, _problems, _mixed, _applied, _fingerprints):
         known.clear()
 
 

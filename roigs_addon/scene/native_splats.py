@@ -60,7 +60,7 @@ def of(item: bpy.types.Object) -> bpy.types.Object:
         raise AddonError(f"'{item.name}' has no Gaussians left.")
     path = Path(bpy.app.tempdir) / NAME
     with writing(path.parent, "temporary folder in Blender's preferences"):
-        write_splats(path, _shaded(cloud, look.gains(item)))
+        write_splats(path, _shaded(cloud, look.gains(item)), durable=False)
     made = _imported(path)
     path.unlink(missing_ok=True)
     if made is None:

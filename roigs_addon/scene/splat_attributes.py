@@ -90,13 +90,8 @@ def cloud_of(mesh: bpy.types.Mesh) -> tuple[SplatCloud, Matrix] | None:
     scales, quats, radiance = shape
     if scales is None or quats is None or radiance is None:
         return None
-    means = clouds.positions_of(mesh)
-    there = drawn(mesh)
-    imported = values(mesh, PLACE)
-    applied = imported_frame(mesh)
-    if imported is not None:
-        placed = imported[there] @ applied[:3, :3].T + applied[:3, 3]
-        applied = common_map(placed, means[there]) @ applied
+    means, there = clouds.positions_of(mesh), drawn(mesh)
+    applied = applied_map(mesh)
     back = np.linalg.inv(applied)
     cloud = SplatCloud(
         means=(means[there] @ back[:3, :3].T + back[:3, 3]).astype(np.float32),
@@ -107,6 +102,15 @@ def cloud_of(mesh: bpy.types.Mesh) -> tuple[SplatCloud, Matrix] | None:
         target=targets_of(mesh, there)[0],
     )
     return cloud, applied
+
+
+def applied_map(mesh: bpy.types.Mesh) -> Matrix:
+    """(4, 4) from the file's frame to where most Gaussians of a mesh are now."""
+    frame, imported, there = imported_frame(mesh), values(mesh, PLACE), drawn(mesh)
+    if imported is None:
+        return frame
+    placed = imported[there] @ frame[:3, :3].T + frame[:3, 3]
+    return common_map(placed, clouds.positions_of(mesh)[there]) @ frame
 
 
 def mark_target(data: Points, target: targets.Target) -> None:

@@ -79,7 +79,9 @@ def _columns(rest: int) -> list[str]:
     return names
 
 
-def write_ply(path: Path, arrays: Mapping[str, Floats], target: Target = PLAIN) -> None:
+def write_ply(
+    path: Path, arrays: Mapping[str, Floats], target: Target = PLAIN, *, durable: bool = True
+) -> None:
     """Write Gaussians under `path`, whole or not at all.
 
     Args:
@@ -88,6 +90,7 @@ def write_ply(path: Path, arrays: Mapping[str, Floats], target: Target = PLAIN) 
             (N, 4), `log_scales` (N, 3), `logit_opacities` (N,), `sh` (N, K, 3) with K = 1, 4, 9
             or 16.
         target: what they are made for.
+        durable: as `atomic_write`.
     """
     sh = arrays["sh"]
     count, bands = sh.shape[:2]
@@ -110,7 +113,7 @@ def write_ply(path: Path, arrays: Mapping[str, Floats], target: Target = PLAIN) 
         rows = np.empty(count, [("means", "<f8", 3), ("others", "<f4", len(names) - 3)])
         rows["means"], rows["others"] = means, table[:, 3:]
     header += [f"property {types[name]} {name}" for name in names] + ["end_header", ""]
-    with atomic_write(path) as file:
+    with atomic_write(path, durable=durable) as file:
         file.write("\n".join(header).encode("ascii"))
         file.write(rows.data)
 

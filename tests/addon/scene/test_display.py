@@ -267,3 +267,4 @@ def test_apply_is_told(blender: ModuleType, native) -> None:
     blender.ops.object.transform_apply(location=False, rotation=True, scale=False)
     edits.look_again(item)
     assert "choose Exact Look" in display.remark([item])
+    assert not list(Path(blender.app.tempdir).glob(f"{edits.PREFIX}*")), "nothing reads such a file"
