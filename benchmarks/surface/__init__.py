@@ -1,0 +1,1 @@
+"""Meshes of the demo's objects against the true ones: `python -m benchmarks.surface`."""
