@@ -91,17 +91,14 @@ class Store:
 
 
 class StoredRecord(BatchRecord):
-    """What is done on a store: files by their hashes, as no copy of them needs to be here."""
+    """What is done on a store, by the hashes and marks of its files: no copy needs to be here."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
         super().__init__(store.folder)
 
     def _stamps(self, run: Path, files: Iterable[Path]) -> dict[str, list[Any]]:
-        entries = self._store.run(run.name).entries()
-        if not entries:
-            raise FileNotFoundError(2, "nothing is published", str(run))
-        return {name: [entries[name]["size"], entries[name]["sha"]] for name in sorted(entries)}
+        return self._store.run(run.name).marks()
 
     def _stamp(self, path: Path) -> list[Any]:
         return self._store.stamp(path.relative_to(self.folder).as_posix())

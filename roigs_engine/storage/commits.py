@@ -8,6 +8,7 @@ Whoever may write to the store can write commits, too, unless they are signed wi
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import hmac
 import json
@@ -25,6 +26,7 @@ from ..formats.files import LEFTOVER, own_file
 from ..formats.names import inner_path
 from ..formats.run_files import CACHE, PREVIEW, UNDISTORTED
 from ..formats.text import json_digest, parse_json
+from .mirror import sign
 from .urls import FileSystem
 
 COMMITS, OBJECTS, LEASES = ".commits", ".objects", ".leases"
@@ -54,6 +56,20 @@ class StoredRun:
     def entries(self) -> dict[str, Entry]:
         """File -> `sha`, `size` and `at`, by all commits."""
         return _entries(self._commits())
+
+    def marks(self) -> dict[str, list[Any]]:
+        """Published file -> its size, its hash, and the store's mark, which changes if it does.
+
+        FileNotFoundError: nothing is published, or a file is no longer there at its size.
+        """
+        entries = self.entries()
+        listed = self._found.find(self._place, detail=True)
+        there = {str(path)[len(self._place) + 1 :]: sign(facts) for path, facts in listed.items()}
+        found = {name: there.get(entry["at"], [-1]) for name, entry in sorted(entries.items())}
+        gone = [name for name, mark in found.items() if mark[0] != entries[name]["size"]]
+        if gone or not found:
+            raise FileNotFoundError(errno.ENOENT, "not on the store", *gone[:1])
+        return {name: [mark[0], entries[name]["sha"], *mark[1:]] for name, mark in found.items()}
 
     def fetch(self, folder: Path, wanted: Callable[[str], bool] = lambda name: True) -> None:
         """Make a folder here what the commits say; files that fit stay as they are.
@@ -144,9 +160,8 @@ class StoredRun:
             size = file.tell()
             at = name or f"{OBJECTS}/{sha}"
             target = f"{self._place}/{at}"
-            if self._had.get(name) != {"sha": sha, "size": size, "at": at} and (
-                name or not self._has(target, size)
-            ):
+            # Somebody may have changed what is there under its own name.
+            if name or not self._has(target, size):
                 file.seek(0)
                 self._found.makedirs(target.rsplit("/", 1)[0], exist_ok=True)
                 self._found.upload(file, target)

@@ -77,7 +77,8 @@ def test_the_same_bytes_and_a_machine_that_is_lost(
     assert not list((tmp_path / "homes").rglob("outputs/*.ply"))  # they are on the store
     monkeypatch.setenv("ROIGS_CACHE", str(tmp_path / "home"))
     assert not [path for path in memory_store.find("/museum/runs") if ".lease" in path]
-    for name in ("hall", "attic"):
+    names = ("hall", "attic")
+    for name in names:
         memory_store.get(f"/museum/runs/{name}", str(tmp_path / "got" / name), recursive=True)
         got = {k: v for k, v in contents(tmp_path / "got" / name).items() if k[0] != "."}
         row = tmp_path / f"{name}-row.json"
@@ -94,6 +95,14 @@ def test_the_same_bytes_and_a_machine_that_is_lost(
     assert main(["batch", str(table), "--run-dir", RUNS, "--jobs", "1"]) == 0
     assert memory_store.exists("/museum/runs/outputs/hall.compressed.ply")
     assert "attic: done" not in capsys.readouterr().err
+    # A result that somebody deletes or changes there is made again, and its outputs can be.
+    results = {name: memory_store.cat(f"/museum/runs/{name}/result.ply") for name in names}
+    memory_store.rm("/museum/runs/hall/result.ply")
+    memory_store.pipe("/museum/runs/attic/result.ply", bytes(len(results["attic"])))
+    monkeypatch.setenv("ROIGS_CACHE", str(tmp_path / "empty"))
+    assert main(["batch", str(table), "--run-dir", RUNS, "--jobs", "1"]) == 0
+    for name, result in results.items():
+        assert memory_store.cat(f"/museum/runs/{name}/result.ply") == result
 
 
 def test_a_full_disk_of_one_machine_is_its_reason(
