@@ -42,7 +42,12 @@ class Store:
     @contextmanager
     def held(self, context: Context) -> Iterator[None]:
         """Be the one batch that works there; RunFolderError if there is another."""
-        lease = Lease(self._found, f"{self._place}/.leases/batch", context.should_stop)
+
+        def waits() -> None:
+            context.info("Another batch was at work there: waiting for a minute, if it is gone.")
+
+        place = f"{self._place}/.leases/batch"
+        lease = Lease(self._found, place, context.should_stop, waits=waits)
         try:
             with lease:
                 yield

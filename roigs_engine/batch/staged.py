@@ -66,7 +66,12 @@ def run_part(
     try:
         found, _ = file_system(part.staging.url, should_stop, own=True)
         run = stored_run(part.staging.url, part.scene, should_stop)
-        with Lease(found, run.lease_folder(part.name), should_stop) as lease:
+        gone = ": waits for a minute, in case the engine that was at work on it is gone."
+
+        def waits() -> None:
+            emit({"event": "message", "text": gone})
+
+        with Lease(found, run.lease_folder(part.name), should_stop, waits=waits) as lease:
             return _leased(argv, part, part.staging, run, lease, emit, context)
     except LeaseTakenError:
         if should_stop():

@@ -38,6 +38,7 @@ from .rotations import Cloud, StoredPhoto, find_turns
 from .undistort import HINT_RESAMPLE
 
 MODEL_FILES = ("cameras", "images", "points3D")
+LEAST_EXTENT = 1e-20  # world units; squares of much smaller ones vanish
 SIMPLE_LENSES = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")  # fewer parameters than OPENCV
 
 
@@ -138,6 +139,8 @@ def _mention_refined(model: Model, folder: Path, context: Context) -> None:
 def _cleaned(scene: SfmScene, why: Mapping[str, Skip], context: Context) -> SfmScene:
     """The scene without outliers; says what was left out: as warnings, but for unposed photos."""
     scene = without_outliers(scene)
+    if 0 < (extent := scene.extent()) < LEAST_EXTENT:
+        raise SceneError(f"The cameras span {extent:.0e} units.", "Scale the model up.")
     if scene.stray_points:
         context.warn(f"Left out {counted(scene.stray_points, '3D point')} far from all cameras.")
     for reason, names in scene.skipped.items():

@@ -34,6 +34,8 @@ CAMERA_MODELS = (
     ("EUCM", 6),
     ("EQUIRECTANGULAR", 2),
 )
+LEAST_FOCAL = 1e-3
+"""Least focal length, in longest sides of the photo: shorter ones are damage, not a lens."""
 PARAMETER_COUNT = dict(CAMERA_MODELS)
 
 # Models whose parameters begin with one focal length; the others begin with fx and fy.
@@ -128,7 +130,8 @@ def checked_camera(model: str, width: int, height: int, params: tuple[float, ...
     if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):
         raise ValueError(f"camera of {width} x {height} pixels")
     focals = params[: 1 if model in ONE_FOCAL else 2]
-    if not (np.abs(params) < FAR).all() or min(focals) <= 0:  # catches NaN too
+    shortest = LEAST_FOCAL * max(width, height)
+    if not (np.abs(params) < FAR).all() or min(focals) < shortest:  # catches NaN too
         raise ValueError(f"{model} camera with parameters {params}")
     return ModelCamera(model=model, width=width, height=height, params=params)
 

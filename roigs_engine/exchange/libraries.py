@@ -51,11 +51,11 @@ def reading(path: Path, title: str) -> Iterator[None]:
         raise
     except NotSupportedError as error:
         raise RunFolderError(f"{path}: {error} is not supported.", CONVERT) from error
-    except OSError as error:
-        raise RunFolderError(
-            f"Cannot read {path} ({error.strerror or error}).", "Check the file and its rights."
-        ) from error
     except Exception as error:  # of struct, zlib, json, numpy, and of the libraries themselves
+        if isinstance(error, OSError) and error.errno is not None:  # Pillow's have none
+            raise RunFolderError(
+                f"Cannot read {path} ({error.strerror or error}).", "Check the file and its rights."
+            ) from error
         text, held = " ".join(_words(error).split())[:120], None
         with suppress(OSError), open(path, "rb", opener=regular) as file:
             held = held_instead(path, file.read(FIRST_BYTES))

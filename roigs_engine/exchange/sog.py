@@ -309,6 +309,9 @@ def _check(data: bytes) -> None:
         names = [name for part in parts for name in part["files"]]
         if "shN" in meta:
             names.append(meta["shN"]["files"][1])
+            sets = meta["shN"].get("count", 1)
+            if type(sets) is not int or not 0 < sets <= MOST_PALETTE:
+                raise ValueError("a palette of another kind")
         refuse_bomb(len(data), 4 * count * len(names))
         for name in names:
             if not count <= _pixels(packed, name) <= 4 * count + (1 << 16):

@@ -129,6 +129,8 @@ def cannot_write(path: Path, error: OSError) -> RunFolderError:
     hint = "Free some space or choose another folder."
     if error.errno in IN_THE_WAY:
         hint = "Move away what has that name, or choose another folder."
+        above = reversed(path.parents)
+        path = next((p for p in above if os.path.lexists(p) and not p.is_dir()), path)
     return RunFolderError(f"Cannot write {path} ({error.strerror or error}).", hint)
 
 

@@ -22,6 +22,7 @@ from .rotation import AS_STORED, turned, turned_size
 
 Mask = NDArray[np.bool_]
 
+MOST_PIXELS = 50_000_000  # of a mask that is larger than its photo
 OPAQUE = 128  # least alpha of a pixel that counts
 ALL, HALF = 255, 128  # least value of a resampled pixel that is in the mask
 HINT = "Save it again as a PNG, remove it, or use no masks (--no-masks)."
@@ -180,7 +181,7 @@ def _fits(mask: tuple[int, int], photo: tuple[int, int]) -> bool:
 def _check(path: Path, image: Image.Image, photo: tuple[int, int]) -> None:
     """Raise MaskError if the opened file cannot be the mask of a photo of that size."""
     (width, height), (across, down) = image.size, photo
-    if width * height > MAX_PIXELS:
+    if width * height > min(MAX_PIXELS, max(across * down, MOST_PIXELS)):
         raise ValueError(f"its header says {width} x {height} pixels")
     if getattr(image, "n_frames", 1) > 1:
         raise MaskError(f"The mask {path} is an animation.", "Save it as one picture.")

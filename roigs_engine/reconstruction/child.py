@@ -114,6 +114,8 @@ def _result(
         record: Record = {}
         with suppress(ValueError, TypeError):  # a line that is no record
             record = dict(json.loads(line))
+        if "error" in record and not record.get("hint") and _is_full(log):
+            raise _ended(1, log)
         if "error" in record:
             raise (EngineError if record.get("hint") else SceneError)(
                 record["error"], record.get("hint", f"Log: {log}")
@@ -124,9 +126,13 @@ def _result(
         poll(last)
 
 
+def _is_full(log: Path) -> bool:
+    return shutil.disk_usage(log.parent).free < FULL
+
+
 def _ended(status: int, log: Path) -> SceneError:
     """The error for a child that ended without a result: pycolmap aborts when a disk is full."""
-    if shutil.disk_usage(log.parent).free < FULL:
+    if _is_full(log):
         return SceneError(
             f"The disk of {log.parent} is full.", "Free some space and give the command again."
         )

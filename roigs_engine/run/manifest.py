@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -133,18 +132,25 @@ def manifest_difference(before: Any, now: dict[str, Any]) -> str:
         return OTHER_SCENE
     for key in sorted({**old, **now}, key=lambda key: key not in FIRST):
         if old.get(key) != now.get(key):
-            with suppress(AttributeError, IndexError, TypeError):  # not as an engine wrote it
-                return _WORDS.get(key, _setting)(key, old.get(key), now.get(key))
-            return f"{key} changed"
+            try:
+                text = _WORDS.get(key, _setting)(key, old.get(key), now.get(key))
+            except Exception:  # it is not as an engine wrote it
+                text = f"{key} changed"
+            if text:
+                return text
     return ""
 
 
 def _setting(path: str, before: Any, now: Any) -> str:
-    """The first difference of two settings, or of what dicts of them hold, at a path of keys."""
+    """The first difference of two settings, or of what dicts of them hold, at a path of keys.
+
+    Empty: there is none, as a setting that is missing is null.
+    """
     if isinstance(before, dict) and isinstance(now, dict):
-        key = next(key for key in {**before, **now} if before.get(key) != now.get(key))
-        return _setting(f"{path}.{key}", before.get(key), now.get(key))
-    name = ".".join(key for key in path.split(".") if key not in LEFT_OUT)
+        changed = (key for key in {**before, **now} if before.get(key) != now.get(key))
+        texts = (_setting(f"{path}.{key}", before.get(key), now.get(key)) for key in changed)
+        return next(filter(None, texts), "")
+    name = ".".join(key for key in path.split(".") if key not in LEFT_OUT) or path
     if isinstance(before, dict) or isinstance(now, dict):
         was, now_is = ("on" if value or value == {} else "off" for value in (before, now))
         return f"{name} was {was}, now {now_is}"

@@ -36,6 +36,7 @@ class Lease:
         found: the file system.
         folder: in it, for this lease alone.
         should_stop: asked while waiting.
+        waits: called once if somebody else holds it, or has until now.
         expiry, beat: seconds, for tests.
     """
 
@@ -45,11 +46,12 @@ class Lease:
         folder: str,
         should_stop: Callable[[], bool] = lambda: False,
         *,
+        waits: Callable[[], None] = lambda: None,
         expiry: float = EXPIRY,
         beat: float = BEAT,
     ) -> None:
         self._found, self._folder, self._should_stop = found, folder, should_stop
-        self._expiry, self._beat = expiry, beat
+        self._expiry, self._beat, self._waits = expiry, beat, waits
         self._name, self._count = uuid.uuid4().hex, 0
         self._ended, self._lost = threading.Event(), False
         self._beats = threading.Thread(target=self._keep, daemon=True)
@@ -67,9 +69,12 @@ class Lease:
     def __enter__(self) -> Lease:
         """Take it; LeaseTakenError if somebody else holds it."""
         try:
+            saying = [self._waits]
             while not self._try():
                 if self._should_stop():
                     raise LeaseTakenError
+                if saying:
+                    saying.pop()()
                 time.sleep(min(POLL, self._beat))
         except BaseException:
             self._remove(self._name)

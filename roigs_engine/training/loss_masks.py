@@ -95,7 +95,8 @@ class LossMasks:
             for index in drawn:
                 context.check_cancelled()
                 shares.append(self._mask(index).mean())
-            self._mean_share = float(np.exp(np.mean(np.log([s for s in shares if s > 0]))))
+            if shown := [share for share in shares if share > 0]:
+                self._mean_share = float(np.exp(np.mean(np.log(shown))))
 
     def __getitem__(self, index: int) -> LossMask | None:
         """The mask of photo `index`; None if it sees no box."""

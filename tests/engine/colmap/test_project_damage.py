@@ -47,6 +47,35 @@ def test_damaged_files_never_end_in_a_traceback(tmp_path: Path, stem: str, binar
             load_colmap(tmp_path)
 
 
+def test_scenes_of_no_size(tmp_path: Path) -> None:
+    """Trained without a word at 1e-60 of their size, to a picture of nothing."""
+    write_project(tmp_path, binary=False)
+    for stem, numbers in (("images", slice(5, 8)), ("points3D", slice(1, 4))):
+        path = tmp_path / f"sparse/0/{stem}.txt"
+        lines = path.read_text(encoding="utf-8").splitlines()
+        for k, line in enumerate(lines):
+            words = line.split()
+            if not line.startswith("#") and (stem != "images" or line.endswith(".png")):
+                words[numbers] = [f"{float(word) * 1e-60:g}" for word in words[numbers]]
+                lines[k] = " ".join(words)
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with pytest.raises(SceneError, match=r"The cameras span .*e-60 units"):
+        load_colmap(tmp_path, pixels=False)
+
+
+@pytest.mark.parametrize("focal", ["0", "-100", "5e-324", "1e-10", "nan"])
+def test_focal_lengths_that_no_lens_has(tmp_path: Path, focal: str) -> None:
+    write_project(tmp_path, binary=False)
+    path = tmp_path / "sparse/0/cameras.txt"
+    lines = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
+    for words in lines:
+        if words and words[0] != "#":
+            words[4] = focal
+    path.write_text("\n".join(map(" ".join, lines)) + "\n", encoding="utf-8")
+    with pytest.raises(SceneError, match="camera with parameters"):
+        load_colmap(tmp_path, pixels=False)
+
+
 @pytest.mark.parametrize("stem", ["cameras", "images", "points3D"])
 def test_every_cut_of_a_binary_file_is_noticed(tmp_path: Path, stem: str) -> None:
     write_project(tmp_path, names=["a.png"], points=np.zeros((2, 3)))

@@ -54,6 +54,26 @@ def test_pictures_of_nothing(tmp_path: Path) -> None:
     refused(tmp_path / "a.sog", data, "unpack to 80 MB")
 
 
+@pytest.mark.parametrize("picture", ["means_l.webp", "sh0.webp"])
+def test_a_damaged_picture_is_not_a_matter_of_rights(tmp_path: Path, picture: str) -> None:
+    for package in ("gsply", "imagecodecs"):
+        pytest.importorskip(package)
+    files = exchange.unzipped(exchange.good(".sog", 1))
+    files[picture] = files[picture][:-20]
+    refused(tmp_path / "a.sog", exchange.zipped(files), "is not a whole SOG file")
+
+
+@pytest.mark.parametrize("count", [[1], -3, 1 << 40])
+def test_a_palette_of_another_kind(tmp_path: Path, count: object) -> None:
+    for package in ("gsply", "imagecodecs"):
+        pytest.importorskip(package)
+    files = exchange.unzipped(exchange.good(".sog", 1))
+    meta = json.loads(files["meta.json"])
+    meta["shN"] = {"count": count, "files": ["sh0.webp", "sh0.webp"], "codebook": [0.0] * 256}
+    data = exchange.zipped(files | {"meta.json": json.dumps(meta).encode()})
+    refused(tmp_path / "a.sog", data, "a palette of another kind")
+
+
 def test_attributes_of_another_width(tmp_path: Path) -> None:
     pytest.importorskip("pygltflib")
     record, blob = exchange.glb_parts(exchange.good(".glb", 1))

@@ -101,6 +101,16 @@ def test_unwritable_place_is_one_line(tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("way", ["file", "dangling"])
+def test_what_is_in_the_way_is_named(tmp_path: Path, way: str) -> None:
+    if way == "file":
+        (tmp_path / "out").write_text("in the way", encoding="utf-8")
+    else:
+        (tmp_path / "out").symlink_to(tmp_path / "nothing")
+    with pytest.raises(RunFolderError, match=r"Cannot write .*out \(.*Move away what"):
+        write_text(tmp_path / "out" / "points.npy", "x")
+
+
 @pytest.mark.parametrize("code", ["EEXIST", "ENOTEMPTY", "EISDIR", "ENOTDIR", "ENOSPC"])
 def test_what_to_do_follows_from_what_is_wrong(tmp_path: Path, code: str) -> None:
     number = getattr(errno, code)

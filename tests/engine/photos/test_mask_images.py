@@ -10,6 +10,7 @@ from PIL import Image
 
 from roigs_engine.errors import ConfigError
 from roigs_engine.model.scene import Camera, PhotoMask, PosedImage
+from roigs_engine.photos import mask_images
 from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.photos.files import PhotoFolder
 from roigs_engine.photos.mask_images import (
@@ -168,6 +169,16 @@ def test_what_is_no_mask_is_named_in_one_line(tmp_path: Path, kind: str, said: s
         read_mask(path, SIZE)
     assert said in caught.value.message and str(path) in caught.value.message
     assert caught.value.hint and "\n" not in caught.value.message
+
+
+def test_a_mask_far_larger_than_its_photo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A megabyte of PNG may hold 170 megapixels, which take minutes."""
+    Image.new("1", (400, 300)).save(tmp_path / "a.png")
+    read_mask(tmp_path / "a.png", SIZE)
+    monkeypatch.setattr(mask_images, "MOST_PIXELS", 100_000)
+    with pytest.raises(MaskError, match="400 x 300 pixels"):
+        read_mask(tmp_path / "a.png", SIZE)
+    read_mask(tmp_path / "a.png", (400, 300))
 
 
 def test_a_pixel_that_covers_an_ignored_one_is_ignored() -> None:

@@ -352,6 +352,7 @@ def test_other_mechanisms_and_boxes_in_words() -> None:
     assert manifest_difference(off, on) == "roi.decay was off, now on"
     assert manifest_difference(on, off) == "roi.decay was on, now off"
     assert manifest_difference(on, more) == "roi.decay.rate was 0.1, now 0.2"
+    assert manifest_difference({"config": None}, on) == "config was off, now on"
     one, other = {"rois": [{"name": "pot", "x": 1}]}, {"rois": [{"name": "pot", "x": 2}]}
     two = {"rois": [*one["rois"], {"name": "tin"}, {"name": "vase"}]}
     assert manifest_difference(one, other) == "the box pot changed"
@@ -359,6 +360,14 @@ def test_other_mechanisms_and_boxes_in_words() -> None:
     assert manifest_difference(two, one) == "2 boxes are gone, the first is tin"
     swapped = {"rois": two["rois"][::-1]}
     assert manifest_difference(two, swapped) == "the order of the boxes changed"
+
+
+def test_a_setting_that_is_missing_is_null() -> None:
+    """As in the run folder of a version that did not have it."""
+    before, now = {"config": {"a": {}, "seed": 1}}, {"config": {"a": {"count": None}, "seed": 1}}
+    assert manifest_difference(before, now) == ""
+    now["config"]["seed"] = 2
+    assert manifest_difference(before, now) == "seed was 1, now 2"
 
 
 @pytest.mark.parametrize("manifest", [{"icons": []}, {}, {"Config": 1}])

@@ -109,6 +109,14 @@ def test_a_wait_can_be_stopped(store: Any) -> None:
     assert len(store.find(PLACE)) == 1
 
 
+def test_a_wait_is_said_once(store: Any) -> None:
+    dead, said = Lease(store, PLACE, **QUICK), []
+    dead.__enter__()
+    dead._ended.set()
+    with Lease(store, PLACE, waits=lambda: said.append(1), **QUICK):
+        assert said == [1]
+
+
 def test_of_many_at_once_one_is_inside(store: Any) -> None:
     rng, inside, most, taken = random.Random(3), [0], [0], [0]
     lock = threading.Lock()

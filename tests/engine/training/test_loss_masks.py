@@ -110,6 +110,10 @@ def test_weighted_photos_pull_alike_from_near_and_far() -> None:
     assert np.log(first_two / shares[:2]).mean() == pytest.approx(0, abs=1e-6)
 
 
+def test_boxes_that_no_photo_shows() -> None:
+    assert LossMasks([photo()], [BOX], (), view_weighting=1.9)[0] is not None
+
+
 def test_a_tiny_mask_does_not_outweigh_all_others() -> None:
     poses = [np.eye(4) for _ in range(4)]
     for pose, back in zip(poses, (-3.0, -3.0, -3.0, 12.0), strict=True):
