@@ -110,6 +110,7 @@ def test_weighted_photos_pull_alike_from_near_and_far() -> None:
     assert np.log(first_two / shares[:2]).mean() == pytest.approx(0, abs=1e-6)
 
 
+@pytest.mark.filterwarnings("error")
 def test_boxes_that_no_photo_shows() -> None:
     assert LossMasks([photo()], [BOX], (), view_weighting=1.9)[0] is not None
 
