@@ -71,8 +71,17 @@ class Outputs(ctypes.Structure):
 
     _fields_ = [
         (name, _ADDRESS)
-        for name in ("image", "alpha", "depth", "max_weight", "weight_sum", "pixel_weights")
+        for name in (
+            *("image", "alpha", "depth", "max_weight", "weight_sum", "pixel_weights"),
+            "surface",
+        )
     ]
+
+
+class OutputGradients(ctypes.Structure):
+    """roigs.h: struct OutputGradients."""
+
+    _fields_ = [("image", _ADDRESS), ("surface", _ADDRESS)]
 
 
 class AdamParameter(ctypes.Structure):
@@ -103,10 +112,11 @@ SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "roigs_view_destroy": (None, [_ADDRESS]),
     "roigs_project": (_COUNT, [_ADDRESS] * 4),  # view, Gaussians, Camera, visible
     "roigs_bin": (_COUNT, [_ADDRESS]),
+    "roigs_project_planes": (_COUNT, [_ADDRESS] * 2),  # view, Gaussians
     "roigs_render": (_COUNT, [_ADDRESS] * 2),  # view, Outputs
     "roigs_median_depth": (None, [_ADDRESS] * 3),  # view, alpha, depth
     "roigs_pair_evaluations": (_COUNT, [_ADDRESS]),
-    "roigs_render_backward": (_COUNT, [_ADDRESS] * 3),  # view, image, its gradient
+    "roigs_render_backward": (_COUNT, [_ADDRESS] * 3),  # view, Outputs, OutputGradients
     "roigs_project_backward": (None, [_ADDRESS] * 4),  # view, Gaussians, Gradients, grad2d
     "roigs_project_backward_adam": (_COUNT, [_ADDRESS] * 4),  # view, Gaussians, Adam, grad2d
     "roigs_adam": (_COUNT, [_COUNT, _ADDRESS, _ADDRESS]),  # rows, Adam, visible

@@ -132,13 +132,18 @@ ROIGS_INLINE void project_shapes(const Gaussians& gaussians, const Camera& camer
     g.yy = y2 + blur;
 }
 
-// The lanes whose Gaussians do not reach behind the camera.
-ROIGS_INLINE Mask in_front(const Geometry& g, const Camera& camera) {
-    Floats along[3];  // the camera's z axis, in units of the Gaussian's own axes
+// The camera's z axis, in units of the Gaussian's own axes.
+ROIGS_INLINE void depth_axis(const Geometry& g, const Camera& camera, Floats (&along)[3]) {
     for (int k = 0; k < 3; ++k) {
         const float* axis = camera.world_to_camera[2];
         along[k] = (axis[0] * g.R[0][k] + axis[1] * g.R[1][k] + axis[2] * g.R[2][k]) * g.scale[k];
     }
+}
+
+// The lanes whose Gaussians do not reach behind the camera.
+ROIGS_INLINE Mask in_front(const Geometry& g, const Camera& camera) {
+    Floats along[3];
+    depth_axis(g, camera, along);
     return greater(g.t[2], camera.min_sigmas * sqrt(dot3(along, along)));
 }
 

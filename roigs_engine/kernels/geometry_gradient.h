@@ -11,6 +11,13 @@ struct Gradient2d {
     Floats xx, xy, yy;  // dL / d(Sigma'), a symmetric matrix
 };
 
+// .. and of what a plane depends on beside these, see plane.h.
+struct PlaneGradient {
+    Floats U[2][3], w[3];
+    Floats z;         // depth of the centre
+    Floats slope[2];  // Geometry::slope
+};
+
 // Through drawn_opacity: with `weight` = dL / d(log opacity) and P the covariance with the blur of
 // the stored opacity, dL / d(Sigma') has weight (P^-1 - Sigma'^-1) / 2 in addition. P may have no
 // blur and be all but singular: such a Gaussian is too faint to be drawn, and has no weight.
@@ -61,20 +68,27 @@ inline void quaternion_gradient(const Geometry& g, const Floats (&dR)[3][3], Flo
     for (int k = 0; k < 4; ++k) out[k] = (out[k] - along * g.quat[k]) * g.inverse_norm;
 }
 
-// Through Sigma' = U U^T + blur and U = T R S: gradients of scale and rotation, and dL / dT.
-inline void covariance_gradient(const Geometry& g, const Gradient2d& d, Floats (&scale)[3],
-                         Floats (&quat)[4], Floats (&dT)[2][3]) {
+// Through Sigma' = U U^T + blur and U = T R S: gradients of scale and rotation, and dL / dT. Through a
+// plane, too, if it is not null.
+inline void covariance_gradient(const Camera& camera, const Geometry& g, const Gradient2d& d,
+                                const PlaneGradient* plane, Floats (&scale)[3], Floats (&quat)[4],
+                                Floats (&dT)[2][3]) {
     Floats dR[3][3];
     for (int r = 0; r < 3; ++r) dT[0][r] = dT[1][r] = Floats{};
     for (int k = 0; k < 3; ++k) {
-        const Floats dU0 = 2.0f * (d.xx * g.U[0][k] + d.xy * g.U[1][k]);
-        const Floats dU1 = 2.0f * (d.xy * g.U[0][k] + d.yy * g.U[1][k]);
+        Floats dU0 = 2.0f * (d.xx * g.U[0][k] + d.xy * g.U[1][k]);
+        Floats dU1 = 2.0f * (d.xy * g.U[0][k] + d.yy * g.U[1][k]);
+        if (plane) {
+            dU0 += plane->U[0][k];
+            dU1 += plane->U[1][k];
+        }
         scale[k] = Floats{};
         for (int r = 0; r < 3; ++r) {
             const Floats M = g.R[r][k] * g.scale[k];
             dT[0][r] += dU0 * M;
             dT[1][r] += dU1 * M;
-            const Floats dM = g.T[0][r] * dU0 + g.T[1][r] * dU1;
+            Floats dM = g.T[0][r] * dU0 + g.T[1][r] * dU1;
+            if (plane) dM += camera.world_to_camera[2][r] * plane->w[k];
             scale[k] += dM * g.R[r][k];
             dR[r][k] = dM * g.scale[k];
         }
@@ -83,9 +97,11 @@ inline void covariance_gradient(const Geometry& g, const Gradient2d& d, Floats (
 }
 
 // Through the pinhole projection of the centre and through T = J W (see linearise), both of which
-// depend on the camera-frame centre t; then to the world frame.
+// depend on the camera-frame centre t; then to the world frame. Through a plane, too, if it is not
+// null.
 inline void centre_gradient(const Camera& camera, const Geometry& g, const Gradient2d& d,
-                     const Floats (&dT)[2][3], Floats (&mean)[3]) {
+                            const PlaneGradient* plane, const Floats (&dT)[2][3],
+                            Floats (&mean)[3]) {
     const float focal[2] = {camera.fx, camera.fy};
     const Floats centre[2] = {d.x, d.y};
     const auto& W = camera.world_to_camera;
@@ -97,10 +113,13 @@ inline void centre_gradient(const Camera& camera, const Geometry& g, const Gradi
             df += dT[a][k] * (W[a][k] - g.slope[a] * W[2][k]);
             dslope -= dT[a][k] * W[2][k];
         }
-        dslope = keep(g.slope_is_free[a], f * dslope);
+        dslope *= f;
+        if (plane) dslope += plane->slope[a];
+        dslope = keep(g.slope_is_free[a], dslope);
         dt[a] = f * centre[a] + dslope * g.inverse_z;
         dt[2] -= g.inverse_z * (f * (df + centre[a] * g.t[a]) + dslope * g.slope[a]);
     }
+    if (plane) dt[2] += plane->z;
     for (int k = 0; k < 3; ++k) mean[k] = W[0][k] * dt[0] + W[1][k] * dt[1] + W[2][k] * dt[2];
 }
 

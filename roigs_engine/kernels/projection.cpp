@@ -208,6 +208,7 @@ int64_t roigs_project(roigs::View* view, const roigs::Gaussians* gaussians,
     using namespace roigs;
     view->camera = *camera;
     view->visible = view->intersections = 0;
+    view->has_plane_gradient = false;
     if (!number_tiles(*view)) return kOutOfMemory;
     const int64_t n = view->tiles ? gaussians->count : 0, chunk_count = chunks(n, kChunk);
     view->chunks.resize(chunk_count);

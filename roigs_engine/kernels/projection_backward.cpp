@@ -3,6 +3,7 @@
 #include "adam.h"
 #include "geometry_gradient.h"
 #include "light.h"
+#include "surface_gradient.h"
 #include "sh.h"
 #include "view.h"
 
@@ -24,13 +25,9 @@ struct ChunkSplats {
 };
 
 // kLanes of them, from the one at `first` on; beyond `count`, the last one is repeated.
-struct SplatBatch {
-    int count;
-    int32_t splat[kLanes], id[kLanes];
-    int32_t row[kLanes];  // in the gradients, which begin with that of Gaussian `first_id`
-
-    SplatBatch(const View& view, const ChunkSplats& chunk, int first, int end, int32_t first_id)
-        : count(std::min(kLanes, end - first)) {
+struct SplatBatch : BatchRows {
+    SplatBatch(const View& view, const ChunkSplats& chunk, int first, int end, int32_t first_id) {
+        count = std::min(kLanes, end - first);
         for (int i = 0; i < kLanes; ++i) {
             splat[i] = chunk.splat[first + std::min(i, count - 1)];
             id[i] = view.splats[splat[i]].id;
@@ -104,8 +101,8 @@ void batch_gradient(const View& view, const Gaussians& gaussians, const Gradient
     project_shapes(gaussians, view.camera, batch.id, g);
     const Gradient2d d = unwhiten(view.camera, g, moments);
     Floats scale[3], quat[4], dT[2][3], mean[3];
-    covariance_gradient(g, d, scale, quat, dT);
-    centre_gradient(view.camera, g, d, dT, mean);
+    covariance_gradient(view.camera, g, d, nullptr, scale, quat, dT);
+    centre_gradient(view.camera, g, d, nullptr, dT, mean);
     colour_gradient(view, gaussians, batch, g, moments, out.sh, mean);
 
     // kS = opacity dL / d(opacity), the drawn one's as well as the stored one's
@@ -194,8 +191,10 @@ private:
         }
         for (int i = first; i < next; i += kLanes) {
             prefetch_batch(view_, gaussians_, splats_, i + kLanes, moments, widths);
-            batch_gradient(view_, gaussians_, gradients,
-                           SplatBatch(view_, splats_, i, next, id(first)), grad2d_);
+            const SplatBatch batch(view_, splats_, i, next, id(first));
+            batch_gradient(view_, gaussians_, gradients, batch, grad2d_);
+            if (view_.has_plane_gradient)
+                add_plane_gradient(view_, gaussians_, gradients, batch, grad2d_);
         }
     }
 
@@ -226,6 +225,8 @@ void roigs_project_backward(roigs::View* view, const roigs::Gaussians* gaussians
             prefetch_batch(*view, *gaussians, chunk, first + kLanes, matrices, widths);
             const SplatBatch batch(*view, chunk, first, chunk.count, 0);
             batch_gradient(*view, *gaussians, out, batch, grad2d);
+            if (view->has_plane_gradient)
+                add_plane_gradient(*view, *gaussians, out, batch, grad2d);
         }
     });
 }

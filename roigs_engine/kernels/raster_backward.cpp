@@ -1,139 +1,17 @@
-// Gradient of the blending, front to back like the blending itself, splat by splat: its sums stay in
-// registers while the blocks that it touches have their turn, each of which waits for no other.
-//
-// With v = dL / dC at a pixel, and R_i = sum_{j>i} w_j (c_j . v) + T_end (background . v) what the
-// pixel gets from behind splat i,
-//
-//     dL / d(alpha_i) = T_i (c_i . v) - R_i / (1 - alpha_i).
-//
-// R starts as (pixel colour . v), which the forward pass has computed, and loses w_i (c_i . v) with
-// each splat: one number per pixel instead of a list of what was drawn there, and no division by
-// the tiny transmittances at the back.
-//
-// Through the exponent E (alpha = opacity e^E) every other gradient is a sum of
-// s = alpha dL / d(alpha) times a polynomial in the whitened offset (u, v): the six moments of
-// view.h, from which projection_backward.cpp makes gradients of centre, covariance and opacity.
-#include "simd_rows.h"
-#include "tile.h"
+// The gradient of the blending (tile_gradient.h).
+#include "tile_gradient.h"
 
-namespace roigs {
-namespace {
-
-struct PixelBlock {
-    Floats transmittance;
-    Floats behind;            // R
-    Floats red, green, blue;  // v
-};
-
-void load_tile(const TilePlace& place, const float* image, const float* gradient,
-               PixelBlock* blocks) {
-    const int64_t plane = place.plane;
-    for (int b = 0; b < kBlocks; ++b) {
-        if (place.block_is_outside(b)) continue;
-        PixelBlock& p = blocks[b];
-        p.transmittance = place.start_transmittance(b);
-        p.red = place.load_block(gradient, b);
-        p.green = place.load_block(gradient + plane, b);
-        p.blue = place.load_block(gradient + 2 * plane, b);
-        p.behind = place.load_block(image, b) * p.red +
-                   place.load_block(image + plane, b) * p.green +
-                   place.load_block(image + 2 * plane, b) * p.blue;
-    }
-}
-
-// Takes splat `s` off block b's pixels and adds what it finds to `sum`: the code that training spends
-// most of its time in.
-ROIGS_INLINE void visit(const LocalSplat& s, int b, PixelBlock& p, Floats (&sum)[kMoments]) {
-    Floats u, v;
-    Mask moves;
-    const Floats exponent = exponent_at(s, load(kLayout.x[b]), load(kLayout.y[b]), u, v);
-    const Floats alpha = alpha_of(exponent, moves);
-
-    const Floats weight = alpha * p.transmittance;
-    const Floats colour = p.red * s.red + p.green * s.green + p.blue * s.blue;
-    const Floats behind = p.behind - weight * colour;
-    const Floats alpha_gradient = p.transmittance * colour - behind * reciprocal(1.0f - alpha);
-    const Floats gradient = keep(moves, alpha * alpha_gradient);
-    p.behind = behind;
-    p.transmittance -= weight;
-
-    const Floats gu = gradient * u, gv = gradient * v;
-    sum[kS] += gradient;
-    sum[kSU] += gu;
-    sum[kSV] += gv;
-    sum[kSUU] += gu * u;
-    sum[kSUV] += gu * v;
-    sum[kSVV] += gv * v;
-    sum[kRed] += weight * p.red;
-    sum[kGreen] += weight * p.green;
-    sum[kBlue] += weight * p.blue;
-}
-
-// The same for a splat with hardly any weight: what is behind it gets its gradient, and it gets none.
-ROIGS_INLINE void pass(const LocalSplat& s, int b, PixelBlock& p) {
-    Floats u, v;
-    Mask moves;
-    const Floats exponent = exponent_at(s, load(kLayout.x[b]), load(kLayout.y[b]), u, v);
-    const Floats weight = alpha_of(exponent, moves) * p.transmittance;
-    p.behind -= weight * (p.red * s.red + p.green * s.green + p.blue * s.blue);
-    p.transmittance -= weight;
-}
-
-// Pixels whose gradient is zero, those that a mask ignores, give a splat none. Other tiles may say
-// the same at the same time.
-ROIGS_INLINE void note_gradient(const SlotGradient& slot, Splat& s) {
-    bool found = false;
-    for (int k = 0; k < 16; k += kLanes) found |= any(not_zero(load(slot.sum + k)));
-    if (found && !__atomic_load_n(&s.has_gradient, __ATOMIC_RELAXED))
-        __atomic_store_n(&s.has_gradient, 1, __ATOMIC_RELAXED);
-}
-
-void tile_gradient(View& view, int64_t tile, const float* image, const float* gradient) {
-    const int64_t begin = view.tile_begin[tile], end = view.tile_begin[tile + 1];
-    if (begin == end) return;
-    const TilePlace place(view, tile);
-    PixelBlock blocks[kBlocks];
-    for (int c = 0; c < 3; ++c) {
-        place.prefetch<false>(image + c * place.plane);
-        place.prefetch<false>(gradient + c * place.plane);
-    }
-    load_tile(place, image, gradient, blocks);
-
-    for (int64_t k = begin; k < end; ++k) {
-        const TileEntry entry = view.entries[k], ahead = view.entries[std::min(k + kAhead, end - 1)];
-        __builtin_prefetch(&view.splats[ahead.splat]);
-        __builtin_prefetch(&view.slot_gradients[ahead.slot], 1);
-        // every slot is written: what is there is from an earlier frame
-        SlotGradient& slot = view.slot_gradients[entry.slot];
-        uint64_t seen = view.seen_in[k], passed = view.passed_in[k];
-        if (!seen) slot = SlotGradient{};
-        if (!(seen | passed)) continue;
-        Splat& s = view.splats[entry.splat];
-        const LocalSplat local(s, entry.slot, s.x - float(place.x), s.y - float(place.y));
-        for (; passed; passed &= passed - 1) {
-            const int b = __builtin_ctzll(passed);
-            pass(local, b, blocks[b]);
-        }
-        if (!seen) continue;
-        Floats sum[kMoments] = {};
-        do {
-            const int b = __builtin_ctzll(seen);
-            visit(local, b, blocks[b], sum);
-            seen &= seen - 1;
-        } while (seen);
-        fold_lanes(sum, slot.sum, Sum{});
-        note_gradient(slot, s);
-    }
-}
-
-}  // namespace
-}  // namespace roigs
-
-int64_t roigs_render_backward(roigs::View* view, const float* image,
-                              const float* image_gradient) {
+int64_t roigs_render_backward(roigs::View* view, const roigs::Outputs* outputs,
+                              const roigs::OutputGradients* gradients) {
     using namespace roigs;
     if (!view->slot_gradients.reserve(view->intersections)) return kOutOfMemory;
+    view->has_plane_gradient = gradients->surface;
+    if (gradients->surface) {
+        blend_surface_gradient(*view, *outputs, *gradients);
+        return 0;
+    }
+    const float *image = outputs->image, *gradient = gradients->image;
     parallel_for(view->tiles,
-                 [&](int64_t tile) { tile_gradient(*view, tile, image, image_gradient); });
+                 [&](int64_t tile) { tile_gradient<false>(*view, tile, image, gradient); });
     return 0;
 }

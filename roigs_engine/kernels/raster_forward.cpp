@@ -58,13 +58,41 @@ private:
     static Sixteen sixteen(const Floats* first) { return *(const Floats(*)[kFolded])first; }
 };
 
+// What a tile's pixels have gathered of a surface, and the planes of a batch.
+template <bool kSurface>
+struct TileSurface {
+    static constexpr int kPlanes = 5;  // Outputs::surface
+    Floats gathered[kSurface ? kBlocks : 1][kPlanes] = {};
+    LocalPlane planes[kSurface ? kBatch + 1 : 1] = {};  // as Batch::splats
+
+    void begin(const View& view, const TileEntry* entries, const TilePlace& place,
+               const Batch& batch) {
+        for (int i = 0; i < batch.count; ++i)
+            planes[i] = LocalPlane(view.planes[entries[batch.entry_of[i]].splat], place);
+    }
+    void store(const TilePlace& place, float* out) const {
+        for (int b = 0; b < kBlocks; ++b)
+            for (int k = 0; k < kPlanes && !place.block_is_outside(b); ++k)
+                place.store_block(out + k * place.plane, b, gathered[b][k]);
+    }
+};
+
+// Adds a splat's weights to a surface, before it takes them from the transmittance.
+ROIGS_INLINE void add_plane(const LocalPlane& p, Floats x, Floats y, Floats weight,
+                            Floats transmittance, Floats (&gathered)[5]) {
+    const Floats depth = plane_depth(p, x, y);
+    gathered[0] += weight * depth;
+    gathered[1] = select(is_median(transmittance, weight), depth, gathered[1]);
+    for (int k = 0; k < 3; ++k) gathered[2 + k] += weight * p.normal[k];
+}
+
 // Blends the splats of a batch whose bits are set in `todo` into block b. With the block's state
 // in registers, this is the loop that rendering spends its time in. Returns false when the block
 // has ended: no pixel's transmittance is above `least`. What is left in `todo` was not visited then.
 // Sets the bits in `seen` of those with a weight above `least`.
-template <bool kDepth, bool kMax, bool kSum>
+template <bool kDepth, bool kSurface, bool kMax, bool kSum>
 ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t& todo, uint64_t& seen, int b,
-                              Floats least, Gathered& gathered,
+                              Floats least, Gathered& gathered, TileSurface<kSurface>& surface,
                               TileWeights<kMax, kSum>& weights) {
     const Floats x = load(kLayout.x[b]), y = load(kLayout.y[b]);
     Floats transmittance = gathered.transmittance[b];
@@ -79,6 +107,8 @@ ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t& todo, uint64_t& seen
             const LocalSplat& s = batch.splats[i];
             const Floats weight = next.alpha[k] * transmittance;
             seen |= any(greater(weight, least)) ? next.bit[k] : 0;
+            if (kSurface)
+                add_plane(surface.planes[i], x, y, weight, transmittance, surface.gathered[b]);
             transmittance -= weight;
             red += weight * s.red;
             green += weight * s.green;
@@ -127,7 +157,7 @@ void note_passed(const View& view, int64_t begin, int64_t taken, int64_t end) {
     std::fill_n(&view.passed_in[taken], end - taken, BlockSet{0});
 }
 
-template <bool kDepth, bool kMax, bool kSum>
+template <bool kDepth, bool kSurface, bool kMax, bool kSum>
 void render_tile(const View& view, int64_t tile, const Outputs& out) {
     const TilePlace place(view, tile);
     Gathered gathered;
@@ -144,12 +174,14 @@ void render_tile(const View& view, int64_t tile, const Outputs& out) {
     const Floats least = splat(view.camera.min_transmittance);
     Batch batch;
     TileWeights<kMax, kSum> weights(place, out.pixel_weights);
+    TileSurface<kSurface> surface;
     int64_t visits = 0;
     int64_t k = view.tile_begin[tile];
     while (k < end && live) {
         BlockSet *seen_in = &view.seen_in[k], *passed_in = &view.passed_in[k];
         const int taken = take_batch(view, &view.entries[k], end - k, place, live, batch,
                                      [&](int i, uint64_t blocks) { passed_in[i] = BlockSet(blocks); });
+        if (kSurface) surface.begin(view, &view.entries[k], place, batch);
         k += taken;
         if (kMax || kSum) weights.begin(view, batch);
         for (uint64_t todo = live; todo; todo &= todo - 1) {
@@ -157,7 +189,7 @@ void render_tile(const View& view, int64_t tile, const Outputs& out) {
             uint64_t splats = batch.splats_of[b], seen = 0;
             if (!splats) continue;
             visits += __builtin_popcountll(splats);
-            if (!blend_block<kDepth>(batch, splats, seen, b, least, gathered, weights))
+            if (!blend_block<kDepth>(batch, splats, seen, b, least, gathered, surface, weights))
                 live &= ~(uint64_t(1) << b);
             visits -= __builtin_popcountll(splats);
             batch.splats_of[b] = seen;
@@ -170,6 +202,7 @@ void render_tile(const View& view, int64_t tile, const Outputs& out) {
     }
     note_passed(view, view.tile_begin[tile], k, end);
     store_tile(view, place, gathered, out);
+    if (kSurface) surface.store(place, out.surface);
     view.tile_visits[tile] = visits;
 }
 
@@ -182,6 +215,7 @@ void fill_background(const View& view, const Outputs& out) {
         std::fill_n(out.image + c * plane, plane, camera.background[c]);
     std::fill_n(out.alpha, plane, 0.0f);
     if (out.depth) std::fill_n(out.depth, plane, 0.0f);
+    if (out.surface) std::fill_n(out.surface, 5 * plane, 0.0f);
 }
 
 // Room for a number per (Gaussian, tile) pair, 0 for those that no block blends, and for a vector
@@ -232,12 +266,12 @@ void add_weight_sums(const View& view, float* weight_sum) {
                [&](int32_t id, float value) { weight_sum[id] += value; });
 }
 
-template <bool kDepth>
+template <bool kDepth, bool kSurface>
 auto* tile_renderer(bool max_weight, bool weight_sum) {
-    return max_weight ? (weight_sum ? render_tile<kDepth, true, true>
-                                    : render_tile<kDepth, true, false>)
-                      : (weight_sum ? render_tile<kDepth, false, true>
-                                    : render_tile<kDepth, false, false>);
+    return max_weight ? (weight_sum ? render_tile<kDepth, kSurface, true, true>
+                                    : render_tile<kDepth, kSurface, true, false>)
+                      : (weight_sum ? render_tile<kDepth, kSurface, false, true>
+                                    : render_tile<kDepth, kSurface, false, false>);
 }
 
 bool covers_window(const View& view) {
@@ -261,8 +295,9 @@ int64_t roigs_render(roigs::View* view, const roigs::Outputs* outputs) {
     if (out.weight_sum && !clear_slots(view->slot_weight_sums, view->intersections))
         return kOutOfMemory;
     if (!covers_window(*view)) fill_background(*view, out);
-    auto* render = out.depth ? tile_renderer<true>(out.max_weight, out.weight_sum)
-                             : tile_renderer<false>(out.max_weight, out.weight_sum);
+    auto* render = out.surface ? tile_renderer<true, true>(out.max_weight, out.weight_sum)
+                   : out.depth ? tile_renderer<true, false>(out.max_weight, out.weight_sum)
+                               : tile_renderer<false, false>(out.max_weight, out.weight_sum);
     parallel_for(view->tiles, [&](int64_t tile) { render(*view, tile, out); });
     if (out.max_weight) raise_max_weights(*view, out.max_weight);
     if (out.weight_sum) add_weight_sums(*view, out.weight_sum);

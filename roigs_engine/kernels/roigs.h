@@ -2,10 +2,11 @@
 //
 // Order of calls for one camera, on one View:
 //
-//     roigs_project, roigs_bin, roigs_render, [roigs_render_backward, roigs_project_backward]
+//     roigs_project, roigs_bin, [roigs_project_planes], roigs_render,
+//     [roigs_render_backward, roigs_project_backward]
 //
 // with roigs_project_backward_adam in the last place when training. roigs_median_depth may follow
-// roigs_render.
+// roigs_render. Outputs::surface needs roigs_project_planes.
 //
 // A View keeps what the stages hand on to each other, and its memory from one frame to the next:
 // fresh memory costs a page fault for every 4 KiB, which is more than some stages take. Calls on
@@ -39,6 +40,9 @@ ROIGS_API int64_t roigs_project(roigs::View* view, const roigs::Gaussians* gauss
 // Sorts by depth and makes the tiles' lists. Returns the number of (Gaussian, tile) pairs.
 ROIGS_API int64_t roigs_bin(roigs::View* view);
 
+// Finds the planes of the splats (plane.h).
+ROIGS_API int64_t roigs_project_planes(roigs::View* view, const roigs::Gaussians* gaussians);
+
 // Blends.
 ROIGS_API int64_t roigs_render(roigs::View* view, const roigs::Outputs* outputs);
 
@@ -50,10 +54,10 @@ ROIGS_API void roigs_median_depth(roigs::View* view, const float* alpha, float* 
 // all block visits. For measurements.
 ROIGS_API int64_t roigs_pair_evaluations(const roigs::View* view);
 
-// Gradient of the blending; Camera::min_transmittance says for which splats. `image` is what
-// roigs_render wrote, `image_gradient` dL / d(image).
-ROIGS_API int64_t roigs_render_backward(roigs::View* view, const float* image,
-                                        const float* image_gradient);
+// Gradient of the blending; Camera::min_transmittance says for which splats. `outputs` are what
+// roigs_render wrote.
+ROIGS_API int64_t roigs_render_backward(roigs::View* view, const roigs::Outputs* outputs,
+                                        const roigs::OutputGradients* gradients);
 
 // Gradient of the projection: adds dL / d(parameter) to the rows of the Gaussians that have one, and
 // writes their |dL / d(mean2d)| in units of half the image size to `grad2d` (N,), zeros before.

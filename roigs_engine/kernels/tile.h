@@ -233,6 +233,26 @@ ROIGS_INLINE Floats alpha_of(Floats exponent, Mask& moves) {
     return keep(drawn, min(uncapped, splat(kAlphaMax)));
 }
 
+// A splat's plane, with its centre relative to the tile's corner.
+struct LocalPlane : SplatPlane {
+    LocalPlane() = default;
+    LocalPlane(const SplatPlane& plane, const TilePlace& place) : SplatPlane(plane) {
+        x -= float(place.x);
+        y -= float(place.y);
+    }
+};
+
+// Its depth at pixels.
+ROIGS_INLINE Floats plane_depth(const LocalPlane& p, Floats x, Floats y) {
+    return p.depth + (p.slope_x * (x - p.x) + p.slope_y * (y - p.y));
+}
+
+// Whether a splat of this weight takes what is left of a pixel's light below a half.
+ROIGS_INLINE Mask is_median(Floats transmittance, Floats weight) {
+    const Floats half = splat(0.5f), below = splat(0.49999997f);  // the float in front of it
+    return both(greater(transmittance, below), less(transmittance - weight, half));
+}
+
 // The next splats of a block, evaluated side by side. One evaluation is a chain of some twenty
 // operations that wait for each other. A processor sees a hundred operations ahead or so: with
 // several chains among these, it works on one while another waits.

@@ -63,7 +63,7 @@ struct Camera {
 };
 
 // What roigs_render writes: H x W are the pixels of the camera's window, on a card those of its
-// image. A null one of the last four is skipped.
+// image. A null one of the last five is skipped.
 struct Outputs {
     float* image;       // (3, H, W)
     float* alpha;       // (H, W)
@@ -71,9 +71,21 @@ struct Outputs {
     float* max_weight;  // (N,), raised where this view has a larger weight
     float* weight_sum;  // (N,), this view's weights are added, each times its pixel's weight:
     const float* pixel_weights;  // (H, W), read; null: 1 everywhere
+    float* surface;  // (5, H, W): sum of weight x depth of the planes, their median depth, and sum of
+                     // weight x normal, camera frame (plane.h)
 };
 
-// dL / d(whatever) of a (Gaussian, tile) pair, see raster_backward.cpp.
-enum Moment { kS, kSU, kSV, kSUU, kSUV, kSVV, kRed, kGreen, kBlue, kMoments };
+// dL / d(outputs).
+struct OutputGradients {
+    const float* image;    // (3, H, W)
+    const float* surface;  // (6, H, W): of Outputs::alpha, then of its surface; null: zero
+};
+
+// dL / d(whatever) of a (Gaussian, tile) pair, see raster_backward.cpp. The last six are those of a
+// surface.
+enum Moment {
+    kS, kSU, kSV, kSUU, kSUV, kSVV, kRed, kGreen, kBlue, kMoments,
+    kPlaneDepth = kMoments, kPlaneX, kPlaneY, kNormal, kSurfaceMoments = kNormal + 3
+};
 
 }  // namespace roigs

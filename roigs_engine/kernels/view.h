@@ -90,6 +90,13 @@ struct alignas(64) Splat {
 };
 static_assert(sizeof(Splat) == 64, "a splat fills one cache line");
 
+// The plane of a splat (plane.h): its depth at a pixel is depth + slope . (pixel - (x, y)).
+struct alignas(32) SplatPlane {
+    float x, y, depth;  // of the splat
+    float slope_x, slope_y;
+    float normal[3];
+};
+
 // An entry of a tile's list. `slot` numbers the (Gaussian, tile) pairs so that those of one
 // Gaussian are neighbours: what the tiles find out about it is stored there and summed later.
 // No two threads ever add to one place, and sums do not depend on the number of threads.
@@ -103,7 +110,7 @@ using BlockSet = std::conditional_t<
     kLanes == 16, uint16_t, std::conditional_t<kLanes == 8, uint32_t, uint64_t>>;
 
 struct alignas(64) SlotGradient {
-    float sum[16];  // the first kMoments are used; whole cache lines are written faster
+    float sum[16];  // kMoments or kSurfaceMoments are used; whole cache lines are written faster
 };
 
 // Chunk c owns the Gaussians, and the places in View::splats and View::tiles_of, from c * kChunk
@@ -134,6 +141,8 @@ struct View {
     Scratch<int32_t> tile_place;  // masked: per tile, its place in the rectangle
     std::vector<Chunk> chunks;
     Scratch<Splat> splats;
+    Scratch<SplatPlane> planes;  // per splat, where roigs_project_planes made them
+    bool has_plane_gradient = false;  // roigs_render_backward was given that of a surface
     Scratch<TileSpan> tiles_of;  // per splat
 
     int64_t visible = 0;        // splats in all chunks

@@ -74,6 +74,7 @@ def rasterize(
     with_depth: Depth = False,  # also return the mean depth, or the "median"
     with_max_weight: bool = False,  # also return each Gaussian's largest blending weight
     with_weight_sum: bool = False,  # also return the sum of its weights
+    with_surface: bool = False,  # also return depth and normals, with gradients; see `Surface`
     pixel_weights: Tensor | None = None,  # (C, H, W) factors in `weight_sum`; None: 1
     mask: Mask = None,
     linear_light: bool = False,  # colours are blended as light, as Blender does; not as sRGB values
@@ -108,6 +109,7 @@ def rasterize(
         with_depth=checked_depth(with_depth),
         with_max_weight=with_max_weight,
         with_weight_sum=with_weight_sum,
+        with_surface=with_surface,
         pixel_weights=checked_pixel_weights(pixel_weights, with_weight_sum, shape, means),
         window=active.shown,
         tiles=active.rectangle,

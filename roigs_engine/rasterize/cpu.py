@@ -98,6 +98,8 @@ class CameraView:
         self._gaussians = ctypes.byref(structure)
         self._call("roigs_project", self._gaussians, ctypes.byref(self._camera), pointer(visible))
         self._call("roigs_bin")
+        if inputs.with_surface:
+            self._call("roigs_project_planes", self._gaussians)
 
     def draw(self, outputs: kernel_function.Outputs) -> None:
         median = outputs.pop("median", None)
@@ -106,9 +108,18 @@ class CameraView:
         if median is not None:
             self._call("roigs_median_depth", addresses["alpha"], pointer(median))
 
-    def blend_backward(self, image: Tensor, gradient: Tensor, grad2d: Tensor) -> None:
+    def blend_backward(
+        self, drawn: kernel_function.Outputs, gradients: kernel_function.Outputs, grad2d: Tensor
+    ) -> None:
         self._grad2d = pointer(grad2d)
-        self._call("roigs_render_backward", pointer(image), pointer(gradient))
+        outputs, given = (
+            kind(**{name: pointer(tensor) for name, tensor in tensors.items()})
+            for kind, tensors in (
+                (bindings.Outputs, drawn),
+                (bindings.OutputGradients, gradients),
+            )
+        )
+        self._call("roigs_render_backward", ctypes.byref(outputs), ctypes.byref(given))
 
     def project_backward(self, targets: list[Tensor | None]) -> None:
         gradients = bindings.Gradients(*map(pointer, targets))

@@ -28,6 +28,9 @@ FAINTEST = (ALPHA_MIN / 2) ** 2
 """Of areas, squared: Gaussians below this ratio are not drawn; keeps the root's gradient finite."""
 FRUSTUM_MARGIN = 0.3
 """The Jacobian is evaluated inside the view, widened by this share of its half width."""
+PLANE_BLUR = 0.01
+"""Added to the 2D covariance's diagonal, px^2, where a Gaussian's plane is found (`Surface`): keeps
+that of one that is as thin as a line finite."""
 STEEPEST = 1e30  # a slope that is none: in pixels still a float32
 SH_SIZES = (1, 4, 9, 16)  # coefficients per colour for degrees 0 to 3
 
@@ -64,9 +67,32 @@ class BackwardStep:
     pair_buffer: PairBuffer | None = None
 
 
+class Surface(NamedTuple):
+    """Depths and normals of C pictures; all have gradients, that of `median` in its Gaussian alone.
+
+    A Gaussian's plane is where it is densest along rays, with rays parallel to the one through its
+    centre (RaDe-GS, Zhang et al. 2024, sec. 3.2). So its depth is affine in the pixel: with J W R S
+    = U (2, 3) and the camera's z axis in the Gaussian's own, w = R_z S (3,), it changes by
+    w U^T (U U^T)^-1 per pixel. The plane's normal points to the camera.
+    """
+
+    depth: Tensor  # (C, H, W) along z, sum(w z) / sum(w) with z of the planes; 0: nothing is there
+    median: Tensor  # (C, H, W) of the Gaussian behind which less than half of the light is left, or 0
+    normal: Tensor  # (C, H, W, 3) camera frame, sum(w n): as long as alpha, at most
+
+    @classmethod
+    def of(cls, planes: Tensor, alpha: Tensor) -> Surface:
+        """From (C, 5, H, W) sum(w z), the median and sum(w n), and alpha (C, H, W)."""
+        depth, median, *normal = planes.unbind(1)
+        mean = depth / torch.where(alpha > 0, alpha, 1.0)
+        return cls(mean, median, torch.stack(normal, dim=-1))
+
+
 @dataclass(frozen=True)
 class RenderOutput:
-    """The output of `rasterize` for C cameras, N Gaussians. Only `image` has a gradient.
+    """The output of `rasterize` for C cameras, N Gaussians.
+
+    Only `image` has a gradient, and with a `surface` it and `alpha` have.
 
     H and W are those of the window, if there is one. `grad2d` is zero until `backward()` has run;
     then |dL / d(projected centre)| with x scaled by width / 2 and y by height / 2: 3DGS's criterion
@@ -82,6 +108,7 @@ class RenderOutput:
     depth: Tensor | None  # (C, H, W)
     max_weight: Tensor | None  # (N,) largest weight of the Gaussian in any pixel
     weight_sum: Tensor | None  # (N,) over all cameras' pixels, each times its `pixel_weights`
+    surface: Surface | None
 
     def cut(self, window: tuple[int, int, int, int]) -> RenderOutput:
         """The part of whole images that is in a window; itself, if that is all."""
@@ -94,6 +121,9 @@ class RenderOutput:
             image=self.image[:, rows, columns],
             alpha=self.alpha[:, rows, columns],
             depth=None if self.depth is None else self.depth[:, rows, columns],
+            surface=None
+            if self.surface is None
+            else Surface(*(each[:, rows, columns] for each in self.surface)),
         )
 
     def in_srgb(self, *, linear_light: bool) -> RenderOutput:
@@ -118,6 +148,7 @@ class RenderInputs:
     with_depth: Depth
     with_max_weight: bool
     with_weight_sum: bool
+    with_surface: bool
     pixel_weights: Tensor | None  # (C, H, W)
     tiles: tuple[int, int, int, int]  # first column, first row, end column, end row
     tile_mask: Tensor | None  # (rows, columns) bool, the active tiles in this rectangle; None: all

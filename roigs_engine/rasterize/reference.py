@@ -19,10 +19,12 @@ from .inputs import (
     FAINTEST,
     FRUSTUM_MARGIN,
     NEAR,
+    PLANE_BLUR,
     TILE,
     Blur,
     RenderInputs,
     RenderOutput,
+    Surface,
 )
 from .light import to_linear
 
@@ -40,13 +42,15 @@ class ProjectedGaussians:
     opacity: Tensor  # (V,)
     colour: Tensor  # (V, 3)
     depth: Tensor  # (V,)
+    slope: Tensor  # (V, 2) by how much its plane's depth changes per pixel, see `Surface`
+    normal: Tensor  # (V, 3) of the plane, camera frame
 
 
 def render(inputs: RenderInputs) -> RenderOutput:
     """Render all cameras; see `rasterize`."""
     means = inputs.means
     cameras, n = inputs.viewmats.shape[0], means.shape[0]
-    image, alpha, depth = [], [], []
+    image, alpha, depth, planes = [], [], [], []
     visible = torch.zeros(cameras, n, dtype=torch.bool, device=means.device)
     grad2d = torch.zeros(cameras, n, dtype=torch.float32, device=means.device)
     max_weight, weight_sum = means.new_zeros(n), means.new_zeros(n)
@@ -54,22 +58,26 @@ def render(inputs: RenderInputs) -> RenderOutput:
         splats = project(inputs, c)
         visible[c, splats.index] = True
         record_grad2d(splats, grad2d[c], inputs.width, inputs.height)
-        colours, opacity, depths, largest, sums = blend(inputs, splats, c)
+        colours, opacity, depths, largest, sums, surface = blend(inputs, splats, c)
         image.append(colours)
         alpha.append(opacity)
         depth.append(depths)
+        planes.append(surface)
         max_weight[splats.index] = torch.maximum(max_weight[splats.index], largest)
         weight_sum[splats.index] += sums
     # zero, but a function of the parameters: `backward` also works if no Gaussian is visible
     nothing = sum(p[:0].sum() for p in inputs.parameters)
+    opacities = torch.stack(alpha)
+    shown = Surface.of(torch.stack(planes) + nothing, opacities) if inputs.with_surface else None
     return RenderOutput(
         image=torch.stack(image) + nothing,
-        alpha=torch.stack(alpha),
+        alpha=opacities if inputs.with_surface else opacities.detach(),
         visible=visible,
         grad2d=grad2d,
         depth=torch.stack(depth) if inputs.with_depth else None,
         max_weight=max_weight if inputs.with_max_weight else None,
         weight_sum=weight_sum if inputs.with_weight_sum else None,
+        surface=shown,
     )
 
 
@@ -90,14 +98,16 @@ def project(inputs: RenderInputs, camera: int) -> ProjectedGaussians:
         index = index[torch.sort(fields[4][index], stable=True).indices]
     # Only the kept rows are projected again with gradients: a culled row's NaN or Inf times a zero
     # gradient would be NaN in the backward pass.
-    mean2d, covariance, opacity, colour, depth = project_all(inputs, camera, index)
+    mean2d, covariance, opacity, colour, depth, slope, normal = project_all(inputs, camera, index)
     return ProjectedGaussians(
         index=index,
         mean2d=mean2d,
         covariance=covariance,
         opacity=opacity,
         colour=colour,
-        depth=depth.detach(),
+        depth=depth,
+        slope=slope,
+        normal=normal,
     )
 
 
@@ -120,7 +130,7 @@ def within(inputs: RenderInputs, camera: int, means2d: Tensor) -> Tensor:
 
 
 def project_all(inputs: RenderInputs, camera: int, index: Tensor) -> tuple[Tensor, ...]:
-    """mean2d (V, 2), covariance (V, 3), opacity (V,), colour (V, 3), depth (V,) of some rows."""
+    """mean2d, covariance, opacity, colour, depth, slope and normal of some rows, V each."""
     means, quats, scales, opacities, sh = (p[index] for p in inputs.parameters)
     if inputs.raw:
         scales, opacities = scales.exp(), opacities.sigmoid()
@@ -131,7 +141,8 @@ def project_all(inputs: RenderInputs, camera: int, index: Tensor) -> tuple[Tenso
     M = (
         rotation_matrices(quats / quats.norm(dim=-1, keepdim=True)) * scales[:, None, :]
     )  # (V, 3, 3); Sigma = M M^T, 3DGS eq. 6
-    U = jacobian(t, K, inputs.width, inputs.height) @ rotation @ M  # (V, 2, 3)
+    J = jacobian(t, K, inputs.width, inputs.height)
+    U = J @ rotation @ M  # (V, 2, 3)
     sharp = torch.stack(
         [(U[:, 0] ** 2).sum(-1), (U[:, 0] * U[:, 1]).sum(-1), (U[:, 1] ** 2).sum(-1)], dim=-1
     )  # Sigma' = J W Sigma W^T J^T, 3DGS eq. 5
@@ -144,7 +155,21 @@ def project_all(inputs: RenderInputs, camera: int, index: Tensor) -> tuple[Tenso
     colour = (colour + 0.5).clamp(min=0.0)
     if inputs.linear_light:
         colour = to_linear(colour)
-    return mean2d, covariance, opacities, colour, t[:, 2]
+    return mean2d, covariance, opacities, colour, t[:, 2], *plane(J, U, rotation[2] @ M)
+
+
+def plane(J: Tensor, U: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
+    """Slope (V, 2) and normal (V, 3) of planes (`Surface`); J and U = J W R S (V, 2, 3), w (V, 3).
+
+    Orthogonal to the normal m are the steps in the plane from pixel to pixel, and m . r = -1 for the
+    ray r = (x / z, y / z, 1) through the centre.
+    """
+    blurred = U @ U.mT + PLANE_BLUR * torch.eye(2).to(U)
+    slope = torch.linalg.solve(blurred, (U @ w[:, :, None])[..., 0])
+    per_depth = J.diagonal(dim1=-2, dim2=-1)  # focal / z
+    m, ray = per_depth * slope, -J[:, :, 2] / per_depth
+    normal = torch.cat([m, -1 - (m * ray).sum(-1, keepdim=True)], dim=-1)
+    return slope, torch.nn.functional.normalize(normal, dim=-1)
 
 
 def drawn_share(U: Tensor, blur: Blur) -> Tensor:
@@ -252,22 +277,25 @@ def active_pixels(inputs: RenderInputs) -> tuple[Tensor, Tensor]:
 
 def blend(
     inputs: RenderInputs, splats: ProjectedGaussians, camera: int
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Blend front to back (3DGS eq. 3).
 
-    Returns image (H, W, 3), alpha (H, W), depth (H, W), and each splat's largest weight and sum
-    of weights, (V,) each.
+    Returns image (H, W, 3), alpha (H, W), depth (H, W), each splat's largest weight and sum
+    of weights, (V,) each, and the planes (5, H, W) of `Surface.of`.
     """
     image = inputs.background.expand(inputs.height, inputs.width, 3).clone()
     alpha, depth = image.new_zeros(image.shape[:2]), image.new_zeros(image.shape[:2])
+    surface = image.new_zeros(5, *image.shape[:2])
     largest, weight_sum = (image.new_zeros(len(splats.index)) for _ in range(2))
     chunks = (torch.split(axis, PIXELS_AT_ONCE) for axis in active_pixels(inputs))
     for place in zip(*chunks, strict=True):
-        weights, left = blending_weights(splats, torch.stack(place[::-1], -1).to(image) + 0.5)
+        pixels = torch.stack(place[::-1], -1).to(image) + 0.5
+        weights, left = blending_weights(splats, pixels)
         image[place] = weights @ splats.colour + left[:, None] * inputs.background
+        alpha[place] = total = 1 - left
+        if inputs.with_surface:
+            surface[:, *place] = blended_planes(splats, weights, pixels)
         with torch.no_grad():
-            total = 1 - left
-            alpha[place] = total
             if inputs.with_depth == "median":
                 depth[place] = median_depth(weights, total, splats.depth)
             else:
@@ -278,7 +306,17 @@ def blend(
             weight_sum += counts @ weights
             if len(place[0]):
                 largest = torch.maximum(largest, weights.amax(dim=0))
-    return image, alpha, depth, largest, weight_sum
+    return image, alpha, depth, largest, weight_sum, surface
+
+
+def blended_planes(splats: ProjectedGaussians, weights: Tensor, pixels: Tensor) -> Tensor:
+    """(5, P) of `Surface.of`, for weights (P, V) and pixel centres (P, 2)."""
+    depth = splats.depth + ((pixels[:, None] - splats.mean2d) * splats.slope).sum(-1)  # (P, V)
+    weights_so_far = weights.detach().cumsum(dim=1)
+    after = (weights_so_far < 0.5).sum(dim=1, keepdim=True)  # splats in front of the median
+    padded = torch.cat([depth, depth.new_zeros(len(depth), 1)], dim=1)
+    median = padded.gather(1, after)[:, 0]
+    return torch.cat([torch.stack([(weights * depth).sum(1), median]), (weights @ splats.normal).T])
 
 
 def blending_weights(splats: ProjectedGaussians, pixels: Tensor) -> tuple[Tensor, Tensor]:
