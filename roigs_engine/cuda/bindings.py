@@ -14,7 +14,8 @@ PIXELS = 256  # of a tile: threads of a block that blends
 GROUP = 128  # entries of a tile's list that a block walks with
 BUCKETS = 4  # of a group
 COLUMNS = 16  # of a splat
-MOMENTS = 9  # of a slot
+MOMENTS, PLANE_MOMENTS = 9, 6  # of a slot
+PLANE_COLUMNS = 8  # of a splat's plane
 ROWS = 128  # Gaussians of a block
 WARP = 32
 CAMERA_VALUES = 22  # floats of a camera that are read on the card
@@ -32,9 +33,25 @@ class Frame(ctypes.Structure):
         *(
             (name, _ADDRESS)
             for name in (
-                *("pose", "intrinsics", "background", "camera_values", "splats", "depths"),
+                *(
+                    "pose",
+                    "intrinsics",
+                    "background",
+                    "camera_values",
+                    "splats",
+                    "planes",
+                    "depths",
+                ),
                 *("pair_counts", "first_slot", "visible", "order", "ends", "void"),
-                *("short_tiles", "tiles", "ids", "moments", "slot_largest", "slot_sums"),
+                *(
+                    "short_tiles",
+                    "tiles",
+                    "ids",
+                    "moments",
+                    "plane_moments",
+                    "slot_largest",
+                    "slot_sums",
+                ),
             )
         ),
         ("pairs", ctypes.c_int64),
@@ -42,12 +59,13 @@ class Frame(ctypes.Structure):
             (name, _ADDRESS)
             for name in (
                 *("short_sorted", "sorted", "entries", "tile_begin", "group_begin", "reached"),
-                "checkpoints",
+                *("checkpoints", "surface_checkpoints"),
             )
         ),
         ("out", Outputs),
         ("median", _ADDRESS),
         ("image_gradient", _ADDRESS),
+        ("surface_gradient", _ADDRESS),
         ("gradients", Gradients),
         ("grad2d", _ADDRESS),
         ("tile_count", ctypes.c_int32),

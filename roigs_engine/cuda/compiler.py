@@ -26,7 +26,9 @@ from ..kernels.build import SOURCE_FOLDER as SHARED_FOLDER
 from ..kernels.library import refuse_others_code, user_cache
 
 FOLDER = Path(__file__).parent / "kernels"
-PROGRAMS = ("project.cu", "blend.cu", "weigh.cu", "gradient.cu", "backward.cu", "loss.cu")
+PROGRAMS = (
+    *("project.cu", "blend.cu", "weigh.cu", "gradient.cu", "surface.cu", "backward.cu", "loss.cu"),
+)
 SHARED = (
     "constants.h",
     "types.h",
@@ -35,10 +37,12 @@ SHARED = (
     "ellipses.h",
     "geometry.h",
     "geometry_gradient.h",
+    "plane.h",
 )
 KERNELS = (
     *("place_camera", "project", "list_tiles", "begin_tiles", "begin_groups"),
     *("blend", "median_depth", "weigh", "fold_weights", "gradient"),
+    *("project_planes", "blend_surface", "surface_gradient"),
     *("project_backward", "project_backward_adam", "loss", "loss_gradient", "loss_terms"),
 )
 """The names of all kernels."""

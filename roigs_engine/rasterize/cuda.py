@@ -21,6 +21,8 @@ from ..cuda.bindings import (
     GROUP,
     MOMENTS,
     PIXELS,
+    PLANE_COLUMNS,
+    PLANE_MOMENTS,
     ROWS,
     SHORT_TILES,
     WARP,
@@ -168,6 +170,13 @@ class CameraView:
             self.set(checkpoints=self.empty(self.groups, BUCKETS, PIXELS, 4))
         self.frame.out = bindings.Outputs(**{name: address(t) for name, t in outputs.items()})
         self.launch("blend", self.frame.tile_count, PIXELS)
+        if inputs.with_surface:
+            if inputs.is_trained:
+                shape = self.groups, BUCKETS, PIXELS, 4
+                self.set(surface_checkpoints=self.empty(*shape))
+            self.set(planes=self.empty(self.frame.gaussians.count, PLANE_COLUMNS))
+            self.launch_rows("project_planes")
+            self.launch("blend_surface", self.frame.tile_count, PIXELS)
         if median is not None:
             self.set(median=median)
             self.launch("median_depth", self.frame.tile_count, PIXELS)
@@ -176,12 +185,20 @@ class CameraView:
             self.launch("weigh", self.groups, GROUP)
             self.launch_rows("fold_weights")
 
-    def blend_backward(self, image: Tensor, gradient: Tensor, grad2d: Tensor) -> None:
-        self.set(image_gradient=gradient, grad2d=grad2d)
-        self.frame.out.image = address(image)
-        if self.pairs:
-            self.set(moments=self.empty(self.pairs, MOMENTS))
-            self.launch("gradient", self.groups, GROUP)
+    def blend_backward(
+        self, drawn: kernel_function.Outputs, gradients: kernel_function.Outputs, grad2d: Tensor
+    ) -> None:
+        surface = gradients.get("surface")
+        self.set(image_gradient=gradients["image"], surface_gradient=surface, grad2d=grad2d)
+        for name, tensor in drawn.items():
+            setattr(self.frame.out, name, address(tensor))
+        if not self.pairs:
+            return
+        self.set(moments=self.empty(self.pairs, MOMENTS))
+        self.launch("gradient", self.groups, GROUP)
+        if surface is not None:
+            self.set(plane_moments=self.empty(self.pairs, PLANE_MOMENTS))
+            self.launch("surface_gradient", self.groups, GROUP)
 
     def project_backward(self, targets: list[Tensor | None]) -> None:
         self.frame.gradients = bindings.Gradients(*map(address, targets))

@@ -77,7 +77,9 @@ class Surface(NamedTuple):
     """
 
     depth: Tensor  # (C, H, W) along z, sum(w z) / sum(w) with z of the planes; 0: nothing is there
-    median: Tensor  # (C, H, W) of the Gaussian behind which less than half of the light is left, or 0
+    median: (
+        Tensor  # (C, H, W) of the Gaussian behind which less than half of the light is left, or 0
+    )
     normal: Tensor  # (C, H, W, 3) camera frame, sum(w n): as long as alpha, at most
 
     @classmethod

@@ -46,9 +46,17 @@ Begin = Callable[[RenderInputs, int, list[Tensor], Tensor], BackendView]
 def render(inputs: RenderInputs, begin: Begin) -> RenderOutput:
     """Render all cameras; see `rasterize`. Raises KernelError."""
     outputs = _KernelFunction.apply(begin, inputs, *inputs.parameters)  # type: ignore[no-untyped-call]
-    image, alpha, planes, *others = outputs
-    surface = None if planes is None else Surface.of(planes, alpha)
-    return RenderOutput(image.permute(0, 2, 3, 1), alpha, *others, surface)  # planar until here
+    image, alpha, planes, visible, grad2d, depth, max_weight, weight_sum = outputs
+    return RenderOutput(
+        image=image.permute(0, 2, 3, 1),  # planar until here
+        alpha=alpha,
+        visible=visible,
+        grad2d=grad2d,
+        depth=depth,
+        max_weight=max_weight,
+        weight_sum=weight_sum,
+        surface=None if planes is None else Surface.of(planes, alpha),
+    )
 
 
 class _KernelFunction(torch.autograd.Function):
@@ -64,7 +72,9 @@ class _KernelFunction(torch.autograd.Function):
         views, outputs = _drawn(begin, inputs, parameters)
         image, alpha, planes, *statistics = outputs
         ctx.begin, ctx.inputs, ctx.views, ctx.grad2d = begin, inputs, views, statistics[1]
-        ctx.save_for_backward(image, *((None, None) if planes is None else (alpha, planes)), *parameters)
+        ctx.save_for_backward(
+            image, *((None, None) if planes is None else (alpha, planes)), *parameters
+        )
         others = [alpha, *statistics] if planes is None else statistics
         ctx.mark_non_differentiable(*(t for t in others if t is not None))
         ctx.set_materialize_grads(False)

@@ -161,8 +161,8 @@ def project_all(inputs: RenderInputs, camera: int, index: Tensor) -> tuple[Tenso
 def plane(J: Tensor, U: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
     """Slope (V, 2) and normal (V, 3) of planes (`Surface`); J and U = J W R S (V, 2, 3), w (V, 3).
 
-    Orthogonal to the normal m are the steps in the plane from pixel to pixel, and m . r = -1 for the
-    ray r = (x / z, y / z, 1) through the centre.
+    Orthogonal to the normal m are the steps in the plane from pixel to pixel, and m . r = -1 for
+    the ray r = (x / z, y / z, 1) through the centre.
     """
     blurred = U @ U.mT + PLANE_BLUR * torch.eye(2).to(U)
     slope = torch.linalg.solve(blurred, (U @ w[:, :, None])[..., 0])

@@ -87,6 +87,7 @@ CASES: dict[str, dict[str, Any]] = {
     "rectangle": {"mask": (20, 20, 40, 30), "background": BACKGROUND},
     "mask": {"mask": ring(), "background": BACKGROUND, "with_depth": True},
     "depth": {"with_depth": True},
+    "surface": {"with_surface": True, "mask": ring(), "background": BACKGROUND},
     "pixel size": {"pixel_size": 2.0},
     "anti-aliased": {"antialiased": True},
     "linear light": {"linear_light": True, "background": BACKGROUND},
@@ -123,15 +124,23 @@ def differentiate(
     height: int,
     **options: Any,
 ) -> tuple[RenderOutput, list[Tensor]]:
-    """A rendering, and the parameters' gradients of a random linear function of its image."""
+    """A rendering, and the parameters' gradients of a random linear function of its image.
+
+    And of its alpha and surface, if it has one.
+    """
     key = _content((dtype, parameters, views, intrinsics, width, height, options))
     if backend == "reference" and key in _REFERENCES:  # slow, and asked for by each test of a case
         return _REFERENCES[key]
     leaves = [p.to(dtype, copy=True).requires_grad_() for p in parameters]
     cameras = views.to(dtype), intrinsics.to(dtype)
     output = rasterize(*leaves, *cameras, width, height, backend=backend, **options)
-    weights = torch.randn(output.image.shape, generator=torch.Generator().manual_seed(1))
-    (output.image * weights.to(dtype)).sum().backward()
+    shown = (
+        [output.image] if output.surface is None else [output.image, output.alpha, *output.surface]
+    )
+    generator = torch.Generator().manual_seed(1)
+    weights = [torch.randn(each.shape, generator=generator).to(dtype) for each in shown]
+    sums = [(each * weight).sum() for each, weight in zip(shown, weights, strict=True)]
+    torch.stack(sums).sum().backward()
     result = output, [p.grad for p in leaves if p.grad is not None]
     if backend == "reference":
         _REFERENCES[key] = result

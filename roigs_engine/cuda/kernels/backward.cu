@@ -3,6 +3,7 @@
 #include "frame.h"
 #include "geometry_gradient.h"
 #include "light.h"
+#include "plane.h"
 #include "sh.h"
 
 namespace roigs {
@@ -38,24 +39,43 @@ __device__ void colour_gradient(const Frame& f, const Camera& camera, int64_t n,
         row.mean[k] += (d[k] - along * direction[k]) * inverse_distance;
 }
 
+// Adds the gradients through the plane to the row, and to `d`.
+__device__ void add_plane_gradient(const Camera& camera, const Geometry& g,
+                                   const float (&moments)[16], Gradient2d& d, RowGradient& row) {
+    Gradient2d own = {};
+    const PlaneGradient plane = plane_gradient(camera, g, moments, own);
+    float dT[2][3];
+    RowGradient more;
+    covariance_gradient(camera, g, own, &plane, more.scale, more.quat, dT);
+    centre_gradient(camera, g, own, &plane, dT, more.mean);
+    for (int k = 0; k < 3; ++k) row.scale[k] += more.scale[k], row.mean[k] += more.mean[k];
+    for (int k = 0; k < 4; ++k) row.quat[k] += more.quat[k];
+    d.x += own.x;
+    d.y += own.y;
+}
+
 // False: no pixel gives it a gradient.
 __device__ bool row_gradient(const Frame& f, int64_t n, RowGradient& row) {
     float moments[16] = {};
     const int64_t first = f.first_slot[n];
     for (int i = 0; i < f.pair_counts[n]; ++i)
         for (int k = 0; k < kMoments; ++k) moments[k] += f.moments[(first + i) * kMoments + k];
+    for (int i = 0; f.plane_moments && i < f.pair_counts[n]; ++i)
+        for (int k = 0; k < kPlaneMoments; ++k)
+            moments[kMoments + k] += f.plane_moments[(first + i) * kPlaneMoments + k];
     bool has_gradient = false;
-    for (int k = 0; k < kMoments; ++k) has_gradient |= moments[k] != 0.0f;  // NaN is not zero
+    for (int k = 0; k < kSurfaceMoments; ++k) has_gradient |= moments[k] != 0.0f;  // NaN is not zero
     if (!has_gradient) return false;
     const int32_t id = int32_t(n);
     const Camera camera = f.camera();
     Geometry g;
     project_centres(f.gaussians, camera, &id, g);
     project_shapes(f.gaussians, camera, &id, g);
-    const Gradient2d d = unwhiten(camera, g, moments);
+    Gradient2d d = unwhiten(camera, g, moments);
     float dT[2][3];
-    covariance_gradient(g, d, row.scale, row.quat, dT);
-    centre_gradient(camera, g, d, dT, row.mean);
+    covariance_gradient(camera, g, d, nullptr, row.scale, row.quat, dT);
+    centre_gradient(camera, g, d, nullptr, dT, row.mean);
+    if (f.plane_moments) add_plane_gradient(camera, g, moments, d, row);
     colour_gradient(f, camera, n, g, moments, row);
     row.opacity[0] =
         f.gaussians.raw ? moments[kS] * (1.0f - g.opacity) : moments[kS] / g.opacity;

@@ -4,6 +4,8 @@
 //     place_camera, project, list_tiles, begin_tiles, begin_groups, blend, [median_depth],
 //     [weigh, fold_weights], [gradient, project_backward or project_backward_adam]
 //
+// with a surface project_planes and blend_surface behind blend, and surface_gradient behind gradient.
+//
 // A (Gaussian, tile) pair has a slot: those of one Gaussian are neighbours. What a tile finds out
 // about a Gaussian is stored there and summed later, so no two threads ever add to one place: the
 // same view gives the same bits each time.
@@ -21,6 +23,9 @@ constexpr int kGroup = 128;             // .. and of a block, whose warps share 
 constexpr int kColumns = 16;            // of a splat, in the order of Splat in kernels/view.h
 constexpr int kParameters = 5;          // means, quats, scales, opacities, sh
 
+constexpr int kPlaneColumns = 8;        // of a splat's plane, in the order of SplatPlane there
+constexpr int kPlaneMoments = kSurfaceMoments - kMoments;
+
 enum Column { kX, kY, kL11, kL21, kL22, kLog2Opacity, kSlopeY, kSlopeX, kColour, kDepth = 11,
               kReachX, kReachY };
 
@@ -33,6 +38,7 @@ struct Frame {
     float* camera_values;        // (22,) pose, eye, intrinsics, background: no copy to wait for
     // of each Gaussian
     float* splats;           // (N, kColumns)
+    float* planes;           // (N, kPlaneColumns)
     float* depths;           // (N,) infinity: not drawn
     int32_t* pair_counts;    // (N,) slots
     int32_t* first_slot;     // (N,)
@@ -45,6 +51,7 @@ struct Frame {
     int32_t* tiles;          // .. where there are too many tiles for it, this one
     int32_t* ids;            // (pairs,) its Gaussian
     float* moments;          // (pairs, kMoments)
+    float* plane_moments;    // (pairs, kPlaneMoments) null: no gradient of a surface
     float* slot_largest;     // (pairs,) largest weight
     float* slot_sums;        // (pairs,) sum of weights
     // of each tile's list
@@ -57,10 +64,12 @@ struct Frame {
     int32_t* reached;            // (tiles,) entries looked at until every pixel was opaque
     float4* checkpoints;         // (groups, kGroup / kBucket, kPixels) transmittance and colour in
                                  // front of each bucket; null: nobody will walk
+    float4* surface_checkpoints; // the same of depth and normal
     // images
     Outputs out;                 // pixel_weights, max_weight and weight_sum are for `weigh`
     float* median;               // (H, W)
     const float* image_gradient; // (3, H, W)
+    const float* surface_gradient;  // (6, H, W), OutputGradients
     // of the backward pass
     Gradients gradients;
     float* grad2d;               // (N,)

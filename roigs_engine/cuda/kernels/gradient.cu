@@ -32,10 +32,12 @@ extern "C" __global__ void __launch_bounds__(kGroup) gradient(const Frame f) {
     }
     float sum[kMoments] = {};
     const int bucket = int(blockIdx.x) * (kGroup / kBucket) + int(threadIdx.x) / kBucket;
-    const auto behind = [](const float4& pixel, const float4& c) {
+    const auto behind = [&](int p, const float4& c) {
+        const float4& pixel = pixels[p];
         return pixel.w - (c.y * pixel.x + c.z * pixel.y + c.w * pixel.z);
     };
-    const auto visit = [&](const Sample& at, const float4& pixel, float left, float& state) {
+    const auto visit = [&](const Sample& at, int p, float left, float& state) {
+        const float4& pixel = pixels[p];
         const float weight = at.alpha * left;
         const float colour = pixel.x * s.red + pixel.y * s.green + pixel.z * s.blue;
         state -= weight * colour;
@@ -53,7 +55,7 @@ extern "C" __global__ void __launch_bounds__(kGroup) gradient(const Frame f) {
         sum[kGreen] += weight * pixel.y;
         sum[kBlue] += weight * pixel.z;
     };
-    if (group.is_blended) walk(f, group, bucket, s, pixels, behind, visit);
+    if (group.is_blended) walk(f, group, bucket, s, behind, visit);
     if (group.is_there)
         for (int k = 0; k < kMoments; ++k) f.moments[slot * kMoments + k] = sum[k];
 }

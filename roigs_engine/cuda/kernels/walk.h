@@ -37,13 +37,12 @@ struct Group {
     }
 };
 
-// Walks; all lanes of a warp together. `pixels` is what visit gets of each pixel; `behind(pixel,
-// checkpoint)` makes the state that is passed on beside the transmittance.
-// visit(sample, pixels[..], transmittance, state) is called where the Gaussian is drawn, and changes
-// the state; the transmittance is changed here.
+// Walks; all lanes of a warp together. `behind(pixel, checkpoint)` makes the state that is passed on
+// beside the transmittance. visit(sample, pixel, transmittance, state) is called where the Gaussian is
+// drawn, and changes the state; the transmittance is changed here.
 template <class Behind, class Visit>
 __device__ void walk(const Frame& f, const Group& group, int bucket, const LocalSplat& s,
-                     const float4* pixels, const Behind& behind, const Visit& visit) {
+                     const Behind& behind, const Visit& visit) {
     const int lane = int(threadIdx.x) % kBucket;
     const float4* checkpoint = f.checkpoints + int64_t(bucket) * kPixels;
     const float least = f.shape.min_transmittance;
@@ -55,7 +54,7 @@ __device__ void walk(const Frame& f, const Group& group, int bucket, const Local
             if (pixel < kPixels) {
                 const float4 c = checkpoint[pixel];
                 next_left = c.x;
-                next_state = behind(pixels[pixel], c);
+                next_state = behind(pixel, c);
             }
         }
         const float first_left = __shfl_sync(kAllLanes, next_left, step % kBucket);
@@ -71,7 +70,7 @@ __device__ void walk(const Frame& f, const Group& group, int bucket, const Local
             continue;
         const Sample sample(s, pixel);
         if (sample.alpha == 0.0f) continue;
-        visit(sample, pixels[pixel], left, state);
+        visit(sample, pixel, left, state);
         left -= sample.alpha * left;
     }
 }

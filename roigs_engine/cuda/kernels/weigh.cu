@@ -22,13 +22,13 @@ extern "C" __global__ void __launch_bounds__(kGroup) weigh(const Frame f) {
     }
     float largest = 0.0f, sum = 0.0f;
     const int bucket = int(blockIdx.x) * (kGroup / kBucket) + int(threadIdx.x) / kBucket;
-    const auto behind = [](const float4&, const float4&) { return 0.0f; };
-    const auto visit = [&](const Sample& at, const float4& pixel, float left, float&) {
+    const auto behind = [](int, const float4&) { return 0.0f; };
+    const auto visit = [&](const Sample& at, int pixel, float left, float&) {
         const float weight = at.alpha * left;
         largest = fmaxf(largest, weight);
-        sum += weight * pixel.x;
+        sum += weight * pixels[pixel].x;
     };
-    if (group.is_blended) walk(f, group, bucket, s, pixels, behind, visit);
+    if (group.is_blended) walk(f, group, bucket, s, behind, visit);
     if (!group.is_there) return;
     f.slot_largest[slot] = largest;
     f.slot_sums[slot] = sum;

@@ -47,6 +47,9 @@ def agree(ours: RenderOutput, truth: RenderOutput, errors: dict[str, float]) -> 
         if expected is not None and getattr(ours, name) is not None:
             scale = 10.0 if name == "depth" else 1.0  # depths are about 4
             assert largest_difference(getattr(ours, name), expected) < scale * TOLERANCE, name
+    if ours.surface is not None and truth.surface is not None:
+        for part, expected in zip(ours.surface, truth.surface, strict=True):
+            assert largest_difference(part, expected) < 10 * TOLERANCE
     if ours.weight_sum is not None and truth.weight_sum is not None:
         assert relative_error(ours.weight_sum, truth.weight_sum) < TOLERANCE
     assert relative_error(ours.grad2d, truth.grad2d) < TOLERANCE
@@ -63,6 +66,8 @@ CASES: dict[str, dict[str, Any]] = {
     "pixel size": {"pixel_size": 2.0, **OUTPUTS},
     "linear light": {"linear_light": True, "background": BACKGROUND, **OUTPUTS},
     "raw, pixel size": {"pixel_size": 2.0, "raw": True},
+    "surface": {"with_surface": True, **OUTPUTS},
+    "raw, masked surface": {"with_surface": True, "raw": True, "mask": ring()},
 }
 
 
