@@ -86,14 +86,12 @@ def rasterize(
     """Render N Gaussians for C cameras; `image` is differentiable in the first five arguments.
 
     With `backward_step` (one camera), `backward` is called once, and leaves no gradients.
-    EngineError: the arguments do not fit together. KernelError: too many pairs of Gaussians and
-    tiles for the kernels or the memory, or the backend cannot be used.
+    EngineError: the arguments do not fit. KernelError: too large a view, or no such backend here.
     """
     parameters = (means, quats, scales, opacities, sh)
     check_inputs(parameters, viewmats, Ks, width, height)
     backend = _chosen(backend, parameters)
-    if backward_step is not None:
-        check_backward_step(backward_step, parameters, len(viewmats), backend)
+    check_backward_step(backward_step, parameters, len(viewmats), backend)
     active, shape = active_tiles(width, height, mask), (len(viewmats), height, width)
     inputs = RenderInputs(
         parameters=parameters,

@@ -220,9 +220,11 @@ def check_inputs(
 
 
 def check_backward_step(
-    step: BackwardStep, parameters: tuple[Tensor, ...], cameras: int, backend: str
+    step: BackwardStep | None, parameters: tuple[Tensor, ...], cameras: int, backend: str
 ) -> None:
-    """Raise EngineError unless a backward pass can take this step."""
+    """Raise EngineError unless a backward pass can take this step, if there is one."""
+    if step is None:
+        return
     trained = step.tensors
     if len(trained) != len(parameters) or any(
         a is not b for a, b in zip(trained, parameters, strict=True)
