@@ -295,7 +295,7 @@ class RoigsScene(bpy.types.PropertyGroup):
         min=0.0,
         max=1.0,
         precision=2,
-        description="How much of the view shows the photo. Or drag the line in the view",
+        description="Share of the view that shows the photo. Or drag the line in the view",
     )
     known_length: FloatProperty(
         name="Length",

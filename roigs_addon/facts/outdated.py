@@ -21,25 +21,23 @@ def in_words(scene: bpy.types.Scene, status: RunStatus) -> str:
     """What has changed since the training, and what Train does about it; empty if nothing has."""
     names, then, now = _settings(scene, status)
     parts = []
-    if names == ["max_side"]:
-        parts.append(f"Trained at {then.max_side} px; the settings now say {now.max_side} px")
-    elif names == ["recipe"]:
+    if names == ["recipe"]:
         parts.append("Trained by an earlier version, whose preset had other settings")
     elif names:
         told = run_settings.in_words(then, names), run_settings.in_words(now, names)
-        parts.append("Trained with {}; the settings now say {}".format(*told))
+        parts.append("Last training: {}. Now: {}".format(*told))
     if boxes := run_facts.changed_boxes(scene, status):
         parts.append(f"Changed since training: {', '.join(boxes)}")
     if lists := list(_changed_lists(scene, status)):
-        parts.append(f"Other photos chosen since training: {', '.join(lists)}")
+        parts.append(f"Photo list changed since training: {', '.join(lists)}")
     if not parts:
         return ""
     whole = any(name not in BOX_SETTINGS for name in names)
     if whole and names != ["recipe"] and _is_known(scene, now):
-        return f"{'. '.join(parts)}: Train uses the earlier result where it still fits"
+        return f"{'. '.join(parts)}. Train reuses the earlier result where it still fits"
     whole = whole or bool(then.test_every) or then.strategy != "joint"
     what = "Train starts again" if whole else "Train repeats the boxes"
-    return f"{'. '.join(parts)}: {what}{_time(status, then, now, whole=whole)}"
+    return f"{'. '.join(parts)}. {what}{_time(status, then, now, whole=whole)}"
 
 
 def renamed(scene: bpy.types.Scene, status: RunStatus) -> dict[str, str]:

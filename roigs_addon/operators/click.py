@@ -70,7 +70,7 @@ class ClickGaussians(bpy.types.Operator):
 
 
 class PlaceCursor(bpy.types.Operator):
-    """Set the 3D cursor on the surface under the mouse, of Gaussians too"""
+    """Set the 3D cursor on the surface under the mouse, also that of Gaussians"""
 
     bl_idname = "roigs.place_cursor"
     bl_label = "Set 3D Cursor on Gaussians"

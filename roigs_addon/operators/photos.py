@@ -122,7 +122,7 @@ class ExcludePhotos(bpy.types.Operator):
 
 
 class IncludePhotos(bpy.types.Operator):
-    """Use excluded photos again; cameras that were deleted come back"""
+    """Use excluded photos again, and bring back cameras that you deleted"""
 
     bl_idname = "roigs.include_photos"
     bl_label = "Include Photos"

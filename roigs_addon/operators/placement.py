@@ -73,7 +73,7 @@ class PlaceTool(PickTool):
 
 
 class SetFloor(PlaceTool):
-    """Make a plane the floor: click three points on it, or select more of them in edit mode"""
+    """Level the scene: click three points on its floor, or select more of them in edit mode"""
 
     bl_idname = "roigs.set_floor"
     bl_label = "Set Floor"
@@ -146,7 +146,7 @@ class SetFloor(PlaceTool):
 
 
 class SetScale(PlaceTool):
-    """Give the scene its true size by two points, clicked or selected in edit mode"""
+    """Give the scene its true size: click two points, or select them in edit mode"""
 
     bl_idname = "roigs.set_scale"
     bl_label = "Set Scale"

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class ImportColmap(BrowsingOperator, ImportHelper):  # type: ignore[misc] # the stub's mixin
-    """Import where photos were taken, the photos and the points: the folder of a COLMAP project"""
+    """Import cameras, photos and points from the folder of a COLMAP project"""
 
     bl_idname = "roigs.import_colmap"
     bl_label = "Import Cameras (COLMAP)"
@@ -70,7 +70,7 @@ class ImportColmap(BrowsingOperator, ImportHelper):  # type: ignore[misc] # the 
 
 
 class RefineCameras(EngineOperator):
-    """Fit the cameras again, with a better lens model: results become sharper"""
+    """Improve the cameras with a better lens model, for sharper results"""
 
     bl_idname = "roigs.refine_cameras"
     bl_label = "Refine Cameras"
@@ -98,7 +98,7 @@ def _is_refined(folder: Path) -> bool:
 
 
 class LookThrough(bpy.types.Operator):
-    """Look through this photo's camera, with its resolution and with the photo behind the view"""
+    """Look through this photo's camera, at its resolution, with the photo beside the Gaussians"""
 
     bl_idname = "roigs.look_through"
     bl_label = "Look Through"

@@ -276,7 +276,7 @@ def _file(mesh: bpy.types.Mesh, uid: int, *, held: bool) -> str | None:
         return str(path)
     found = cloud_of(mesh)
     if found is None:
-        how = "drawn as it was imported" if held else "not drawn, because its PLY is gone"
+        how = "drawn as it was imported" if held else "not drawn, because its PLY file is missing"
         raise AddonError(f"'{mesh.name}' is {how}: its points lack attributes of Gaussians.")
     cloud, applied = found
     if state != mesh[MARK]:

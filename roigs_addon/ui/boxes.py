@@ -59,7 +59,7 @@ def _describe(layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.type
     points, photos = found
     if not points:
         if lookup.points(scene) is not None:  # else step 1 says what is missing
-            show.wrong(layout, "Empty: no sparse points are in it. Move or enlarge it")
+            show.wrong(layout, "Empty: no sparse points inside. Move or enlarge it")
         return
     seen = "" if photos is None else f", seen in {text.counted(photos, 'photo')}"
     show.done(layout, f"{text.counted(points, 'point')}{seen}")

@@ -39,7 +39,7 @@ class CleanUpPanel(SidebarPanel):
         """The tools, then what is selected."""
         layout, items = layout_of(self), point_edits.targets(context)
         chosen = [item for item in items if item.select_get()]
-        names = ", ".join(item.name for item in chosen) or "all visible ones"
+        names = ", ".join(item.name for item in chosen) or "all visible Gaussians"
         show.say(layout, f"Works on {names}", "INFO")
         column = layout.column(align=True)
         for label, where in (("Outside boxes", "OUTSIDE"), ("Inside active box", "INSIDE")):
@@ -54,7 +54,7 @@ class CleanUpPanel(SidebarPanel):
             label = f"Delete {count:,} Selected"
             row.operator(DeleteChosen.bl_idname, text=label, icon="TRASH")
             row.operator(ForgetChosen.bl_idname, text="", icon="X")
-        show.say(layout, "Brightness and tint: select one, then Look", "BLANK1")
+        show.say(layout, "For brightness and tint, click one and open Look", "BLANK1")
 
 
 def _pair(

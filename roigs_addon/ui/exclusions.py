@@ -40,7 +40,7 @@ def weak(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     names = weak_photos.used(scene)
     if not names:
         return
-    show.wrong(layout, f"The camera may be wrong (fewer than {rule.FEWEST_OBSERVED} points):")
+    show.wrong(layout, f"Perhaps misplaced (fewer than {rule.FEWEST_OBSERVED} points):")
     column = layout.column(align=True)
     for name in names[:MOST_WEAK]:
         label = f"Exclude {photo_names.short_name(scene, name)}"

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import IconItems
 
 
-PURPOSE = "The engine, which trains and renders, is a program of its own: set it up once"
-NEXT = "Next: the sidebar of a 3D view (N), tab ROI-GS"
+PURPOSE = "Training and rendering need the engine, a separate program. Set it up once"
+NEXT = "Next: open the sidebar of a 3D view (N), tab ROI-GS"
 
 
 def _full_path(name: str) -> Callable[[RoigsPreferences, bpy.types.Context], None]:
@@ -82,13 +82,13 @@ class RoigsPreferences(bpy.types.AddonPreferences):
     cluster: StringProperty(
         name="Address",
         default=settings.NEAR,
-        description="Of the Ray cluster: ray://HOST:10001, or auto for the one that this computer"
-        " is part of. Its machines must see the photos and the run folder under the same paths",
+        description="Address of the Ray cluster: ray://HOST:10001, or auto if this computer is part"
+        " of it. All its machines must see the photos and the run folder under the same paths",
     )
     cache: StringProperty(
         name="Cache Folder",
         subtype="DIR_PATH",
-        description="For imported models and the runs of unsaved files (empty: the user's folder)",
+        description="For imported models and the runs of unsaved files (empty: in your account)",
         update=_full_path("cache"),
     )
     preview_seconds: FloatProperty(
@@ -101,7 +101,7 @@ class RoigsPreferences(bpy.types.AddonPreferences):
     build: EnumProperty(
         name="Build",
         items=BUILDS,
-        description="Which torch to install. Training on a GPU needs only NVIDIA's driver besides",
+        description="Which build of torch to install. A GPU needs only NVIDIA's driver in addition",
     )
     formats: BoolProperty(
         name="File Formats",

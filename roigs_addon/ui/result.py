@@ -77,10 +77,10 @@ class ResultPanel(SidebarPanel):
             show.wrong(layout, problem if named else f"{Path(path).name}: {problem}")
         # While it trains, the engine moves files aside.
         if not current.busy() and (lost := len(run_facts.lost_splats(scene))):
-            verb = "are" if lost > 1 else "is"
+            verb, files = ("are", "files are") if lost > 1 else ("is", "file is")
             said = f"{text.counted(lost, 'model')} {verb} drawn from the .blend"
             flat = ", without view-dependent colour" if carried.is_left_out(scene) else ""
-            show.say(layout, f"{said}{flat}: the PLY is gone", "INFO")
+            show.say(layout, f"{said}{flat}: the PLY {files} missing", "INFO")
             layout.operator(FindFolder.bl_idname, icon="FILE_FOLDER")
         if not current.busy():
             _draw_made_for(layout, scene)
@@ -108,7 +108,7 @@ def _draw_made_for(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
         button.made_for = wanted.name
     if other := made_for.in_other_light(scene):
         name, target = other
-        show.wrong(layout, f"'{name}' is made for {target.title}, but drawn as most others are")
+        show.wrong(layout, f"'{name}' is made for {target.title}, but drawn like the others")
 
 
 def _draw_objects(
@@ -215,7 +215,7 @@ def _draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     if last.psnr:
         sides.add(last.settings.max_side)
     if len(sides) > 1:
-        show.say(layout, "Compare PSNR of one photo size only", "INFO")
+        show.say(layout, "Compare PSNR only at the same photo size", "INFO")
     for result in results:
         made = time.strftime("%d %b %Y, %H:%M", time.localtime(result.made))
         title = run_settings.title(result.settings)

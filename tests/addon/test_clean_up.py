@@ -308,7 +308,7 @@ def test_the_panel(blender: ModuleType, scene) -> None:
     from tests.addon.panels import said
 
     assert CleanUpPanel.poll(blender.context)
-    assert "Works on all visible ones" in " ".join(said(blender, CleanUpPanel))
+    assert "Works on all visible Gaussians" in " ".join(said(blender, CleanUpPanel))
     blender.ops.roigs.select_gaussians(name="Background")
     blender.ops.roigs.choose_by_look(opacity=1.0)
     words = " ".join(said(blender, CleanUpPanel))

@@ -57,15 +57,13 @@ def test_what_is_trained_says_so(blender: ModuleType, trained) -> None:
     assert any(text.startswith("Trained: ") for text in said(blender, TrainPanel))
     scene.roigs.max_side = 16
     texts = " ".join(said(blender, TrainPanel))
-    assert "Trained: " not in texts and "the settings now say 16 px" in texts
+    assert "Trained: " not in texts and "Now: 16 px" in texts
 
 
 def test_another_photo_size(trained) -> None:
     scene, _ = trained
     scene.roigs.max_side = 16
-    assert words(scene) == (
-        "Trained at 32 px; the settings now say 16 px: Train starts again (about 2 min)"
-    )
+    assert words(scene) == ("Last training: 32 px. Now: 16 px. Train starts again (about 2 min)")
     scene.roigs.max_side = 640
     most = words(scene)  # the photos are no larger than that
     scene.roigs.max_side = 641
@@ -76,8 +74,7 @@ def test_several_settings(trained) -> None:
     scene, _ = trained
     scene.roigs.preset, scene.roigs.seed = "standard", 3
     assert words(scene) == (
-        "Trained with Draft, seed 0; the settings now say Standard, seed 3:"
-        " Train starts again (about 17 min)"
+        "Last training: Draft, seed 0. Now: Standard, seed 3. Train starts again (about 17 min)"
     )
 
 
@@ -107,7 +104,7 @@ def test_a_training_by_an_earlier_version(trained) -> None:
     manifest["config"] |= {"scene": {"steps": 2000}, "roi": {"steps": 4000, "made_for": "viewers"}}
     (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
     assert words(scene) == (
-        "Trained by an earlier version, whose preset had other settings: Train starts again"
+        "Trained by an earlier version, whose preset had other settings. Train starts again"
         " (about 8 min)"
     )
     manifest["config"]["roi"]["steps"] = 3000
@@ -118,7 +115,7 @@ def test_a_training_by_an_earlier_version(trained) -> None:
 def test_a_deleted_photo(blender: ModuleType, trained) -> None:
     scene, _ = trained
     blender.data.objects.remove(scene.objects["photo 3.png"])
-    assert "Trained with all photos; the settings now say without photo 3.png" in words(scene)
+    assert "Last training: all photos. Now: without photo 3.png" in words(scene)
 
 
 def test_boxes_and_lists(blender: ModuleType, trained) -> None:
@@ -126,11 +123,11 @@ def test_boxes_and_lists(blender: ModuleType, trained) -> None:
 
     scene, folder = trained
     blender.ops.roigs.edit_selection(action="ADD", photo="photo 2.png")
-    assert words(scene).startswith("Other photos chosen since training: thing: Train repeats")
+    assert words(scene).startswith("Photo list changed since training: thing. Train repeats")
     write(scene, folder, thing=["photo 2.png"])
     assert words(scene) == ""
     add_box(blender, "jug", (-0.5, -0.5, -0.5), (0.0, 0.1, 0.2))
-    assert words(scene).startswith("Changed since training: jug: Train repeats the boxes (about 6")
+    assert words(scene).startswith("Changed since training: jug. Train repeats the boxes (about 6")
     write(scene, folder, thing=["photo 2.png"])
     blender.data.objects.remove(scene.objects["jug"])
     assert words(scene).startswith("Changed since training: jug (removed)")
@@ -162,7 +159,7 @@ def test_an_earlier_result_with_these_settings(trained) -> None:
     write(scene, folder)
     (folder / "result.ply").touch()
     scene.roigs.max_side = 32
-    assert words(scene).endswith(": Train uses the earlier result where it still fits")
+    assert words(scene).endswith(". Train reuses the earlier result where it still fits")
 
 
 def test_undo_of_a_setting_is_seen(trained) -> None:
@@ -172,7 +169,7 @@ def test_undo_of_a_setting_is_seen(trained) -> None:
     write(scene, folder)
     assert words(scene) == ""
     scene.roigs.max_side = 32  # as undo does
-    assert "Trained at 16 px; the settings now say 32 px" in words(scene)
+    assert "Last training: 16 px. Now: 32 px" in words(scene)
 
 
 def test_a_stopped_training_says_it_too(blender: ModuleType, trained) -> None:

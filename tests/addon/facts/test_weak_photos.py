@@ -21,7 +21,7 @@ def test_they_are_named_until_they_are_excluded(
 
     scene, _ = run
     assert weak_photos.used(scene) == []
-    assert not any("may be wrong" in text for text in said(blender, ScenePanel))
+    assert not any("misplaced" in text for text in said(blender, ScenePanel))
     folder = tmp_path_factory.mktemp("weak") / "model"
     shutil.copytree(scene.roigs.model_cache, folder)
     starts = np.load(folder / "observed_starts.npy")
@@ -30,11 +30,11 @@ def test_they_are_named_until_they_are_excluded(
     scene.roigs.model_cache = str(folder)
     assert weak_photos.used(scene) == ["photo 2.png"]
     texts = said(blender, ScenePanel)
-    assert any(text.startswith("The camera may be wrong (fewer than 30") for text in texts)
+    assert any(text.startswith("Perhaps misplaced (fewer than 30") for text in texts)
     assert "Exclude 2" in texts or "Exclude photo 2" in texts
     blender.ops.roigs.exclude_photos(photo="photo 2.png")
     assert weak_photos.used(scene) == []
-    assert not any("may be wrong" in text for text in said(blender, ScenePanel))
+    assert not any("misplaced" in text for text in said(blender, ScenePanel))
 
 
 def test_a_model_without_observations_tells_nothing(blender: ModuleType, run) -> None:

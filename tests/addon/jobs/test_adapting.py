@@ -101,4 +101,4 @@ def test_what_is_drawn_in_another_light_is_named(blender: ModuleType, made, tmp_
     splats.show_imported(scene, path, "other", in_model=True)
     assert made_for.in_other_light(scene) == ("other", CYCLES)
     told = " ".join(said(blender, ResultPanel))
-    assert "'other' is made for Blender 5.3, Cycles, but drawn as most others are" in told
+    assert "'other' is made for Blender 5.3, Cycles, but drawn like the others" in told

@@ -157,7 +157,7 @@ def test_with_test_photos_the_result_is_measured(
     assert earlier.psnr == "" and earlier.settings.test_every == 0
     scene.roigs.test_every = 0
     text = outdated.in_words(scene, status(scene))
-    assert text.endswith(": Train uses the earlier result where it still fits")
+    assert text.endswith(". Train reuses the earlier result where it still fits")
 
 
 def test_a_stopped_training_resumes_to_the_same_bytes(

@@ -194,10 +194,10 @@ def test_psnr_of_other_sizes_is_not_compared(blender: ModuleType, run) -> None:
         return " ".join(said(blender, ResultPanel))
 
     assert "25.0 dB at 640 px on 1 test photo" in text()
-    assert "one photo size only" not in text()
+    assert "only at the same photo size" not in text()
     (earlier / "settings.json").write_text(json.dumps({"max_side": 320}))
     assert "25.0 dB at 320 px on 1 test photo" in text()
-    assert "one photo size only" in text()
+    assert "only at the same photo size" in text()
 
 
 def test_the_label_of_test_photos_says_what_the_number_is(
