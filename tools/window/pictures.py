@@ -86,6 +86,7 @@ def story(blender: Blender, out: Path, run: Path, max_side: int) -> None:
     blender.pause(2.0)
     picture("3-cameras", "1040x958+0+0")
 
+    blender.ask("bpy.context.scene.roigs.compare_photo = False")
     blender.ask("bpy.context.scene.camera.data.show_background_images = False")
     blender.click(blender.find("roigs.train_roi", x=0.3))
     blender.until(f"{STATE}.step > 1200", 3600)
@@ -94,6 +95,12 @@ def story(blender: Blender, out: Path, run: Path, max_side: int) -> None:
     blender.until(f"not {BUSY}", 3600)
     show_result(blender)
     picture("5-result")
+
+    blender.ask("view()['area'].spaces.active.overlay.show_overlays = True")
+    blender.ask("bpy.context.scene.roigs.compare_photo = True")
+    blender.scroll(-100)
+    blender.pause(5.0)
+    picture("15-compare", "1040x780+0+0")
 
     blender.screen.do("mousemove", *(str(side // 2) for side in SIZE))  # the window opens there
     blender.ask(PREFERENCES)
