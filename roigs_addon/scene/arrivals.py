@@ -11,7 +11,7 @@ import bpy
 
 from ..blender import following, persistent
 from ..properties import scene_props
-from . import backgrounds, compositor, display, lookup
+from . import backgrounds, compositor, display, lookup, native_splats
 
 _counted: dict[int, tuple[int, bool]] = {}
 """Scene, by its number in this session -> its objects when it was looked at, and whether photos
@@ -30,10 +30,16 @@ def let_in(scene: bpy.types.Scene) -> None:
 
 
 @persistent
-def _on_change(scene: bpy.types.Scene, *_: object) -> None:
+def _on_change(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
     """After every change, so a scene is searched only if its objects are more or fewer."""
     if not _in_main_thread():
         return
+    if native_splats.exist():
+        changed = [update.id for update in graph.updates if update.is_updated_geometry]
+        meshes = {data.original for data in changed if isinstance(data, bpy.types.Mesh)}
+        for item in lookup.splats(scene) if meshes else ():
+            if item.data in meshes:
+                display.follow(item)
     count = len(scene.objects), scene_props(scene).compare_photo
     if _counted.get(scene.session_uid) != count:
         _counted[scene.session_uid] = count

@@ -8,6 +8,7 @@ add-on draws the Gaussians of the object's file.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import bpy
@@ -27,10 +28,8 @@ EXPOSURE, TINT = "Exposure", "Tint"
 """Inputs of that group; drivers give them the object's look."""
 INPUTS = f'modifiers["{MODIFIER}"].properties.inputs'
 BASE = "radiance:base"
-STRETCHED = (
-    "'{}' was turned or scaled by Apply: Blender's splats do not follow. Undo it, or choose Exact"
-    " Look"
-)
+APPLIED = ("Applied X", "Applied Y", "Applied Z")
+"""Inputs of that group: the columns of the (3, 3) map that all points went through, by Apply."""
 
 
 def is_native(item: bpy.types.Object, *, viewport: bool = False) -> bool:
@@ -71,14 +70,24 @@ def refresh(item: bpy.types.Object) -> None:
         hide.node_group = group
     if native:
         _drive(item, hide)
+        _apply(item, hide)
 
 
-def remark(items: list[bpy.types.Object]) -> str:
-    """What Blender's splats do not show right, in one line; or nothing."""
-    for item in filter(is_native, items):
-        if not np.allclose(edits.drawn_frame(item)[:3, :3], np.eye(3), atol=1e-4):
-            return STRETCHED.format(item.name)
-    return ""
+def follow(item: bpy.types.Object) -> None:
+    """Turn and stretch Blender's splats as all points of an object were, by Apply for example."""
+    modifier = item.modifiers.get(MODIFIER)
+    if isinstance(modifier, bpy.types.NodesModifier) and item.is_editable and is_native(item):
+        _apply(item, modifier)
+
+
+def _apply(item: bpy.types.Object, modifier: bpy.types.NodesModifier) -> None:
+    frame = edits.drawn_frame(item)[:3, :3]
+    wanted = np.eye(3) if np.allclose(frame, np.eye(3), atol=1e-4) else frame
+    ids, properties = _inputs(modifier), modifier.properties  # type: ignore[attr-defined]
+    for name, column in zip(APPLIED, wanted.T, strict=True):
+        held = getattr(properties.inputs, ids[name])
+        if not np.allclose(held.value, column, atol=1e-6):
+            held.value = column.tolist()
 
 
 def _switch(modifier: bpy.types.Modifier, *, on: bool) -> None:
@@ -90,8 +99,7 @@ def _switch(modifier: bpy.types.Modifier, *, on: bool) -> None:
 
 def _drive(item: bpy.types.Object, modifier: bpy.types.NodesModifier) -> None:
     """Have the group's inputs follow the object's look, which may be animated."""
-    group: Any = modifier.node_group
-    ids = {s.name: s.identifier for s in group.interface.items_tree if s.in_out == "INPUT"}
+    ids = _inputs(modifier)
     drivers = item.animation_data.drivers if item.animation_data is not None else ()
     known = {(curve.data_path, curve.array_index) for curve in drivers}
     for name, index in ((EXPOSURE, 0), (TINT, 0), (TINT, 1), (TINT, 2)):
@@ -104,6 +112,12 @@ def _drive(item: bpy.types.Object, modifier: bpy.types.NodesModifier) -> None:
         target = driver.variables.new().targets[0]
         target.id = item
         target.data_path = f"roigs.tint[{index}]" if name == TINT else "roigs.exposure"
+
+
+def _inputs(modifier: bpy.types.NodesModifier) -> dict[str, str]:
+    """The inputs of a modifier's group: name -> identifier."""
+    group: Any = modifier.node_group
+    return {s.name: s.identifier for s in group.interface.items_tree if s.in_out == "INPUT"}
 
 
 def _let_go(item: bpy.types.Object) -> None:
@@ -137,11 +151,16 @@ def _splats_group() -> bpy.types.NodeTree:
     for name, kind in ((EXPOSURE, "NodeSocketFloat"), (TINT, "NodeSocketVector")):
         socket = group.interface.new_socket(name, in_out="INPUT", socket_type=kind)
         socket.default_value = 0.0 if name == EXPOSURE else (1.0, 1.0, 1.0)
+    for name, axis in zip(APPLIED, np.eye(3).tolist(), strict=True):
+        socket = group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketVector")
+        socket.default_value = axis
     new, link = group.nodes.new, group.links.new
     start, end = new("NodeGroupInput"), new("NodeGroupOutput")
     points, splats = new("GeometryNodeMeshToPoints"), new("GeometryNodePointsSetType")
     splats.inputs["Type"].default_value = "3D Gaussian Splat"
-    link(start.outputs[0], points.inputs[0])
+    applied, back = _applied(group, start), new("FunctionNodeInvertMatrix")
+    link(applied, back.inputs[0])
+    link(_transformed(group, start.outputs[0], back.outputs[0]), points.inputs[0])
     link(points.outputs[0], splats.inputs[0])
     power = new("ShaderNodeMath")
     power.operation, power.inputs[0].default_value = "POWER", 2.0
@@ -167,18 +186,50 @@ def _splats_group() -> bpy.types.NodeTree:
         link(apart.outputs[k], whole.inputs[k])
     link(parts.outputs["Alpha"], whole.inputs["Alpha"])
     looks = _store(group, looks, BASE, "FLOAT_COLOR", whole.outputs[0], read.outputs["Exists"])
-    same = new("FunctionNodeCompare")
-    same.data_type, same.mode, same.operation = "VECTOR", "ELEMENT", "EQUAL"
-    link(gains, _enabled(same.inputs)[0])
-    _enabled(same.inputs)[1].default_value = (1.0, 1.0, 1.0)
-    chosen = new("GeometryNodeSwitch")
-    chosen.input_type = "GEOMETRY"
-    link(same.outputs[0], chosen.inputs[0])
-    link(looks, _enabled(chosen.inputs)[1])
-    link(splats.outputs[0], _enabled(chosen.inputs)[2])
-    link(_enabled(chosen.outputs)[0], end.inputs[0])
+    plain = _unless_equal(group, gains, (1.0, 1.0, 1.0), looks, splats.outputs[0])
+    instance = new("GeometryNodeGeometryToInstance")  # of which shapes and SH are turned, too
+    link(plain, instance.inputs[0])
+    turned = _transformed(group, instance.outputs[0], applied)
+    for name, axis in zip(APPLIED, np.eye(3).tolist(), strict=True):
+        plain = _unless_equal(group, start.outputs[name], axis, turned, plain)
+    link(plain, end.inputs[0])
     made: bpy.types.NodeTree = group
     return made
+
+
+def _applied(group: Any, start: Any) -> Any:
+    """A matrix of the inputs `APPLIED` of the group."""
+    matrix = group.nodes.new("FunctionNodeCombineMatrix")
+    for column, name in enumerate(APPLIED):
+        apart = group.nodes.new("ShaderNodeSeparateXYZ")
+        group.links.new(start.outputs[name], apart.inputs[0])
+        for row in range(3):
+            group.links.new(apart.outputs[row], matrix.inputs[4 * column + row])
+    return matrix.outputs[0]
+
+
+def _transformed(group: Any, geometry: Any, matrix: Any) -> Any:
+    """Geometry with its points or instances moved by a matrix."""
+    node = group.nodes.new("GeometryNodeTransform")
+    node.inputs["Mode"].default_value = "Matrix"
+    group.links.new(geometry, node.inputs["Geometry"])
+    group.links.new(matrix, node.inputs["Transform"])
+    return node.outputs[0]
+
+
+def _unless_equal(
+    group: Any, vector: Any, usual: Sequence[float], changed: Any, unchanged: Any
+) -> Any:
+    """The geometry `changed`, which is made only if a vector is not as usual."""
+    same, chosen = (group.nodes.new(n) for n in ("FunctionNodeCompare", "GeometryNodeSwitch"))
+    same.data_type, same.mode, same.operation = "VECTOR", "ELEMENT", "EQUAL"
+    group.links.new(vector, _enabled(same.inputs)[0])
+    _enabled(same.inputs)[1].default_value = usual
+    chosen.input_type = "GEOMETRY"
+    group.links.new(same.outputs[0], chosen.inputs[0])
+    group.links.new(changed, _enabled(chosen.inputs)[1])
+    group.links.new(unchanged, _enabled(chosen.inputs)[2])
+    return _enabled(chosen.outputs)[0]
 
 
 def _enabled(sockets: Any) -> list[Any]:

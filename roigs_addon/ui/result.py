@@ -189,15 +189,13 @@ def _draw_name(row: bpy.types.UILayout, item: bpy.types.Object, name: str) -> No
 
 
 def _draw_ways(layout: bpy.types.UILayout, splats: Objects) -> None:
-    """How the Gaussians are shown, and what does not show right so."""
+    """How the Gaussians are shown."""
     if not splats:
         return
     row, now = layout.row(align=True), object_props(splats[0]).shown_as
     for way, label, _ in SHOWN_AS:
         if way != "EXACT" or native_splats.exist():
             row.operator(ShowAs.bl_idname, text=label, depress=now == way).way = way
-    if problem := display.remark(splats):
-        show.wrong(layout, problem)
 
 
 def _draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:

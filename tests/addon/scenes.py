@@ -116,12 +116,12 @@ def with_cycles(scene, *, samples: int):
     return render
 
 
-def seen_from_afar(bpy: ModuleType, scene, out: Path) -> np.ndarray:
+def seen_from_afar(bpy: ModuleType, scene, out: Path, samples: int = 1) -> np.ndarray:
     """A render of the origin."""
     camera = bpy.data.objects.new("far", bpy.data.cameras.new("far"))
     scene.collection.objects.link(camera)
     camera.location.z, scene.camera = 5.0, camera
-    render = with_cycles(scene, samples=1)
+    render = with_cycles(scene, samples=samples)
     render.resolution_x = render.resolution_y = 64
     render.filepath = str(out)
     bpy.ops.render.render(write_still=True)

@@ -255,16 +255,24 @@ def test_files_of_other_blenders(
         assert len([item for item in marked(blender.data.objects) if item.visible]) == 2
 
 
-def test_apply_is_told(blender: ModuleType, native) -> None:
-    """Blender's splats keep their shapes when their points are turned."""
-    from roigs_addon.scene import display, edits
+@pytest.mark.parametrize("scale", [(1.5, 1.5, 1.5), (1.0, 0.5, 1.2)], ids=["even", "uneven"])
+def test_apply_keeps_the_picture(blender: ModuleType, native, tmp_path: Path, scale) -> None:
+    """Shapes and view-dependent colours turn with the points."""
+    from roigs_addon.scene import edits
 
     item = native.objects[FINE]
-    assert display.remark([item]) == ""
-    item.rotation_euler.x = 1.0
+    native.objects["Background"].hide_render = True
+    item.rotation_euler, item.scale = (0.7, 0.4, 1.1), scale
+    before = seen_from_afar(blender, native, tmp_path / "before.png", samples=64)
     item.select_set(True)
     blender.context.view_layer.objects.active = item
-    blender.ops.object.transform_apply(location=False, rotation=True, scale=False)
-    edits.look_again(item)
-    assert "choose Exact Look" in display.remark([item])
+    blender.ops.object.transform_apply(location=False, rotation=True, scale=True)
+    blender.context.view_layer.update()
+    after = seen_from_afar(blender, native, tmp_path / "after.png", samples=64)
+    assert np.allclose(item.matrix_world.to_scale(), 1) and before[..., 3].max() > 0.3
+    assert np.abs(after - before).mean() < 0.2 * before.mean()
     assert not list(Path(blender.app.tempdir).glob(f"{edits.PREFIX}*")), "nothing reads such a file"
+    blender.ops.roigs.load_results()
+    blender.context.view_layer.update()
+    again = seen_from_afar(blender, native, tmp_path / "again.png", samples=64)
+    assert np.abs(again - before).mean() < 0.2 * before.mean()
