@@ -43,6 +43,7 @@ def stage_in_words(stage: str) -> str:
         run_files.JOINT_STAGE: "all boxes",
         run_files.REFINE_STAGE: "refining",
         run_files.CUTOUT_STAGE: "objects alone",
+        run_files.SURFACE_STAGE: "surfaces",
         ADAPT: "adapting",
         EVALUATE: "measuring the result",
         CHECK: "checking photos",

@@ -35,6 +35,7 @@ STAGE, MODEL, CHECKPOINT = "stage.json", "model.ply", "checkpoint.bin"
 SCENE_STAGE, JOINT_STAGE, REFINE_STAGE, OBJECT_STAGE = "scene", "joint", "refine", "object-"
 """Names of stages; the last is followed by the box's."""
 CUTOUT_STAGE = "cutout"  # makes objects with masks look right alone
+SURFACE_STAGE = "surface"  # makes the result a surface, for a mesh alone
 FULL_SCENE_STAGE, FULL_OBJECT_STAGE = "full-scene", "full-object-"
 """Names of the baselines' stages; the last is followed by the box's."""
 TUNED_STAGE, TUNED_COARSE_STAGE = "tuned-", "tuned-coarse-"  # `scene` or `object-NAME` follows

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -18,13 +19,14 @@ from ..evaluation.views import EvaluatedModel
 from ..formats.files import matching, write_json
 from ..formats.lock import holder, locked
 from ..formats.run_files import LOCK, MANIFEST, SPLIT
+from ..model.gaussians import Gaussians
 from ..model.scene_checks import scene_warnings
 from .definition import Run
 from .executor import Executor
 from .forecast import disk_space, forecast_if_long
 from .manifest import claim, from_json, manifest_difference, read_manifest
 from .plan import Plan, Stage
-from .strategies import plan_run
+from .strategies import plan_run, plan_surface
 
 PATIENCE = 60.0  # seconds; an engine whose program was killed needs some to write a checkpoint
 POLL = 0.5
@@ -125,6 +127,27 @@ def train_stage(run: Run, plan: Plan, name: str, context: Context) -> None:
     with stage_held(run.folder, missing or (by_name[name],), context):
         executor.result(by_name[name])
     executor.close()
+
+
+def train_surface(run: Run, context: Context = QUIET) -> Gaussians | None:
+    """The run's result, trained on as a surface, which is kept as the stage `surface`.
+
+    The run's folder must be held. None: it has no longer all that this starts from.
+
+    Raises:
+        Stopped: on request; a checkpoint was written.
+        TrainingError: the stage diverged twice.
+    """
+    plan = plan_surface(run, replace(context, emit=QUIET.emit))  # it was said before
+    executor = Executor(run, context)
+    *_, result, surface = plan.models
+    if any(isinstance(executor.status(stage), int) for stage in result.source.stages):
+        return None
+    executor.list_stages(plan)
+    try:
+        return executor.gaussians(surface.source)
+    finally:
+        executor.close()
 
 
 def _with_inputs(stage: Stage) -> list[Stage]:

@@ -18,6 +18,7 @@ from ..training.mechanisms.measured_sh_rate import MeasuredShRate
 from ..training.mechanisms.model_averaging import ModelAveraging
 from ..training.mechanisms.opacity_decay import OpacityDecay
 from ..training.mechanisms.spaced_sh_rate import SpacedShRate
+from ..training.mechanisms.surface_losses import SurfaceLosses
 from ..training.mechanisms.warm_restarts import WarmRestarts
 from .config import RunConfig
 from .presets import in_strategy, joint_recipe
@@ -26,6 +27,8 @@ from .presets import in_strategy, joint_recipe
 # masks of the others show much of what is behind the boxes, which may be in another block.
 WHOLE_SHARE = 0.6
 CUTOUT_SHARE = 0.6  # steps of the stage that cuts objects out, in steps of the box stage
+SURFACE_SHARE = 0.15  # .. and of the stage that makes surfaces
+SURFACE_RATE = 0.3  # its position learning rate at first, in that of the box stage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +109,26 @@ def cutout_stage(config: RunConfig) -> TrainConfig:
     return stage.using(CutoutSteps(), ModelAveraging(steps=steps // 2))
 
 
+def surface_stage(config: RunConfig) -> TrainConfig:
+    """The stage that makes the result a surface: the box stage's settings at its end, masks alone.
+
+    What it makes of what is beside the boxes is of no use.
+    """
+    steps = max(1, round(SURFACE_SHARE * config.roi.steps))
+    stage = replace(
+        config.roi,
+        steps=steps,
+        sh_start=config.roi.sh_degree,
+        lr_means=SURFACE_RATE * config.roi.lr_means,
+        lr_means_final=SURFACE_RATE * config.roi.lr_means / 10,
+    )
+    stage = stage.only(SpacedShRate, MeasuredShRate)
+    masks = config.roi.get(MaskedSteps) or MaskedSteps()
+    return stage.using(
+        replace(masks, full_every=max(2, steps)), SurfaceLosses(), ModelAveraging(steps=steps // 4)
+    )
+
+
 def shortened(config: TrainConfig, share: float) -> TrainConfig:
     """A stage on a share of the photos: so much of its steps, and of the intervals between them.
 
@@ -163,6 +186,7 @@ def block_stage(config: TrainConfig, share: float, photos: float) -> TrainConfig
     config = config.only(
         *(MaskedSteps, CoarseToFine, SpacedShRate, MeasuredShRate, DensityControl, IdlePruning),
         *(WarmRestarts, ModelAveraging, ImportancePruning, FloaterPruning, CutoutSteps),
+        SurfaceLosses,
     )
     masks = config.get(MaskedSteps)
     if masks is None:

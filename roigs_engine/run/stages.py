@@ -20,6 +20,7 @@ from ..selection.split import interleaved, reserved
 from ..training.config import PlannedViews, TrainConfig
 from ..training.mechanisms.cutout_steps import CutoutSteps
 from ..training.mechanisms.masked_steps import MaskedSteps
+from ..training.mechanisms.surface_losses import SurfaceLosses
 from ..training.photo_order import PhotoOrder
 from . import stage_configs
 from .definition import Run
@@ -162,7 +163,7 @@ def trained_on(
         images, rois = photos.images, photos.rois
         stage = make_stage(name, photos, images, config, rois=rois, start=base, order="mixed")
         return PlannedModel.of_stages(name, stage)
-    alone = config.get(CutoutSteps) is not None
+    alone = bool(config.chosen(CutoutSteps, SurfaceLosses))
     stages = []
     for index, cell in enumerate(cells.cells):
         if alone and base is not None and not cell.rois:  # no object: it stays as it is

@@ -62,6 +62,19 @@ def strategy(photos: PhotoSets, *, coarse: Stage | None = None) -> Plan:
     )
 
 
+def plan_surface(run: Run, context: Context = QUIET) -> Plan:
+    """The plan of a run, and at its end the result trained on as a surface (ours).
+
+    The latter serves meshes alone; no file of the result is made from it. Raises as `plan_run`.
+    """
+    photos = PhotoSets(run, context)
+    plan = strategy(photos)
+    result = plan.models[-1]
+    config = stage_configs.surface_stage(photos.run.config)
+    last = trained_on(run_files.SURFACE_STAGE, photos, config, result.source)
+    return replace(plan, models=(*plan.models, _after("Surface", result, last)))
+
+
 def _joint(photos: PhotoSets, scene: PlannedModel) -> tuple[PlannedModel, ...]:
     """One stage for all boxes and all photos, densified in the boxes (ours).
 

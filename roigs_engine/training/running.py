@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
     from ..model.gaussians import Gaussians
     from ..rasterize import RenderOutput
+    from ..rasterize.inputs import Surface
     from ..rasterize.tiles import Mask
     from .edits import Edit
     from .loss_masks import LossMask
@@ -56,10 +57,12 @@ class Running:
     Attributes:
         kept: names of the attributes that are its state in checkpoints: tensors and plain numbers.
         needs_max_weight: whether `observe` needs each Gaussian's largest blending weight.
+        needs_surface: whether it has a `surface_loss`.
     """
 
     kept: tuple[str, ...] = ()
     needs_max_weight: bool = False
+    needs_surface: bool = False
 
     def own_step(self, training: Training) -> tuple[int, Tensor] | None:
         """Take this step in a way of its own; returns its photo and its loss, or None."""
@@ -72,6 +75,19 @@ class Running:
     def row_rates(self, *, whole: bool) -> Tensor | None:
         """(N,) float32 factors of learning rates, in a step on a `whole` photo; None: all are 1."""
         return None
+
+    def surface_loss(
+        self, surface: Surface, alpha: Tensor, intrinsics: Tensor, weights: Tensor | None
+    ) -> Tensor:
+        """What a step adds to the photo's loss, a scalar.
+
+        Args:
+            surface: of the part of the photo that the step uses, (1, H, W).
+            alpha: the same.
+            intrinsics: (3, 3) of that part.
+            weights: (H, W) of its pixels; None: 1.
+        """
+        raise NotImplementedError
 
     def observe(self, visible: Tensor, grad2d: Tensor, max_weight: Tensor | None) -> None:
         """Take the statistics of a step; all (N,), see `rasterize.RenderOutput`."""

@@ -155,8 +155,9 @@ class Trainer:
         if counted is not None:
             weights, share = counted_weights(weights, counted)
             loss_weight = share if loss_weight is None else loss_weight * share
+        whole = loss.loss + self._surface_loss(index, output, mask, weights)
         # As a factor: given to backward(), a weight has torch import sympy, for half a second.
-        weighted = loss.loss if loss_weight is None else loss.loss * loss_weight
+        weighted = whole if loss_weight is None else whole * loss_weight
         weighted.backward()  # type: ignore[no-untyped-call]
         visible = output.visible[0]
         with torch.no_grad():
@@ -233,7 +234,23 @@ class Trainer:
             active,
             background=None if colours is None else colours[index],
             with_max_weight=any(each.needs_max_weight for each in self._running.values()),
+            with_surface=any(each.needs_surface for each in self._running.values()),
         )
+
+    def _surface_loss(
+        self, index: int, output: RenderOutput, mask: LossMask | None, weights: Tensor | None
+    ) -> Tensor | float:
+        """The sum of the mechanisms' losses on a surface."""
+        if output.surface is None:
+            return 0.0
+        intrinsics = self._views(self.step).view(index).Ks[0].clone()
+        if mask is not None:
+            x0, y0, _, _ = mask.tiles.shown
+            intrinsics[0, 2] -= x0
+            intrinsics[1, 2] -= y0
+        given = output.surface, output.alpha, intrinsics, weights
+        own = (each for each in self._running.values() if each.needs_surface)
+        return reduce(torch.add, (each.surface_loss(*given) for each in own))
 
     def render(
         self, optimizer: VisibleAdam, view: tuple[int, int | str], active: Mask, **options: Any
