@@ -305,7 +305,9 @@ def _scenes(folder: Path, depth: int) -> Iterator[Path]:
         return
     if depth:
         for child in sorted(folder.iterdir()):
-            if child.is_dir() and not child.name.startswith(".") and not child.is_symlink():
+            if child.name.startswith(".") or not os.access(child, os.R_OK | os.X_OK):
+                continue
+            if child.is_dir() and not child.is_symlink():
                 yield from _scenes(child, depth - 1)
 
 

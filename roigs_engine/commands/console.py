@@ -117,6 +117,8 @@ class Console:
 
     def _open_bar(self, stage: str, total: int) -> None:
         """Open a progress bar if tqdm is installed (Blender's own Python does not have it)."""
+        for name in [name for name in os.environ if name.startswith("TQDM_")]:
+            del os.environ[name]  # tqdm raises at those that it cannot read
         try:
             from tqdm import tqdm
         except ImportError:

@@ -17,11 +17,11 @@ import re
 import tempfile
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import quote
 
-from ..errors import RunFolderError
+from ..errors import RunFolderError, Stopped
 from ..formats.files import LEFTOVER, own_file
 from ..formats.names import inner_path
 from ..formats.run_files import CACHE, PREVIEW, UNDISTORTED
@@ -82,6 +82,8 @@ class StoredRun:
         """
         self._had = {}
         for name, entry in self.entries().items():
+            if self._found.should_stop():
+                raise Stopped
             if wanted(name):
                 target = own_file(folder, name)
                 if _fits(target, entry) or self._get(name, entry, target):
@@ -211,6 +213,7 @@ def _checked(body: dict[str, Any], path: str) -> dict[str, Any]:
         or not (type(serial) is int and 0 <= serial < 2**53 and isinstance(body.get("part"), str))
         or not all(map(inner_path, [*files, *gone]))
         or not all(map(_is_entry, files.values()))
+        or any(str(above) in files for name in files for above in PurePosixPath(name).parents)
     ):
         raise RunFolderError(
             f"{path:.200} is not a commit that the engine has written.",

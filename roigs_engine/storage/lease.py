@@ -111,6 +111,8 @@ class Lease:
         for name in self._names():
             if name == self._name:
                 continue
+            if self._should_stop():  # there may be thousands
+                raise LeaseTakenError
             try:
                 content = bytes(self._found.cat_file(f"{self._folder}/{name}"))
                 state = str(parse_json(content)["state"])

@@ -48,10 +48,11 @@ HOME = "ROIGS_CACHE"
 
 
 SILENT = 120.0
-"""Seconds after which a store counts as one that does not answer; copying files may take longer."""
+"""Seconds after which a store counts as one that does not answer."""
+SLOWEST = 64_000
+"""Bytes that a store takes in a second at the least, or it does not answer."""
 GRACE, UPLOAD = 5.0, 60.0
 """Seconds that a call goes on after a stop was requested; of `upload`, which saves work."""
-COPIES = ("get_file", "put_file", "upload")
 READS = ("cat_file", "find", "get_file", "info")
 """Calls that say by FileNotFoundError that a file is missing."""
 
@@ -82,13 +83,15 @@ class FileSystem:
 
     Args:
         own: a folder of this machine below which links, pipes and devices are refused; empty: none.
-        should_stop: whether a stop was requested.
+        should_stop: whether a stop was requested. After a call that was given up, others like it
+            have no time left.
     """
 
     def __init__(
         self, found: Any, url: str, own: str = "", should_stop: Callable[[], bool] = lambda: False
     ) -> None:
-        self._found, self._url, self._own, self._should_stop = found, url, own, should_stop
+        self._found, self._url, self._own, self.should_stop = found, url, own, should_stop
+        self._grace = {True: UPLOAD, False: GRACE}  # of uploads, of other calls
 
     def __getattr__(self, name: str) -> Any:
         method = getattr(self._found, name)
@@ -101,29 +104,54 @@ class FileSystem:
             with self._found.open(target, "wb") as out:
                 shutil.copyfileobj(file, out)
 
-        self._call("upload", copy, target)
+        here = file.tell()
+        sends = file.seek(0, os.SEEK_END) - here
+        file.seek(here)
+        self._call("upload", copy, target, sends=sends)
 
-    def _call(self, name: str, method: Any, *given: Any, **options: Any) -> Any:
+    def _call(self, name: str, method: Any, *given: Any, sends: int = 0, **options: Any) -> Any:
         with guarded(self._url, *([FileNotFoundError] if name in READS else [])):
             if self._own:
                 _refuse_links(Path(self._own), given[name == "put_file"])
-            given_up = Context(should_stop=self._patience(name))
+            if name == "put_file":
+                sends = _size(given[0])
+            gets = given[1] if name == "get_file" else ""
+            given_up = Context(should_stop=self._patience(name, sends, gets))
             return given_up.interruptible(lambda: method(*given, **options))
 
-    def _patience(self, name: str) -> Callable[[], bool]:
-        """Whether a call that begins now is given up; TimeoutError if the store is silent."""
-        began, since = time.monotonic(), math.inf
-        grace = UPLOAD if name == "upload" else GRACE
+    def _patience(self, name: str, sends: int, gets: str) -> Callable[[], bool]:
+        """Whether a call that begins now is given up; TimeoutError if the store is silent.
+
+        Args:
+            sends: bytes that it sends.
+            gets: the file that it writes here, if it is one.
+        """
+        since, size, heard = math.inf, 0, time.monotonic()
+        is_upload = name == "upload"
+        patience = SILENT + sends / SLOWEST
 
         def over() -> bool:
-            nonlocal since
+            nonlocal since, size, heard
             now = time.monotonic()
-            if name not in COPIES and now - began > SILENT:
+            if gets and (there := _size(gets)) != size:  # it grows
+                size, heard = there, now
+            since = min(since, now) if self.should_stop() else since
+            if math.isinf(since) and now - heard > patience:
                 raise TimeoutError("it does not answer")
-            since = min(since, now) if self._should_stop() else since
-            return now - since > grace
+            if now - since >= self._grace[is_upload]:
+                self._grace[is_upload] = 0.0
+                return True
+            return False
 
         return over
+
+
+def _size(path: str) -> int:
+    """Of a file here, 0 if there is none."""
+    try:
+        return os.stat(path).st_size
+    except OSError:
+        return 0
 
 
 def _refuse_links(root: Path, place: str) -> None:

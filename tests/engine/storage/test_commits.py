@@ -91,6 +91,7 @@ def test_a_commit_writes_nothing_outside(
     [
         *({"gone": ...}, {"files": None}, {"files": {"a": None}}, {"serial": "1"}, {"part": None}),
         *({"files": {"a": {"sha": 1, "size": 1, "at": "a"}}}, {"gone": {"a": 1}}, {"serial": ...}),
+        {"files": {key: {"sha": "1", "size": 1, "at": "a"} for key in ("a", "a/b")}},
     ],
     ids=str,
 )

@@ -140,3 +140,23 @@ def test_of_many_at_once_one_is_inside(store: Any) -> None:
             thread.join(30)
             assert not thread.is_alive()
     assert most[0] == 1 and taken[0] >= 5
+
+
+def test_a_stop_is_heard_among_many_files(store: Any) -> None:
+    """Whoever may write to the store can write thousands, each of which is read."""
+    for number in range(50):
+        store.pipe_file(f"{PLACE}/{number:032x}", b"{}")
+    read, cat_file = [], store.cat_file
+
+    class Counted:
+        def __getattr__(self, name: str) -> Any:
+            return getattr(store, name)
+
+        def cat_file(self, path: str) -> Any:
+            read.append(path)
+            return cat_file(path)
+
+    lease = Lease(Counted(), PLACE, lambda: len(read) > 2, expiry=60, beat=0.1)  # type: ignore[arg-type]
+    with pytest.raises(LeaseTakenError), lease:
+        pass
+    assert len(read) < 10

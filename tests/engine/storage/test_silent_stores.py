@@ -68,10 +68,35 @@ def test_every_call_hears_a_stop(silent: Silent, name: str) -> None:
     assert len(silent.calls) == 1
 
 
-@pytest.mark.parametrize("name", CALLS)
-def test_every_short_call_ends(silent: Silent, name: str) -> None:
+@pytest.mark.parametrize("name", [*CALLS, "get_file", "put_file", "upload"])
+def test_every_call_ends(silent: Silent, name: str) -> None:
     with pytest.raises(StoreError, match=r"Cannot use s3://museum/runs \(it does not answer\)"):
-        getattr(FileSystem(silent, URL), name)("x")
+        getattr(FileSystem(silent, URL), name)(io.BytesIO(b"x") if name == "upload" else "x", "y")
+
+
+def test_a_copy_goes_on_while_its_file_grows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(urls, "SILENT", 1.0)
+
+    def slowly(source: str, target: str) -> None:
+        for size in range(8):
+            Path(target).write_bytes(bytes(size))
+            time.sleep(0.3)
+
+    FileSystem(SimpleNamespace(get_file=slowly), URL).get_file("x", str(tmp_path / "y"))
+    assert (tmp_path / "y").stat().st_size == 7
+
+
+def test_after_a_call_that_was_given_up_others_end_at_once(silent: Silent) -> None:
+    found = FileSystem(silent, URL, should_stop=stopped_after_a_call(silent))
+    with pytest.raises(Stopped):
+        found.info("x")
+    began = time.monotonic()
+    for name in CALLS:
+        with pytest.raises(Stopped):
+            getattr(found, name)("x")
+    assert time.monotonic() - began < len(CALLS) * urls.GRACE
 
 
 def test_an_upload_that_takes_long_is_finished_after_a_stop(
