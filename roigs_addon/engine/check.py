@@ -29,6 +29,7 @@ TASKS = (
     ("Scenes from videos", python.FOR_VIDEOS),
     ("Scenes from HEIC photos", python.FOR_HEIC),
     ("Masks from strokes", python.FOR_MASKS),
+    ("Surfaces as meshes", python.FOR_SURFACES),
 )
 
 last: tuple[Finding, ...] = ()

@@ -20,7 +20,11 @@ SOURCE = Path(__file__).resolve().parents[2]
 VARIABLE = "ROIGS_ENGINE_PYTHON"
 """Environment variable that names the engine's Python: for tests and render farms."""
 
-PACKAGES = ("numpy", "PIL", "scipy", "sklearn", "pycolmap", "torch", "av", "pillow_heif", "cv2")
+FOR_MESHES = ("fast_simplification", "skimage", "trimesh", "xatlas")
+PACKAGES = (
+    *("numpy", "PIL", "scipy", "sklearn", "pycolmap", "torch", "av", "pillow_heif", "cv2"),
+    *FOR_MESHES,
+)
 FOR_READING = ("numpy",)
 FOR_GAUSSIAN_PROCESS = ("numpy", "scipy", "sklearn")
 FOR_REFINING = ("numpy", "PIL", "scipy", "sklearn", "pycolmap")
@@ -31,6 +35,7 @@ FOR_VIDEOS = (*FOR_RECONSTRUCTING, "av")
 FOR_HEIC = (*FOR_RECONSTRUCTING, "pillow_heif")
 FOR_TRAINING = ("numpy", "PIL", "scipy", "torch")
 FOR_MASKS = (*FOR_TRAINING, "cv2")
+FOR_SURFACES = (*FOR_TRAINING, *FOR_MESHES)
 
 MARKER = "roigs-complete.json"
 """In the folder of a complete environment: what it was made from."""
