@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from .app.scenes import refine_cameras as refine_cameras
     from .app.scenes import select as select
     from .app.scenes import show_photo as show_photo
+    from .app.surface import make_surfaces as make_surfaces
     from .app.train import plan_training as plan_training
     from .app.train import train as train
     from .app.train import train_parts as train_parts
@@ -80,6 +81,7 @@ if TYPE_CHECKING:
     from .requests.runs import Clean as Clean
     from .requests.runs import Evaluate as Evaluate
     from .requests.runs import Levels as Levels
+    from .requests.runs import MakeSurface as MakeSurface
     from .requests.runs import Train as Train
     from .requests.runs import TrainAndEvaluate as TrainAndEvaluate
     from .run.config import RunConfig as RunConfig
@@ -107,11 +109,12 @@ _MODULES = {
     "app.objects": "compose cut find_floaters",
     "app.render": "render render_frames",
     "app.scenes": "export inspect reconstruct refine_cameras select show_photo",
+    "app.surface": "make_surfaces",
     "app.train": "plan_training train train_parts",
     "app.upkeep": "check_gpu clean make_levels",
     "requests.models": "Adapt Compose Convert Cut Floaters Masks Render RenderFrames",
     "requests.projects": "Export Inspect Reconstruct RefineCameras Select ShowPhoto",
-    "requests.runs": "Batch CheckGpu Clean Evaluate Levels Train TrainAndEvaluate",
+    "requests.runs": "Batch CheckGpu Clean Evaluate Levels MakeSurface Train TrainAndEvaluate",
     "colmap.project": "load_colmap",
     "context": "Context",
     "errors": "EngineError",

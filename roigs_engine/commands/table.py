@@ -222,6 +222,12 @@ COMMANDS: dict[str, Command] = {
         help="make levels of detail of a run's result: fewer Gaussians for views from afar",
         examples=("runs/garden",),
     ),
+    "surface": Command(
+        request=runs.MakeSurface,
+        does="surface:make_surfaces",
+        help="make the objects in a run's boxes meshes with the photos' texture",
+        examples=("runs/garden", "runs/garden --only vase --watertight --format stl"),
+    ),
     "clean": Command(
         request=runs.Clean,
         does="upkeep:clean",

@@ -106,6 +106,18 @@ class Adam(ctypes.Structure):
     ]
 
 
+class DepthPhoto(ctypes.Structure):
+    """roigs.h: struct DepthPhoto."""
+
+    _fields_ = [
+        *((name, _ADDRESS) for name in ("depth", "weight", "slope")),
+        ("pose", ctypes.c_float * 12),
+        ("lens", ctypes.c_float * 4),
+        *((name, ctypes.c_float) for name in ("jump", "truncation", "footprints")),
+        ("size", ctypes.c_int32 * 2),
+    ]
+
+
 # Name -> type of the result, types of the arguments.
 SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "roigs_view_create": (_ADDRESS, []),
@@ -127,6 +139,7 @@ SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
         None,
         [_ADDRESS, _COUNT, _ADDRESS, ctypes.c_double, _COUNT, _COUNT, _ADDRESS],
     ),
+    "roigs_fuse_depth": (None, [_ADDRESS, _COUNT, *[_ADDRESS] * 2]),  # points, count, photo, sums
     # width, height; image (3, height, width), target (height, width, 3), weights (height, width) or
     # null; SSIM's weight; gradient (3, height, width) or null, result: loss, L1, SSIM as doubles
     "roigs_photo_loss": (

@@ -84,3 +84,10 @@ ROIGS_API void roigs_copy_rows(const float* matrix, int64_t rows, int64_t width,
 // and beyond `near`, at each pixel's centre. `lens`: fx, fy, cx, cy, px.
 ROIGS_API void roigs_surface_depth(const float* triangles, int64_t count, const double* lens,
                                    double near, int64_t width, int64_t height, float* depth);
+
+// Adds what a depth map says of each point (count, 3), in the frame of `pose`, to `sums` (count, 5):
+// weight x distance to the surface in truncations, at most 1 (free); that weight; the part of it for
+// which the surface is less than a truncation away; the weight if the surface is farther in front;
+// and 1 if it is less than a truncation away.
+ROIGS_API void roigs_fuse_depth(const float* points, int64_t count,
+                                const roigs::DepthPhoto* photo, float* sums);

@@ -88,4 +88,17 @@ enum Moment {
     kPlaneDepth = kMoments, kPlaneX, kPlaneY, kNormal, kSurfaceMoments = kNormal + 3
 };
 
+// A depth map (height, width), as roigs_fuse_depth samples it.
+struct DepthPhoto {
+    const float* depth;   // along the camera's z axis; 0: not known
+    const float* weight;  // 0: says nothing
+    const float* slope;   // distance to the surface / difference in depth
+    float pose[12];       // from the frame of the points to the camera's
+    float lens[4];        // fx, fy, cx, cy
+    float jump;           // depths of neighbours on one surface differ by less, relative
+    float truncation;     // of distances, at least
+    float footprints;     // .. and relative to the depth
+    int32_t size[2];      // width, height
+};
+
 }  // namespace roigs

@@ -22,6 +22,9 @@ from .values import DIR, FILE, FLAG, NAME, PATH, Choice, Name, Number, PathName,
 
 MAX_SECONDS = 1e9
 MOST_LEVELS, MOST_LEVEL_STEPS = 8, 100_000
+MIN_FACES, MOST_FACES = 100, 10_000_000
+MIN_TEXTURE, MOST_TEXTURE = 64, 16_384
+MESH_FORMATS = ("obj", "ply", "stl")
 MOST_JOBS, MOST_RETRIES, RETRIES = 1024, 100, 3
 CLUSTER = (
     "on Ray: ray://HOST:10001, auto (the cluster that this machine is part of), or local (a Ray of"
@@ -128,6 +131,32 @@ class Levels(Threads, Device):
         integer(1, MOST_LEVEL_STEPS),
         "steps to train each level of each box for (default: {default})",
         500,
+    )
+    scene: Path | None = option(DIR, "COLMAP project of the run, if it was moved")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MakeSurface(Threads, Device):
+    """The surfaces of a finished run's boxes, as meshes with the photos' texture."""
+
+    run: Path = argument(PATH, "folder of the run")
+    only: tuple[str, ...] = option(
+        NAME, "only the box of this name; repeatable", repeat=True, flags=("--only", "--box")
+    )
+    faces: int = option(
+        integer(MIN_FACES, MOST_FACES), "faces of a mesh at most (default: {default})", 100_000
+    )
+    watertight: bool = option(
+        FLAG, "close all holes, for print: what no photo shows is filled", False
+    )
+    texture_size: int | None = option(
+        integer(MIN_TEXTURE, MOST_TEXTURE, metavar="PX"),
+        "side of the texture (default: as fine as the photos)",
+    )
+    format: tuple[str, ...] = option(
+        Choice(MESH_FORMATS),
+        "write this format too, beside the .glb; repeatable",
+        repeat=True,
     )
     scene: Path | None = option(DIR, "COLMAP project of the run, if it was moved")
 

@@ -1,0 +1,212 @@
+"""Surfaces of a finished run's boxes: a textured mesh beside each box's PLY."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..context import QUIET, Context
+from ..errors import ConfigError, RoiError, RunFolderError, SceneError
+from ..formats import clean_up, run_files
+from ..formats.files import own_folder, remove_leftovers_of, write_json
+from ..formats.gravity import gravity_alignment
+from ..formats.lock import check_held, locked
+from ..requests.declare import read_options
+from ..requests.runs import MakeSurface, Train
+from .asked import Asked
+from .inputs import load_model
+from .outputs import Result
+
+if TYPE_CHECKING:
+    from ..run.definition import Run
+    from ..surface.make import Surface, SurfaceOptions
+
+GLB = ".glb"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceRecord:
+    """A surface that was made; lengths in units of the COLMAP model.
+
+    Attributes:
+        file: in the run folder.
+        size: of its bounding box, along the box's axes.
+        volume: None, if it has holes.
+        filled: share of the surface that no photo has shown, and that was closed.
+        untextured: share of the surface without a colour from a photo.
+    """
+
+    box: str
+    file: str
+    faces: int
+    vertices: int
+    parts: int
+    size: tuple[float, float, float]
+    area: float
+    volume: float | None
+    watertight: bool
+    filled: float
+    untextured: float
+    voxel: float
+    texture: int
+    photos: int
+
+    @property
+    def text(self) -> str:
+        """A line for people."""
+        sides = " x ".join(f"{side:.3g}" for side in self.size)
+        whole = f"closed, volume {self.volume:.3g}" if self.volume is not None else "with holes"
+        return (
+            f"Box '{self.box}': {self.faces:,} faces, {sides} large, {whole};"
+            f" {self.filled:.1%} filled, {self.untextured:.1%} without a photo's colour;"
+            f" from {self.photos} photos."
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surfaces(Result):
+    """The surfaces of a run's boxes."""
+
+    surfaces: tuple[SurfaceRecord, ...] = ()
+
+
+def make_surfaces(request: MakeSurface, context: Context = QUIET) -> Surfaces:
+    """Make the surfaces of a finished run's boxes; they are in its folder.
+
+    Raises:
+        EngineError: the run folder or its scene cannot be used, or no box has a surface.
+        Stopped: on request; surfaces that are finished stay.
+    """
+    from ..surface.make import SurfaceOptions
+
+    if not clean_up.is_run_folder(request.run):
+        raise RunFolderError(
+            f"{request.run} is not a run folder.", "Give the folder that --run-dir named."
+        )
+    asked = Asked.of(_training(request))
+    options = SurfaceOptions(
+        faces=request.faces,
+        watertight=request.watertight,
+        texture_size=request.texture_size,
+    )
+    with locked(request.run, context.warn, option=None):
+        run, context = asked.defined(context)
+        return surfaces_of_run(run, options, request.only, request.format, context)
+
+
+def surfaces_of_run(
+    run: Run,
+    options: SurfaceOptions,
+    only: Sequence[str],
+    formats: Sequence[str],
+    context: Context = QUIET,
+) -> Surfaces:
+    """The surfaces of a run's boxes, written to its folder, which is locked.
+
+    Args:
+        only: names of the boxes; empty: all.
+        formats: endings of further files to write.
+
+    Raises as `make_surfaces`.
+    """
+    from ..surface.make import make_surface
+
+    names = [roi.name for roi in run.rois]
+    for name in only:
+        if name not in names:
+            raise RoiError(f"There is no box '{name}'.", f"The boxes are: {', '.join(names)}.")
+    rois = [roi for roi in run.rois if roi.name in only] if only else run.rois
+    folder = own_folder(run.folder, run_files.FINE)
+    gaussians = load_model(run.folder / run_files.RESULT, run.frame, context)
+    records, files, failed = [], {}, None
+    for roi in rois:
+        try:
+            made = make_surface(gaussians, run.train_scene, roi, options, context=context)
+        except SceneError as error:
+            failed = error
+            context.warn(error.message)
+            continue
+        check_held(run.folder)
+        path = folder / f"{roi.name}{GLB}"
+        record = _record(made, run, roi.name)
+        _write(path, made, run, formats)
+        write_json(path.with_suffix(".surface.json"), asdict(record))
+        context.info(record.text)
+        records.append(record)
+        files[roi.name] = path
+    if failed is not None and not records:
+        raise failed
+    done = Surfaces(files=files, surfaces=tuple(records))
+    return done.with_places(*(record.text for record in records))
+
+
+def _write(path: Path, made: Surface, run: Run, formats: Sequence[str]) -> None:
+    from ..surface.files import write_mesh
+
+    up = np.eye(4)
+    up[:3, :3] = _upright(run)
+    for ending in (GLB, *(f".{name}" for name in formats if f".{name}" != GLB)):
+        # The box's own PLY has its Gaussians.
+        other = path.with_suffix(".surface.ply" if ending == ".ply" else ending)
+        remove_leftovers_of(other)
+        write_mesh(other, made.textured, run.frame, up)
+
+
+def _upright(run: Run) -> NDArray[np.float64]:
+    """(3, 3) turns the world so that +y points up, as glTF has it."""
+    poses = np.array([image.world_to_camera for image in run.scene.images])
+    z_up = gravity_alignment(poses)
+    return np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], float) @ z_up
+
+
+def _record(made: Surface, run: Run, box: str) -> SurfaceRecord:
+    mesh, scale = made.mesh, run.frame.scale
+    roi = next(roi for roi in run.rois if roi.name == box)
+    local = mesh.vertices @ roi.world_to_box[:3, :3].T
+    size = np.ptp(local, axis=0) / scale
+    closed = mesh.is_closed()
+    return SurfaceRecord(
+        box=box,
+        file=f"{run_files.FINE}/{box}{GLB}",
+        faces=len(mesh.faces),
+        vertices=len(mesh.vertices),
+        parts=len(np.unique(mesh.parts())),
+        size=(float(size[0]), float(size[1]), float(size[2])),
+        area=float(mesh.areas.sum()) / scale**2,
+        volume=mesh.volume() / scale**3 if closed else None,
+        watertight=closed,
+        filled=made.filled,
+        untextured=1 - made.textured.seen,
+        voxel=made.voxel / scale,
+        texture=made.textured.charts.side,
+        photos=made.photos,
+    )
+
+
+def _training(request: MakeSurface) -> Train:
+    """The training that the run folder was made by, on this request's device."""
+    settings = request.run / run_files.SETTINGS
+    if not settings.is_file():
+        raise ConfigError(
+            f"{request.run} does not say which photos it was trained on.",
+            "Resume the run with `train`, which writes its settings.",
+        )
+    given = {"run_dir": request.run, "device": request.device, "threads": request.threads}
+    values = read_options(settings, Train, given) | given
+    training = Train(**values)
+    project = request.run / run_files.PROJECT
+    scene = request.scene or (training.scene if training.scene.exists() else project)
+    if not scene.exists():
+        raise ConfigError(
+            f"The scene of {request.run} is not where it was.", "Give its folder with --scene."
+        )
+    boxes = training.rois
+    if boxes is not None and not boxes.exists() and request.scene is not None:
+        boxes = request.scene / boxes.name
+    images = None if request.scene else training.images
+    return replace(training, scene=scene, rois=boxes, images=images)

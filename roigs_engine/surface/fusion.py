@@ -1,0 +1,183 @@
+"""Fusion of depth maps into a truncated signed distance field (TSDF) of a box.
+
+After Curless and Levoy (1996), with space carving: a ray that passes a voxel before its depth says
+that it is free. Two additions are ours. Where many more rays end far in front of a voxel than near
+it, they say, faintly, that it is inside: so a depth that is wrong in a few photos makes no layer
+inside an object. And the field is computed coarsely first, then finely where the coarse one has a
+surface.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from ..context import QUIET, Context
+from ..formats.events import StageStarted
+from ..kernels import bindings
+from ..model.roi import OrientedBox
+from ..model.scene import Camera, Float64
+from .depth import DepthMap
+
+STAGE = "fusion"
+COARSE = 4  # side of a cell of the coarse field, voxels
+TRUNCATION = 3.0  # voxels, at least
+FOOTPRINTS = 1.0  # .. and pixels of the photo
+HIDDEN = 0.1  # weight of a ray that ends in front of a voxel, relative to one that passes it
+AGREED = 0.15  # .. with none where so many rays, relative to these, end near it
+JUMP = 2.0  # sizes of a pixel by which neighbours' depths on one surface differ at most
+STEEPEST = 0.15  # cosine between normal and ray on a surface
+SMOOTHING = 1.0  # standard deviation of what surfaces' slopes are measured on, pixels
+POINTS_AT_ONCE = 1 << 20
+
+Float32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Field:
+    """The distance field of a box on a grid, in the box's own axes.
+
+    Attributes:
+        distance: (X, Y, Z) positive where it is free, negative inside, in truncations, -1 to 1.
+        seen: (X, Y, Z) how much photos say of a surface there, in photos; 0: nothing.
+        origin: (3,) the first voxel's centre in the box's axes.
+        voxel: side of a voxel, units of the scene.
+    """
+
+    distance: Float32
+    seen: Float32
+    origin: Float64
+    voxel: float
+
+
+def footprint(depth_map: DepthMap) -> float:
+    """Size of a pixel on the surface, the median over a depth map; infinite if it has no depth."""
+    depth = depth_map.depth[depth_map.depth > 0]
+    if not len(depth):
+        return float("inf")
+    return float(np.median(depth)) / max(depth_map.camera.fx, depth_map.camera.fy)
+
+
+def fuse(
+    maps: Sequence[DepthMap], roi: OrientedBox, voxel: float, context: Context = QUIET
+) -> Field:
+    """The field of a box from its depth maps.
+
+    Args:
+        maps: in the frame of the box.
+        voxel: side of a voxel, units of the scene.
+    """
+    cells = np.maximum(np.ceil(2 * roi.half_extents / (COARSE * voxel)).astype(int), 1)
+    low = -cells * (COARSE * voxel) / 2  # the box's corner, or just outside
+    rays = [_Ray(depth_map, roi) for depth_map in maps if depth_map.depth.any()]
+    context.emit(StageStarted(stage=STAGE, total=2))
+    started = time.monotonic()
+    every = _grid(cells)
+    side = COARSE * voxel
+    sums = _sampled(low + (every + 0.5) * side, rays, side, context)
+    coarse, near = _field(sums).reshape(*cells), sums[:, 4].reshape(*cells) > 0
+    context.progress(STAGE, 1, 2, started)
+    active = every[np.flatnonzero(_active(coarse, near))]
+    field = np.sign(coarse)
+    for axis in range(3):
+        field = field.repeat(COARSE, axis)
+    seen = np.zeros_like(field)
+    offsets = _grid([COARSE] * 3)
+    step = max(1, POINTS_AT_ONCE // len(offsets))
+    for some in (active[first : first + step] for first in range(0, len(active), step)):
+        index = (some[:, None] * COARSE + offsets).reshape(-1, 3)
+        sums = _sampled(low + (index + 0.5) * voxel, rays, voxel, context)
+        field[tuple(index.T)] = _field(sums)
+        seen[tuple(index.T)] = sums[:, 4]
+    context.progress(STAGE, 2, 2, started)
+    return Field(distance=field, seen=seen, origin=low + voxel / 2, voxel=voxel)
+
+
+def _grid(sides: Sequence[int]) -> NDArray[np.int64]:
+    """(N, 3) the places of a grid, the last axis fastest."""
+    axes = np.meshgrid(*map(np.arange, sides), indexing="ij")
+    return np.asarray(np.stack([axis.ravel() for axis in axes], axis=1), dtype=np.int64)
+
+
+def _field(sums: Float32) -> Float32:
+    """(N,) the field of the sums of `roigs_fuse_depth`; -1 where no ray has come."""
+    value, weight, near, hidden = sums[:, :4].T
+    with np.errstate(all="ignore"):
+        disagreed = np.clip(1 - near / (AGREED * hidden), 0, 1)
+        hidden = np.where(hidden > 0, HIDDEN * hidden * disagreed, 0)
+        field = (value - hidden) / (weight + hidden)
+    return np.where(weight + hidden > 0, field, np.float32(-1)).astype(np.float32)
+
+
+def _active(coarse: Float32, near: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Cells in which, or beside which, there may be a surface."""
+    inside = coarse < 0
+    mixed = ndimage.maximum_filter(inside, 3) & ~ndimage.minimum_filter(inside, 3)
+    return np.asarray(mixed | ndimage.maximum_filter(near & (np.abs(coarse) < 0.9), 3))
+
+
+def _sampled(points: Float64, rays: Sequence[_Ray], voxel: float, context: Context) -> Float32:
+    """(N, 5) the sums of `roigs_fuse_depth` at points (N, 3) in the box's axes."""
+    places = np.ascontiguousarray(points, dtype=np.float32)
+    sums = np.zeros((len(points), 5), np.float32)
+    for ray in rays:
+        context.check_cancelled()
+        photo = ray.photo(voxel)
+        bindings.kernels().roigs_fuse_depth(
+            places.ctypes.data, len(places), ctypes.byref(photo), sums.ctypes.data
+        )
+    return sums
+
+
+class _Ray:
+    """A depth map in the form that the kernel samples."""
+
+    def __init__(self, depth_map: DepthMap, roi: OrientedBox) -> None:
+        self.camera = depth_map.camera
+        self.pose = depth_map.world_to_camera @ np.linalg.inv(roi.world_to_box)
+        self.depth = np.ascontiguousarray(depth_map.depth, dtype=np.float32)
+        self.slope, facing = slopes(self.depth, self.camera)
+        size = np.maximum(self.depth / max(self.camera.fx, self.camera.fy), 1e-12)
+        certain = depth_map.weight * facing * (self.depth > 0) / size**2
+        self.weight = np.ascontiguousarray(certain, dtype=np.float32)
+
+    def photo(self, voxel: float) -> bindings.DepthPhoto:
+        """The kernel's structure, for points `voxel` apart; valid as long as this lives."""
+        camera = self.camera
+        pixel = 1 / max(camera.fx, camera.fy)
+        pose = (ctypes.c_float * 12)(*self.pose[:3].ravel())
+        lens = (ctypes.c_float * 4)(camera.fx, camera.fy, camera.cx, camera.cy)
+        arrays = (a.ctypes.data for a in (self.depth, self.weight, self.slope))
+        numbers = JUMP * pixel, TRUNCATION * voxel, FOOTPRINTS * pixel
+        size = (ctypes.c_int32 * 2)(camera.width, camera.height)
+        return bindings.DepthPhoto(*arrays, pose, lens, *numbers, size)
+
+
+def slopes(depth: Float32, camera: Camera) -> tuple[Float32, Float32]:
+    """How steep the surface of a depth map is, from the gradient of 1 / depth.
+
+    Returns:
+        (H, W) distance to the surface's plane / difference in depth; (H, W) the cosine between its
+        normal and the ray.
+    """
+    with np.errstate(divide="ignore"):
+        inverse = np.where(depth > 0, 1 / depth.astype(np.float64), 0.0)
+    down, across = (
+        ndimage.gaussian_filter(inverse, SMOOTHING, order=order, mode="nearest")
+        for order in ((1, 0), (0, 1))
+    )
+    inverse = ndimage.gaussian_filter(inverse, SMOOTHING, mode="nearest")
+    x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+    y = ((np.arange(camera.height) + 0.5 - camera.cy) / camera.fy)[:, None]
+    across, down = across * camera.fx, down * camera.fy
+    length = np.sqrt(across**2 + down**2 + (inverse - x * across - y * down) ** 2)
+    slope = inverse / np.maximum(length, 1e-12)
+    facing = slope / np.sqrt(1 + x**2 + y**2)
+    slope[facing < STEEPEST] = 1.0  # between two surfaces, not on one
+    return slope.astype(np.float32), facing.astype(np.float32)

@@ -1,0 +1,198 @@
+"""Triangle mesh of a distance field: cut out, cleaned of what flies, simplified, closed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage, sparse
+from scipy.sparse import csgraph
+from scipy.spatial import cKDTree
+
+from ..context import QUIET, Context
+from ..errors import SceneError
+from ..machine import package
+from ..model.roi import OrientedBox
+from ..model.scene import Float64
+from .fusion import Field
+
+PURPOSE = "A mesh"
+SMOOTHING = 1.0  # standard deviation of what the field is smoothed with, voxels
+PHOTOS = 2  # that must show a surface, else it is filled
+SMALLEST = 0.02  # area of a part, in that of the largest one: smaller ones fly about
+HOLE = 0.01  # share of the area that a filled hole has at most; larger ones stay open
+REACH = 3  # side of the cube of voxels that a face's photos are looked up in
+
+Faces = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mesh:
+    """Triangles in the frame of the scene.
+
+    Attributes:
+        vertices: (V, 3).
+        faces: (F, 3) counter-clockwise as seen from outside.
+        filled: (F,) whether no photo has shown this part.
+    """
+
+    vertices: Float64
+    faces: Faces
+    filled: Mask
+
+    @property
+    def crosses(self) -> Float64:
+        """(F, 3) normals of the faces, twice as long as their areas."""
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        return np.asarray(np.cross(b - a, c - a))
+
+    @property
+    def areas(self) -> Float64:
+        """(F,) square units of the scene."""
+        return np.asarray(np.linalg.norm(self.crosses, axis=1) / 2)
+
+    def normals(self) -> Float64:
+        """(V, 3) unit normals of the vertices, mean of their faces' by area."""
+        total = np.zeros_like(self.vertices)
+        crosses = self.crosses
+        for corner in range(3):
+            for axis in range(3):
+                total[:, axis] += np.bincount(
+                    self.faces[:, corner], crosses[:, axis], len(self.vertices)
+                )
+        return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30))
+
+    def volume(self) -> float:
+        """Cubic units of the scene; means something if the mesh is closed."""
+        return float(np.einsum("ij,ij->", self.vertices[self.faces[:, 0]], self.crosses) / 6)
+
+    def is_closed(self) -> bool:
+        """Whether each edge has two faces, in opposite directions."""
+        a, b = self.faces[:, (0, 1, 2)].ravel(), self.faces[:, (1, 2, 0)].ravel()
+        n = len(self.vertices)
+        forth, back = np.sort(a * n + b), np.sort(b * n + a)
+        return bool((forth[1:] > forth[:-1]).all() and (forth == back).all())
+
+    def kept(self, mask: Mask) -> Mesh:
+        """The mesh of the faces of a mask (F,) alone."""
+        used, faces = np.unique(self.faces[mask], return_inverse=True)
+        return Mesh(
+            vertices=self.vertices[used],
+            faces=faces.reshape(-1, 3).astype(np.int64),
+            filled=self.filled[mask],
+        )
+
+    def parts(self, among: Mask | None = None) -> NDArray[np.int64]:
+        """(F,) number of the connected part each face is in; `among`: faces that connect."""
+        faces = self.faces if among is None else self.faces[among]
+        edges = np.concatenate([faces[:, :2], faces[:, 1:]]).T
+        n = len(self.vertices)
+        graph = sparse.coo_matrix((np.ones(edges.shape[1], np.int8), tuple(edges)), shape=(n, n))
+        labels = csgraph.connected_components(graph, directed=False)[1]
+        return np.asarray(labels[self.faces[:, 0]], dtype=np.int64)
+
+
+def mesh_of(
+    field: Field, roi: OrientedBox, *, closed: bool = False, context: Context = QUIET
+) -> Mesh:
+    """The surface of a field, without what flies about and without layers inside.
+
+    Args:
+        closed: whether it gets no holes: what no photo shows is filled, also at the box's sides.
+
+    Raises:
+        SceneError: there is no surface in the box.
+    """
+    measure: Any = package("skimage.measure", PURPOSE, "scikit-image")
+    context.check_cancelled()
+    volume = ndimage.gaussian_filter(field.distance, SMOOTHING)
+    if closed:
+        volume = np.pad(volume, 1, constant_values=1.0)
+    if not volume.min() < 0 < volume.max():
+        raise nothing_there(roi)
+    context.check_cancelled()
+    places, faces, _, _ = measure.marching_cubes(volume, 0.0)
+    places = places.astype(np.float64) - closed
+    context.check_cancelled()
+    reached = ndimage.maximum_filter(field.seen, REACH)
+    centres = places[faces].mean(axis=1).round().astype(int)
+    inside = np.clip(centres, 0, np.array(reached.shape) - 1)
+    there = (centres == inside).all(axis=1)
+    seen = there & (reached[tuple(inside.T)] >= PHOTOS)
+    mesh = Mesh(vertices=places, faces=faces.astype(np.int64), filled=~seen)
+    mesh = cleaned(mesh, closed=closed)
+    if not len(mesh.faces) or mesh.filled.all():
+        raise nothing_there(roi)
+    to_world = np.linalg.inv(roi.world_to_box)
+    local = mesh.vertices * field.voxel + field.origin
+    return replace(mesh, vertices=local @ to_world[:3, :3].T + to_world[:3, 3])
+
+
+def nothing_there(roi: OrientedBox) -> SceneError:
+    """The error for a box without a surface."""
+    return SceneError(
+        f"No photo shows a surface in box '{roi.name}'.", "Put the box around an object."
+    )
+
+
+def cleaned(mesh: Mesh, *, closed: bool) -> Mesh:
+    """The mesh without small parts, hollows inside, and, unless `closed`, large filled parts."""
+    mesh = _large_parts(_without_hollows(mesh))
+    if closed or not mesh.filled.any():
+        return mesh
+    patches = np.where(mesh.filled, mesh.parts(mesh.filled), -1)
+    areas = np.bincount(patches + 1, mesh.areas)
+    large = areas[patches + 1] > HOLE * areas.sum()
+    mesh = mesh.kept(~(mesh.filled & large))
+    return _large_parts(mesh) if len(mesh.faces) else mesh
+
+
+def _without_hollows(mesh: Mesh) -> Mesh:
+    """Without parts whose outside is inside: closed ones with a negative volume."""
+    parts = mesh.parts()
+    signed = np.einsum("ij,ij->i", mesh.vertices[mesh.faces[:, 0]], mesh.crosses)
+    volumes = np.bincount(parts, signed)
+    a, b = np.sort(mesh.faces[:, (0, 1, 2, 1, 2, 0)].reshape(-1, 2, 3).transpose(0, 2, 1)).T
+    edges, counts = np.unique((a * len(mesh.vertices) + b).ravel(), return_counts=True)
+    open_vertices = edges[counts == 1] // len(mesh.vertices)
+    is_open = np.isin(mesh.faces, open_vertices).any(axis=1)
+    has_hole = np.bincount(parts, is_open) > 0
+    return mesh.kept((volumes[parts] > 0) | has_hole[parts])
+
+
+def _large_parts(mesh: Mesh) -> Mesh:
+    if not len(mesh.faces):
+        return mesh
+    parts = mesh.parts()
+    areas = np.bincount(parts, mesh.areas * ~mesh.filled)
+    return mesh.kept((areas >= SMALLEST * areas.max())[parts])
+
+
+def simplified(mesh: Mesh, faces: int) -> Mesh:
+    """The mesh with about so many faces at most (quadric errors, Garland and Heckbert 1997).
+
+    A closed mesh stays closed; for that, it may keep more.
+    """
+    wanted, is_closed = faces, mesh.is_closed()
+    while len(mesh.faces) > wanted:
+        found = _decimated(mesh, wanted)
+        if not is_closed or found.is_closed():
+            return found
+        wanted *= 2
+    return mesh
+
+
+def _decimated(mesh: Mesh, faces: int) -> Mesh:
+    library: Any = package("fast_simplification", PURPOSE, "fast-simplification")
+    middle = mesh.vertices.mean(axis=0)
+    vertices, triangles = library.simplify(
+        mesh.vertices - middle, mesh.faces.astype(np.int32), target_count=faces
+    )
+    vertices = np.asarray(vertices, dtype=np.float64) + middle
+    triangles = np.asarray(triangles, dtype=np.int64)
+    before = mesh.vertices[mesh.faces].mean(axis=1)
+    nearest = cKDTree(before).query(vertices[triangles].mean(axis=1))[1]
+    return Mesh(vertices=vertices, faces=triangles, filled=mesh.filled[nearest])

@@ -1,0 +1,280 @@
+"""Texture of a mesh from photos: those that see a texel nearest and straightest, in two bands.
+
+Broad colours are blended over all photos that see a texel, so that no seam shows. Fine detail comes
+from the best ones alone, so that nothing is blurred by poses that are a little wrong (Burt and
+Adelson 1983). Exposures are levelled before: each photo gets a gain for each colour.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from ..context import QUIET, Context
+from ..formats.events import StageStarted
+from ..model.scene import Float64, PosedImage
+from ..photos.decode import Pixels
+from ..rasterize.instances import NOTHING, surface_depth
+from .charts import Charts, charts_of
+from .depth import DepthMap
+from .mesh import Mesh
+
+STAGE = "texture"
+FINER = 1.5  # texels for a pixel of the best photos, along a side
+SMALLEST, LARGEST = 256, 8192  # texels
+FILLED = 0.6  # share of a texture that charts take
+LEAST_FACING = 0.2  # cosine between surface and ray
+SHARP = 6  # power of the weights in the fine band
+BROAD = 6.0  # standard deviation that parts the bands, pixels
+FINE_DEPTH = 2  # the mesh's depth is drawn so many times finer than the photo
+HIDDEN = (
+    3.0  # pixels' sizes behind the nearest face, or the Gaussians' depth, at which it is hidden
+)
+GAINS = 0.6, 1.6
+PAIRS_AT_ONCE = 1 << 21
+
+Float32 = NDArray[np.float32]
+Load = Callable[[PosedImage], Pixels]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Textured:
+    """A mesh with a texture.
+
+    Attributes:
+        mesh: as it was given.
+        charts: how it lies in the texture.
+        picture: (S, S, 3) uint8 sRGB, the first row on top.
+        seen: share of the surface that a photo has coloured.
+    """
+
+    mesh: Mesh
+    charts: Charts
+    picture: Pixels
+    seen: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Points:
+    """Places on the surface (N, 3), and their unit normals."""
+
+    places: Float64
+    normals: Float64
+
+
+def texture_side(mesh: Mesh, maps: Sequence[DepthMap]) -> int:
+    """The side of a texture in which the best photos' pixels have room, texels."""
+    sizes = [
+        float(np.median(m.depth[m.depth > 0])) / max(m.camera.fx, m.camera.fy)
+        for m in maps
+        if m.depth.any()
+    ]
+    if not sizes:
+        return SMALLEST
+    pixel = float(np.percentile(sizes, 10)) / FINER
+    side = math.sqrt(float(mesh.areas.sum()) / FILLED) / pixel
+    return int(np.clip(2 ** math.ceil(math.log2(max(side, 1)) - 0.3), SMALLEST, LARGEST))
+
+
+def textured(
+    mesh: Mesh, maps: Sequence[DepthMap], side: int, load: Load, context: Context = QUIET
+) -> Textured:
+    """The mesh with a texture of `side` texels from the photos of the depth maps.
+
+    Args:
+        mesh: in the frame of the maps.
+        maps: of the photos to use; where the depth is nearer than the mesh, something hides it.
+        load: returns a photo, (H, W, 3) uint8 sRGB.
+    """
+    charts = charts_of(mesh, side)
+    texels, face, share = _texels(charts)
+    normals = mesh.normals()
+    corners = mesh.faces[face]
+    at = np.einsum("nk,nkd->nd", share, mesh.vertices[corners])
+    facing = np.einsum("nk,nkd->nd", share, normals[corners])
+    facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-30)
+    triangles = torch.from_numpy(mesh.vertices[mesh.faces].astype(np.float32))
+    points = _Points(places=at, normals=facing)
+    context.emit(StageStarted(stage=STAGE, total=2 * len(maps)))
+    centres = _Points(places=mesh.vertices, normals=normals)
+    views = [_View(depth_map, triangles, load) for depth_map in maps]
+    gains = _gains(views, centres, context)
+    colours, weight = _blended(views, points, gains, context)
+    seen = weight > 0
+    areas = mesh.areas
+    counts = np.bincount(face, minlength=len(areas))
+    covered = np.bincount(face, seen, len(areas)) / np.maximum(counts, 1)
+    if seen.any() and not seen.all():
+        nearest = cKDTree(at[seen]).query(at[~seen])[1]
+        colours[~seen] = colours[seen][nearest]
+    picture = np.zeros((side, side, 3), np.uint8)
+    drawn = np.zeros((side, side), bool)
+    picture[texels[:, 1], texels[:, 0]] = np.clip(colours, 0, 255).round()
+    drawn[texels[:, 1], texels[:, 0]] = True
+    if drawn.any():
+        near = ndimage.distance_transform_edt(~drawn, return_distances=False, return_indices=True)
+        picture = picture[tuple(near)]
+    return Textured(
+        mesh=mesh,
+        charts=charts,
+        picture=picture,
+        seen=float((covered * areas).sum() / max(areas.sum(), 1e-30)),
+    )
+
+
+class _View:
+    """A photo, and the mesh as it sees it."""
+
+    def __init__(self, depth_map: DepthMap, triangles: torch.Tensor, load: Load) -> None:
+        self.map, self._triangles, self._load = depth_map, triangles, load
+        self.drawn = np.zeros(depth_map.depth.shape, np.float32)
+        """Where the mesh is, 1, as of the last call of `sees`."""
+
+    def pixels(self) -> Float32:
+        """(H, W, 3) the part of the photo that shows the box, 0 to 255."""
+        m = self.map
+        whole = self._load(m.image)
+        return whole[m.y : m.y + m.camera.height, m.x : m.x + m.camera.width, :3].astype(np.float32)
+
+    def sees(self, points: _Points) -> tuple[NDArray[np.int64], Float64, Float64]:
+        """Which points the photo shows: their rows, pixels (M, 2) from the part's corner, weights.
+
+        The weight is the cosine between ray and normal, over the square of the pixel's size.
+        """
+        m, camera = self.map, self.map.camera
+        pose = m.world_to_camera
+        local = points.places @ pose[:3, :3].T + pose[:3, 3]
+        z = local[:, 2]
+        with np.errstate(all="ignore"):
+            pixels = local[:, :2] / z[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+            size = np.array([camera.width, camera.height])
+            inside = (z > 0) & ((pixels > 1) & (pixels < size - 1)).all(axis=1)
+        rows = np.flatnonzero(inside)
+        local, pixels, z = local[rows], pixels[rows], z[rows]
+        normals = points.normals[rows] @ pose[:3, :3].T
+        cosine = -(normals * local).sum(axis=1) / np.linalg.norm(local, axis=1)
+        pixel = z / max(camera.fx, camera.fy)
+        fine = camera.resized(camera.width * FINE_DEPTH, camera.height * FINE_DEPTH)
+        nearest = surface_depth(self._triangles, fine, pose).numpy()
+        self.drawn = (nearest[::FINE_DEPTH, ::FINE_DEPTH] < NOTHING).astype(np.float32)
+        nearest = ndimage.minimum_filter(nearest, 3)
+        x, y = np.floor(pixels * FINE_DEPTH).astype(int).T
+        # A face that the ray meets at a grazing angle reaches far in a pixel.
+        slack = HIDDEN * pixel / np.maximum(cosine, LEAST_FACING)
+        shown = (cosine > LEAST_FACING) & (z < nearest[y, x] + slack)
+        x, y = np.floor(pixels).astype(int).T
+        shown &= z < m.depth[y, x] + 2 * slack
+        kept = np.flatnonzero(shown)
+        return rows[kept], pixels[kept], (cosine / pixel**2)[kept]
+
+
+def _sampled(picture: Float32, pixels: Float64) -> Float32:
+    """(M, C) a picture (H, W, C) at places (M, 2), between pixels."""
+    places = pixels.T[::-1] - 0.5
+    channels = (picture[..., k] for k in range(3))
+    sampled = [ndimage.map_coordinates(c, places, order=1, mode="nearest") for c in channels]
+    return np.stack(sampled, axis=1)
+
+
+def _gains(views: Sequence[_View], points: _Points, context: Context) -> Float64:
+    """(P, 3) what each photo's colours are multiplied with, so that all agree on the points."""
+    gains = np.ones((len(views), 3))
+    found = []
+    started = time.monotonic()
+    for step, view in enumerate(views, start=1):
+        context.check_cancelled()
+        rows, pixels, weights = view.sees(points)
+        colours = _sampled(ndimage.gaussian_filter(view.pixels(), (1, 1, 0)), pixels)
+        found.append((rows, np.log(colours.astype(np.float64) + 8), weights))
+        context.progress(STAGE, step, 2 * len(views), started)
+    for _ in range(3):
+        total = np.full((len(points.places), 3), 1e-12)
+        weight = np.full(len(points.places), 1e-12)
+        for (rows, colours, weights), gain in zip(found, gains, strict=True):
+            total[rows] += weights[:, None] * (colours + np.log(gain))
+            weight[rows] += weights
+        mean = total / weight[:, None]
+        for k, (rows, colours, _) in enumerate(found):
+            if len(rows) > 50:
+                gains[k] = np.exp(np.median(mean[rows] - colours, axis=0))
+        gains = np.clip(gains / np.exp(np.log(gains).mean(axis=0)), *GAINS)
+    return gains
+
+
+def _blended(
+    views: Sequence[_View], points: _Points, gains: Float64, context: Context
+) -> tuple[Float32, Float32]:
+    """(N, 3) colours of points, 0 to 255, and (N,) their weights, 0 where no photo shows them."""
+    n = len(points.places)
+    broad, fine = np.zeros((n, 3), np.float32), np.zeros((n, 3), np.float32)
+    broad_weight, fine_weight = np.zeros(n, np.float32), np.zeros(n, np.float32)
+    best = None
+    started = time.monotonic()
+    for step, (view, gain) in enumerate(zip(views, gains, strict=True), start=1):
+        context.check_cancelled()
+        rows, pixels, weights = view.sees(points)
+        if len(rows):
+            best = float(weights.max()) if best is None else best
+            weights = (weights / best).astype(np.float32)
+            picture = view.pixels() * gain.astype(np.float32)
+            low = _sampled(_blurred(picture, view.drawn), pixels)
+            high = _sampled(picture, pixels) - low
+            sharp = weights**SHARP
+            broad[rows] += weights[:, None] * low
+            broad_weight[rows] += weights
+            fine[rows] += sharp[:, None] * high
+            fine_weight[rows] += sharp
+        context.progress(STAGE, len(views) + step, 2 * len(views), started)
+    colours = broad / np.maximum(broad_weight, 1e-30)[:, None]
+    colours += fine / np.maximum(fine_weight, 1e-30)[:, None]
+    return colours, broad_weight
+
+
+def _blurred(picture: Float32, mask: Float32) -> Float32:
+    """The broad colours (H, W, 3) of what a mask (H, W) shows; what is behind does not count."""
+    part = ndimage.gaussian_filter(picture * mask[..., None], (BROAD, BROAD, 0))
+    share = ndimage.gaussian_filter(mask, BROAD)
+    return np.asarray(part / np.maximum(share, 1e-3)[..., None], dtype=np.float32)
+
+
+def _texels(charts: Charts) -> tuple[NDArray[np.int64], NDArray[np.int64], Float64]:
+    """The texels in charts: (N, 2) x and y, (N,) face, (N, 3) shares of its corners."""
+    corners = charts.texels[charts.faces]  # (F, 3, 2)
+    low = np.floor(corners.min(axis=1)).astype(int)
+    spans = np.floor(corners.max(axis=1)).astype(int) - low + 1
+    counts = spans.prod(axis=1)
+    ends = np.cumsum(counts)
+    found = []
+    first = 0
+    while first < len(counts):
+        done = ends[first - 1] if first else 0
+        last = max(first + 1, int(np.searchsorted(ends, done + PAIRS_AT_ONCE, "right")))
+        part = slice(first, last)
+        face = np.repeat(np.arange(first, last), counts[part])
+        inner = np.arange(len(face)) - np.repeat(ends[part] - counts[part] - done, counts[part])
+        x, y = low[face, 0] + inner % spans[face, 0], low[face, 1] + inner // spans[face, 0]
+        share = _shares(corners[face], np.stack([x, y], axis=1) + 0.5)
+        inside = (share >= -0.5 / 16).all(axis=1)
+        found.append((np.stack([x, y], axis=1)[inside], face[inside], share[inside]))
+        first = last
+    texels, face, share = (np.concatenate(each) for each in zip(*found, strict=True))
+    _, once = np.unique(texels[:, 1] * charts.side + texels[:, 0], return_index=True)
+    return texels[once], face[once], np.clip(share[once], 0, 1)
+
+
+def _shares(corners: Float64, places: Float64) -> Float64:
+    """(N, 3) barycentric coordinates of places (N, 2) in triangles (N, 3, 2)."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    area = np.cross(b - a, c - a)
+    with np.errstate(all="ignore"):
+        u, v = np.cross(b - places, c - places) / area, np.cross(c - places, a - places) / area
+        share = np.stack([u, v, 1 - u - v], axis=1)
+    return np.where(np.isfinite(share), share, -1.0)

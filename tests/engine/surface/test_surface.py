@@ -1,0 +1,118 @@
+"""A ball's mesh from exact depth maps: where it is, what is cleaned away, its texture and files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roigs_engine.errors import SceneError
+from roigs_engine.model.local_frame import LocalFrame
+from roigs_engine.surface.depth import DepthMap
+from roigs_engine.surface.files import write_mesh
+from roigs_engine.surface.fusion import fuse, slopes
+from roigs_engine.surface.mesh import Mesh, mesh_of, simplified
+from roigs_engine.surface.texture import Textured, textured
+from tests.engine.surface.ball import BOX, CAMERA, RADIUS, colour_at, depth_map, images, photo
+
+trimesh = pytest.importorskip("trimesh")
+pytest.importorskip("skimage")
+VOXEL = 0.02
+
+
+@pytest.fixture(scope="module")
+def maps() -> list[DepthMap]:
+    return [depth_map(image) for image in images()]
+
+
+@pytest.fixture(scope="module")
+def ball(maps: list[DepthMap]) -> Mesh:
+    return mesh_of(fuse(maps, BOX, VOXEL), BOX)
+
+
+def test_the_mesh_is_where_the_ball_is(ball: Mesh) -> None:
+    away = np.linalg.norm(ball.vertices, axis=1) - RADIUS
+    assert abs(np.median(away)) < 0.1 * VOXEL
+    assert np.abs(away).max() < VOXEL
+    assert ball.is_closed() and not ball.filled.any()
+    assert ball.volume() == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.02)
+    assert ((ball.normals() * ball.vertices).sum(axis=1) / RADIUS > 0.97).all()
+
+
+def test_the_slope_of_a_plane_is_exact() -> None:
+    normal = np.array([0.3, -0.4, -1.0]) / np.linalg.norm([0.3, -0.4, -1.0])
+    x = (np.arange(CAMERA.width) + 0.5 - CAMERA.cx) / CAMERA.fx
+    y = (np.arange(CAMERA.height) + 0.5 - CAMERA.cy) / CAMERA.fy
+    rays = np.stack([*np.meshgrid(x, y), np.ones((CAMERA.height, CAMERA.width))], axis=-1)
+    depth = (-2.0 / (rays @ normal)).astype(np.float32)
+    slope, facing = slopes(depth, CAMERA)
+    inner = slice(5, -5), slice(5, -5)
+    assert slope[inner] == pytest.approx(np.abs(rays @ normal)[inner], abs=1e-3)
+    assert (facing <= 1.0 + 1e-6).all()
+
+
+def test_wrong_depths_of_a_few_photos_make_no_layer(maps: list[DepthMap], ball: Mesh) -> None:
+    """Through a hole in the surface, three photos see something inside the ball."""
+    wrong = []
+    for number, each in enumerate(maps):
+        depth = each.depth.copy()
+        if number in (3, 9, 15):
+            depth[36:44, 44:52] += 0.4
+        wrong.append(replace(each, depth=depth))
+    found = mesh_of(fuse(wrong, BOX, VOXEL), BOX)
+    away = np.abs(np.linalg.norm(found.vertices, axis=1) - RADIUS)
+    assert len(np.unique(found.parts())) == 1
+    assert away.max() < 2 * VOXEL
+
+
+def test_what_no_photo_shows_stays_open_or_is_filled() -> None:
+    """Photos from above alone: the lower part is a hole, or closed and marked."""
+    above = [depth_map(image) for image in images() if image.centre[2] > 0.5]
+    field = fuse(above, BOX, VOXEL)
+    open_mesh, closed = mesh_of(field, BOX), mesh_of(field, BOX, closed=True)
+    assert not open_mesh.is_closed()
+    assert closed.is_closed() and 0.1 < closed.filled.mean() < 0.9
+    few = simplified(closed, 4000)
+    assert len(few.faces) < len(closed.faces)
+    assert trimesh.Trimesh(few.vertices, few.faces, process=False).is_watertight
+
+
+def test_an_empty_box_is_said() -> None:
+    empty = [replace(m, depth=np.full_like(m.depth, 8.0)) for m in map(depth_map, images(6))]
+    with pytest.raises(SceneError, match="No photo shows a surface in box 'ball'"):
+        mesh_of(fuse(empty, BOX, VOXEL), BOX)
+
+
+@pytest.fixture(scope="module")
+def coloured(maps: list[DepthMap], ball: Mesh) -> Textured:
+    """From photos half of which are darker."""
+    gains = {m.image.name: (0.8, 1.0)[k % 2] for k, m in enumerate(maps)}
+    return textured(simplified(ball, 4000), maps, 256, lambda i: photo(i, gains[i.name]))
+
+
+def test_the_texture_has_the_photos_colours(coloured: Textured) -> None:
+    assert coloured.seen > 0.99
+    charts = coloured.charts
+    middle = charts.texels[charts.faces].mean(axis=1).astype(int)
+    found = coloured.picture[middle[:, 1], middle[:, 0]].astype(float)
+    wanted = colour_at(coloured.mesh.vertices[coloured.mesh.faces].mean(axis=1))
+    ratio = found.sum() / wanted.sum()  # the exposure between both kinds of photos
+    assert 0.8 < ratio < 1.0
+    assert np.median(np.abs(found - wanted * ratio)) < 4
+    assert np.percentile(np.abs(found - wanted * ratio), 95) < 12
+
+
+@pytest.mark.parametrize("ending", ["glb", "obj", "ply", "stl"])
+def test_files_are_read_by_others(coloured: Textured, tmp_path: Path, ending: str) -> None:
+    path = tmp_path / f"ball.{ending}"
+    frame = LocalFrame(origin=np.array([64.0, 0, 0]), scale=16.0)
+    write_mesh(path, coloured, frame)
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+    write_mesh(path, coloured, frame)
+    assert before == {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+    mesh = trimesh.load(path, force="mesh")
+    assert len(mesh.faces) == len(coloured.mesh.faces)
+    assert mesh.bounds.mean(axis=0) == pytest.approx([64, 0, 0], abs=0.01)
+    assert mesh.extents == pytest.approx([RADIUS / 8] * 3, rel=0.05)
