@@ -45,13 +45,12 @@ class PhotoList(bpy.types.UIList):
         _icon: int,
         _active_data: object,
         _active_property: str,
-        index: int,
     ) -> None:
         """Name, the score as a bar, and a button that looks through the camera."""
         excluded = used.is_excluded(scene_of(context), item.name)
-        split = layout.split(factor=0.42, align=True)
+        split = layout.split(factor=0.36, align=True)
         split.active = not excluded
-        split.label(text=f"{index + 1}  {photo_names.short_name(scene_of(context), item.name)}")
+        split.label(text=photo_names.short_name(scene_of(context), item.name))
         row = split.row(align=True)
         if excluded:
             row.label(text="excluded")

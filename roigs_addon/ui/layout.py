@@ -130,7 +130,7 @@ def progress(layout: bpy.types.UILayout, state: JobState) -> None:
     if state.gaussians:
         column.label(text=f"{state.gaussians:,} Gaussians")
     if state.psnr:
-        column.label(text=f"Match with the photos: {state.psnr:.1f} dB (higher is better)")
+        column.label(text=f"PSNR: {state.psnr:.1f} dB (higher is better)")
     if state.message:
         say(column, state.message, "INFO")
     if current.job is not None and current.job.hears_esc and not current.job.stopping:

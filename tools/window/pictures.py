@@ -61,6 +61,8 @@ def story(blender: Blender, out: Path, run: Path, max_side: int) -> None:
     def picture(name: str, crop: str = "780x958+260+0") -> None:
         blender.screen.do("mousemove", "3", "450")
         blender.pause(2.0)
+        blender.ask("view()['area'].tag_redraw()")  # panels take two drawings to find their places
+        blender.pause(4.0)
         blender.screen.picture(out / f"{name}.png", crop, *COLOURS)
 
     prepare(blender)
