@@ -30,6 +30,7 @@ MODULES = (
     "scene.active_camera",
     "scene.backgrounds",
     "scene.edits",
+    "scene.box_surfaces",
     "scene.carried",
     "scene.instances",
     "scene.formerly_hidden",
@@ -50,6 +51,7 @@ MODULES = (
     "operators.results",
     "operators.click",
     "operators.levels",
+    "operators.surface",
     "operators.adapt",
     "operators.run_folder",
     "operators.export",
@@ -75,6 +77,7 @@ MODULES = (
     "ui.result",
     "ui.look",
     "ui.clean_up",
+    "ui.surface",
     "ui.levels",
 )
 

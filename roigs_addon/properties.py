@@ -27,6 +27,7 @@ KINDS = (
     ("POINTS", "Points", "The sparse points of the COLMAP model"),
     ("ROI", "Box", "A box (ROI, region of interest) around something to sharpen"),
     ("SPLATS", "Gaussians", "Trained Gaussians"),
+    ("SURFACE", "Mesh", "The surface of a box, as a mesh with the photos' texture"),
 )
 RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
 """For a path that may begin with `//`; earlier Blenders need no such option."""
@@ -148,7 +149,8 @@ class RoigsObject(bpy.types.PropertyGroup):
     ply: StringProperty(description="Gaussians: their file", subtype="FILE_PATH")
     level: EnumProperty(items=LEVELS, description="Gaussians: the model they belong to")
     shown_as: EnumProperty(items=SHOWN_AS, description="Gaussians: how they are drawn")
-    roi: StringProperty(description="Gaussians: name of their box")
+    roi: StringProperty(description="Gaussians, mesh: name of their box")
+    surface: StringProperty(description="Mesh: what the engine says of it, as JSON")
     parked: StringProperty(
         description="Gaussians: not in the result that is shown; how they were seen before"
     )
@@ -320,6 +322,8 @@ class RoigsScene(bpy.types.PropertyGroup):
         " large (57 MB instead of 20 MB for 200,000 Gaussians). Without it, the colour comes from"
         " the PLY files; if they are gone, colours look the same from all sides",
     )
+    watertight: setting(BoolProperty, "watertight", run_requests.MakeSurface)
+    faces: setting(IntProperty, "faces", run_requests.MakeSurface, soft_max=1_000_000)
     use_levels: BoolProperty(
         name="Levels of Detail",
         default=True,

@@ -13,6 +13,7 @@ CHECK, UNDISTORT, CAMERAS = "photos", "undistort", "refine cameras"
 POINTS = "match points"
 MASKING = "masks"
 ADAPT, EVALUATE = "adapt", "evaluate"
+DEPTH, FUSION, TEXTURE = "depth", "fusion", "texture"
 LOOK, FEATURES, COMPARE = "look at photos", "features", "compare photos"
 MATCHING, MAPPING = "matching", "mapping"
 UNITS = {
@@ -21,6 +22,7 @@ UNITS = {
     MASKING: "Photo",
     FEATURES: "Photo",
     COMPARE: "Photo",
+    DEPTH: "Photo",
     MATCHING: "Pair",
 }
 """What a stage counts, where that is not steps."""
@@ -46,6 +48,8 @@ def stage_in_words(stage: str) -> str:
         run_files.SURFACE_STAGE: "surfaces",
         ADAPT: "adapting",
         EVALUATE: "measuring the result",
+        DEPTH: "measuring depth",
+        FUSION: "fusing depth",
         CHECK: "checking photos",
         UNDISTORT: "undistorting photos",
         CAMERAS: "cameras",

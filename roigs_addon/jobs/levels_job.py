@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 
 from ..engine import own_files
-from ..scene import compared, splats
+from ..scene import compared
 from ..shared import EngineError, levels
 from ..windows import redraw
 from . import options_files, run_folders
@@ -29,11 +29,7 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
         now = find()
         if now is None:
             return None
-        shown = compared.shown_result(now)
-        if shown is None:
-            splats.show_results(now, folder)
-        elif shown != folder:
-            compared.switch(now, folder)
+        compared.show_last(now, folder)
         redraw()
         return None if _some_kept(folder) else NONE_KEPT
 

@@ -12,6 +12,7 @@ TRAINING, EXPORTING = "Training", "Exporting"
 IMPORTING_GAUSSIANS, FLOATERS = "Importing Gaussians", "Finding Floaters"
 MASKING = "Making Masks"
 LEVELS, ADAPTING = "Making Levels", "Adapting"
+SURFACES = "Making Surfaces"
 """Titles of jobs: each step of the panel shows the progress and the error of its own."""
 
 RESUMED = {TRAINING: "Continue", RECONSTRUCTING: "Continue", LEVELS: "Make Levels"}

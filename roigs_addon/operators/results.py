@@ -207,8 +207,9 @@ class SelectGaussians(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Select the object, and nothing else."""
-        found = (item for item in lookup.splats(scene_of(context)) if item.name == self.name)
-        item = next(found, None)
+        scene = scene_of(context)
+        shown = (*lookup.splats(scene), *lookup.of_kind(scene, "SURFACE"))
+        item = next((item for item in shown if item.name == self.name), None)
         if item is None:
             return failed(self, f"There are no Gaussians '{self.name}'.")
         select_only(context, item)

@@ -18,6 +18,19 @@ def shown_result(scene: bpy.types.Scene) -> Path | None:
     return next((Path(file).parent for file in files), None)
 
 
+def show_last(scene: bpy.types.Scene, folder: Path) -> None:
+    """Show the result of a run folder, unless it is shown already.
+
+    Raises:
+        AddonError: a file is missing or damaged.
+    """
+    shown = shown_result(scene)
+    if shown is None:
+        splats.show_results(scene, folder)
+    elif shown != folder:
+        switch(scene, folder)
+
+
 def switch(scene: bpy.types.Scene, folder: Path) -> None:
     """Show the result of a run folder, or an earlier one.
 

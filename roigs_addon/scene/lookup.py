@@ -21,6 +21,7 @@ TYPES = {
     "POINTS": {"MESH"},
     "ROI": {"EMPTY"},
     "SPLATS": {"MESH"},
+    "SURFACE": {"MESH"},
 }
 """Blender's types of the objects of each kind; checked first, which is three times as fast."""
 

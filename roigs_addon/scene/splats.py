@@ -113,11 +113,12 @@ def result_files(folder: Path) -> dict[Part, Path]:
 
 def rename_boxes(scene: bpy.types.Scene, renamed: Mapping[str, str]) -> None:
     """Give the Gaussians of renamed boxes, old name -> new one, the new names."""
-    for item in lookup.splats(scene):
+    for item in (*lookup.splats(scene), *lookup.of_kind(scene, "SURFACE")):
         props = object_props(item)
         if new := renamed.get(props.roi):
-            if item.name == object_name(props.level, props.roi):
-                item.name = object_name(props.level, new)
+            if item.name in (mesh_name(props.roi), object_name(props.level, props.roi)):
+                own = props.kind == "SURFACE"
+                item.name = mesh_name(new) if own else object_name(props.level, new)
             props.roi = new
 
 
@@ -141,7 +142,7 @@ def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
         )
         object_props(item).level = "PREVIEW"
         display.show_as(item, "EXACT")  # its file is all that it has
-        for other in lookup.splats(scene):
+        for other in (*lookup.splats(scene), *lookup.of_kind(scene, "SURFACE")):
             if other != item and object_props(other).level != "IMPORTED":
                 visibility.wait(other)
         _hide_sparse(scene)
@@ -182,7 +183,7 @@ def show_as(scene: bpy.types.Scene, way: str) -> None:
 
 def remove_preview(scene: bpy.types.Scene) -> None:
     """Remove the model that was being trained; what was hidden for it is shown again, refined."""
-    for item in lookup.splats(scene):
+    for item in (*lookup.splats(scene), *lookup.of_kind(scene, "SURFACE")):
         visibility.resume(item)
         visibility.unpark(item)
         if object_props(item).level == "PREVIEW":
@@ -211,6 +212,11 @@ def _of(scene: bpy.types.Scene, level: str, roi: str) -> list[bpy.types.Object]:
 def object_name(level: str, roi: str) -> str:
     """What an object of Gaussians is called at first."""
     return {"SCENE": f"{roi} first pass", "ROI": f"{roi} Gaussians"}.get(level, "Background")
+
+
+def mesh_name(roi: str) -> str:
+    """What the mesh of a box's surface is called at first."""
+    return f"{roi} Mesh"
 
 
 def read_files(files: Mapping[Part, Path]) -> dict[Part, bpy.types.Object]:

@@ -144,10 +144,18 @@ class MakeSurface(Threads, Device):
         NAME, "only the box of this name; repeatable", repeat=True, flags=("--only", "--box")
     )
     faces: int = option(
-        integer(MIN_FACES, MOST_FACES), "faces of a mesh at most (default: {default})", 100_000
+        integer(MIN_FACES, MOST_FACES),
+        "faces of a mesh at most (default: {default})",
+        100_000,
+        label="Faces",
+        tooltip="A mesh gets at most so many faces",
     )
     watertight: bool = option(
-        FLAG, "close all holes, for print: what no photo shows is filled", False
+        FLAG,
+        "close all holes, for print: what no photo shows is filled",
+        False,
+        label="Watertight",
+        tooltip="Close all holes, for 3D print: what no photo shows is filled",
     )
     texture_size: int | None = option(
         integer(MIN_TEXTURE, MOST_TEXTURE, metavar="PX"),

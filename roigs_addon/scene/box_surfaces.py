@@ -1,0 +1,305 @@
+"""The surface of a box as a mesh object: in the place of its Gaussians, or beside them.
+
+A mesh that is made again keeps its object: where it stands, its modifiers and its material. Its
+data is replaced, and the picture in its material.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ..blender import following, leave_edit_mode, mesh_of, persistent
+from ..errors import AddonError
+from ..geometry.common_map import common_map
+from ..geometry.frames import Matrix
+from ..geometry.glb import TexturedMesh, read_glb
+from ..properties import object_props, scene_props
+from ..shared import EngineError, files
+from . import clouds, detail, edits, lookup, splats, visibility
+from .splat_attributes import PLACE, imported_frame, move_to_frame, values
+
+GAUSSIANS, MESH, BOTH = "GAUSSIANS", "MESH", "BOTH"
+WAYS = (
+    (GAUSSIANS, "Gaussians", "Show the Gaussians of this box"),
+    (MESH, "Mesh", "Show the mesh of this box in their place"),
+    (BOTH, "Both", "Show Gaussians and mesh; either hides parts of the other"),
+)
+SIZE = "roigs_picture"
+"""Custom property of a picture of ours: bytes of its file."""
+
+_edited: dict[int, bool] = {}
+"""Mesh -> whether it was edited, until it changes."""
+
+
+def surfaces(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The mesh of each box that has one; copies are the user's own."""
+    found: dict[str, bpy.types.Object] = {}
+    for item in lookup.of_kind(scene, "SURFACE"):
+        found.setdefault(object_props(item).roi, item)
+    return list(found.values())
+
+
+def pair_of(scene: bpy.types.Scene, roi: str) -> detail.Pair | None:
+    """The objects of a box's Gaussians, not of copies; None if there are none."""
+    for pair in detail.pairs(scene):
+        item = pair.fine or pair.coarse
+        if item is not None and object_props(item).roi == roi:
+            return pair
+    return None
+
+
+def show(scene: bpy.types.Scene, roi: str, path: Path) -> bpy.types.Object:
+    """Show the mesh of a file as that of a box: in its object, or in a new one.
+
+    Raises:
+        AddonError: the file, or the record beside it, is missing or damaged.
+    """
+    try:
+        read = read_glb(path)
+        record = files.read_json(path.with_suffix(".surface.json"))
+    except (OSError, ValueError, EngineError) as error:
+        raise AddonError(f"{error} Make the surface again.") from error
+    pair = pair_of(scene, roi)
+    gaussians = pair.shown if pair is not None else None
+    known = next((item for item in surfaces(scene) if object_props(item).roi == roi), None)
+    if known is None:
+        item = _new(scene, roi, read, gaussians)
+        way = MESH
+    else:
+        leave_edit_mode([known])
+        item, old = known, mesh_of(known)
+        way = BOTH if way_of(scene, item) == BOTH else MESH
+        fresh = _data(old.name, read, _frame(old))
+        _take_materials(fresh, old, roi, read.picture)
+        for other in lookup.of_kind(scene, "SURFACE"):
+            if other.data == old:
+                other.data = fresh
+        if not old.users:
+            bpy.data.batch_remove([old])
+    if pair is not None and pair.fine is not None:
+        mesh_of(item)[edits.SOURCE] = mesh_of(pair.fine).get(edits.SOURCE, "")
+    object_props(item).surface = json.dumps(record)
+    set_way(scene, item, way)
+    return item
+
+
+def way_of(scene: bpy.types.Scene, item: bpy.types.Object) -> str:
+    """Which of `WAYS` the viewport shows; empty: neither mesh nor Gaussians."""
+    pair = pair_of(scene, object_props(item).roi)
+    gaussians = pair.shown if pair is not None else None
+    seen = gaussians is not None and not gaussians.hide_viewport
+    if item.hide_viewport:
+        return GAUSSIANS if seen else ""
+    return BOTH if seen else MESH
+
+
+def set_way(scene: bpy.types.Scene, item: bpy.types.Object, way: str) -> None:
+    """Show Gaussians, mesh or both, in viewports and renders."""
+    pair = pair_of(scene, object_props(item).roi)
+    gaussians = pair.shown if pair is not None else None
+    for other, seen in ((item, way != GAUSSIANS), (gaussians, way != MESH)):
+        if other is not None:
+            other.hide_viewport = other.hide_render = not seen
+            if seen:
+                visibility.open_eye(scene, other)
+
+
+def is_of_other_result(scene: bpy.types.Scene, item: bpy.types.Object) -> bool:
+    """Whether the Gaussians of the box are not those that a mesh was made of."""
+    pair = pair_of(scene, object_props(item).roi)
+    if pair is None or pair.fine is None:
+        return False
+    was, now = (mesh_of(each).get(edits.SOURCE, "") for each in (item, pair.fine))
+    return bool(was != now)
+
+
+def edited(scene: bpy.types.Scene, rois: Sequence[str] = ()) -> list[str]:
+    """Names of these boxes' meshes, or of all, that were changed since they were made."""
+    found = (i for i in surfaces(scene) if not rois or object_props(i).roi in rois)
+    return [item.name for item in found if is_edited(item)]
+
+
+def is_edited(item: bpy.types.Object) -> bool:
+    """Whether a mesh, or the picture of its material, was changed."""
+    mesh = mesh_of(item)
+    if mesh.is_editmode:
+        return True  # what is done in it is not in the mesh yet
+    if mesh.session_uid not in _edited:
+        _edited[mesh.session_uid] = mesh.get(edits.MARK) != _state(mesh)
+    return _edited[mesh.session_uid] or any(map(_is_painted, _images(mesh)))
+
+
+def _is_painted(image: bpy.types.Image) -> bool:
+    packed = image.packed_file
+    return bool(image.is_dirty or packed is None or packed.size != image[SIZE])
+
+
+def record(item: bpy.types.Object) -> dict[str, Any]:
+    """What the engine says of a mesh; lengths in units of the COLMAP model."""
+    try:
+        found = json.loads(object_props(item).surface)
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _new(
+    scene: bpy.types.Scene, roi: str, read: TexturedMesh, gaussians: bpy.types.Object | None
+) -> bpy.types.Object:
+    """A new object in the place of the Gaussians, with their origin; else with its own middle."""
+    name = splats.mesh_name(roi)
+    if gaussians is None:
+        frame = np.eye(4)
+        frame[:3, 3] = -(read.vertices.max(axis=0) + read.vertices.min(axis=0)) / 2
+    else:
+        frame = edits.whole_frame(mesh_of(gaussians))
+    item = bpy.data.objects.new(name, _data(name, read, frame))
+    mesh_of(item).materials.append(_material(name, _picture(roi, read.picture)))
+    props = object_props(item)
+    props.kind, props.roi, props.level = "SURFACE", roi, "ROI"
+    if gaussians is None:
+        item.parent = scene_props(scene).root
+        item.location = (-frame[:3, 3]).tolist()
+    else:
+        item.parent, item.parent_type = gaussians.parent, gaussians.parent_type
+        item.parent_bone = gaussians.parent_bone
+        item.matrix_parent_inverse = gaussians.matrix_parent_inverse
+        item.rotation_mode = gaussians.rotation_mode
+        item.matrix_basis = gaussians.matrix_basis
+    places = gaussians.users_collection if gaussians is not None else [scene.collection]
+    for collection in places:
+        collection.objects.link(item)
+    return item
+
+
+def _data(name: str, read: TexturedMesh, frame: Matrix) -> bpy.types.Mesh:
+    """A mesh in a frame of its own, with one UV map."""
+    mesh = bpy.data.meshes.new(name)
+    count = len(read.corners)
+    mesh.vertices.add(len(read.vertices))
+    mesh.loops.add(3 * count)
+    mesh.polygons.add(count)
+    mesh.vertices.foreach_set("co", read.vertices.ravel())
+    mesh.loops.foreach_set("vertex_index", read.corners.ravel())
+    mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
+    clouds.set_attribute(mesh, PLACE, "FLOAT_VECTOR", read.vertices)
+    layer: Any = mesh.uv_layers.new(name="UVMap")
+    layer.uv.foreach_set("vector", read.uv.ravel())
+    mesh.update(calc_edges=True)
+    move_to_frame(mesh, frame)
+    mesh.shade_smooth()
+    mesh[edits.MARK] = _state(mesh)
+    return mesh
+
+
+def _frame(mesh: bpy.types.Mesh) -> Matrix:
+    """(4, 4) from the COLMAP frame to a mesh's own, with what **Object ▸ Apply** did to it."""
+    frame, imported = imported_frame(mesh), values(mesh, PLACE)
+    if imported is None:
+        return frame
+    placed = imported @ frame[:3, :3].T + frame[:3, 3]
+    return common_map(placed, clouds.positions_of(mesh)) @ frame
+
+
+def _state(mesh: bpy.types.Mesh) -> str:
+    """Text that changes when vertices, faces or their places in the picture do."""
+    corners = np.empty(len(mesh.loops), np.int32)
+    mesh.loops.foreach_get("vertex_index", corners)
+    found = zlib.crc32(corners.data, zlib.crc32(clouds.positions_of(mesh).data))
+    layer: Any = mesh.uv_layers.get("UVMap")
+    if layer is not None:
+        uv = np.empty(2 * len(layer.uv), np.float32)
+        layer.uv.foreach_get("vector", uv)
+        found = zlib.crc32(uv.data, found)
+    return f"{len(mesh.vertices)}-{len(mesh.polygons)}-{found:08x}"
+
+
+def _picture(roi: str, data: bytes) -> bpy.types.Image:
+    """A picture that the .blend contains."""
+    image = bpy.data.images.new(f"{roi} Texture", 1, 1)
+    image.pack(data=data, data_len=len(data))
+    image.source = "FILE"
+    image[SIZE] = len(data)
+    return image
+
+
+def _material(name: str, image: bpy.types.Image) -> bpy.types.Material:
+    """A matt material with a picture, that scene's lights light."""
+    material: Any = bpy.data.materials.new(name)
+    if material.node_tree is None:  # before Blender 5
+        material.use_nodes = True
+    nodes, link = material.node_tree.nodes, material.node_tree.links.new
+    nodes.clear()
+    picture, matt = nodes.new("ShaderNodeTexImage"), nodes.new("ShaderNodeBsdfPrincipled")
+    output = nodes.new("ShaderNodeOutputMaterial")
+    picture.image = image
+    matt.inputs["Roughness"].default_value = 1.0
+    matt.inputs["Specular IOR Level"].default_value = 0.0  # photos have the highlights
+    link(picture.outputs["Color"], matt.inputs["Base Color"])
+    link(matt.outputs[0], output.inputs["Surface"])
+    for x, node in enumerate((picture, matt, output)):
+        node.location.x = 300 * x
+    made: bpy.types.Material = material
+    return made
+
+
+def _nodes(mesh: bpy.types.Mesh) -> list[Any]:
+    """The nodes with a picture in a mesh's materials."""
+    trees: list[Any] = [m.node_tree for m in mesh.materials if m is not None and m.node_tree]
+    nodes = (node for tree in trees for node in tree.nodes)
+    return [n for n in nodes if n.bl_idname == "ShaderNodeTexImage" and n.image is not None]
+
+
+def _images(mesh: bpy.types.Mesh) -> list[bpy.types.Image]:
+    """The engine's pictures in a mesh's materials."""
+    return [node.image for node in _nodes(mesh) if node.image.get(SIZE) is not None]
+
+
+def _take_materials(fresh: bpy.types.Mesh, old: bpy.types.Mesh, roi: str, data: bytes) -> None:
+    """Give a mesh the materials of the one that it replaces, with its own picture."""
+    image = _picture(roi, data)
+    gone = set(_images(old))
+    for node in _nodes(old):
+        if node.image in gone:
+            node.image = image
+    for material in old.materials:
+        fresh.materials.append(material)
+    if not gone:
+        fresh.materials.clear()
+        fresh.materials.append(_material(splats.mesh_name(roi), image))
+    bpy.data.batch_remove([each for each in gone if not each.users])
+
+
+@persistent
+def _on_change(_: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
+    """After every change."""
+    for update in graph.updates if _edited else ():
+        changed = update.id if update.is_updated_geometry else None
+        if isinstance(changed, bpy.types.Mesh) and changed.original is not None:
+            _edited.pop(changed.original.session_uid, None)
+
+
+@persistent
+def _forget(*_: object) -> None:
+    _edited.clear()
+
+
+register, _leave = following(
+    ("depsgraph_update_post", _on_change),
+    ("undo_post", _forget),
+    ("redo_post", _forget),
+    ("load_post", _forget),
+)
+
+
+def unregister() -> None:
+    """Follow no changes."""
+    _leave()
+    _forget()
