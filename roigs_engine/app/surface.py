@@ -114,6 +114,7 @@ def surfaces_of_run(
 
     Raises as `make_surfaces`.
     """
+    from ..run.folder import train_surface
     from ..surface.make import make_surface
 
     names = [roi.name for roi in run.rois]
@@ -122,7 +123,9 @@ def surfaces_of_run(
             raise RoiError(f"There is no box '{name}'.", f"The boxes are: {', '.join(names)}.")
     rois = [roi for roi in run.rois if roi.name in only] if only else run.rois
     folder = own_folder(run.folder, run_files.FINE)
-    gaussians = load_model(run.folder / run_files.RESULT, run.frame, context)
+    gaussians = train_surface(run, context)
+    if gaussians is None:
+        gaussians = load_model(run.folder / run_files.RESULT, run.frame, context)
     records, files, failed = [], {}, None
     for roi in rois:
         try:

@@ -27,7 +27,8 @@ class SurfaceLosses(Mechanism):
     RaDe-GS's planes). And the mean depth is the median one (ours): light ends at one depth, without
     haze in front of the surface or layers behind it.
 
-    Earns: not measured.
+    Earns: F of the vase's mesh at 1 and 2 mm 0.60 and 0.91 instead of 0.32 and 0.58, for 42 CPU
+        seconds. The demo, draft, 640 px, seed 0 (notebook/surfaces.md).
 
     Attributes:
         normals: weight of 1 - cosine of the angle between the normals.
