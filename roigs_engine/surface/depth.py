@@ -113,15 +113,15 @@ def _rendered(
         image.world_to_camera,
         limits=PICTURE_LIMITS,
         sh_degree=0,  # colours do not matter
-        with_depth="median",
+        with_surface=True,
     )
-    assert output.depth is not None
+    assert output.surface is not None
     alpha = output.alpha[0].clamp(0, 1)
     return DepthMap(
         image=image,
         x=window[0],
         y=window[1],
         camera=camera,
-        depth=output.depth[0].cpu().numpy(),
+        depth=output.surface.median[0].cpu().numpy(),
         weight=alpha.cpu().numpy(),
     )
