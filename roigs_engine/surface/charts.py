@@ -15,11 +15,13 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from ..model.scene import Float64
-from .mesh import Mesh
+from .mesh import Mask, Mesh
 
 ROUNDS = 8  # in which faces listen to their neighbours
-LISTENING = 0.3  # what all neighbours are worth, as a cosine
-LEAST_FACING = 0.25  # cosine between a face and its chart's direction
+SMOOTHINGS = 4  # rounds in which normals are averaged with those of neighbours
+LISTENING = 0.3  # what a neighbour is worth, as a cosine
+LEAST_FACING = 0.1  # cosine between a face and its chart's direction
+SMALL = 50  # faces: smaller charts join others where they face their direction at all
 GUTTER = 2  # texels around each chart
 
 Ints = NDArray[np.int64]
@@ -46,20 +48,15 @@ def directions() -> Float64:
     """(14, 3) the sides and the corners of a cube, as unit vectors."""
     signs = np.array(np.meshgrid(*[[-1, 1]] * 3, indexing="ij"), float).reshape(3, -1).T
     both = np.concatenate([np.eye(3), -np.eye(3), signs])
-    return np.asarray(both / np.linalg.norm(both, axis=1, keepdims=True))
+    return _unit(both)
 
 
 def charts_of(mesh: Mesh, side: int) -> Charts:
     """The charts of a mesh in a texture of `side` texels, as large as they fit."""
     ways = directions()
-    crosses = mesh.crosses
-    facing = crosses / np.maximum(np.linalg.norm(crosses, axis=1, keepdims=True), 1e-30) @ ways.T
     a, b = _neighbours(mesh.faces)
-    label = _labels(facing, a, b)
-    same = label[a] == label[b]
-    n = len(mesh.faces)
-    joined = sparse.coo_matrix((np.ones(same.sum(), np.int8), (a[same], b[same])), shape=(n, n))
-    chart = csgraph.connected_components(joined, directed=False)[1].astype(np.int64)
+    label = _labels(mesh, ways, a, b)
+    chart = _connected(label, a, b)
     keys = (chart[:, None] * len(mesh.vertices) + mesh.faces).ravel()
     corners, faces = np.unique(keys, return_inverse=True)
     vertex, of_chart = corners % len(mesh.vertices), corners // len(mesh.vertices)
@@ -79,18 +76,44 @@ def _neighbours(faces: Ints) -> tuple[Ints, Ints]:
     return order[pairs] // 3, order[pairs + 1] // 3
 
 
-def _labels(facing: Float64, a: Ints, b: Ints) -> Ints:
+def _connected(label: Ints, a: Ints, b: Ints) -> Ints:
+    """(F,) the chart of each face: connected ones of one label."""
+    same = label[a] == label[b]
+    n = len(label)
+    joined = sparse.coo_matrix((np.ones(same.sum(), np.int8), (a[same], b[same])), shape=(n, n))
+    return np.asarray(csgraph.connected_components(joined, directed=False)[1], dtype=np.int64)
+
+
+def _labels(mesh: Mesh, ways: Float64, a: Ints, b: Ints) -> Ints:
     """(F,) the direction of each face: one that it faces well, and its neighbours have."""
-    n, count = facing.shape
-    ones = np.ones(2 * len(a))
-    link = sparse.csr_matrix((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(n, n))
-    allowed = facing > LEAST_FACING
-    label = facing.argmax(axis=1)
+    n, count = len(mesh.faces), len(ways)
+    ends = np.concatenate([a, b]), np.concatenate([b, a])
+    link = sparse.csr_matrix((np.ones(2 * len(a)), ends), shape=(n, n))
+    smooth = _unit(mesh.crosses)
+    facing = smooth @ ways.T
+    for _ in range(SMOOTHINGS):
+        smooth = _unit(smooth + link @ smooth)
+    score = facing / 2 + smooth @ ways.T
+    score[facing < LEAST_FACING] -= 10
+
+    def liked(label: Ints, among: Mask) -> Float64:
+        rows = np.flatnonzero(among)
+        chosen = sparse.csr_matrix((np.ones(len(rows)), (rows, label[rows])), shape=(n, count))
+        return np.asarray((link @ chosen).toarray())
+
+    label, every = score.argmax(axis=1), np.ones(n, bool)
     for _ in range(ROUNDS):
-        chosen = sparse.csr_matrix((np.ones(n), (np.arange(n), label)), shape=(n, count))
-        liked = (link @ chosen).toarray() * (LISTENING / 3 * 3)
-        label = np.where(allowed, facing + liked, facing - 10).argmax(axis=1)
+        label = (score + LISTENING * liked(label, every)).argmax(axis=1)
+    for _ in range(ROUNDS):
+        chart = _connected(label, a, b)
+        small = np.bincount(chart)[chart] < SMALL
+        others = np.where(facing > 0, liked(label, ~small), 0)
+        label = np.where(small & (others.max(axis=1) > 0), others.argmax(axis=1), label)
     return np.asarray(label, dtype=np.int64)
+
+
+def _unit(vectors: Float64) -> Float64:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-30))
 
 
 def _projected(points: Float64, ways: Float64) -> Float64:

@@ -31,7 +31,7 @@ STAGE = "texture"
 FINER = 1.5  # texels for a pixel of the best photos, along a side
 SMALLEST, LARGEST = 256, 8192  # texels
 FILLED = 0.6  # share of a texture that charts take
-LEAST_FACING = 0.2  # cosine between surface and ray
+LEAST_FACING = 0.15  # cosine between surface and ray
 SHARP = 6  # power of the weights in the fine band
 BROAD = 6.0  # standard deviation that parts the bands, pixels
 FINE_DEPTH = 2  # the mesh's depth is drawn so many times finer than the photo
@@ -53,7 +53,7 @@ class Textured:
         mesh: as it was given.
         charts: how it lies in the texture.
         picture: (S, S, 3) uint8 sRGB, the first row on top.
-        seen: share of the surface that a photo has coloured.
+        seen: share of the texels that a photo has coloured.
     """
 
     mesh: Mesh
@@ -109,9 +109,6 @@ def textured(
     gains = _gains(views, centres, context)
     colours, weight = _blended(views, points, gains, context)
     seen = weight > 0
-    areas = mesh.areas
-    counts = np.bincount(face, minlength=len(areas))
-    covered = np.bincount(face, seen, len(areas)) / np.maximum(counts, 1)
     if seen.any() and not seen.all():
         nearest = cKDTree(at[seen]).query(at[~seen])[1]
         colours[~seen] = colours[seen][nearest]
@@ -126,7 +123,7 @@ def textured(
         mesh=mesh,
         charts=charts,
         picture=picture,
-        seen=float((covered * areas).sum() / max(areas.sum(), 1e-30)),
+        seen=float(seen.mean()),
     )
 
 
@@ -171,7 +168,8 @@ class _View:
         slack = HIDDEN * pixel / np.maximum(cosine, LEAST_FACING)
         shown = (cosine > LEAST_FACING) & (z < nearest[y, x] + slack)
         x, y = np.floor(pixels).astype(int).T
-        shown &= z < m.depth[y, x] + 2 * slack
+        front = m.depth[y, x]
+        shown &= (front == 0) | (z < front + 2 * slack)
         kept = np.flatnonzero(shown)
         return rows[kept], pixels[kept], (cosine / pixel**2)[kept]
 
