@@ -8,14 +8,16 @@ Needs what `driver` needs, and some minutes: the demo scene is trained.
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 import tempfile
 from pathlib import Path
 
 from .driver import REPOSITORY, Blender, Screen, with_extension
-from .scenario import BUSY, STATE, import_demo, load_boxes, parser, prepare
+from .scenario import BUSY, STATE, addon, import_demo, load_boxes, parser, prepare
 
 SIZE = (1040, 980)
+DRAWING = addon("viewport.draw")
 COLOURS = ("+dither", "-colors", "128")
 """For small files; the loss is not visible."""
 
@@ -52,11 +54,12 @@ def show_result(blender: Blender) -> None:
         "space.overlay.show_overlays = space.show_gizmo = False"
     )
     blender.scroll(100)
+    blender.until(f"{DRAWING}._painter is not None and {DRAWING}._painter.idle()", 120)
     blender.pause(10.0)
 
 
-def story(blender: Blender, out: Path, run: Path, max_side: int) -> None:
-    """Go from the empty file to the result."""
+def story(blender: Blender, out: Path, run: Path, max_side: int, *, trained: bool) -> None:
+    """Go from the empty file to the result, which is trained unless the run folder has one."""
 
     def picture(name: str, crop: str = "780x958+260+0") -> None:
         blender.screen.do("mousemove", "3", "450")
@@ -72,8 +75,9 @@ def story(blender: Blender, out: Path, run: Path, max_side: int) -> None:
     select(blender, "CAMERA")
     blender.ask("[o.select_set(False) for o in bpy.context.scene.objects] and None")
     blender.ask("call('view3d.zoom', delta=1)")
-    blender.ask(f"s = bpy.context.scene.roigs; s.max_side = {max_side}; s.run_dir = {str(run)!r}")
-    picture("1-scene", "1040x660+0+0")
+    blender.ask(f"s = bpy.context.scene.roigs; s.max_side = {max_side}")
+    picture("1-scene", "1040x780+0+0")
+    blender.ask(f"bpy.context.scene.roigs.test_every = {8 * trained}")  # as `make demo` has it
 
     load_boxes(blender)
     look_at_boxes(blender)
@@ -90,10 +94,13 @@ def story(blender: Blender, out: Path, run: Path, max_side: int) -> None:
 
     blender.ask("bpy.context.scene.roigs.compare_photo = False")
     blender.ask("bpy.context.scene.camera.data.show_background_images = False")
-    blender.click(blender.find("roigs.train_roi", x=0.3))
-    blender.until(f"{STATE}.step > 1200", 3600)
-    picture("4-training")
-
+    blender.ask(f"bpy.context.scene.roigs.run_dir = {str(run)!r}")
+    if trained:
+        blender.ask("call('roigs.load_results')", 300)
+    else:
+        blender.click(blender.find("roigs.train_roi", x=0.3))
+        blender.until(f"{STATE}.step > 1200", 3600)
+        picture("4-training")
     blender.until(f"not {BUSY}", 3600)
     show_result(blender)
     picture("5-result")
@@ -116,6 +123,7 @@ def main() -> int:
     options = parser(__doc__)
     options.add_argument("--out", type=Path, default=REPOSITORY / "docs" / "pictures")
     options.add_argument("--max-side", type=int, default=240, help="of the photos in training")
+    options.add_argument("--run", type=Path, help="a finished run of the demo: no training")
     given = options.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -130,7 +138,10 @@ def main() -> int:
                 log=log,
                 variables={"ROIGS_ENGINE_PYTHON": os.fspath(given.engine_python)},
             ) as blender:
-                story(blender, given.out, folder / "run", given.max_side)
+                if given.run:
+                    shutil.copytree(given.run, folder / "run", symlinks=True)
+                trained = given.run is not None
+                story(blender, given.out, folder / "run", given.max_side, trained=trained)
         except Exception:
             screen.picture(given.out / "failed.png")
             print(log.read_text(encoding="utf-8") if log.exists() else "", file=sys.stderr)
