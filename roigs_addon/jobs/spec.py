@@ -15,7 +15,12 @@ LEVELS, ADAPTING = "Making Levels", "Adapting"
 SURFACES = "Making Surfaces"
 """Titles of jobs: each step of the panel shows the progress and the error of its own."""
 
-RESUMED = {TRAINING: "Continue", RECONSTRUCTING: "Continue", LEVELS: "Make Levels"}
+RESUMED = {
+    TRAINING: "Continue",
+    RECONSTRUCTING: "Continue",
+    LEVELS: "Make Levels",
+    SURFACES: "Make Surface",
+}
 """Jobs that keep what they have done when they stop -> the button that goes on from there."""
 
 

@@ -41,6 +41,8 @@ Part = tuple[str, str]
 BELOW = {"RESULT": 1, "SCENE": 2, "ROI": 2, "IMPORTED": 3}
 """Level -> of how many parts the path of its file is, from the run folder on."""
 
+MESH_FILE = ".surface.ply"
+"""End of the names of files beside those of boxes: `surface --format ply` writes meshes."""
 COLLECTION = "ROI-GS Gaussians"
 UNUSED = "ROI-GS new"
 MATERIAL = "ROI-GS Gaussians"
@@ -104,6 +106,8 @@ def result_files(folder: Path) -> dict[Part, Path]:
     """The files of a result: of the background, of each box, and of its first pass."""
     files: dict[Part, Path] = {("RESULT", ""): folder / run_files.BACKGROUND}
     for path in sorted((folder / run_files.FINE).glob("*.ply")):
+        if path.name.endswith(MESH_FILE):
+            continue
         files["ROI", path.stem] = path
         coarse = folder / run_files.COARSE / path.name
         if coarse.is_file():

@@ -68,12 +68,12 @@ def _draw_making(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     edited = box_surfaces.edited(scene)
     for name in edited:
         show.wrong(layout, f"'{name}' was edited: making it again replaces it. Undo restores it")
-    row = layout.row(align=True)
+    column = layout.column(align=True)  # side by side, names would be cut
     label = f"Make Surface: {roi.name}" if roi is not None else MakeSurface.bl_label
-    button = row.operator(MakeSurface.bl_idname, text=label, icon="MESH_MONKEY")
+    button = column.operator(MakeSurface.bl_idname, text=label, icon="MESH_MONKEY")
     button.replace_edits = bool(edited)
     if len(lookup.rois(scene)) > 1:
-        button = row.operator(MakeSurface.bl_idname, text="All")
+        button = column.operator(MakeSurface.bl_idname, text="Make All Surfaces")
         button.every, button.replace_edits = True, bool(edited)
 
 

@@ -223,6 +223,37 @@ def test_a_damaged_file_is_one_line(blender: ModuleType, ball, damage: str) -> N
     assert "\n" not in str(caught.value) and len(scene.objects) == before
 
 
+def test_undo_brings_back_the_mesh_and_its_picture(blender: ModuleType, ball) -> None:
+    from roigs_addon.scene import box_surfaces
+
+    _, path, show = ball
+    item = show()
+    item.data.vertices[0].co.x += 0.5
+    edited = item.dimensions.x
+    blender.ops.ed.undo_push(message="edited")
+    write_ball(path, radius=2 * RADIUS, colour=90)
+    show()
+    blender.ops.ed.undo_push(message="made again")
+    blender.ops.roigs.show_surface(name="thing Mesh", way="BOTH")
+    blender.ops.ed.undo_push(message="both")
+    blender.ops.ed.undo()
+    (item,) = box_surfaces.surfaces(blender.context.scene)
+    assert box_surfaces.way_of(blender.context.scene, item) == "MESH"
+    blender.ops.ed.undo()
+    (item,) = box_surfaces.surfaces(blender.context.scene)
+    blender.context.view_layer.update()
+    assert box_surfaces.is_edited(item) and item.dimensions.x == pytest.approx(edited, abs=0.2)
+    (image,) = box_surfaces._images(item.data)
+    assert image.pixels[0] == pytest.approx(200 / 255, abs=0.01)
+
+
+def test_the_file_of_a_mesh_is_no_box(blender: ModuleType, ball) -> None:
+    scene, path, _ = ball
+    path.with_name("thing.surface.ply").write_bytes(b"ply")
+    assert blender.ops.roigs.load_results() == {"FINISHED"}
+    assert not any("surface" in item.name for item in scene.objects)
+
+
 def test_a_file_keeps_it(blender: ModuleType, ball, tmp_path: Path) -> None:
     from roigs_addon.scene import box_surfaces
 
