@@ -73,7 +73,7 @@ def _draw_status(layout: bpy.types.UILayout, scene: bpy.types.Scene, status: Run
     elif status.left:
         show.paused(layout, f"Stopped during: {stage_in_words(status.left)}{resumes}")
     elif status.result and not changes:
-        show.done(layout, f"Trained: {stages}")
+        show.done(layout, f"Trained: {stages}" if stages else "Trained")
     elif status.done and not status.result:
         show.paused(layout, f"Stopped after: {stages}{resumes}")
     elif not status.result:
