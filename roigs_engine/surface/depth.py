@@ -23,6 +23,7 @@ from .matching import SWEEPS, Shot, matched, rays
 
 STAGE = "depth"
 MARGIN = 2  # pixels around the box's silhouette
+LEAST_SIDE = 8  # pixels of a part of a photo: smaller ones have no levels to compare
 OPAQUE = 0.5  # least alpha of a pixel that has a depth
 WIDER = 1.1  # of the box: depth in it is compared
 BEST_ANGLE, LEAST_ANGLE, MOST_ANGLE = 25.0, 5.0, 66.0  # degrees, between photos that are compared
@@ -173,7 +174,7 @@ def box_window(roi: OrientedBox, image: PosedImage) -> tuple[int, int, int, int]
     high = np.clip(polygon.max(axis=0) + MARGIN, 0, size)
     x0, y0 = (math.floor(value) for value in low)
     x1, y1 = (math.ceil(value) for value in high)
-    return (x0, y0, x1, y1) if x1 - x0 > 1 and y1 - y0 > 1 else None
+    return (x0, y0, x1, y1) if min(x1 - x0, y1 - y0) >= LEAST_SIDE else None
 
 
 def cropped(camera: Camera, window: tuple[int, int, int, int]) -> Camera:

@@ -143,6 +143,22 @@ def test_depth_maps_are_exact_where_they_are_certain() -> None:
         assert np.median(np.abs(depth_map.depth - true)[certain]) < 0.003
 
 
+@pytest.mark.parametrize("seen", [3, 9])
+def test_a_photo_that_shows_a_sliver_of_the_box_is_left_out_or_used(seen: int) -> None:
+    gaussians, scene = ball_scene()
+    first = scene.images[0]
+    left = BOX.silhouette_polygon(CAMERA, first.world_to_camera)
+    assert left is not None
+    camera = replace(CAMERA, cx=CAMERA.cx - left[:, 0].max() + seen - 2)
+    edge = replace(first, name="edge.png", camera=camera)
+    scene = replace(scene, images=(*scene.images, edge))
+    names = {
+        each.image.name
+        for each in depth_maps(gaussians, scene, BOX, ["0.png", "edge.png"], load=load)
+    }
+    assert ("edge.png" in names) == (seen == 9)
+
+
 def test_depth_maps_stop_on_request_also_while_photos_are_compared() -> None:
     gaussians, scene = ball_scene()
     asked = iter(range(100))
