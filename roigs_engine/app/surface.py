@@ -82,13 +82,18 @@ def make_surfaces(request: MakeSurface, context: Context = QUIET) -> Surfaces:
         EngineError: the run folder or its scene cannot be used, or no box has a surface.
         Stopped: on request; surfaces that are finished stay.
     """
-    from ..surface.make import SurfaceOptions
+    from ..surface.make import SurfaceOptions, check_packages
 
+    check_packages()
     if not clean_up.is_run_folder(request.run):
         raise RunFolderError(
             f"{request.run} is not a run folder.", "Give the folder that --run-dir named."
         )
     asked = Asked.of(_training(request))
+    for name in request.only:
+        if name not in asked.boxes.names:
+            boxes = ", ".join(asked.boxes.names)
+            raise RoiError(f"There is no box '{name}'.", f"The boxes are: {boxes}.")
     options = SurfaceOptions(
         faces=request.faces,
         watertight=request.watertight,
@@ -117,10 +122,6 @@ def surfaces_of_run(
     from ..run.folder import train_surface
     from ..surface.make import make_surface
 
-    names = [roi.name for roi in run.rois]
-    for name in only:
-        if name not in names:
-            raise RoiError(f"There is no box '{name}'.", f"The boxes are: {', '.join(names)}.")
     rois = [roi for roi in run.rois if roi.name in only] if only else run.rois
     folder = own_folder(run.folder, run_files.FINE)
     gaussians = train_surface(run, context)

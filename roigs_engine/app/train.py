@@ -47,6 +47,10 @@ def train(request: Train, context: Context = QUIET) -> Trained:
             "Call plan_training or train_on_cluster instead.",
         )
     asked, table = Asked.of(request), None
+    if request.surface:
+        from ..surface.make import check_packages
+
+        check_packages()
     with logged(context) as (context, log):
         with opened(asked, context, log) as (run, context):
             trained = train_opened(
@@ -59,6 +63,11 @@ def train(request: Train, context: Context = QUIET) -> Trained:
 
                 images = run.scene.images
                 make_levels(run.folder, images, run.frame, levels=request.levels, context=context)
+            if request.surface:
+                from ..surface.make import SurfaceOptions
+                from .surface import surfaces_of_run
+
+                surfaces_of_run(run, SurfaceOptions(), (), (), context)
         done = result_in(request.run_dir, table)
         if not asked.evaluated:
             context.info(f"The result is {done.result}.")

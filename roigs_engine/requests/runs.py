@@ -46,6 +46,9 @@ class Train(Scene, ObjectMasks, Boxes, Selection, Training, Layout, Device):
         integer(2, MOST_LEVELS),
         "make the result's levels of detail at the end, as `levels` does: N of them",
     )
+    surface: bool = option(
+        FLAG, "make a mesh of what is in each box at the end, as `surface` does", False
+    )
     update: bool = option(
         FLAG,
         "reuse a run folder of other settings: stages that still fit are kept, the results move to"

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..context import QUIET, Context
 from ..formats.text import counted
-from ..machine import machine_memory
+from ..machine import machine_memory, package
 from ..model.gaussians import Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage, SfmScene
@@ -20,6 +20,11 @@ from .fusion import COARSE, footprint, fuse
 from .mesh import Mesh, mesh_of, nothing_there, simplified
 from .texture import Load, Textured, texture_side, textured
 
+PACKAGES = {
+    "skimage.measure": "scikit-image",
+    "fast_simplification": "fast-simplification",
+    "trimesh": "trimesh",
+}
 FACES = 100_000
 MOST_PHOTOS = 150
 FINER = 2.0  # voxels in a pixel of the better photos
@@ -69,6 +74,12 @@ class Surface:
         """Share of the surface that no photo has shown."""
         areas = self.mesh.areas
         return float(areas[self.mesh.filled].sum() / max(areas.sum(), 1e-30))
+
+
+def check_packages() -> None:
+    """Raise EngineError if an optional package is not installed, before any work is done."""
+    for module, name in PACKAGES.items():
+        package(module, "A surface", name)
 
 
 def make_surface(
