@@ -20,7 +20,7 @@ SHARD_LINES = 70
 LOOKED_UP = ("__main__", "app", "cli", "commands", "exchange", "selection", "training.mechanisms")
 # Blender fixes the arguments of `draw_item`; the one way to draw has those of gsplat's function.
 # The one way to load a scene says which photos, masks and sizes it uses.
-MORE_PARAMETERS = {"draw_item": PARAMETERS + 1, "load_colmap": PARAMETERS + 1, "rasterize": 24}
+MORE_PARAMETERS = {"draw_item": PARAMETERS + 1, "load_colmap": PARAMETERS + 1, "rasterize": 25}
 
 
 def modules(package: str) -> list[Path]:

@@ -20,10 +20,11 @@ import numpy as np
 from ..errors import ConfigError, EngineError
 from ..formats.drawable import usable
 from ..formats.files import write_text
+from ..formats.targets import BLUR
 from ..formats.text import printable
 from ..model.local_frame import LocalFrame
 from ..model.scene import Float64
-from ..rasterize.inputs import BLUR, FRUSTUM_MARGIN, NEAR
+from ..rasterize.inputs import FRUSTUM_MARGIN, NEAR
 from ..rasterize.limits import PICTURE_LIMITS
 from . import spz
 from .arrays import Arrays, opacities

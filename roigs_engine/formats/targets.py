@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
+
+BLUR = 0.3
+"""Of 3DGS, px^2: each Gaussian covers at least about a pixel."""
+BOX = 1 / 12
+"""The variance of a square pixel, px^2: of averaging over it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,6 +23,7 @@ class Target:
             al. 2024, sec. 5.2); False: 3DGS.
         linear_light: each Gaussian's colour becomes linear light, and light is blended; False: sRGB
             values are blended (3DGS).
+        blur: added to the diagonal of a Gaussian's covariance in the picture, px^2.
     """
 
     name: str
@@ -24,6 +31,16 @@ class Target:
     help: str
     antialiased: bool
     linear_light: bool
+    blur: float = BLUR
+
+    @property
+    def drawing(self) -> dict[str, Any]:
+        """What `rasterize` needs to know."""
+        return {
+            "antialiased": self.antialiased,
+            "linear_light": self.linear_light,
+            "blur": self.blur,
+        }
 
 
 VIEWERS = Target(
@@ -40,14 +57,15 @@ PLAIN = Target(
     antialiased=False,
     linear_light=False,
 )
-# Blender 5.3, intern/cycles/kernel/geom/gsplat.h. Instead of a factor of each Gaussian, Cycles
-# averages over the pixel, which looks the same.
+# Blender 5.3, intern/cycles/kernel/geom/gsplat.h. Cycles averages over the pixel, which looks as if
+# each Gaussian was as much larger, and fainter.
 CYCLES = Target(
     name="cycles",
     title="Blender 5.3, Cycles",
     help="Blender's own splats in Cycles, which blends linear light",
     antialiased=True,
     linear_light=True,
+    blur=BOX,
 )
 # Blender 5.3, draw_gsplat_lib.bsl.hh: read, not seen.
 EEVEE = Target(

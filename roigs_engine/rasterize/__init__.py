@@ -9,7 +9,7 @@
 Each Gaussian is projected with the EWA approximation (3DGS, section 4; Zwicker et al. 2001),
 coloured by its spherical harmonics (SH), max(SH(direction) + 0.5, 0), and blended front to back by
 the camera depth of its centre (3DGS, eq. 3): as sRGB values, or with `linear_light` as light. Pixel
-centres lie at +0.5. The constants of the model (near plane, blur, opacity bounds) are in
+centres lie at +0.5. The constants of the model (near plane, opacity bounds) are in
 `rasterize.inputs`. A Gaussian with NaN or Inf is culled; its gradient is zero.
 
 Within `limits`, a Gaussian is culled if it lies far beside the image or reaches behind the camera.
@@ -35,6 +35,7 @@ from torch import Tensor
 
 from ..cuda.device import sent
 from ..errors import EngineError, KernelError
+from ..formats.targets import BLUR
 from .inputs import (
     BackwardStep,
     Depth,
@@ -79,13 +80,13 @@ def rasterize(
     mask: Mask = None,
     linear_light: bool = False,  # colours are blended as light, as Blender does; not as sRGB values
     antialiased: bool = False,  # a Gaussian below a pixel's size is fainter, not larger
+    blur: float = BLUR,  # added to the 2D covariance's diagonal, px^2 of the whole photo
     pixel_size: float = 1.0,  # side of a pixel in the whole photo's: draws what averaging would
-    backward_step: BackwardStep | None = None,  # the optimizer step that `backward` takes
+    backward_step: BackwardStep | None = None,  # of one camera, taken by `backward`, once
     backend: str = "auto",  # auto: for float32 the device's compiled backend, else the reference
 ) -> RenderOutput:
     """Render N Gaussians for C cameras; `image` is differentiable in the first five arguments.
 
-    With `backward_step` (one camera), `backward` is called once, and leaves no gradients.
     EngineError: the arguments do not fit. KernelError: too large a view, or no such backend here.
     """
     parameters = (means, quats, scales, opacities, sh)
@@ -112,7 +113,7 @@ def rasterize(
         window=active.shown,
         tiles=active.rectangle,
         tile_mask=None if active.mask is None else sent(active.mask, means.device),
-        blur=blur_of(pixel_size, antialiased),
+        blur=blur_of(pixel_size, antialiased, blur),
         backward_step=backward_step,
     )
     return _renderer(backend)(inputs).cut(active.shown).in_srgb(linear_light=linear_light)

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ..cuda.pair_buffers import PairBuffer
 from ..errors import EngineError
+from ..formats.targets import BLUR
 from ..kernels import bindings
 from .light import to_linear, to_srgb
 from .limits import Limits
@@ -19,9 +20,6 @@ from .limits import Limits
 TILE = 16  # side of a pixel tile; culling, binning and masks work in whole tiles
 LONGEST_SIDE = 1 << 16  # px of an image: up to it, float32 positions have steps of 1/128 px
 NEAR = 0.01  # Gaussians whose centre is nearer to the camera plane (scene units) are culled
-BLUR = 0.3
-"""Added to the 2D covariance's diagonal, px^2 of the whole photo (`blur_of`): each Gaussian covers
-at least about a pixel."""
 ALPHA_MIN = 1.0 / 255.0  # smaller contributions are skipped: 8-bit output would not show them
 ALPHA_MAX = 0.999  # of a pixel: keeps 1 / (1 - alpha) in the gradient finite
 FAINTEST = (ALPHA_MIN / 2) ** 2
@@ -262,17 +260,17 @@ def checked_depth(with_depth: Depth) -> Depth:
     return with_depth if with_depth == "median" else bool(with_depth)
 
 
-def blur_of(pixel_size: float, antialiased: bool) -> Blur:
+def blur_of(pixel_size: float, antialiased: bool, blur: float = BLUR) -> Blur:
     """The blur of pixels that are averages of pixel_size^2 of the whole photo's.
 
-    The latter have BLUR; n x n of them, evenly spread over a square of side 1, have a variance of
+    The latter have `blur`; n x n of them, evenly spread over a square of side 1, have a variance of
     (1 - 1/n^2) / 12 in it. With anti-aliasing, a Gaussian has its stored opacity where it is much
     larger than a pixel (Mip-Splatting, Yu et al. 2024, sec. 5.2), without it in the whole photo.
     EngineError if the size is not 1 or more.
     """
     if not 1 <= pixel_size < math.inf:
         raise EngineError(f"rasterize: pixel_size {pixel_size} is not a number of 1 or more.")
-    photo = BLUR / pixel_size**2
+    photo = blur / pixel_size**2
     return Blur(drawn=photo + (1 - 1 / pixel_size**2) / 12, stored=0.0 if antialiased else photo)
 
 

@@ -74,8 +74,7 @@ def rasterize_view(
         camera.width,
         camera.height,
         raw=True,
-        antialiased=gaussians.target.antialiased,
-        linear_light=gaussians.target.linear_light,
+        **gaussians.target.drawing,
         **options,
     )
 

@@ -178,8 +178,7 @@ class PhotoErrors:
             gaussians.logit_opacities,
             gaussians.sh,
             raw=True,
-            antialiased=gaussians.target.antialiased,
-            linear_light=gaussians.target.linear_light,
+            **gaussians.target.drawing,
             **options,
         )
         squares = (output.image[0] - photo / 255.0).square().mean(dim=-1)

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
+from roigs_engine.formats.targets import BLUR, CYCLES
 from roigs_engine.rasterize import rasterize
-from roigs_engine.rasterize.inputs import BLUR
+from roigs_engine.rasterize.light import to_linear, to_srgb
+from roigs_engine.rasterize.view import rasterize_view
+from tests.engine.clouds import CAMERA, POSE, cloud
 from tests.engine.rasterize_cases import (
     assert_matches,
     cameras,
@@ -93,3 +98,17 @@ def test_gradients_are_finite_and_right_for_flat_gaussians_from_their_edge(isa: 
     )
     assert torch.equal(ours.visible, truth.visible)
     assert max(errors.values()) < 1e-3, errors
+
+
+def test_cycles_is_drawn_as_averages_over_square_pixels() -> None:
+    random, fine = np.random.default_rng(1), CAMERA.resized(8 * CAMERA.width, 8 * CAMERA.height)
+    sizes = random.uniform(math.log(0.01), math.log(0.1), (800, 3))
+    places = random.normal(scale=0.6, size=(800, 3))
+    model = replace(cloud(800, means=places, log_scales=sizes), target=CYCLES)
+    light = to_linear(rasterize_view(model, fine, POSE).image[0]).permute(2, 0, 1)
+    wanted = to_srgb(torch.nn.functional.avg_pool2d(light, 8)).permute(1, 2, 0)
+    errors = [
+        float((rasterize_view(each, CAMERA, POSE).image[0] - wanted).square().mean())
+        for each in (model, replace(model, target=replace(CYCLES, blur=BLUR)))
+    ]
+    assert 3 * errors[0] < errors[1]

@@ -8,8 +8,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from roigs_engine.formats.targets import BLUR
 from roigs_engine.rasterize import RenderOutput, rasterize
-from roigs_engine.rasterize.inputs import ALPHA_MAX, ALPHA_MIN, BLUR, NEAR
+from roigs_engine.rasterize.inputs import ALPHA_MAX, ALPHA_MIN, NEAR
 
 SH_C0 = 0.28209479177387814
 BACKENDS = ["reference", "cpu"]

@@ -1,0 +1,1 @@
+"""Models in the renderers that they are made for."""
