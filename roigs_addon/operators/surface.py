@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
-from ..blender import registration, scene_of
+from ..blender import registration, scene_of, select_only, view_layer_of
 from ..engine.python import FOR_SURFACES
 from ..errors import AddonError
 from ..facts import run_facts
 from ..jobs import current, surface_job
 from ..jobs.spec import JobSpec
+from ..properties import object_props
 from ..scene import box_surfaces, lookup
 from ..windows import redraw
 from .base import BUSY, FRESH, NO_BOX, EngineOperator, available, failed
@@ -79,8 +80,19 @@ class ShowSurface(bpy.types.Operator):
         if item is None:
             return failed(self, f"There is no mesh '{self.name}'.")
         box_surfaces.set_way(scene, item, self.way)
+        _select_shown(context, item)
         redraw()
         return {"FINISHED"}
+
+
+def _select_shown(context: bpy.types.Context, item: bpy.types.Object) -> None:
+    """Keep what the user works on at hand: the mesh for its Gaussians, or these for the mesh."""
+    gaussians = box_surfaces.gaussians_of(scene_of(context), object_props(item).roi)
+    active = view_layer_of(context).objects.active  # the context has no hidden one
+    if gaussians is None or active not in (item, gaussians) or not active.hide_viewport:
+        return
+    view_layer_of(context).update()  # until then, the other one cannot be selected
+    select_only(context, gaussians if active == item else item)
 
 
 register, unregister = registration(MakeSurface, ShowSurface)

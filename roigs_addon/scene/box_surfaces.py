@@ -55,6 +55,12 @@ def pair_of(scene: bpy.types.Scene, roi: str) -> detail.Pair | None:
     return None
 
 
+def gaussians_of(scene: bpy.types.Scene, roi: str) -> bpy.types.Object | None:
+    """The object of a box's Gaussians that is not switched off; None if there is none."""
+    pair = pair_of(scene, roi)
+    return pair.shown if pair is not None else None
+
+
 def show(scene: bpy.types.Scene, roi: str, path: Path) -> bpy.types.Object:
     """Show the mesh of a file as that of a box: in its object, or in a new one.
 
@@ -66,8 +72,7 @@ def show(scene: bpy.types.Scene, roi: str, path: Path) -> bpy.types.Object:
         record = files.read_json(path.with_suffix(".surface.json"))
     except (OSError, ValueError, EngineError) as error:
         raise AddonError(f"{error} Make the surface again.") from error
-    pair = pair_of(scene, roi)
-    gaussians = pair.shown if pair is not None else None
+    pair, gaussians = pair_of(scene, roi), gaussians_of(scene, roi)
     known = next((item for item in surfaces(scene) if object_props(item).roi == roi), None)
     if known is None:
         item = _new(scene, roi, read, gaussians)
@@ -92,8 +97,7 @@ def show(scene: bpy.types.Scene, roi: str, path: Path) -> bpy.types.Object:
 
 def way_of(scene: bpy.types.Scene, item: bpy.types.Object) -> str:
     """Which of `WAYS` the viewport shows; empty: neither mesh nor Gaussians."""
-    pair = pair_of(scene, object_props(item).roi)
-    gaussians = pair.shown if pair is not None else None
+    gaussians = gaussians_of(scene, object_props(item).roi)
     seen = gaussians is not None and not gaussians.hide_viewport
     if item.hide_viewport:
         return GAUSSIANS if seen else ""
@@ -102,8 +106,7 @@ def way_of(scene: bpy.types.Scene, item: bpy.types.Object) -> str:
 
 def set_way(scene: bpy.types.Scene, item: bpy.types.Object, way: str) -> None:
     """Show Gaussians, mesh or both, in viewports and renders."""
-    pair = pair_of(scene, object_props(item).roi)
-    gaussians = pair.shown if pair is not None else None
+    gaussians = gaussians_of(scene, object_props(item).roi)
     for other, seen in ((item, way != GAUSSIANS), (gaussians, way != MESH)):
         if other is not None:
             other.hide_viewport = other.hide_render = not seen

@@ -95,8 +95,10 @@ def test_gaussians_mesh_or_both(blender: ModuleType, ball) -> None:
     item, gaussians = show(), scene.objects["thing Gaussians"]
     background, first = scene.objects["Background"], scene.objects["thing first pass"]
     assert box_surfaces.way_of(scene, item) == "MESH"
+    blender.context.view_layer.objects.active = item
     for way, seen in (("GAUSSIANS", (1, 0)), ("BOTH", (1, 1)), ("MESH", (0, 1))):
         blender.ops.roigs.show_surface(name=item.name, way=way)
+        assert blender.context.view_layer.objects.active == (gaussians if way != "MESH" else item)
         assert box_surfaces.way_of(scene, item) == way
         for shown, each in zip(seen, (gaussians, item), strict=True):
             assert (not each.hide_render, not each.hide_viewport) == (shown, shown)
