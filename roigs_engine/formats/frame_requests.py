@@ -25,12 +25,19 @@ def write_nothing(out: Path, width: int, height: int) -> None:
 
     A missing file is black in some Blenders, and one of another size would crop the render.
     """
+    nothing = png(bytes((1 + 4 * width) * height), width, height)
+    for file in (depth_file(out), colour_file(out)):
+        file.write_bytes(nothing)
+
+
+def png(rows: bytes, width: int, height: int) -> bytes:
+    """An 8-bit RGBA PNG without compression: it is read at once, and compressing takes longer.
+
+    Each row begins with a byte 0: no filter.
+    """
     header = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)  # 8-bit RGBA
-    rows = zlib.compress(bytes((1 + 4 * width) * height), 1)
-    parts = ((b"IHDR", header), (b"IDAT", rows), (b"IEND", b""))
-    png = b"\x89PNG\r\n\x1a\n" + b"".join(
+    parts = ((b"IHDR", header), (b"IDAT", zlib.compress(rows, 0)), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
         struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
         for kind, data in parts
     )
-    for file in (depth_file(out), colour_file(out)):
-        file.write_bytes(png)

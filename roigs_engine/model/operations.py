@@ -73,8 +73,11 @@ def recoloured(sh: Tensor, gains: Sequence[float]) -> Tensor:
 
     Args:
         sh: (N, K, 3); a colour is max(0, 0.5 + sum of sh * basis), sRGB.
-        gains: of red, green and blue, not negative. A gain of 1 keeps its channel bit for bit.
+        gains: of red, green and blue, not negative. A gain of 1 keeps its channel bit for bit;
+            if all are 1, `sh` itself is returned.
     """
+    if all(gain == 1 for gain in gains):
+        return sh
     factors = torch.as_tensor(gains, dtype=sh.dtype, device=sh.device)
     changed = sh * factors
     changed[:, 0] += 0.5 * (factors - 1) / SH_C0

@@ -15,6 +15,7 @@ from torch import Tensor
 from ..context import QUIET, Context
 from ..formats.events import Preview, StageStarted
 from ..formats.files import atomic_write
+from ..formats.frame_requests import png
 from ..formats.names import safe_name
 from ..model.gaussians import Gaussians
 from ..model.scene import Camera, Float64
@@ -36,11 +37,14 @@ def save_png(path: Path, image: NDArray[np.uint8]) -> None:
 
 def save_layer(colour: Path, depth: Path, layer: Layer) -> None:
     """Write a layer: an sRGB PNG with transparency, last, and before it a TIFF of 32-bit depths."""
-    with atomic_write(depth) as file:
+    with atomic_write(depth, durable=False) as file:
         Image.fromarray(layer.depth.numpy().astype(np.float32)).save(file, format="TIFF")
-    rgba = torch.cat([layer.image, layer.alpha[..., None]], dim=-1)
-    with atomic_write(colour) as file:
-        Image.fromarray(to_uint8(rgba)).save(file, format="PNG", compress_level=1)
+    rgba = to_uint8(torch.cat([layer.image, layer.alpha[..., None]], dim=-1))
+    height, width = rgba.shape[:2]
+    rows = np.zeros((height, 1 + 4 * width), np.uint8)
+    rows[:, 1:] = rgba.reshape(height, -1)
+    with atomic_write(colour, durable=False) as file:
+        file.write(png(rows.tobytes(), width, height))
 
 
 def render_sequence(

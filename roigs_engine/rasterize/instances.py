@@ -1,8 +1,8 @@
 """Instances: models under affine transforms, rendered together as a layer for compositing.
 
-Everything is computed in the camera's own frame, so places far from the origin cost no precision.
-View dependence turns with a model: its colours are evaluated in its own frame, once per picture,
-and drawn as plain colours.
+Everything is computed around the camera's place, so places far from the origin cost no precision,
+along the axes of the largest model, which therefore needs no turning. View dependence turns with a
+model: colours of the others are evaluated in their own frames, and drawn as plain colours.
 
 A picture with depth of field or motion blur is the mean of sharp ones, each from another place of
 the lens and at another time (Cook et al. 1984, distributed ray tracing).
@@ -74,18 +74,23 @@ def render_instances(
     models: Sequence[Instance], camera: Camera, world_to_camera: Float64, device: torch.device = CPU
 ) -> Layer:
     """Render models together, on a device; they have at least one Gaussian in all."""
-    parts = [_seen(model, world_to_camera) for model in models]
+    mixed = len({model.gaussians.target for model in models}) > 1
+    axes = world_to_camera[:3, :3] if mixed else _axes(models, world_to_camera)
+    to_frame, pose = np.eye(4), np.eye(4)
+    to_frame[:3, :3], pose[:3, :3] = axes, world_to_camera[:3, :3] @ axes.T
+    to_frame[:3, 3] = pose[:3, :3].T @ world_to_camera[:3, 3]
+    parts = [_seen(model, to_frame) for model in models]
     scale = LocalFrame.of_centres(np.concatenate([part.means.numpy() for part in parts])).scale
-    if len({part.target for part in parts}) > 1:
+    if mixed:
         parts = _alike(parts, camera)
-    drawn = Gaussians.concatenate(parts)
+    drawn = parts[0] if len(parts) == 1 else Gaussians.concatenate(parts)
     drawn = replace(
         drawn,
         means=(drawn.means * scale).float(),
         log_scales=drawn.log_scales + float(np.log(scale)),
     )
     output = rasterize_view(
-        drawn.to(device), camera, np.eye(4), limits=PICTURE_LIMITS, with_depth="median"
+        drawn.to(device), camera, pose, limits=PICTURE_LIMITS, with_depth="median"
     )
     assert output.depth is not None
     alpha, depth = output.alpha[0].cpu(), output.depth[0].cpu()
@@ -159,11 +164,35 @@ def mean_layer(samples: Iterable[tuple[Layer, Tensor]], *, below: bool = False) 
     )
 
 
-def _seen(model: Instance, world_to_camera: Float64) -> Gaussians:
-    """The model in the camera's frame, with float64 centres and plain colours."""
-    to_camera = world_to_camera @ model.from_frame
-    eye: Float64 = -np.linalg.solve(to_camera[:3, :3], to_camera[:3, 3]).astype(np.float64)
-    return posed(model, to_camera, _plain(model.gaussians, eye))
+def _axes(models: Sequence[Instance], world_to_camera: Float64) -> Float64:
+    """(3, 3) a rotation from the world to the axes of the largest model, or of the camera if that
+    model is mirrored, stretched or sheared.
+    """
+    linear = max(models, key=lambda model: len(model.gaussians)).matrix[:3, :3]
+    u, scales, v = np.linalg.svd(linear)
+    rotation = u @ v
+    if np.linalg.det(rotation) > 0 and scales[0] <= (1 + SIMILAR) * scales[2]:
+        return np.asarray(rotation.T)
+    return world_to_camera[:3, :3]
+
+
+def _seen(model: Instance, to_frame: Float64) -> Gaussians:
+    """The model around the camera, with float64 centres; if it is turned, with plain colours.
+
+    `to_frame` is the rigid (4, 4) from the world to a frame whose origin is the camera's place.
+    """
+    matrix = to_frame @ model.from_frame
+    if _scale(matrix[:3, :3]) is not None:
+        return posed(model, matrix, model.gaussians.sh)
+    eye: Float64 = -np.linalg.solve(matrix[:3, :3], matrix[:3, 3]).astype(np.float64)
+    return posed(model, matrix, _plain(model.gaussians, eye))
+
+
+def _scale(linear: Float64) -> float | None:
+    """The factor of a linear map (3, 3) that only scales; None if it is another one."""
+    scale = float(np.trace(linear)) / 3
+    alike = scale > 0 and np.abs(linear - scale * np.eye(3)).max() <= SIMILAR * scale
+    return scale if alike else None
 
 
 def posed(model: Instance, matrix: Float64, sh: Tensor) -> Gaussians:
@@ -225,6 +254,8 @@ def principal_axes(gaussians: Gaussians) -> Tensor:
 
 def transformed(gaussians: Gaussians, linear: Float64) -> tuple[Tensor, Tensor]:
     """Rotations (N, 4) and logarithms of scales (N, 3) after a linear map (3, 3)."""
+    if (scale := _scale(linear)) is not None:
+        return gaussians.quats, gaussians.log_scales + float(np.log(scale))
     scales = np.linalg.svd(linear, compute_uv=False)
     if scales[0] <= (1 + SIMILAR) * scales[2]:
         # A reflection has the same ellipsoids as the rotation that reverses all axes with it.
