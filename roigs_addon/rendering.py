@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+import numpy as np
 
 from . import settings
 from .blender import persistent
@@ -24,7 +25,7 @@ from .engine.python import FOR_TRAINING
 from .errors import AddonError
 from .jobs import options_files
 from .scene import blur, compositor, edits
-from .scene.frame_request import frame_request, picture, shown
+from .scene.frame_request import frame_request, picture, rays, shown
 from .shared import EngineError, frame_requests
 
 NAME = "roigs-splats"
@@ -79,6 +80,9 @@ def _draw(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> str:
             request: Any = blur.request(moments, frame, transparent=transparent)
         else:
             request = frame_request(scene, depsgraph, str(frame))
+            if request is not None and (along := rays(scene, depsgraph)) is not None:
+                request["rays"] = f"{frame}-rays.npy"
+                np.save(request["rays"], along)
         if request is None:
             return ""
         if _engine is None or not _engine.alive():

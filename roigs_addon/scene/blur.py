@@ -63,6 +63,8 @@ def moments(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> list[Mome
         AddonError: as `moment`.
     """
     found: list[Moment | None] = []
+    if _is_panoramic(scene):
+        return []
     if _moves(scene) and _may_step(scene) and display.in_layer(scene):
         found = _in_shutter(scene, depsgraph)
     if not found and _is_needed(scene, depsgraph):
@@ -74,6 +76,8 @@ def remark(
     scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, moments: Sequence[Moment]
 ) -> str:
     """What is not right in a frame that is the mean of moments, in one line; or nothing."""
+    if _is_panoramic(scene):
+        return "Gaussians have no motion blur in panoramas." if _moves(scene) else ""
     if _moves(scene) and not _may_step(scene):
         return NOT_MOVED
     if scene.render.film_transparent:
@@ -96,6 +100,11 @@ def _is_needed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
     # With an opaque film, Blender's picture has the world's background where a catcher is.
     catches = not scene.render.film_transparent and surfaces.have_catcher(depsgraph)
     return catches or camera_of(camera).type == "ORTHO" or _aperture(camera, depsgraph) is not None
+
+
+def _is_panoramic(scene: bpy.types.Scene) -> bool:
+    camera = scene.camera
+    return camera is not None and camera.type == "CAMERA" and camera_of(camera).type == "PANO"
 
 
 def _moves(scene: bpy.types.Scene) -> bool:

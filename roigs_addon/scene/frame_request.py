@@ -12,8 +12,8 @@ import numpy as np
 
 from ..blender import camera_of
 from ..errors import AddonError
-from ..geometry import frames
-from . import cameras, display, edits, instances, ladders, look, lookup
+from ..geometry import frames, panorama
+from . import cameras, display, edits, instances, ladders, look, lookup, panoramas
 
 Model = dict[str, Any]
 """Of a request: a file, where it stands, and how it looks."""
@@ -41,25 +41,28 @@ def frame_request(
         return None
     camera = scene.camera.evaluated_get(depsgraph)
     # Blender lets any object be the camera.
-    if camera.type != "CAMERA" or camera_of(camera).type not in ("PERSP", "ORTHO"):
+    around = camera.type == "CAMERA" and panoramas.is_drawn(camera_of(camera), scene)
+    if camera.type != "CAMERA" or not (around or camera_of(camera).type in ("PERSP", "ORTHO")):
         raise AddonError(
-            "The render lacks the Gaussians: its camera is neither perspective nor orthographic."
+            "The render lacks the Gaussians: its camera is neither perspective nor orthographic,"
+            " nor an equirectangular panorama or a fisheye of Cycles."
         )
+    data = camera_of(camera)
     matrix = lookup.stands(scene.camera, depsgraph)
     if np.linalg.matrix_rank(matrix[:3, :3]) < 3:
         raise AddonError("The render lacks the Gaussians: a scale of the camera is zero.")
-    lens = cameras.intrinsics_of(
-        camera_of(camera), scene.render, *cameras.render_size(scene.render)
-    )
+    lens = cameras.intrinsics_of(data, scene.render, *cameras.render_size(scene.render))
+    if around:
+        lens = replace(lens, fx=(density := panoramas.density(data, scene.render)), fy=density)
     pose = frames.world_to_camera(matrix, np.eye(4))
-    if camera_of(camera).type == "ORTHO":
-        pose[2, 3] += cameras.ORTHO_BACK * camera_of(camera).ortho_scale
+    if data.type == "ORTHO":
+        pose[2, 3] += cameras.ORTHO_BACK * data.ortho_scale
     # Of the whole picture: a region of it looks the same.
     to_clip, focal = frames.clip_matrix(lens) @ pose, max(lens.fx, lens.fy)
     models = []
     for item, model in whole:
         detail = ladders.of(item, scene)
-        if detail is None or not all(map(os.path.isfile, detail.files)):
+        if around or detail is None or not all(map(os.path.isfile, detail.files)):
             models.append(model)
             continue
         drawn = detail.shown(np.array(model["matrix"]), to_clip, focal)
@@ -68,6 +71,16 @@ def frame_request(
     lens = replace(lens, width=width, height=height, cx=lens.cx - left, cy=lens.cy - top)
     record = {"name": str(scene.frame_current), **asdict(lens), "world_to_camera": pose.tolist()}
     return {"camera": record, "models": models, "out": out}
+
+
+def rays(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> panorama.Rays | None:
+    """(H, W, 3) directions of a panorama's pixels in the camera's frame; None for others."""
+    if scene.camera is None or scene.camera.type != "CAMERA":
+        return None
+    data = camera_of(scene.camera.evaluated_get(depsgraph))
+    return (
+        panoramas.rays(data, scene.render, picture(scene.render)) if data.type == "PANO" else None
+    )
 
 
 def models_of(

@@ -171,6 +171,7 @@ class Sample(NamedTuple):
     pose: Float64
     models: list[InstanceRecord]
     surfaces: Path | None  # (T, 3, 3) float32 corners of triangles that hide Gaussians, as .npy
+    rays: Path | None  # (H, W, 3) float32 directions of a panorama's pixels, as .npy
 
 
 def answer(request: Path, models: Models, context: Context) -> Path:
@@ -188,6 +189,8 @@ def answer(request: Path, models: Models, context: Context) -> Path:
         samples = [_sample(each, request.parent) for each in record.get("samples", [record])]
         if not 0 < len(samples) <= MOST_SAMPLES:
             raise ValueError(f"samples must be from 1 to {MOST_SAMPLES}")
+        if blurred and any(sample.rays for sample in samples):
+            raise ValueError("samples have no rays")
     except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{request} is malformed ({error}).", HINT) from error
     layers = _layers(samples, models, context)
@@ -202,9 +205,11 @@ def _sample(record: Any, folder: Path) -> Sample:
     from ..rasterize.camera_path import camera_from_record
 
     _, camera, pose = camera_from_record(record["camera"])
-    surfaces = record.get("surfaces")
-    path = None if surfaces is None else folder / usable_path(surfaces)
-    return Sample(camera, pose, instances(record, folder), path)
+    paths = [
+        None if (path := record.get(name)) is None else folder / usable_path(path)
+        for name in ("surfaces", "rays")
+    ]
+    return Sample(camera, pose, instances(record, folder), *paths)
 
 
 def _layers(
@@ -214,29 +219,42 @@ def _layers(
     import torch
 
     from ..rasterize.instances import render_instances, surface_depth
+    from ..rasterize.panorama import render_panorama
 
+    device = torch.device(context.device)
     paths = list(dict.fromkeys(item.file for sample in samples for item in sample.models))
     read = dict(zip(paths, models.get(paths, context), strict=True))
     last, triangles, started = None, torch.zeros(0, 3, 3), time.monotonic()
     for step, sample in enumerate(samples, start=1):
         context.check_cancelled()
         if sample.surfaces is not None and sample.surfaces != last:
-            last, triangles = sample.surfaces, torch.from_numpy(_triangles(sample.surfaces))
+            found = _floats(sample.surfaces, (-1, 3, 3), "triangles: (T, 3, 3)")
+            last, triangles = sample.surfaces, torch.from_numpy(found)
         shown = triangles if sample.surfaces is not None else triangles[:0]
         posed = [item.of(*read[item.file]) for item in sample.models]
-        layer = render_instances(posed, sample.camera, sample.pose, torch.device(context.device))
+        if sample.rays is None:
+            layer = render_instances(posed, sample.camera, sample.pose, device)
+        else:
+            size = sample.camera.height, sample.camera.width
+            rays = torch.from_numpy(_floats(sample.rays, (*size, 3), "rays of the picture's size"))
+            layer = render_panorama(posed, rays, sample.camera.fx, sample.pose, device)
         yield layer, surface_depth(shown, sample.camera, sample.pose)
         context.progress(SAMPLES, step, len(samples), started)
 
 
-def _triangles(path: Path) -> NDArray[np.float32]:
-    """The surfaces of a file; ConfigError: it is missing, or holds no triangles."""
+def _floats(path: Path, shape: tuple[int, ...], what: str) -> NDArray[np.float32]:
+    """The finite float32 numbers of a .npy file, -1 standing for any size.
+
+    ConfigError: it is missing, or holds something else.
+    """
     try:
         found = np.load(path, allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
         raise ConfigError(f"Cannot read {path} ({first_line(error)}).", HINT) from error
-    if not isinstance(found, np.ndarray) or found.dtype != np.float32 or found.shape[1:] != (3, 3):
-        raise ConfigError(f"{path} has no triangles: (T, 3, 3) float32.", HINT)
+    if not isinstance(found, np.ndarray) or found.dtype != np.float32 or found.ndim != len(shape):
+        raise ConfigError(f"{path} has no {what} float32.", HINT)
+    if any(wanted not in (-1, size) for wanted, size in zip(shape, found.shape, strict=True)):
+        raise ConfigError(f"{path} has no {what} float32.", HINT)
     if not np.isfinite(found).all():
-        raise ConfigError(f"{path} has a corner that is not finite.", HINT)
+        raise ConfigError(f"{path} has a number that is not finite.", HINT)
     return found

@@ -338,6 +338,7 @@ def test_another_kind_of_camera_is_said(blender: ModuleType, shot) -> None:
 
     scene, f12 = shot
     scene.camera.data.type = "PANO"
+    scene.camera.data.panorama_type = "MIRRORBALL"
     own = plain(blender, scene, f12)
     np.testing.assert_array_equal(f12(), own)
     assert "neither perspective nor orthographic" in rendering.problem

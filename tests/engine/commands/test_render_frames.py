@@ -254,3 +254,19 @@ def test_surfaces_that_cannot_be_read_are_one_line(
         np.save(folder.parent / "wall.npy", wrong.astype(wrong.dtype if wrong.size != 9 else "f4"))
         ask(folder, samples=sampled(folder, 0, surfaces="../wall.npy"))
         assert "wall.npy has" in fails(["render-frames", str(folder), "--once"], capsys)
+
+
+def test_rays_make_a_panorama(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of the picture's size, and not among samples."""
+    rays = np.zeros((24, 32, 3), np.float32)
+    rays[:, :16, 2], rays[:, 16:, 2] = 1, -1
+    np.save(folder.parent / "rays.npy", rays)
+    out = ask(folder, rays="../rays.npy")
+    assert main(["render-frames", str(folder), "--once"]) == 0
+    alpha = np.asarray(Image.open(colour_file(out)))[..., 3]
+    assert alpha[:, :16].min() > 250 and alpha[:, 16:].max() == 0
+    np.save(folder.parent / "rays.npy", rays[:-1])
+    ask(folder, rays="../rays.npy")
+    assert "rays.npy has no rays" in fails(["render-frames", str(folder), "--once"], capsys)
+    ask(folder, samples=sampled(folder, 0, rays="../rays.npy"))
+    assert "samples have no rays" in fails(["render-frames", str(folder), "--once"], capsys)

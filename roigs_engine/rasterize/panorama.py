@@ -1,0 +1,102 @@
+"""Panoramas: pinhole pictures in all directions from the camera, looked up along each pixel's ray.
+
+As an environment map of a cube's faces (Greene 1986), but of narrower views, which overlap.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+from torch.nn.functional import grid_sample
+
+from ..cuda.device import CPU
+from ..model.scene import Camera, Float64
+from .instances import NOTHING, Instance, Layer, render_instances
+from .light import to_linear, to_srgb
+
+FINER = 1.5
+"""Pixels in the middle of a view for one of the panorama's."""
+LARGEST = 4096  # pixels in a radian
+SLOPE = math.tan(math.radians(30))
+"""From the middle of a view to its edges. In wider ones, large Gaussians that lie beside them look
+stretched, and others than training has shown."""
+RINGS = ((-67.5, 4), (-22.5, 8), (22.5, 8), (67.5, 4))
+"""Latitudes of the views' middles, degrees, and how many there are around. Each ray meets one."""
+SHARPNESS = 2
+"""Where views overlap they are mixed: by this power of how far a ray is from their edges."""
+
+
+@torch.no_grad()
+def render_panorama(
+    models: Sequence[Instance],
+    rays: Tensor,
+    density: float,
+    world_to_camera: Float64,
+    device: torch.device = CPU,
+) -> Layer:
+    """Render models together along rays from one point; faces that no ray meets are not drawn.
+
+    Args:
+        models: they have at least one Gaussian in all.
+        rays: (H, W, 3) float32 directions in the camera's frame, of any length; 0: nothing is seen.
+        density: the panorama's pixels in a radian, where there are most.
+        world_to_camera: (4, 4) rigid.
+        device: to draw on.
+
+    Returns:
+        A layer whose depths are distances from the camera.
+    """
+    height, width = rays.shape[:2]
+    directions = rays.reshape(-1, 3)
+    focal = min(LARGEST, density * FINER)
+    side = math.ceil(2 * focal * SLOPE)
+    lens = Camera(width=side, height=side, fx=focal, fy=focal, cx=side / 2, cy=side / 2)
+    light, shares = torch.zeros(len(directions), 4), torch.zeros(len(directions))
+    depth, most = torch.full((len(directions),), NOTHING), torch.zeros(len(directions))
+    for turn in _turns():
+        seen = directions @ torch.from_numpy(turn[:3, :3].T).float()
+        beside = seen[:, :2].abs().amax(dim=1) / seen[:, 2].clamp(min=1e-9)
+        rows = (beside < SLOPE).nonzero()[:, 0]
+        if not len(rows):
+            continue
+        seen, share = seen[rows], (1 - beside[rows] / SLOPE) ** SHARPNESS
+        layer = render_instances(models, lens, turn @ world_to_camera, device)
+        places = seen[:, :2] / seen[:, 2:] * focal + side / 2
+        light[rows] += share[:, None] * _looked_up(layer, 2 * places / side - 1)
+        shares[rows] += share
+        columns, lines = places.long().clamp(0, side - 1).unbind(dim=1)
+        along = layer.depth[lines, columns]
+        distance = torch.where(along < NOTHING, along * seen.norm(dim=1) / seen[:, 2], NOTHING)
+        depth[rows] = torch.where(share > most[rows], distance, depth[rows])
+        most[rows] = torch.maximum(share, most[rows])
+    light /= shares.clamp(min=1e-12)[:, None]
+    alpha = light[:, 3].clamp(0, 1)
+    image = to_srgb(light[:, :3] / alpha.clamp(min=1e-6)[:, None]).clamp(0, 1)
+    return Layer(
+        image=image.reshape(height, width, 3),
+        alpha=alpha.reshape(height, width),
+        depth=depth.reshape(height, width),
+    )
+
+
+def _looked_up(layer: Layer, places: Tensor) -> Tensor:
+    """(N, 4) linear light times alpha, and alpha, at places (N, 2) from -1 to 1."""
+    light = to_linear(layer.image) * layer.alpha[..., None]
+    picture = torch.cat([light, layer.alpha[..., None]], dim=-1).permute(2, 0, 1)
+    found = grid_sample(picture[None], places[None, None], align_corners=False)
+    return found[0, :, 0].T
+
+
+def _turns() -> Iterator[Float64]:
+    """(4, 4) each, from the camera's frame to that of a view."""
+    for latitude, count in RINGS:
+        for k in range(count):
+            turn = np.eye(4)
+            around = Rotation.from_euler("YX", [360 * k / count, latitude], degrees=True)
+            turn[:3, :3] = around.as_matrix().T
+            yield turn
