@@ -104,7 +104,7 @@ def make_surface(
         Stopped: on request.
     """
     photos = nearest_photos(scene.images, roi)
-    maps = list(depth_maps(gaussians, scene, roi, photos, context, load=load))
+    maps = list(depth_maps(gaussians, scene, roi, photos, context))
     maps = [depth_map for depth_map in maps if depth_map.depth.any()]
     if not maps:
         raise nothing_there(roi)
