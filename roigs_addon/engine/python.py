@@ -20,7 +20,7 @@ SOURCE = Path(__file__).resolve().parents[2]
 VARIABLE = "ROIGS_ENGINE_PYTHON"
 """Environment variable that names the engine's Python: for tests and render farms."""
 
-FOR_MESHES = ("fast_simplification", "skimage", "trimesh", "xatlas")
+FOR_MESHES = ("fast_simplification", "skimage", "trimesh")
 PACKAGES = (
     *("numpy", "PIL", "scipy", "sklearn", "pycolmap", "torch", "av", "pillow_heif", "cv2"),
     *FOR_MESHES,

@@ -166,7 +166,7 @@ def test_a_renamed_box_is_found(blender: ModuleType, made) -> None:
 def test_a_surface_of_a_training(
     blender: ModuleType, engine, project: Path, tmp_path: Path
 ) -> None:
-    for name in ("skimage", "xatlas", "fast_simplification", "trimesh"):
+    for name in ("skimage", "fast_simplification", "trimesh"):
         pytest.importorskip(name)
     scene = ready(blender, project, tmp_path / "run", factor=0.02)
     blender.ops.roigs.train_roi()
