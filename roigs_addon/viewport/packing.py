@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.splat_cloud import SplatCloud
+from ..shared import targets
 
 Float32 = NDArray[np.float32]
 
@@ -76,7 +77,9 @@ def pack(clouds: Sequence[SplatCloud]) -> PackedSet:
         part = by_gaussian[start:stop]
         part[:, 0, :3], part[:, 0, 3] = cloud.means, cloud.opacities
         part[:, 1] = cloud.quats
-        part[:, 2, :3], part[:, 2, 3] = cloud.scales, number + 0.5 * cloud.antialiased
+        narrow = cloud.target.blur < targets.BLUR
+        flags = 0.5 * cloud.antialiased + 0.25 * narrow
+        part[:, 2, :3], part[:, 2, 3] = cloud.scales, number + flags
         sh[start:stop, :, : cloud.sh.shape[1]] = cloud.sh.transpose(0, 2, 1)
     means = np.ascontiguousarray(by_gaussian[:, 0, :3])
     extent = float(np.sqrt(np.square(means).sum(axis=1).mean(dtype=float))) if count else 1.0

@@ -217,14 +217,18 @@ def posed(model: Instance, matrix: Float64, sh: Tensor) -> Gaussians:
 
 
 def _alike(parts: Sequence[Gaussians], camera: Camera) -> list[Gaussians]:
-    """Models in the camera's frame, all without anti-aliasing, in the light of most Gaussians."""
+    """Models in the camera's frame, all without anti-aliasing, in the light of most Gaussians.
+
+    The widest blur of the models is that of all.
+    """
     linear = sum(len(part) if part.target.linear_light else -len(part) for part in parts) > 0
-    target = target_with(antialiased=False, linear_light=linear)
-    made = (_for_camera(part, camera) if part.antialiased else part for part in parts)
+    blur = max(part.target.blur for part in parts)
+    target = replace(target_with(antialiased=False, linear_light=linear), blur=blur)
+    made = (_for_camera(part, camera, blur) if part.antialiased else part for part in parts)
     return [replace(part, target=target) for part in made]
 
 
-def _for_camera(seen: Gaussians, camera: Camera) -> Gaussians:
+def _for_camera(seen: Gaussians, camera: Camera, blur: float) -> Gaussians:
     """An anti-aliased model in the camera's frame that looks the same, from there, without.
 
     So it can be drawn together with others. Anti-aliasing only lowers opacities, by what one camera
@@ -233,7 +237,7 @@ def _for_camera(seen: Gaussians, camera: Camera) -> Gaussians:
     matrix = torch.as_tensor(camera.matrix(), dtype=torch.float32)
     # Beyond the near plane, what is not drawn may be anything.
     U = jacobian(seen.means.float(), matrix, camera.width, camera.height) @ principal_axes(seen)
-    share = drawn_share(U, blur_of(1.0, antialiased=True))
+    share = drawn_share(U, blur_of(1.0, antialiased=True, blur=blur))
     logits = torch.logit((seen.logit_opacities.sigmoid() * share).nan_to_num(0.0), eps=1e-7)
     return replace(seen, logit_opacities=logits)
 

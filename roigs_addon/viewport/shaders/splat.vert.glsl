@@ -5,6 +5,7 @@
 #define ALPHA_MIN (1.0 / 255.0)
 #define LEAST 0.2            // see roigs_engine/model/operations.py
 #define BLUR 0.3             // px^2, added to the diagonal of the 2D covariance
+#define BOX (1.0 / 12.0)     // the same, of what is made for Cycles
 #define FRUSTUM_MARGIN 0.3   // of the half angle, around the frame
 // Beyond these limits EWA splatting fails (roigs_engine/rasterize/limits.py):
 #define MAX_SLOPE 3.0        // of centres outside the frame
@@ -76,7 +77,8 @@ void main()
   vec4 quat = TEXEL(geometry, 3u * index + 1u);
   vec4 size = TEXEL(geometry, 3u * index + 2u);
   int number = int(size.w);
-  bool antialiased = fract(size.w) > 0.0;
+  bool antialiased = fract(size.w) >= 0.5;
+  float blur = fract(2.0 * size.w) > 0.0 ? BOX : BLUR;
   vec3 mean = body.xyz;
   float opacity = body.w, density = OBJECT(number, 4).w;
   if (density < 1.0) {
@@ -135,13 +137,13 @@ void main()
     // |u x v|^2 is that without the blur; xx * yy - xy * xy would cancel for needles.
     vec3 area = cross(u, v);
     float sharp = dot(area, area);
-    opacity *= sqrt(sharp / (sharp + BLUR * (xx + yy) + BLUR * BLUR));
+    opacity *= sqrt(sharp / (sharp + blur * (xx + yy) + blur * blur));
     if (!(opacity > ALPHA_MIN)) {
       return;
     }
   }
-  xx += BLUR;
-  yy += BLUR;
+  xx += blur;
+  yy += blur;
 
   // Beyond this many standard deviations the Gaussian is fainter than ALPHA_MIN.
   float reach = sqrt(2.0 * log(opacity / ALPHA_MIN));
@@ -154,7 +156,7 @@ void main()
   float half_difference = 0.5 * (xx - yy);
   float radius = length(vec2(half_difference, xy));
   float major = 0.5 * (xx + yy) + radius;
-  float minor = max((xx * yy - xy * xy) / major, BLUR);
+  float minor = max((xx * yy - xy * xy) / major, blur);
   vec2 axis = half_difference >= 0.0 ? vec2(half_difference + radius, xy) :
                                        vec2(xy, radius - half_difference);
   axis = radius > 0.0 ? normalize(axis) : vec2(1.0, 0.0);

@@ -317,6 +317,7 @@ def test_no_undo_step_comes_before_the_results(addon: ModuleType) -> None:
         photos,
         reconstruct,
         scene,
+        surface,
         train,
     )
     from roigs_addon.operators import import_gaussians as imports
@@ -326,7 +327,7 @@ def test_no_undo_step_comes_before_the_results(addon: ModuleType) -> None:
         *(photos.SelectCameras, reconstruct.Reconstruct, scene.ImportColmap),
         *(scene.RefineCameras, train.EstimateTime, train.TrainRoi, export.ExportGaussians),
         *(imports.ImportGaussians, floaters.FindFloaters, levels.MakeLevels, masks.MakeMasks),
-        adapt.AdaptResult,
+        *(adapt.AdaptResult, surface.MakeSurface),
     )
     found = {*EngineOperator.__subclasses__(), *BrowsingOperator.__subclasses__()}
     assert found - {BrowsingOperator} == set(running)

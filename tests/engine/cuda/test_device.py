@@ -144,7 +144,11 @@ def test_a_step_reads_nothing_back(scene: SfmScene, monkeypatch: pytest.MonkeyPa
     image = steps.gaussians.means.sum() * 0 + torch.rand(1, 48, 64, 3)
     count = len(start)
     output = SimpleNamespace(
-        image=image, visible=torch.ones(1, count) > 0, grad2d=torch.rand(1, count), max_weight=None
+        image=image,
+        visible=torch.ones(1, count) > 0,
+        grad2d=torch.rand(1, count),
+        max_weight=None,
+        surface=None,
     )
     monkeypatch.setattr(trainer, "rasterize", lambda *_, **__: output)
 

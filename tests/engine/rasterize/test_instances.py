@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from roigs_engine.formats.targets import CYCLES, PLAIN, VIEWERS, target_with
+from roigs_engine.formats.targets import BLUR, CYCLES, PLAIN, VIEWERS, target_with
 from roigs_engine.rasterize.instances import NOTHING, Instance, render_instances
 from roigs_engine.rasterize.light import to_linear, to_srgb
 from roigs_engine.rasterize.limits import PICTURE_LIMITS
@@ -103,9 +103,12 @@ def test_a_layer_of_linear_light_is_composited_in_linear_light() -> None:
     layer, usual = render_instances([placed(model)], CAMERA, POSE), render_view(model, CAMERA, POSE)
     over_black = to_srgb(to_linear(layer.image) * layer.alpha[..., None])
     torch.testing.assert_close(over_black, usual.image, atol=3e-3, rtol=0)
-    few = replace(cloud(5, seed=1), target=VIEWERS)  # drawn in the light of most
+    few = replace(cloud(5, seed=1), target=VIEWERS)  # drawn in the light of most, with its own blur
+    wide = render_instances(
+        [placed(replace(model, target=replace(CYCLES, blur=BLUR)))], CAMERA, POSE
+    )
     both = render_instances([placed(model), placed(few)], CAMERA, POSE)
-    assert (both.alpha >= layer.alpha - 1e-3).all()
+    assert (both.alpha >= wide.alpha - 1e-3).all()
 
 
 def test_models_with_and_without_antialiasing_are_each_drawn_right() -> None:
