@@ -35,6 +35,10 @@ class ViewHandler:
         self._handle: Any = None
         self.failure = ""
 
+    def problem(self) -> str:
+        """Why nothing can be drawn, in one line; empty if it can."""
+        return self.failure
+
     def start(self) -> None:
         """Start drawing; in background mode there is no viewport."""
         if self._handle is None and not bpy.app.background:

@@ -89,18 +89,4 @@ def _lines(context: bpy.types.Context, ends: list[Vector], colour: Colour) -> No
 
 
 _handler = ViewHandler(_draw, "Boxes cannot be drawn here")
-
-
-def problem() -> str:
-    """Why boxes cannot be drawn, in one line; empty if they can."""
-    return _handler.failure
-
-
-def register() -> None:
-    """Start drawing; in background mode there is no viewport."""
-    _handler.start()
-
-
-def unregister() -> None:
-    """Stop drawing."""
-    _handler.stop()
+problem, register, unregister = _handler.problem, _handler.start, _handler.stop

@@ -163,16 +163,7 @@ def _pixels(path: Path) -> NDArray[np.float32] | None:
 
 _handler = ViewHandler(_draw, "Masks cannot be drawn here", after="POST_PIXEL")
 _reader = Timer(_read, 0.01)
-
-
-def problem() -> str:
-    """Why masks cannot be drawn, in one line; empty if they can."""
-    return _handler.failure
-
-
-def register() -> None:
-    """Start drawing; in background mode there is no viewport."""
-    _handler.start()
+problem, register = _handler.problem, _handler.start
 
 
 def unregister() -> None:

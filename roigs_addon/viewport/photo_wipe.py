@@ -79,18 +79,4 @@ def _say(text: str, x: float, y: float, scale: float, *, left_of: bool = False) 
 
 
 _handler = ViewHandler(_draw, "Photos cannot be compared here", after="POST_PIXEL")
-
-
-def problem() -> str:
-    """Why nothing can be drawn, in one line; empty if it can."""
-    return _handler.failure
-
-
-def register() -> None:
-    """Start drawing; in background mode there is no viewport."""
-    _handler.start()
-
-
-def unregister() -> None:
-    """Stop drawing."""
-    _handler.stop()
+problem, register, unregister = _handler.problem, _handler.start, _handler.stop

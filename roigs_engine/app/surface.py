@@ -23,6 +23,7 @@ from .inputs import load_model
 from .outputs import Result
 
 if TYPE_CHECKING:
+    from ..model.roi import OrientedBox
     from ..run.definition import Run
     from ..surface.make import Surface, SurfaceOptions
 
@@ -137,7 +138,7 @@ def surfaces_of_run(
             continue
         check_held(run.folder)
         path = folder / f"{roi.name}{GLB}"
-        record = _record(made, run, roi.name)
+        record = _record(made, run, roi)
         _write(path, made, run, formats)
         write_json(path.with_suffix(".surface.json"), asdict(record))
         context.info(record.text)
@@ -168,15 +169,14 @@ def _upright(run: Run) -> NDArray[np.float64]:
     return np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], float) @ z_up
 
 
-def _record(made: Surface, run: Run, box: str) -> SurfaceRecord:
+def _record(made: Surface, run: Run, roi: OrientedBox) -> SurfaceRecord:
     mesh, scale = made.mesh, run.frame.scale
-    roi = next(roi for roi in run.rois if roi.name == box)
     local = mesh.vertices @ roi.world_to_box[:3, :3].T
     size = np.ptp(local, axis=0) / scale
     closed = mesh.is_closed()
     return SurfaceRecord(
-        box=box,
-        file=f"{run_files.FINE}/{box}{GLB}",
+        box=roi.name,
+        file=f"{run_files.FINE}/{roi.name}{GLB}",
         faces=len(mesh.faces),
         vertices=len(mesh.vertices),
         parts=len(np.unique(mesh.parts())),

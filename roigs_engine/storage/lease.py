@@ -69,12 +69,13 @@ class Lease:
     def __enter__(self) -> Lease:
         """Take it; LeaseTakenError if somebody else holds it."""
         try:
-            saying = [self._waits]
+            said = False
             while not self._try():
                 if self._should_stop():
                     raise LeaseTakenError
-                if saying:
-                    saying.pop()()
+                if not said:
+                    self._waits()
+                    said = True
                 time.sleep(min(POLL, self._beat))
         except BaseException:
             self._remove(self._name)

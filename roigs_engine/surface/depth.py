@@ -35,7 +35,6 @@ class DepthMap:
         camera: of the part.
         depth: (H, W) along the camera's z axis, units of the scene; 0: not known.
         weight: (H, W) how certain it is, 0 to 1.
-        normal: (H, W, 3) unit vectors in the world that point to the camera; None: not known.
     """
 
     image: PosedImage
@@ -44,7 +43,6 @@ class DepthMap:
     camera: Camera
     depth: Float32
     weight: Float32
-    normal: Float32 | None = None
 
     @property
     def world_to_camera(self) -> Float64:

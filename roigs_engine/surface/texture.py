@@ -35,9 +35,7 @@ LEAST_FACING = 0.15  # cosine between surface and ray
 SHARP = 6  # power of the weights in the fine band
 BROAD = 6.0  # standard deviation that parts the bands, pixels
 FINE_DEPTH = 2  # the mesh's depth is drawn so many times finer than the photo
-HIDDEN = (
-    3.0  # pixels' sizes behind the nearest face, or the Gaussians' depth, at which it is hidden
-)
+HIDDEN = 3.0  # sizes of a pixel behind the nearest face, or the Gaussians' depth: then it is hidden
 GAINS = 0.6, 1.6
 PAIRS_AT_ONCE = 1 << 21
 
