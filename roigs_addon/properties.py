@@ -158,6 +158,9 @@ class RoigsObject(bpy.types.PropertyGroup):
     whole: BoolProperty(description="Gaussians: all are drawn, whatever the levels of detail")
     pair: StringProperty(description="Gaussians: the same as of its other, Result or First pass")
     waits: BoolProperty(description="Gaussians: hidden while a preview is shown")
+    beside: StringProperty(
+        description="Gaussians, mesh: hidden as a mesh is shown alone; how they were seen before"
+    )
     aside: CollectionProperty(
         type=RoigsEditedMesh, description="Gaussians: edits of results that are not shown"
     )
@@ -324,6 +327,16 @@ class RoigsScene(bpy.types.PropertyGroup):
     )
     watertight: setting(BoolProperty, "watertight", run_requests.MakeSurface)
     faces: setting(IntProperty, "faces", run_requests.MakeSurface, soft_max=1_000_000)
+    texture_size: setting(
+        IntProperty, "texture_size", run_requests.MakeSurface, min=0, default=0, subtype="PIXEL"
+    )
+    fine_texture: zero(
+        "texture_size",
+        2048,
+        name="As fine as the photos",
+        description="The texture is as large as the photos' resolution on the object asks for."
+        " Switch off to choose its side",
+    )
     use_levels: BoolProperty(
         name="Levels of Detail",
         default=True,

@@ -128,8 +128,8 @@ def _result(job: Job) -> JobResult:
 
 def _ended(job: Job) -> None:
     result = _result(job)
-    changed = job.spec.changes and job.spec.on_done is not nothing
-    if changed and result.complete:
+    take = job.spec.on_done if result.complete else job.spec.on_stop
+    if job.spec.changes and take is not nothing:
         undo.push(job.spec.title)
     for listener in on_end:
         listener()

@@ -71,7 +71,8 @@ class Job:
             self._take(event)
             self.news = True
         result = None if running or self.finished else self.process.result()
-        if rendering and not self.finished and (result is None or result.complete):
+        brings = result is None or result.complete or self.spec.on_stop is not nothing
+        if rendering and not self.finished and brings:
             if result is not None and self.state.message != WAITING:
                 self.state.message, self.news = WAITING, True
             return True
@@ -122,6 +123,8 @@ class Job:
             if not self.finished:
                 return
             result = replace(result, message=error)
+        elif error := _guarded(self.spec.on_stop):
+            self.warn(error)
         self._end(result)
 
     def _go_on(self, outputs: Mapping[str, str]) -> None:

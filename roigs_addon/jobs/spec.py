@@ -50,6 +50,7 @@ class JobSpec:
         on_preview: called with the path of each preview.
         on_done: called after a job that was finished, not stopped; may raise AddonError. The line
             that it returns replaces `done_text`.
+        on_stop: called after a job that was stopped or failed, to take what is finished.
         changes: whether `on_done` changes the scene: then an undo takes that back.
         then: called with the engine's outputs (name -> path) after a command that was finished, not
             stopped; returns the command with which the job goes on, or None if there is none; may
@@ -65,6 +66,7 @@ class JobSpec:
     folder: Path | None = None
     on_preview: Callable[[Path], None] = nothing
     on_done: Callable[[], str | None] = nothing
+    on_stop: Callable[[], None] = nothing
     changes: bool = True
     then: Callable[[Mapping[str, str]], JobSpec | None] | None = None
     done_text: str = ""

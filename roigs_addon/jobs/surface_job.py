@@ -3,27 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import bpy
 
+from ..blender import view_layer_of
 from ..engine import own_files, run_status
 from ..errors import AddonError
-from ..properties import scene_props
-from ..scene import box_surfaces, compared, rois
-from ..shared import text
+from ..properties import object_props, scene_props
+from ..scene import box_surfaces, compared, lookup, rois
+from ..shared import files, run_files, text
 from ..windows import redraw
 from . import options_files, run_folders
 from .spec import SURFACES, JobSpec
 
 EDITED = "'{}' was edited since it was made. {}"
 GLB = ".glb"
+WORDS = {"Give its folder with --scene.": "Import its COLMAP project again in step 1."}
 
 
-def trained_name(scene: bpy.types.Scene, roi: bpy.types.Object) -> str:
+def box_at_hand(context: bpy.types.Context) -> tuple[str, bool]:
+    """The box that a person works on: that of the active Gaussians or mesh, else the active one.
+
+    Returns its name, empty if there is none, and whether it is that in the run folder.
+    """
+    item, roi = view_layer_of(context).objects.active, lookup.active_roi(context)
+    props = object_props(item) if item is not None else None
+    if props is not None and props.roi and props.kind in ("SPLATS", "SURFACE"):
+        return props.roi, True
+    return (roi.name, False) if roi is not None else ("", False)
+
+
+def trained_name(scene: bpy.types.Scene, roi: str) -> str:
     """The name of a box in the run folder: it may have been renamed since its training."""
     status = run_status.read(run_folders.run_folder(scene))
-    return rois.trained_names(scene, status.boxes or {}).get(roi.name, roi.name)
+    return rois.trained_names(scene, status.boxes or {}).get(roi, roi)
 
 
 def spec(scene: bpy.types.Scene, boxes: Sequence[str], *, replace_edits: bool) -> JobSpec:
@@ -42,6 +57,7 @@ def spec(scene: bpy.types.Scene, boxes: Sequence[str], *, replace_edits: bool) -
     if not replace_edits:
         _refuse_edited(scene, boxes, "To replace it, give replace_edits=True.")
     made: dict[str, Path] = {}
+    before = _made(folder)
 
     def take(outputs: Mapping[str, str]) -> None:
         made.update({n: Path(path) for n, path in outputs.items() if path.endswith(GLB)})
@@ -58,18 +74,49 @@ def spec(scene: bpy.types.Scene, boxes: Sequence[str], *, replace_edits: bool) -
         redraw()
         return f"Made {text.counted(len(made), 'surface')}"
 
+    def show_finished() -> None:
+        """What a stop has left finished; nobody is asked about edits, so these stay."""
+        fresh = {path: stamp for path, stamp in _made(folder).items() if before.get(path) != stamp}
+        if fresh and (now := find()) is not None:
+            edited = box_surfaces.edited(now, [path.stem for path in fresh])
+            compared.show_last(now, folder)
+            for path in fresh:
+                known = box_surfaces.surface_of(now, path.stem)
+                if known is None or known.name not in edited:
+                    box_surfaces.show(now, path.stem, path)
+            redraw()
+
     only = [f"--only={name}" for name in boxes]
     closed = ["--watertight"] if props.watertight else []
-    options = [*only, *closed, f"--faces={props.faces}", *options_files.machine_options()]
+    size = [f"--texture-size={props.texture_size}"] if props.texture_size else []
+    options = [*only, *closed, f"--faces={props.faces}", *size, *_scene_option(scene, folder)]
     return JobSpec(
         title=SURFACES,
-        arguments=["surface", str(folder), *options],
+        arguments=["surface", str(folder), *options, *options_files.machine_options()],
         log=own_files.log_file(folder),
         folder=folder,
         then=take,
         on_done=show,
+        on_stop=show_finished,
+        words=WORDS,
         done_text="The surface is made",
     )
+
+
+def _made(folder: Path) -> dict[Path, int]:
+    """Meshes in a run folder -> when their record was written, which is done last."""
+    found = {}
+    for path in (folder / run_files.FINE).glob(f"*{GLB}"):
+        with suppress(OSError):
+            found[path] = box_surfaces.record_file(path).stat().st_mtime_ns
+    return found
+
+
+def _scene_option(scene: bpy.types.Scene, folder: Path) -> list[str]:
+    """Where the COLMAP project is, if it was moved after the training."""
+    trained, now = files.read_record(folder / run_files.SETTINGS).get("scene"), scene_props(scene)
+    moved = isinstance(trained, str) and not Path(trained).exists()
+    return [f"--scene={now.colmap}"] if moved and now.colmap else []
 
 
 def _refuse_edited(scene: bpy.types.Scene, boxes: Sequence[str], remedy: str) -> None:

@@ -22,9 +22,9 @@ from ..errors import AddonError
 from ..facts import caches, run_facts
 from ..jobs import current, run_folders
 from ..properties import SHOWN_AS, object_props
-from ..scene import carried, compared, compositor, detail, edits, lookup, splats
+from ..scene import box_surfaces, carried, compared, compositor, detail, edits, lookup, splats
 from ..windows import redraw
-from .base import FRESH, available, failed
+from .base import FRESH, available, failed, tell
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
@@ -64,6 +64,8 @@ class LoadResults(bpy.types.Operator):
                 splats.show_results(scene, folder)
         except AddonError as error:
             return failed(self, error)
+        for text in box_surfaces.load(scene, folder):
+            tell(self, "WARNING", text)
         caches.forget()
         return {"FINISHED"}
 

@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
-from ..blender import registration, scene_of, select_only, view_layer_of
+from ..blender import registration, scene_of, select_only, view_3d_of, view_layer_of
 from ..engine.python import FOR_SURFACES
 from ..errors import AddonError
 from ..facts import run_facts
 from ..jobs import current, surface_job
 from ..jobs.spec import JobSpec
 from ..properties import object_props
-from ..scene import box_surfaces, lookup
+from ..scene import box_surfaces
 from ..windows import redraw
 from .base import BUSY, FRESH, NO_BOX, EngineOperator, available, failed
 from .results import NO_RESULT
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
+
+NO_MESH = "There is no mesh '{}'."
+STL = ".stl"
+MILLIMETRES = 1000.0
+"""In a metre: what reads STL takes its numbers for millimetres."""
 
 
 class MakeSurface(EngineOperator):
@@ -42,7 +47,7 @@ place of the Gaussians; one that was made before is replaced"""
             return available(cls, BUSY)
         if not run_facts.run(scene_of(context)).result:
             return available(cls, NO_RESULT)
-        return available(cls, "" if lookup.active_roi(context) else NO_BOX)
+        return available(cls, "" if surface_job.box_at_hand(context)[0] else NO_BOX)
 
     def packages(self, context: bpy.types.Context) -> tuple[str, ...]:
         """Those that make meshes."""
@@ -50,10 +55,13 @@ place of the Gaussians; one that was made before is replaced"""
 
     def spec(self, context: bpy.types.Context) -> JobSpec:
         """Make it in the scene's run folder."""
-        scene, roi = scene_of(context), lookup.active_roi(context)
-        if roi is None:
+        scene = scene_of(context)
+        name, trained = surface_job.box_at_hand(context)
+        if not name:
             raise AddonError(f"{NO_BOX}.")
-        names = [] if self.every else [surface_job.trained_name(scene, roi)]
+        if not trained:
+            name = surface_job.trained_name(scene, name)
+        names = [] if self.every else [name]
         return surface_job.spec(scene, names, replace_edits=self.replace_edits)
 
 
@@ -74,15 +82,91 @@ class ShowSurface(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Hide and show."""
-        scene = scene_of(context)
-        found = (item for item in box_surfaces.surfaces(scene) if item.name == self.name)
-        item = next(found, None)
+        scene, item = scene_of(context), _mesh(context, self.name)
         if item is None:
-            return failed(self, f"There is no mesh '{self.name}'.")
+            return failed(self, NO_MESH.format(self.name))
+        if box_surfaces.alone(scene):
+            box_surfaces.show_all(scene)
         box_surfaces.set_way(scene, item, self.way)
         _select_shown(context, item)
         redraw()
         return {"FINISHED"}
+
+
+class ShowAlone(bpy.types.Operator):
+    """Show this mesh alone, in viewports and renders. Clicked again, it shows all as before"""
+
+    bl_idname = "roigs.show_alone"
+    bl_label = "Alone"
+    bl_options = {"REGISTER", "UNDO"}
+
+    name: StringProperty(description="Name of the mesh's object", options=FRESH)
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Hide all else, or show it again."""
+        scene, item = scene_of(context), _mesh(context, self.name)
+        if item is None:
+            return failed(self, NO_MESH.format(self.name))
+        if box_surfaces.alone(scene) and not object_props(item).beside:
+            box_surfaces.show_all(scene)
+        else:
+            box_surfaces.show_alone(scene, item)
+            view_layer_of(context).update()  # until then, it cannot be selected
+            select_only(context, item)
+            _look_at_selected(context)
+        redraw()
+        return {"FINISHED"}
+
+
+class ExportSurface(bpy.types.Operator):
+    """Export this mesh for 3D print with Blender's own exporter: this mesh alone, in millimetres"""
+
+    bl_idname = "roigs.export_surface"
+    bl_label = "Export STL…"
+
+    name: StringProperty(description="Name of the mesh's object", options=FRESH)
+    filepath: StringProperty(subtype="FILE_PATH", options=FRESH)
+
+    def invoke(self, context: bpy.types.Context, _: bpy.types.Event) -> OperatorResult:
+        """Ask Blender's exporter for the file."""
+        return self._export(context, "INVOKE_DEFAULT", bpy.path.clean_name(self.name) + STL)
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Write the file."""
+        return self._export(context, "EXEC_DEFAULT", self.filepath)
+
+    def _export(self, context: bpy.types.Context, way: Any, path: str) -> OperatorResult:
+        item = _mesh(context, self.name)
+        if item is None:
+            return failed(self, NO_MESH.format(self.name))
+        if not item.visible_get():
+            return failed(self, f"'{self.name}' is hidden. Click Mesh above first.")
+        select_only(context, item)
+        if not box_surfaces.record(item).get("watertight"):
+            self.report({"WARNING"}, "The mesh has holes. For print, make it again with Watertight")
+        bpy.ops.wm.stl_export(
+            way,
+            filepath=path,
+            export_selected_objects=True,
+            use_scene_unit=True,
+            global_scale=MILLIMETRES,
+        )
+        return {"FINISHED"}
+
+
+def _mesh(context: bpy.types.Context, name: str) -> bpy.types.Object | None:
+    """The mesh of a box with this object's name."""
+    found = (item for item in box_surfaces.surfaces(scene_of(context)) if item.name == name)
+    return next(found, None)
+
+
+def _look_at_selected(context: bpy.types.Context) -> None:
+    """In the 3D view with the button; nothing in scripts."""
+    if view_3d_of(context) is None or context.area is None or bpy.app.background:
+        return
+    regions = (r for r in context.area.regions if r.type == "WINDOW")
+    with context.temp_override(region=next(regions)):
+        bpy.ops.view3d.view_selected()
 
 
 def _select_shown(context: bpy.types.Context, item: bpy.types.Object) -> None:
@@ -95,4 +179,4 @@ def _select_shown(context: bpy.types.Context, item: bpy.types.Object) -> None:
     select_only(context, gaussians if active == item else item)
 
 
-register, unregister = registration(MakeSurface, ShowSurface)
+register, unregister = registration(MakeSurface, ShowSurface, ShowAlone, ExportSurface)

@@ -34,6 +34,9 @@ WAYS = (
 SIZE = "roigs_picture"
 """Custom property of a picture of ours: bytes of its file."""
 
+FILE = "roigs_glb"
+"""Custom property of a mesh: SHA-256 of its file."""
+
 _edited: dict[int, bool] = {}
 """Mesh -> whether it was edited, until it changes."""
 
@@ -44,6 +47,11 @@ def surfaces(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     for item in lookup.of_kind(scene, "SURFACE"):
         found.setdefault(object_props(item).roi, item)
     return list(found.values())
+
+
+def surface_of(scene: bpy.types.Scene, roi: str) -> bpy.types.Object | None:
+    """The mesh of a box; None if it has none."""
+    return next((item for item in surfaces(scene) if object_props(item).roi == roi), None)
 
 
 def pair_of(scene: bpy.types.Scene, roi: str) -> detail.Pair | None:
@@ -61,26 +69,68 @@ def gaussians_of(scene: bpy.types.Scene, roi: str) -> bpy.types.Object | None:
     return pair.shown if pair is not None else None
 
 
-def show(scene: bpy.types.Scene, roi: str, path: Path) -> bpy.types.Object:
+def load(scene: bpy.types.Scene, folder: Path) -> list[str]:
+    """Bring in the meshes that a run folder has of its result; new ones are hidden at first.
+
+    Returns what was left as it is, and why, in words.
+    """
+    left = []
+    for (level, roi), ply in splats.result_files(folder).items():
+        path = ply.with_suffix(".glb")
+        if level != "ROI" or not path.is_file():
+            continue
+        known = surface_of(scene, roi)
+        try:
+            digest, of = files.sha256(path), _read_record(path).get("result")
+            if known is not None and mesh_of(known).get(FILE) == digest:
+                continue
+            if of and of != files.sha256(ply):
+                left.append(f"The mesh of '{roi}' is of an earlier training: make it again")
+            elif known is not None and is_edited(known):
+                left.append(f"'{known.name}' was edited, and is kept: its file has another mesh")
+            else:
+                show(scene, roi, path, seen=False)
+        except (OSError, AddonError) as error:
+            left.append(str(error))
+    return left
+
+
+def _read_record(path: Path) -> dict[str, Any]:
+    try:
+        record = files.read_json(record_file(path))
+    except EngineError as error:
+        raise AddonError(f"{error} Make the surface again.") from error
+    return record if isinstance(record, dict) else {}
+
+
+def record_file(path: Path) -> Path:
+    """What the engine says of a mesh, beside its file."""
+    return path.with_suffix(".surface.json")
+
+
+def show(scene: bpy.types.Scene, roi: str, path: Path, *, seen: bool = True) -> bpy.types.Object:
     """Show the mesh of a file as that of a box: in its object, or in a new one.
+
+    Args:
+        scene, roi, path: where, of which box, and the file.
+        seen: whether it replaces the Gaussians at once; else a new object is hidden.
 
     Raises:
         AddonError: the file, or the record beside it, is missing or damaged.
     """
+    record = _read_record(path)
     try:
-        read = read_glb(path)
-        record = files.read_json(path.with_suffix(".surface.json"))
-    except (OSError, ValueError, EngineError) as error:
+        read, digest = read_glb(path), files.sha256(path)
+    except (OSError, ValueError) as error:
         raise AddonError(f"{error} Make the surface again.") from error
     pair, gaussians = pair_of(scene, roi), gaussians_of(scene, roi)
-    known = next((item for item in surfaces(scene) if object_props(item).roi == roi), None)
+    known = surface_of(scene, roi)
+    way = BOTH if known is not None and way_of(scene, known) == BOTH else MESH
     if known is None:
         item = _new(scene, roi, read, gaussians)
-        way = MESH
     else:
         leave_edit_mode([known])
         item, old = known, mesh_of(known)
-        way = BOTH if way_of(scene, item) == BOTH else MESH
         fresh = _data(old.name, read, _frame(old))
         _take_materials(fresh, old, roi, read.picture)
         for other in lookup.of_kind(scene, "SURFACE"):
@@ -90,8 +140,12 @@ def show(scene: bpy.types.Scene, roi: str, path: Path) -> bpy.types.Object:
             bpy.data.batch_remove([old])
     if pair is not None and pair.fine is not None:
         mesh_of(item)[edits.SOURCE] = mesh_of(pair.fine).get(edits.SOURCE, "")
+    mesh_of(item)[FILE] = digest
     object_props(item).surface = json.dumps(record)
-    set_way(scene, item, way)
+    if seen:
+        set_way(scene, item, way)
+    elif known is None:
+        visibility.disable(item)
     return item
 
 
@@ -112,6 +166,30 @@ def set_way(scene: bpy.types.Scene, item: bpy.types.Object, way: str) -> None:
             other.hide_viewport = other.hide_render = not seen
             if seen:
                 visibility.open_eye(scene, other)
+
+
+def alone(scene: bpy.types.Scene) -> bool:
+    """Whether all but a mesh is hidden, see `show_alone`."""
+    return any(object_props(item).beside for item in _shown_kinds(scene))
+
+
+def show_alone(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
+    """Hide all Gaussians and the other meshes, in viewports and renders, until `show_all`."""
+    show_all(scene)
+    set_way(scene, item, MESH)
+    for other in _shown_kinds(scene):
+        if other != item and not object_props(other).off:
+            visibility.park(other, "beside")
+
+
+def show_all(scene: bpy.types.Scene) -> None:
+    """Show again what a mesh that is shown alone has hidden."""
+    for item in _shown_kinds(scene):
+        visibility.unpark(item, "beside")
+
+
+def _shown_kinds(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    return [*lookup.splats(scene), *lookup.of_kind(scene, "SURFACE")]
 
 
 def is_of_other_result(scene: bpy.types.Scene, item: bpy.types.Object) -> bool:
@@ -255,8 +333,11 @@ def _material(name: str, image: bpy.types.Image) -> bpy.types.Material:
 
 def _nodes(mesh: bpy.types.Mesh) -> list[Any]:
     """The nodes with a picture in a mesh's materials."""
-    trees: list[Any] = [m.node_tree for m in mesh.materials if m is not None and m.node_tree]
-    nodes = (node for tree in trees for node in tree.nodes)
+    return [node for material in mesh.materials for node in _nodes_of(material)]
+
+
+def _nodes_of(material: Any) -> list[Any]:
+    nodes = material.node_tree.nodes if material is not None and material.node_tree else ()
     return [n for n in nodes if n.bl_idname == "ShaderNodeTexImage" and n.image is not None]
 
 
@@ -269,10 +350,15 @@ def _take_materials(fresh: bpy.types.Mesh, old: bpy.types.Mesh, roi: str, data: 
     """Give a mesh the materials of the one that it replaces, with its own picture."""
     image = _picture(roi, data)
     gone = set(_images(old))
-    for node in _nodes(old):
-        if node.image in gone:
-            node.image = image
+    material: Any
     for material in old.materials:
+        nodes = _nodes_of(material)
+        if any(node.image in gone for node in nodes) and material.users > 1:
+            material = material.copy()  # copies of the mesh keep their picture
+            nodes = _nodes_of(material)
+        for node in nodes:
+            if node.image in gone:
+                node.image = image
         fresh.materials.append(material)
     if not gone:
         fresh.materials.clear()

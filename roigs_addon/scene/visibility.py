@@ -16,23 +16,23 @@ SEEN = ("screen", "render")
 """Words for what a hidden object was seen in."""
 
 
-def park(item: bpy.types.Object) -> None:
-    """Hide an object that is not in the result that is shown."""
+def park(item: bpy.types.Object, why: str = "parked") -> None:
+    """Hide an object that is not in the result, or that is `beside` a mesh that is shown alone."""
     props = object_props(item)
-    if not props.parked:
+    if not getattr(props, why):
         seen = (not item.hide_viewport, not item.hide_render)
         words = [word for word, is_seen in zip(SEEN, seen, strict=True) if is_seen]
-        props.parked = " ".join(("parked", *words))
+        setattr(props, why, " ".join((why, *words)))
     item.hide_viewport = item.hide_render = True
 
 
-def unpark(item: bpy.types.Object) -> None:
+def unpark(item: bpy.types.Object, why: str = "parked") -> None:
     """Show it again as it was."""
     props = object_props(item)
-    if props.parked:
-        seen = props.parked.split()
+    if getattr(props, why):
+        seen = getattr(props, why).split()
         item.hide_viewport, item.hide_render = (word not in seen for word in SEEN)
-        props.parked = ""
+        setattr(props, why, "")
 
 
 def wait(item: bpy.types.Object) -> None:

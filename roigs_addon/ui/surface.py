@@ -7,13 +7,13 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..blender import layout_of, mesh_of, registration, scene_of
+from ..blender import layout_of, mesh_of, registration, scene_of, view_3d_of
 from ..facts import run_facts
-from ..jobs import current
+from ..jobs import current, surface_job
 from ..jobs.spec import SURFACES
 from ..operators.results import SelectGaussians
-from ..operators.surface import MakeSurface, ShowSurface
-from ..properties import scene_props
+from ..operators.surface import ExportSurface, MakeSurface, ShowAlone, ShowSurface
+from ..properties import object_props, scene_props
 from ..scene import box_surfaces, lookup
 from . import layout as show
 from .layout import SidebarPanel
@@ -50,31 +50,46 @@ class SurfacePanel(SidebarPanel):
             for way, label, _ in box_surfaces.WAYS:
                 button = row.operator(ShowSurface.bl_idname, text=label, depress=now == way)
                 button.name, button.way = item.name, way
+            row = column.row(align=True)
+            alone = box_surfaces.alone(scene) and not object_props(item).beside
+            row.operator(ShowAlone.bl_idname, depress=alone).name = item.name
+            row.operator(ExportSurface.bl_idname).name = item.name
             show.say(layout, facts(scene, item), "INFO")
             if not current.busy() and box_surfaces.is_of_other_result(scene, item):
                 show.wrong(layout, f"'{item.name}' is of another result: make it again")
         if not items:
             show.todo(layout, "Make a mesh to light, print or measure an object")
+        elif _is_grey(context, items):
+            show.todo(layout, "To see the texture, choose Material Preview in the view's header")
         _draw_making(layout, context)
         show.job(layout, SURFACES)
 
 
 def _draw_making(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """Settings and buttons; meshes that were edited are named before they are replaced."""
-    scene, roi = scene_of(context), lookup.active_roi(context)
+    scene, (name, _) = scene_of(context), surface_job.box_at_hand(context)
     column = show.setting_column(layout)
     column.prop(scene_props(scene), "faces")
     column.prop(scene_props(scene), "watertight")
+    show.or_number(column, scene_props(scene), "Texture", "fine_texture", "texture_size", "Side")
     edited = box_surfaces.edited(scene)
     for name in edited:
         show.wrong(layout, f"'{name}' was edited: making it again replaces it. Undo restores it")
     column = layout.column(align=True)  # side by side, names would be cut
-    label = f"Make Surface: {roi.name}" if roi is not None else MakeSurface.bl_label
+    label = f"Make Surface: {name}" if name else MakeSurface.bl_label
     button = column.operator(MakeSurface.bl_idname, text=label, icon="MESH_MONKEY")
     button.replace_edits = bool(edited)
     if len(lookup.rois(scene)) > 1:
         button = column.operator(MakeSurface.bl_idname, text="Make All Surfaces")
         button.every, button.replace_edits = True, bool(edited)
+
+
+def _is_grey(context: bpy.types.Context, items: list[bpy.types.Object]) -> bool:
+    """Whether the view shows a mesh without its texture."""
+    space = view_3d_of(context)
+    if space is None or all(item.hide_viewport for item in items):
+        return False
+    return space.shading.type == "SOLID" and space.shading.color_type != "TEXTURE"
 
 
 def facts(scene: bpy.types.Scene, item: bpy.types.Object) -> str:

@@ -67,7 +67,7 @@ def _draw_status(layout: bpy.types.UILayout, scene: bpy.types.Scene, status: Run
     stages = ", ".join(map(stage_in_words, status.done))
     changes = "" if status.holder else outdated.in_words(scene, status)
     resumes = "" if changes else ". Continue resumes"
-    if status.holder:
+    if status.holder and not current.busy():  # else it is the engine of this Blender
         text = f"Another Blender or terminal is training here (process {status.holder})"
         show.paused(layout, text)
     elif status.left:

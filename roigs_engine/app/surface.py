@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..context import QUIET, Context
 from ..errors import ConfigError, RoiError, RunFolderError, SceneError
 from ..formats import clean_up, run_files
-from ..formats.files import own_folder, remove_leftovers_of, write_json
+from ..formats.files import own_folder, remove_leftovers_of, sha256, write_json
 from ..formats.gravity import gravity_alignment
 from ..formats.lock import check_held, locked
 from ..requests.declare import read_options
@@ -36,6 +36,7 @@ class SurfaceRecord:
 
     Attributes:
         file: in the run folder.
+        result: SHA-256 of the box's PLY beside it, empty if there is none.
         size: of its bounding box, along the box's axes.
         volume: None, if it has holes.
         filled: share of the surface that no photo has shown, and that was closed.
@@ -44,6 +45,7 @@ class SurfaceRecord:
 
     box: str
     file: str
+    result: str
     faces: int
     vertices: int
     parts: int
@@ -174,9 +176,11 @@ def _record(made: Surface, run: Run, roi: OrientedBox) -> SurfaceRecord:
     local = mesh.vertices @ roi.world_to_box[:3, :3].T
     size = np.ptp(local, axis=0) / scale
     closed = mesh.is_closed()
+    model = run.folder / run_files.FINE / f"{roi.name}.ply"
     return SurfaceRecord(
         box=roi.name,
         file=f"{run_files.FINE}/{roi.name}{GLB}",
+        result=sha256(model) if model.is_file() else "",
         faces=len(mesh.faces),
         vertices=len(mesh.vertices),
         parts=len(np.unique(mesh.parts())),

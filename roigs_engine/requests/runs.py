@@ -163,6 +163,8 @@ class MakeSurface(Threads, Device):
     texture_size: int | None = option(
         integer(MIN_TEXTURE, MOST_TEXTURE, metavar="PX"),
         "side of the texture (default: as fine as the photos)",
+        label="Texture Size",
+        tooltip="Side of the texture, in pixels",
     )
     format: tuple[str, ...] = option(
         Choice(MESH_FORMATS),

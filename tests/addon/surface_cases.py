@@ -14,8 +14,8 @@ ROUND, TALL = 24, 12
 CENTRE, RADIUS = np.array([0.1, -0.05, 0.15]), 0.2
 
 
-def write_ball(path: Path, *, radius: float = RADIUS, colour: int = 200) -> None:
-    """A ball's .glb, and its record."""
+def write_ball(path: Path, *, radius: float = RADIUS, colour: int = 200, result: str = "") -> None:
+    """A ball's .glb, and its record; `result` is the SHA-256 of what it was made of."""
     v, u = np.mgrid[0 : TALL + 1, 0 : ROUND + 1]
     tilt, turn = np.pi * v / TALL, 2 * np.pi * (u % ROUND) / ROUND
     flat = np.sin(tilt) * (v < TALL)
@@ -63,5 +63,5 @@ def write_ball(path: Path, *, radius: float = RADIUS, colour: int = 200) -> None
     chunks += struct.pack("<II", len(binary), 0x004E4942) + binary
     path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
     facts = {"faces": len(faces) // 3, "size": [2 * radius] * 3, "filled": 0.03}
-    facts["volume"] = 4 / 3 * np.pi * radius**3
+    facts |= {"volume": 4 / 3 * np.pi * radius**3, "watertight": True, "result": result}
     path.with_suffix(".surface.json").write_text(json.dumps(facts))

@@ -130,6 +130,54 @@ def test_it_stops(blender: ModuleType, run, tmp_path: Path, monkeypatch) -> None
     assert job.result.stopped and current.stopped() and "thing Mesh" not in scene.objects
 
 
+def test_what_is_finished_is_shown_after_a_stop(
+    blender: ModuleType, run, tmp_path: Path, monkeypatch
+) -> None:
+    from roigs_addon import settings
+    from roigs_addon.jobs import current, surface_job
+
+    scene, folder = run
+    blender.ops.roigs.load_results()
+    write_ball(folder / "rois" / "other.glb")  # from before
+    code = (
+        f"import shutil, time; shutil.copytree({str(tmp_path / 'made')!r},"
+        f" {str(folder / 'rois')!r}, dirs_exist_ok=True)\n"
+    )
+    write_ball(tmp_path / "made" / "thing.glb")
+    use(monkeypatch, tmp_path, code + LISTEN)
+    job = current.start(settings.engine(()), surface_job.spec(scene, [], replace_edits=False))
+    assert until(lambda: job.poll() and job.state.stage == "scene")
+    job.stop()
+    assert until(lambda: not job.poll())
+    assert job.result.stopped and not job.state.error
+    assert not scene.objects["thing Mesh"].hide_render and "other Mesh" not in scene.objects
+    assert scene.objects["thing Gaussians"].hide_render
+
+
+def test_the_box_is_that_of_the_active_gaussians(blender: ModuleType, made) -> None:
+    scene, _, arguments = made
+    add_box(blender, "another", (-1, -1, -1), (1, 1, 1))
+    assert "Make Surface: another" in panel(blender)
+    blender.ops.roigs.load_results()
+    blender.ops.roigs.select_gaussians(name="thing Gaussians")
+    assert "Make Surface: thing" in panel(blender)
+    scene.roigs.texture_size = 512
+    blender.ops.roigs.make_surface()
+    assert {"--only=thing", "--texture-size=512"} <= set(json.loads(arguments.read_text()))
+    assert "Make Surface: thing" in panel(blender)  # though its Gaussians are hidden now
+
+
+def test_a_moved_project_is_named(blender: ModuleType, made) -> None:
+    scene, _, arguments = made
+    settings = Path(scene.roigs.run_dir) / "settings.json"
+    settings.write_text(json.dumps({"scene": scene.roigs.colmap}))
+    blender.ops.roigs.make_surface()
+    assert not any(part.startswith("--scene") for part in json.loads(arguments.read_text()))
+    settings.write_text(json.dumps({"scene": "/gone/garden"}))
+    blender.ops.roigs.make_surface()
+    assert f"--scene={scene.roigs.colmap}" in json.loads(arguments.read_text())
+
+
 def test_without_the_packages_the_set_up_is_named(
     blender: ModuleType, run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

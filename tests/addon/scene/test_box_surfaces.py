@@ -200,6 +200,92 @@ def test_another_result_is_named(blender: ModuleType, ball) -> None:
     assert not box_surfaces.is_of_other_result(scene, item)
 
 
+def test_results_bring_their_meshes(blender: ModuleType, ball) -> None:
+    from roigs_addon.scene import box_surfaces
+    from roigs_engine.formats.files import sha256
+    from tests.addon.splat_cases import random_ply
+
+    scene, path, _ = ball
+    write_ball(path, result=sha256(path.with_suffix(".ply")))
+    blender.ops.roigs.load_results()
+    item, gaussians = scene.objects["thing Mesh"], scene.objects["thing Gaussians"]
+    assert item.hide_viewport and item.hide_render and not gaussians.hide_viewport
+    blender.ops.roigs.show_surface(name=item.name, way="BOTH")
+    write_ball(path, radius=2 * RADIUS, result=sha256(path.with_suffix(".ply")))
+    blender.ops.roigs.load_results()  # it was made again in a terminal
+    assert item.dimensions.x == pytest.approx(4 * RADIUS, rel=0.02)
+    assert box_surfaces.way_of(scene, item) == "BOTH"
+    item.data.vertices[0].co.x += 1
+    item.data.update()
+    blender.context.view_layer.update()
+    mesh = item.data
+    write_ball(path, result=sha256(path.with_suffix(".ply")))
+    assert "edited, and is kept" in box_surfaces.load(scene, path.parent.parent)[0]
+    assert item.data == mesh
+    random_ply(path.with_suffix(".ply"), 51, seed=9)
+    assert "earlier training" in box_surfaces.load(scene, path.parent.parent)[0]
+    blender.data.objects.remove(item)
+    blender.ops.roigs.load_results()
+    assert "thing Mesh" not in scene.objects
+    path.write_bytes(b"no mesh")
+    path.with_suffix(".surface.json").write_text("{}")
+    assert blender.ops.roigs.load_results() == {"FINISHED"}
+
+
+def test_a_mesh_alone(blender: ModuleType, ball) -> None:
+    scene, _, show = ball
+    item, gaussians = show(), scene.objects["thing Gaussians"]
+    background, first = scene.objects["Background"], scene.objects["thing first pass"]
+    background.hide_viewport = True  # and rendered
+    copy = gaussians.copy()
+    scene.collection.objects.link(copy)
+    copy.hide_viewport = copy.hide_render = False
+    blender.ops.roigs.show_alone(name=item.name)
+    others = (background, first, gaussians, copy)
+    assert all(each.hide_viewport and each.hide_render for each in others)
+    assert not item.hide_render and blender.context.view_layer.objects.active == item
+    blender.ops.roigs.show_alone(name=item.name)
+    assert background.hide_viewport and not background.hide_render
+    assert first.hide_render and gaussians.hide_render and not copy.hide_render
+    blender.ops.roigs.show_alone(name=item.name)
+    blender.ops.roigs.show_surface(name=item.name, way="BOTH")
+    assert not background.hide_render and not gaussians.hide_viewport
+    with pytest.raises(RuntimeError, match="no mesh"):
+        blender.ops.roigs.show_alone(name="thing")
+
+
+def test_it_is_exported_for_print(blender: ModuleType, ball, tmp_path: Path) -> None:
+    scene, _, show = ball
+    item, file = show(), tmp_path / "thing.stl"
+    scene.unit_settings.scale_length = 0.01
+    blender.ops.mesh.primitive_plane_add()
+    blender.ops.roigs.export_surface(name=item.name, filepath=str(file))
+    data = file.read_bytes()
+    count = int.from_bytes(data[80:84], "little")
+    facets = np.frombuffer(data, np.dtype([("f", "<f4", (4, 3)), ("n", "<u2")]), count, 84)
+    corners = facets["f"][:, 1:].reshape(-1, 3)
+    assert count == len(item.data.polygons)
+    assert np.ptp(corners, axis=0) == pytest.approx([20 * RADIUS] * 3, rel=0.02)  # millimetres
+    blender.ops.roigs.show_surface(name=item.name, way="GAUSSIANS")
+    with pytest.raises(RuntimeError, match="'thing Mesh' is hidden"):
+        blender.ops.roigs.export_surface(name=item.name, filepath=str(file))
+
+
+def test_a_copy_keeps_its_texture(blender: ModuleType, ball) -> None:
+    from roigs_addon.scene import box_surfaces
+
+    scene, path, show = ball
+    item = show()
+    copy = item.copy()
+    copy.data = item.data.copy()  # as Shift-D does: with the same material
+    scene.collection.objects.link(copy)
+    write_ball(path, radius=2 * RADIUS, colour=90)
+    assert show() == item
+    for each, colour in ((item, 90), (copy, 200)):
+        (image,) = box_surfaces._images(each.data)
+        assert image.pixels[0] == pytest.approx(colour / 255, abs=0.01)
+
+
 @pytest.mark.parametrize("damage", ["short", "text", "index", "none", "record"])
 def test_a_damaged_file_is_one_line(blender: ModuleType, ball, damage: str) -> None:
     from roigs_addon.errors import AddonError
