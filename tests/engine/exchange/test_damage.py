@@ -23,6 +23,8 @@ from roigs_engine.exchange import formats, gltf, libraries, spz
 from roigs_engine.formats.splat_ply import read_ply, write_ply
 from tests.fuzz import exchange
 
+pytestmark = pytest.mark.cold
+
 
 def refused(path: Path, data: bytes, said: str) -> None:
     path.write_bytes(data)

@@ -111,6 +111,7 @@ def test_one_size_of_nothing_costs_the_others_nothing(tmp_path: Path) -> None:
     """The codebook of SOG was spread over all sizes from that one to the largest."""
     needed(formats.format_of(tmp_path / "a.sog"))
     values = arrays(2000)
+    values["sh"] = values["sh"][:, :1]  # a palette takes long
     values["log_scales"][0] = -1e6
     formats.write(tmp_path / "a.sog", values)
     found = np.sort(formats.read(tmp_path / "a.sog")["log_scales"].reshape(-1))
