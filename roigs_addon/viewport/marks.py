@@ -26,7 +26,8 @@ _CORNERS = [Vector((x, y, z)) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
 _EDGES = [(a, b) for a in range(8) for b in range(a) if (a ^ b) in (1, 2, 4)]
 
 
-def _draw(context: bpy.types.Context) -> None:
+def draw(context: bpy.types.Context) -> None:
+    """Draw them, in the world's frame."""
     space, scene = blender.view_3d_of(context), scene_of(context)
     if space is None or not space.overlay.show_overlays or not space.overlay.show_extras:
         return
@@ -88,5 +89,5 @@ def _lines(context: bpy.types.Context, ends: list[Vector], colour: Colour) -> No
     gpu.state.blend_set("NONE")
 
 
-_handler = ViewHandler(_draw, "Boxes cannot be drawn here")
+_handler = ViewHandler(draw, "Boxes cannot be drawn here")
 problem, register, unregister = _handler.problem, _handler.start, _handler.stop

@@ -8,17 +8,17 @@ import gpu
 from gpu_extras.batch import batch_for_shader
 
 from .. import blender
-from ..blender import region_of, scene_of
+from ..blender import region_of, region_view_of, scene_of
 from ..geometry.photo_places import Frame
 from ..properties import scene_props
 from ..scene import backgrounds, lookup, masks
-from . import photo_overlay
+from . import marks, photo_overlay
 from .handler import ViewHandler
 
 LINE = (1.0, 1.0, 1.0, 0.9)
-SHADE = (0.0, 0.0, 0.0, 0.55)
-WIDTH, LETTERS, GAP = 2.0, 13.0, 10.0
-"""Of the line, the letters and the space around them, in pixels at an interface scale of 1."""
+SHADE, BACK = (0.0, 0.0, 0.0, 0.55), (0.0, 0.0, 0.0, 0.7)
+WIDTH, LETTERS, GAP, EDGE = 2.0, 13.0, 10.0, 4.0
+"""Of the line, the letters, and what is around them, in pixels at an interface scale of 1."""
 
 
 def frame_of(context: bpy.types.Context) -> Frame | None:
@@ -52,9 +52,19 @@ def _draw(context: bpy.types.Context) -> None:
         tip = (x + 1.8 * side, middle)
         ends += [(x + side, middle + gap), tip, tip, (x + side, middle - gap)]
     _lines(region, ends, WIDTH * scale)
-    gpu.state.blend_set("NONE")
     _say("Photo", x - gap, bottom, scale, left_of=True)
     _say("Result", x + gap, bottom, scale)
+    gpu.state.blend_set("NONE")
+    _draw_marks(context)
+
+
+def _draw_marks(context: bpy.types.Context) -> None:
+    """The boxes once more: the photo hides them."""
+    view = region_view_of(context)
+    with gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():
+        gpu.matrix.load_matrix(view.view_matrix)
+        gpu.matrix.load_projection_matrix(view.window_matrix)
+        marks.draw(context)
 
 
 def _lines(region: bpy.types.Region, ends: list[tuple[float, float]], width: float) -> None:
@@ -70,12 +80,18 @@ def _lines(region: bpy.types.Region, ends: list[tuple[float, float]], width: flo
 
 def _say(text: str, x: float, y: float, scale: float, *, left_of: bool = False) -> None:
     blf.size(0, LETTERS * scale)
-    blf.position(0, x - blf.dimensions(0, text)[0] if left_of else x, y, 0)
-    blf.enable(0, blf.SHADOW)
-    blf.shadow(0, 5, 0.0, 0.0, 0.0, 0.9)
+    wide, high = blf.dimensions(0, text)
+    left, edge = x - wide if left_of else x, EDGE * scale
+    low, right, top = y - edge, left + wide + edge, y + high + edge
+    corners = [(left - edge, low), (right, low), (right, top), (left - edge, top)]
+    shader = gpu.shader.from_builtin("UNIFORM_COLOR")
+    gpu.state.blend_set("ALPHA")  # letters end it
+    shader.bind()
+    shader.uniform_float("color", BACK)
+    batch_for_shader(shader, "TRI_FAN", {"pos": [(a, b, 0.0) for a, b in corners]}).draw(shader)
+    blf.position(0, left, y, 0)
     blf.color(0, *LINE)
     blf.draw(0, text)
-    blf.disable(0, blf.SHADOW)
 
 
 _handler = ViewHandler(_draw, "Photos cannot be compared here", after="POST_PIXEL")
