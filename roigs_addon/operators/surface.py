@@ -14,7 +14,7 @@ from ..facts import run_facts
 from ..jobs import current, surface_job
 from ..jobs.spec import JobSpec
 from ..properties import object_props
-from ..scene import box_surfaces
+from ..scene import box_surfaces, splats
 from ..windows import redraw
 from .base import BUSY, FRESH, NO_BOX, EngineOperator, available, failed
 from .results import NO_RESULT
@@ -94,7 +94,8 @@ class ShowSurface(bpy.types.Operator):
 
 
 class ShowAlone(bpy.types.Operator):
-    """Show this mesh alone, in viewports and renders. Clicked again, it shows all as before"""
+    """Show this mesh alone, in viewports and renders, with the 3D cursor at its foot: a plane \
+that you add is right below it. Clicked again, it shows all as before"""
 
     bl_idname = "roigs.show_alone"
     bl_label = "Alone"
@@ -113,6 +114,7 @@ class ShowAlone(bpy.types.Operator):
             box_surfaces.show_alone(scene, item)
             view_layer_of(context).update()  # until then, it cannot be selected
             select_only(context, item)
+            scene.cursor.location = box_surfaces.foot(item)
             _look_at_selected(context)
         redraw()
         return {"FINISHED"}
@@ -129,7 +131,8 @@ class ExportSurface(bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, _: bpy.types.Event) -> OperatorResult:
         """Ask Blender's exporter for the file."""
-        return self._export(context, "INVOKE_DEFAULT", bpy.path.clean_name(self.name) + STL)
+        name = self.name.removesuffix(splats.mesh_name(""))
+        return self._export(context, "INVOKE_DEFAULT", bpy.path.clean_name(name) + STL)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Write the file."""

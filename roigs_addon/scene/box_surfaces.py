@@ -14,6 +14,7 @@ from typing import Any
 
 import bpy
 import numpy as np
+from mathutils import Vector
 
 from ..blender import following, leave_edit_mode, mesh_of, persistent
 from ..errors import AddonError
@@ -180,6 +181,14 @@ def show_alone(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
     for other in _shown_kinds(scene):
         if other != item and not object_props(other).off:
             visibility.park(other, "beside")
+
+
+def foot(item: bpy.types.Object) -> Vector:
+    """The middle of the bottom of what holds an object, in the world."""
+    corners = [item.matrix_world @ Vector(corner) for corner in item.bound_box]
+    middle: Vector = sum(corners, Vector()) / len(corners)
+    middle.z = min(corner.z for corner in corners)
+    return middle
 
 
 def show_all(scene: bpy.types.Scene) -> None:

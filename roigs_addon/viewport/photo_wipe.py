@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import blf
 import bpy
 import gpu
@@ -60,10 +62,10 @@ def _draw(context: bpy.types.Context) -> None:
 
 def _draw_marks(context: bpy.types.Context) -> None:
     """The boxes once more: the photo hides them."""
-    view = region_view_of(context)
-    with gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():
-        gpu.matrix.load_matrix(view.view_matrix)
-        gpu.matrix.load_projection_matrix(view.window_matrix)
+    view, matrix = region_view_of(context), cast(Any, gpu.matrix)
+    with matrix.push_pop(), matrix.push_pop_projection():
+        matrix.load_matrix(view.view_matrix)
+        matrix.load_projection_matrix(view.window_matrix)
         marks.draw(context)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from types import ModuleType
 
@@ -244,6 +245,8 @@ def test_a_mesh_alone(blender: ModuleType, ball) -> None:
     others = (background, first, gaussians, copy)
     assert all(each.hide_viewport and each.hide_render for each in others)
     assert not item.hide_render and blender.context.view_layer.objects.active == item
+    low = in_the_world(item).min(axis=0)
+    assert scene.cursor.location.z == pytest.approx(low[2], abs=1e-3)
     blender.ops.roigs.show_alone(name=item.name)
     assert background.hide_viewport and not background.hide_render
     assert first.hide_render and gaussians.hide_render and not copy.hide_render
@@ -354,3 +357,42 @@ def test_a_file_keeps_it(blender: ModuleType, ball, tmp_path: Path) -> None:
     (item,) = box_surfaces.surfaces(scene)
     assert not box_surfaces.is_edited(item) and box_surfaces.record(item)["filled"] == 0.03
     assert box_surfaces.way_of(scene, item) == "MESH"
+
+
+def test_another_file_takes_it(blender: ModuleType, ball, tmp_path: Path) -> None:
+    from roigs_addon.scene import box_surfaces
+    from roigs_addon.ui import surface
+    from tests.addon.panels import said
+
+    scene, path, show = ball
+    scene.roigs.root.scale = (3, 3, 3)
+    item = show()
+    places, blend = in_the_world(item), tmp_path / "kept.blend"
+    blender.ops.wm.save_as_mainfile(filepath=str(blend))
+    shutil.rmtree(path.parent.parent)  # as on another computer
+    blender.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    blender.ops.wm.append(directory=f"{blend}/Object/", filename="thing Mesh")
+    scene = blender.context.scene
+    (item,) = box_surfaces.surfaces(scene)
+    assert in_the_world(item) == pytest.approx(places, abs=1e-5)
+    (image,) = box_surfaces._images(item.data)
+    assert image.packed_file is not None and image.pixels[0] == pytest.approx(200 / 255, abs=0.01)
+    assert not box_surfaces.is_edited(item) and not box_surfaces.is_of_other_result(scene, item)
+    labels = " ".join(said(blender, surface.SurfacePanel))
+    assert "528 faces, 1.2 m" in labels and "another result" not in labels
+    blender.ops.roigs.show_alone(name=item.name)
+    blender.ops.roigs.show_surface(name=item.name, way="GAUSSIANS")
+    assert item.hide_render  # there are none: nothing is shown
+    blender.ops.roigs.show_surface(name=item.name, way="MESH")
+    assert not item.hide_render
+
+
+def test_renamed_and_deleted(blender: ModuleType, ball) -> None:
+    scene, path, show = ball
+    item = show()
+    item.name = "my pot"
+    write_ball(path, radius=2 * RADIUS)
+    assert show() == item and item.name == "my pot"
+    blender.data.objects.remove(item)
+    item = show()
+    assert item.name == "thing Mesh" and scene.objects["thing Gaussians"].hide_render
