@@ -28,9 +28,10 @@ from .depth import DepthMap
 from .mesh import Mesh
 
 STAGE = "texture"
-FINER = 1.5  # texels for a pixel of the best photos, along a side
+BEST = 5  # percentile of the photos' pixels, which a texture has room for
+FINER = 1.5  # texels for such a pixel, along a side
 SMALLEST, LARGEST = 256, 8192  # texels
-FILLED = 0.6  # share of a texture that charts take
+FILLED = 0.35  # share of a texture that charts take
 LEAST_FACING = 0.15  # cosine between surface and ray
 SHARP = 6  # power of the weights in the fine band
 BROAD = 6.0  # standard deviation that parts the bands, pixels
@@ -77,9 +78,9 @@ def texture_side(mesh: Mesh, maps: Sequence[DepthMap]) -> int:
     ]
     if not sizes:
         return SMALLEST
-    pixel = float(np.percentile(sizes, 10)) / FINER
+    pixel = float(np.percentile(sizes, BEST)) / FINER
     side = math.sqrt(float(mesh.areas.sum()) / FILLED) / pixel
-    return int(np.clip(2 ** math.ceil(math.log2(max(side, 1)) - 0.3), SMALLEST, LARGEST))
+    return int(np.clip(2 ** round(math.log2(max(side, 1))), SMALLEST, LARGEST))
 
 
 def textured(
@@ -263,7 +264,8 @@ def _texels(charts: Charts) -> tuple[NDArray[np.int64], NDArray[np.int64], Float
         first = last
     texels, face, share = (np.concatenate(each) for each in zip(*found, strict=True))
     _, once = np.unique(texels[:, 1] * charts.side + texels[:, 0], return_index=True)
-    return texels[once], face[once], np.clip(share[once], 0, 1)
+    share = np.clip(share[once], 0, 1)
+    return texels[once], face[once], share / share.sum(axis=1, keepdims=True)
 
 
 def _shares(corners: Float64, places: Float64) -> Float64:

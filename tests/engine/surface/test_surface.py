@@ -14,7 +14,7 @@ from roigs_engine.surface.depth import DepthMap
 from roigs_engine.surface.files import write_mesh
 from roigs_engine.surface.fusion import fuse, slopes
 from roigs_engine.surface.mesh import Mesh, mesh_of, simplified
-from roigs_engine.surface.texture import Textured, textured
+from roigs_engine.surface.texture import Textured, _texels, textured
 from tests.engine.surface.ball import BOX, CAMERA, RADIUS, colour_at, depth_map, images, photo
 
 trimesh = pytest.importorskip("trimesh")
@@ -102,6 +102,12 @@ def test_the_texture_has_the_photos_colours(coloured: Textured) -> None:
     assert 0.8 < ratio < 1.0
     assert np.median(np.abs(found - wanted * ratio)) < 4
     assert np.percentile(np.abs(found - wanted * ratio), 95) < 12
+
+
+def test_a_place_far_from_the_origin_gets_its_own_colours(coloured: Textured) -> None:
+    """A texel at a face's border is on the face, however far away that is."""
+    share = _texels(coloured.charts)[2]
+    assert share.sum(axis=1) == pytest.approx(1, abs=1e-12)
 
 
 @pytest.mark.parametrize("ending", ["glb", "obj", "ply", "stl"])
