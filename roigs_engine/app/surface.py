@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -13,9 +14,10 @@ from numpy.typing import NDArray
 from ..context import QUIET, Context
 from ..errors import ConfigError, RoiError, RunFolderError, SceneError
 from ..formats import clean_up, run_files
-from ..formats.files import own_folder, remove_leftovers_of, sha256, write_json
+from ..formats.files import own_folder, read_record, remove_leftovers_of, sha256, write_json
 from ..formats.gravity import gravity_alignment
 from ..formats.lock import check_held, locked
+from ..formats.text import json_digest
 from ..requests.declare import read_options
 from ..requests.runs import MakeSurface, Train
 from .asked import Asked
@@ -23,11 +25,13 @@ from .inputs import load_model
 from .outputs import Result
 
 if TYPE_CHECKING:
+    from ..model.gaussians import Gaussians
     from ..model.roi import OrientedBox
     from ..run.definition import Run
     from ..surface.make import Surface, SurfaceOptions
 
-GLB = ".glb"
+GLB, RECORD = ".glb", ".surface.json"
+VERSION = 1  # increase it if the same inputs become another mesh
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,28 +126,32 @@ def surfaces_of_run(
 
     Raises as `make_surfaces`.
     """
-    from ..run.folder import train_surface
     from ..surface.make import make_surface
 
     rois = [roi for roi in run.rois if roi.name in only] if only else run.rois
     folder = own_folder(run.folder, run_files.FINE)
-    gaussians = train_surface(run, context)
-    if gaussians is None:
-        gaussians = load_model(run.folder / run_files.RESULT, run.frame, context)
+    gaussians = _gaussians(run, context)
+    _say_before(gaussians, run, rois, context)
     records, files, failed = [], {}, None
     for roi in rois:
-        try:
-            made = make_surface(gaussians, run.train_scene, roi, options, context=context)
-        except SceneError as error:
-            failed = error
-            context.warn(error.message)
-            continue
-        check_held(run.folder)
         path = folder / f"{roi.name}{GLB}"
-        record = _record(made, run, roi)
-        _write(path, made, run, formats)
-        write_json(path.with_suffix(".surface.json"), asdict(record))
-        context.info(record.text)
+        inputs = _inputs(gaussians, run, roi, options)
+        record = _finished(path, inputs, formats)
+        if record is not None:
+            context.info(f"Box '{roi.name}': its surface is there already.")
+        else:
+            try:
+                made = make_surface(gaussians, run.train_scene, roi, options, context=context)
+            except SceneError as error:
+                failed = error
+                context.warn(error.message)
+                continue
+            check_held(run.folder)
+            record = _record(made, run, roi)
+            digests = _write(path, made, run, formats)
+            finished = asdict(record) | {"inputs": inputs, "files": digests}
+            write_json(path.with_suffix(RECORD), finished)
+            context.info(record.text)
         records.append(record)
         files[roi.name] = path
     if failed is not None and not records:
@@ -152,16 +160,92 @@ def surfaces_of_run(
     return done.with_places(*(record.text for record in records))
 
 
-def _write(path: Path, made: Surface, run: Run, formats: Sequence[str]) -> None:
+def _gaussians(run: Run, context: Context) -> Gaussians:
+    """The run's result trained on as a surface; as it is, if its stages are gone.
+
+    Masks that were drawn after the training cut the mesh, and train nothing.
+    """
+    from ..run.folder import train_surface
+
+    unmasked = tuple(replace(image, objects={}) for image in run.scene.images)
+    found = train_surface(run, context)
+    if found is None and any(image.objects for image in run.scene.images):
+        found = train_surface(replace(run, scene=replace(run.scene, images=unmasked)), context)
+    if found is not None:
+        return found
+    return load_model(run.folder / run_files.RESULT, run.frame, context)
+
+
+def _say_before(
+    gaussians: Gaussians, run: Run, rois: Sequence[OrientedBox], context: Context
+) -> None:
+    """What memory it takes, and which objects stay joined to what they stand on."""
+    from ..surface.make import surface_plan
+    from ..surface.objects import has_masks
+
+    plans = [surface_plan(gaussians, run.train_scene, roi) for roi in rois]
+    context.info(max(plans, key=lambda plan: plan.memory).text)
+    whole = [f"'{roi.name}'" for roi in rois if not has_masks(run.train_scene, roi)]
+    if whole:
+        context.info(
+            f"No masks of the objects in {', '.join(whole)}: what they stand on becomes a part of"
+            " them. To cut it off, draw strokes on a photo (Object Masks in Blender, or `masks`)."
+        )
+
+
+def _inputs(gaussians: Gaussians, run: Run, roi: OrientedBox, options: SurfaceOptions) -> str:
+    """Hash of everything that decides a box's surface."""
+    model = hashlib.sha256()
+    for tensor in gaussians.tensors().values():
+        model.update(tensor.detach().cpu().numpy().tobytes())
+    from ..run.plan import camera_record
+
+    photos = [
+        (image.name, image.file_digest or image.digest, *camera_record(image))
+        for image in run.train_scene.images
+    ]
+    masks = [
+        image.objects[roi.name].digest
+        for image in run.train_scene.images
+        if roi.name in image.objects
+    ]
+    place = run.frame.origin.tolist(), run.frame.scale, _upright(run).tolist()
+    settings = VERSION, asdict(options), roi.to_dict()
+    return json_digest([model.hexdigest(), photos, masks, place, settings])
+
+
+def _finished(path: Path, inputs: str, formats: Sequence[str]) -> SurfaceRecord | None:
+    """The record of a surface that was made of the same inputs, and whose files are all whole."""
+    try:
+        record = read_record(path.with_suffix(RECORD))
+        digests = record.pop("files")
+        same = record.pop("inputs") == inputs and digests.keys() >= set(_names(path, formats))
+        if not same or any(sha256(path.parent / f) != digests[f] for f in digests):
+            return None
+        return SurfaceRecord(**record | {"size": tuple(record["size"])})
+    except (RunFolderError, OSError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def _names(path: Path, formats: Sequence[str]) -> list[str]:
+    """Names of the files of a mesh: the .glb first."""
+    endings = dict.fromkeys((GLB, *(f".{name}" for name in formats)))
+    # The box's own PLY has its Gaussians.
+    others = {".ply": ".surface.ply"}
+    return [path.with_suffix(others.get(ending, ending)).name for ending in endings]
+
+
+def _write(path: Path, made: Surface, run: Run, formats: Sequence[str]) -> dict[str, str]:
+    """Write the files of a mesh; returns their digests, by name."""
     from ..surface.files import write_mesh
 
     up = np.eye(4)
     up[:3, :3] = _upright(run)
-    for ending in (GLB, *(f".{name}" for name in formats if f".{name}" != GLB)):
-        # The box's own PLY has its Gaussians.
-        other = path.with_suffix(".surface.ply" if ending == ".ply" else ending)
+    others = [path.parent / name for name in _names(path, formats)]
+    for other in others:
         remove_leftovers_of(other)
         write_mesh(other, made.textured, run.frame, up)
+    return {other.name: sha256(other) for other in others}
 
 
 def _upright(run: Run) -> NDArray[np.float64]:

@@ -16,6 +16,7 @@ from ..formats.events import StageStarted
 from ..model.gaussians import Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import Camera, Float64, PosedImage, SfmScene
+from ..photos.mask_images import HALF, load_object_mask, resized
 from ..rasterize.limits import PICTURE_LIMITS
 from ..rasterize.view import rasterize_view
 
@@ -32,9 +33,11 @@ class DepthMap:
     Attributes:
         image: the photo.
         x, y: of the part's first pixel in the photo.
-        camera: of the part.
-        depth: (H, W) along the camera's z axis, units of the scene; 0: not known.
-        weight: (H, W) how certain it is, 0 to 1.
+        camera: of the part, in the photo's pixels.
+        depth: (H, W) along the camera's z axis, units of the scene; 0: not known. May have fewer
+            pixels than the part.
+        weight: (H, W) how certain it is, 0 to 1; negative where masks show that the depth is not
+            the object's.
     """
 
     image: PosedImage
@@ -49,6 +52,12 @@ class DepthMap:
         """(4, 4) the photo's pose."""
         return self.image.world_to_camera
 
+    @property
+    def lens(self) -> Camera:
+        """The camera of the depth's pixels."""
+        height, width = self.depth.shape
+        return self.camera.resized(width, height)
+
 
 def depth_maps(
     gaussians: Gaussians,
@@ -56,6 +65,9 @@ def depth_maps(
     roi: OrientedBox,
     photos: Collection[str],
     context: Context = QUIET,
+    *,
+    coarser: float = 1.0,
+    masked: bool = False,
 ) -> Iterator[DepthMap]:
     """The depth map of each of these photos that shows the box, in the scene's order.
 
@@ -65,6 +77,10 @@ def depth_maps(
         gaussians: the trained scene, on the context's device.
         scene: with the photos, in the frame of the Gaussians and the box.
         photos: names of the photos.
+        coarser: how many times larger than the photos' the pixels are.
+        masked: whether the Gaussians are `painted`, and photos may have masks of the object.
+
+    Raises as `load_mask`, if `masked`.
     """
     images = [
         (image, window)
@@ -76,7 +92,7 @@ def depth_maps(
         context.emit(StageStarted(stage=STAGE, total=len(images)))
     for done, (image, window) in enumerate(images):
         context.check_cancelled()
-        yield _rendered(gaussians, image, window)
+        yield _rendered(gaussians, image, window, coarser, roi.name if masked else None)
         context.progress(STAGE, done + 1, len(images), started)
 
 
@@ -104,20 +120,26 @@ def cropped(camera: Camera, window: tuple[int, int, int, int]) -> Camera:
 
 @torch.no_grad()
 def _rendered(
-    gaussians: Gaussians, image: PosedImage, window: tuple[int, int, int, int]
+    gaussians: Gaussians,
+    image: PosedImage,
+    window: tuple[int, int, int, int],
+    coarser: float = 1.0,
+    masked: str | None = None,
 ) -> DepthMap:
+    """The depth map; `masked`: the box whose object the Gaussians are painted for."""
     camera = cropped(image.camera, window)
+    sides = (max(1, round(side / coarser)) for side in (camera.width, camera.height))
     output = rasterize_view(
         gaussians,
-        camera,
+        camera.resized(*sides),
         image.world_to_camera,
         limits=PICTURE_LIMITS,
-        sh_degree=0,  # colours do not matter
+        sh_degree=0,  # of colours, at most that of `painted` matters
         with_surface=True,
     )
     assert output.surface is not None
     alpha = output.alpha[0].clamp(0, 1)
-    return DepthMap(
+    depth_map = DepthMap(
         image=image,
         x=window[0],
         y=window[1],
@@ -125,3 +147,17 @@ def _rendered(
         depth=output.surface.median[0].cpu().numpy(),
         weight=alpha.cpu().numpy(),
     )
+    if masked is None:
+        return depth_map
+    return _with_mask(depth_map, output.image[0, ..., 0].cpu().numpy(), masked)
+
+
+def _with_mask(depth_map: DepthMap, white: Float32, box: str) -> DepthMap:
+    """The depth map with negative weights beside the object: by the photo's mask, or by `white`."""
+    m, camera = depth_map, depth_map.camera
+    shown = white > 0.5 * m.weight
+    mask = load_object_mask(m.image, box)
+    if mask is not None:
+        part = mask[m.y : m.y + camera.height, m.x : m.x + camera.width]
+        shown = resized(part, (m.lens.width, m.lens.height), HALF)
+    return replace(m, weight=np.where(shown, m.weight, -m.weight))

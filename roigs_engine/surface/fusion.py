@@ -4,7 +4,8 @@ After Curless and Levoy (1996), with space carving: a ray that passes a voxel be
 that it is free. Two additions are ours. Where many more rays end far in front of a voxel than near
 it, they say, faintly, that it is inside: so a depth that is wrong in a few photos makes no layer
 inside an object. And the field is computed coarsely first, then finely where the coarse one has a
-surface.
+surface. Depth with a negative weight is not the object's: it is free in front of it and, faintly,
+behind.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ FOOTPRINTS = 1.0  # .. and pixels of the photo
 HIDDEN = 0.1  # weight of a ray that ends in front of a voxel, relative to one that passes it
 AGREED = 0.15  # .. with none where so many rays, relative to these, end near it
 JUMP = 2.0  # sizes of a pixel by which neighbours' depths on one surface differ at most
+BEHIND = 0.1  # of its weight: how free it is far behind what is not the object
 STEEPEST = 0.15  # cosine between normal and ray on a surface
 SMOOTHING = 1.0  # standard deviation of what surfaces' slopes are measured on, pixels
 POINTS_AT_ONCE = 1 << 20
@@ -61,7 +63,7 @@ def footprint(depth_map: DepthMap) -> float:
     depth = depth_map.depth[depth_map.depth > 0]
     if not len(depth):
         return float("inf")
-    return float(np.median(depth)) / max(depth_map.camera.fx, depth_map.camera.fy)
+    return float(np.median(depth)) / max(depth_map.lens.fx, depth_map.lens.fy)
 
 
 def fuse(
@@ -125,13 +127,17 @@ def _active(coarse: Float32, near: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _sampled(points: Float64, rays: Sequence[_Ray], voxel: float, context: Context) -> Float32:
     """(N, 5) the sums of `roigs_fuse_depth` at points (N, 3) in the box's axes."""
     places = np.ascontiguousarray(points, dtype=np.float32)
-    sums = np.zeros((len(points), 5), np.float32)
+    sums, beside = (np.zeros((len(points), 5), np.float32) for _ in range(2))
     for ray in rays:
         context.check_cancelled()
-        photo = ray.photo(voxel)
-        bindings.kernels().roigs_fuse_depth(
-            places.ctypes.data, len(places), ctypes.byref(photo), sums.ctypes.data
-        )
+        for weight, total in ((ray.weight, sums), (ray.beside, beside)):
+            if weight is None:
+                continue
+            photo = ray.photo(voxel, weight)
+            bindings.kernels().roigs_fuse_depth(
+                places.ctypes.data, len(places), ctypes.byref(photo), total.ctypes.data
+            )
+    sums[:, :2] += (beside[:, 1] + BEHIND * beside[:, 3])[:, None]
     return sums
 
 
@@ -139,21 +145,25 @@ class _Ray:
     """A depth map in the form that the kernel samples."""
 
     def __init__(self, depth_map: DepthMap, roi: OrientedBox) -> None:
-        self.camera = depth_map.camera
+        self.camera = depth_map.lens
         self.pose = depth_map.world_to_camera @ np.linalg.inv(roi.world_to_box)
         self.depth = np.ascontiguousarray(depth_map.depth, dtype=np.float32)
         self.slope, facing = slopes(self.depth, self.camera)
         size = np.maximum(self.depth / max(self.camera.fx, self.camera.fy), 1e-12)
         certain = depth_map.weight * facing * (self.depth > 0) / size**2
-        self.weight = np.ascontiguousarray(certain, dtype=np.float32)
+        self.weight = np.ascontiguousarray(certain.clip(min=0), dtype=np.float32)
+        self.beside = None
+        """Weights of what is not the object."""
+        if certain.min() < 0:
+            self.beside = np.ascontiguousarray((-certain).clip(min=0), dtype=np.float32)
 
-    def photo(self, voxel: float) -> bindings.DepthPhoto:
+    def photo(self, voxel: float, weight: Float32) -> bindings.DepthPhoto:
         """The kernel's structure, for points `voxel` apart; valid as long as this lives."""
         camera = self.camera
         pixel = 1 / max(camera.fx, camera.fy)
         pose = (ctypes.c_float * 12)(*self.pose[:3].ravel())
         lens = (ctypes.c_float * 4)(camera.fx, camera.fy, camera.cx, camera.cy)
-        arrays = (a.ctypes.data for a in (self.depth, self.weight, self.slope))
+        arrays = (a.ctypes.data for a in (self.depth, weight, self.slope))
         numbers = JUMP * pixel, TRUNCATION * voxel, FOOTPRINTS * pixel
         size = (ctypes.c_int32 * 2)(camera.width, camera.height)
         return bindings.DepthPhoto(*arrays, pose, lens, *numbers, size)

@@ -10,14 +10,16 @@ import numpy as np
 
 from ..context import QUIET, Context
 from ..formats.text import counted
-from ..machine import machine_memory, package
+from ..machine import package
 from ..model.gaussians import Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage, SfmScene
 from ..photos.decode import load_photo
 from .depth import DepthMap, box_window, depth_maps
-from .fusion import COARSE, footprint, fuse
+from .fusion import footprint, fuse
+from .memory import BETTER, FINER, SurfacePlan, pixel_size, plan_surface
 from .mesh import Mesh, mesh_of, nothing_there, simplified
+from .objects import cut_off, has_masks, painted, support_of
 from .texture import Load, Textured, texture_side, textured
 
 PACKAGES = {
@@ -27,12 +29,7 @@ PACKAGES = {
 }
 FACES = 100_000
 MOST_PHOTOS = 150
-FINER = 2.0  # voxels in a pixel of the better photos
-BETTER = 25  # percentile of the photos' pixels
 FEWEST = 5  # photos: with fewer, much stays open
-PER_VOXEL = 30  # bytes while a field is fused and cut out
-MEMORY_SHARE = 4  # a field takes at most 1/4 of the machine's memory
-MOST_VOXELS = 1 << 27
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +85,7 @@ def make_surface(
     roi: OrientedBox,
     options: SurfaceOptions = SurfaceOptions(),
     *,
+    plan: SurfacePlan | None = None,
     load: Load = load_photo,
     context: Context = QUIET,
 ) -> Surface:
@@ -95,7 +93,9 @@ def make_surface(
 
     Args:
         gaussians: the trained scene, on the context's device.
-        scene: the photos to use, in the frame of the Gaussians and the box.
+        scene: the photos to use, in the frame of the Gaussians and the box. If some have masks of
+            the box's object, the surface is that of the object alone.
+        plan: of its memory; None: that of `surface_plan`.
         load: returns a photo, (H, W, 3) uint8 sRGB.
 
     Raises:
@@ -103,9 +103,8 @@ def make_surface(
         EngineError: an optional package is not installed.
         Stopped: on request.
     """
-    photos = nearest_photos(scene.images, roi)
-    maps = list(depth_maps(gaussians, scene, roi, photos, context))
-    maps = [depth_map for depth_map in maps if depth_map.depth.any()]
+    plan = plan or surface_plan(gaussians, scene, roi)
+    maps = _depth_maps(gaussians, scene, roi, plan, context)
     if not maps:
         raise nothing_there(roi)
     if len(maps) < FEWEST:
@@ -113,39 +112,51 @@ def make_surface(
             f"Only {counted(len(maps), 'photo')} show box '{roi.name}': much of its surface"
             " stays open."
         )
-    voxel = voxel_size(maps, roi, context)
+    voxel = voxel_size(maps, roi, plan, context)
     field = fuse(maps, roi, voxel, context)
+    if has_masks(scene, roi) and (support := support_of(maps, roi, voxel)) is not None:
+        field = cut_off(field, support)
     mesh = mesh_of(field, roi, closed=options.watertight, context=context)
+    del field
     context.check_cancelled()
     mesh = simplified(mesh, options.faces)
-    side = options.texture_size or texture_side(mesh, maps)
+    side = min(options.texture_size or texture_side(mesh, maps), plan.texture)
     return Surface(
         textured=textured(mesh, maps, side, load, context), voxel=voxel, photos=len(maps)
     )
 
 
-def nearest_photos(images: Sequence[PosedImage], roi: OrientedBox) -> list[str]:
-    """Names of the photos that show a box, those that show it largest if there are many."""
+def _depth_maps(
+    gaussians: Gaussians, scene: SfmScene, roi: OrientedBox, plan: SurfacePlan, context: Context
+) -> list[DepthMap]:
+    """Those that have a depth, of the nearest photos."""
+    masked = has_masks(scene, roi)
+    drawn = painted(gaussians, scene, roi, context) if masked else gaussians
+    photos = [image.name for image in nearest_photos(scene.images, roi)]
+    found = depth_maps(drawn, scene, roi, photos, context, coarser=plan.coarser, masked=masked)
+    return [depth_map for depth_map in found if depth_map.depth.any()]
+
+
+def nearest_photos(images: Sequence[PosedImage], roi: OrientedBox) -> list[PosedImage]:
+    """The photos that show a box, those that show it largest if there are many."""
     shown = [image for image in images if box_window(roi, image) is not None]
-
-    def pixel(image: PosedImage) -> float:
-        away = float(np.linalg.norm(image.centre - roi.centre))
-        return away / max(image.camera.fx, image.camera.fy)
-
-    return [image.name for image in sorted(shown, key=pixel)[:MOST_PHOTOS]]
+    return sorted(shown, key=lambda image: pixel_size(image, roi))[:MOST_PHOTOS]
 
 
-def voxel_size(maps: Sequence[DepthMap], roi: OrientedBox, context: Context = QUIET) -> float:
+def surface_plan(gaussians: Gaussians, scene: SfmScene, roi: OrientedBox) -> SurfacePlan:
+    """The plan of the memory of `make_surface`."""
+    return plan_surface(nearest_photos(scene.images, roi), roi, len(gaussians))
+
+
+def voxel_size(
+    maps: Sequence[DepthMap], roi: OrientedBox, plan: SurfacePlan, context: Context = QUIET
+) -> float:
     """Side of a voxel: part of a pixel of the better photos, or as memory allows."""
-    pixels = [footprint(depth_map) for depth_map in maps]
-    wanted = float(np.percentile(pixels, BETTER)) / FINER
-    most = min(MOST_VOXELS, machine_memory() // MEMORY_SHARE // PER_VOXEL)
-    volume = float(np.prod(2 * roi.half_extents))
-    # Cells at the box's sides reach beyond it.
-    possible = float((volume / most) ** (1 / 3)) * (1 + COARSE / 100)
-    if possible > wanted:
+    wanted = float(np.percentile([footprint(depth_map) for depth_map in maps], BETTER)) / FINER
+    found = max(wanted, plan.voxel) if math.isfinite(wanted) else plan.voxel
+    if found > wanted or plan.coarser > 1:
         context.warn(
-            f"Box '{roi.name}' is large: its surface is {possible / wanted:.1f} times coarser than"
-            " its photos. Use a smaller box for more detail."
+            f"Box '{roi.name}' is large: its surface is {found / wanted * plan.coarser:.1f} times"
+            " coarser than its photos. Use a smaller box for more detail."
         )
-    return max(wanted, possible) if math.isfinite(wanted) else possible
+    return found

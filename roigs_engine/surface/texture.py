@@ -131,7 +131,7 @@ class _View:
 
     def __init__(self, depth_map: DepthMap, triangles: torch.Tensor, load: Load) -> None:
         self.map, self._triangles, self._load = depth_map, triangles, load
-        self.drawn = np.zeros(depth_map.depth.shape, np.float32)
+        self.drawn = np.zeros((depth_map.camera.height, depth_map.camera.width), np.float32)
         """Where the mesh is, 1, as of the last call of `sees`."""
 
     def pixels(self) -> Float32:
@@ -167,8 +167,10 @@ class _View:
         slack = HIDDEN * pixel / np.maximum(cosine, LEAST_FACING)
         shown = (cosine > LEAST_FACING) & (z < nearest[y, x] + slack)
         x, y = np.floor(pixels).astype(int).T
-        front = m.depth[y, x]
-        shown &= (front == 0) | (z < front + 2 * slack)
+        height, width = m.depth.shape
+        at = y * height // camera.height, x * width // camera.width
+        front = m.depth[at]
+        shown &= ((front == 0) | (z < front + 2 * slack)) & (m.weight[at] >= 0)
         kept = np.flatnonzero(shown)
         return rows[kept], pixels[kept], (cosine / pixel**2)[kept]
 
