@@ -3,13 +3,27 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+import pycolmap
 import pytest
+import torch
+from PIL import Image
+from scipy.spatial.transform import Rotation
 
+from roigs_engine.app.surface import make_surfaces
 from roigs_engine.cli import main
+from roigs_engine.context import Context
+from roigs_engine.errors import Stopped
 from roigs_engine.formats.rois import rois_document
+from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.roi import OrientedBox
+from roigs_engine.requests.runs import MakeSurface
+from roigs_engine.surface import make
 from tests.engine.commands.command_line import refused
 from tests.engine.levels.balls import cloud
 from tests.engine.synthetic_colmap import write_project
@@ -19,19 +33,51 @@ pytest.importorskip("skimage")
 NAMES = [f"{number}.png" for number in range(6)]
 
 
+BALL = OrientedBox.between("ball", [-0.5] * 3, [0.5] * 3)
+HALF = OrientedBox.between("half", [-0.5, -0.5, 0.0], [0.5] * 3)
+
+
+def write_run(
+    folder: Path,
+    *,
+    model: Gaussians | None = None,
+    boxes: tuple[OrientedBox, ...] = (BALL,),
+    photos: int = 6,
+    sim3: pycolmap.Sim3d | None = None,
+) -> Path:
+    """A run folder with a ball in a box, and its scene; `sim3` moves and scales the world."""
+    scene = write_project(folder / "scene", names=NAMES[:photos]).folder
+    model = model or cloud(3000, 0, size=0.4)
+    if sim3 is not None:
+        sparse = str(scene / "sparse/0")
+        world = pycolmap.Reconstruction(sparse)
+        world.transform(sim3)
+        world.write_binary(sparse)
+        matrix = torch.from_numpy(sim3.matrix()).float()
+        means = model.means @ matrix[:, :3].T + matrix[:, 3]
+        sizes = model.log_scales + float(np.log(sim3.scale))
+        model = model.with_tensors({"means": means, "log_scales": sizes})
+        boxes = tuple(_moved(box, sim3) for box in boxes)
+    run = folder / "run"
+    model.save_ply(run / "result.ply")
+    rois = run / "boxes.json"
+    rois.write_text(rois_document(list(boxes)))
+    settings = {"scene": str(scene), "rois": str(rois), "test_every": 0}
+    (run / "manifest.json").write_text('{"config": {}}')
+    (run / "settings.json").write_text(json.dumps(settings))
+    return run
+
+
+def _moved(box: OrientedBox, sim3: pycolmap.Sim3d) -> OrientedBox:
+    whole = np.vstack([sim3.matrix(), [0, 0, 0, 1]])
+    to_box = box.world_to_box @ np.linalg.inv(whole)
+    to_box[:3] *= sim3.scale
+    return replace(box, world_to_box=to_box, half_extents=box.half_extents * sim3.scale)
+
+
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
-    """A run folder with a ball in a box."""
-    scene = write_project(tmp_path / "scene", names=NAMES).folder
-    folder = tmp_path / "run"
-    cloud(3000, 0, size=0.4).save_ply(folder / "result.ply")
-    boxes = [OrientedBox.between("ball", [-0.5] * 3, [0.5] * 3)]
-    rois = folder / "boxes.json"
-    rois.write_text(rois_document(boxes))
-    settings = {"scene": str(scene), "rois": str(rois), "test_every": 0}
-    (folder / "manifest.json").write_text('{"config": {}}')
-    (folder / "settings.json").write_text(json.dumps(settings))
-    return folder
+    return write_run(tmp_path)
 
 
 def test_a_box_gets_a_mesh_and_its_facts(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -53,3 +99,120 @@ def test_what_cannot_be_is_said_in_a_line(run: Path, capsys: pytest.CaptureFixtu
     assert "is not a run folder" in refused(capsys, "surface", run.parent)
     (run / "settings.json").unlink()
     assert "does not say which photos" in refused(capsys, "surface", run)
+
+
+def counted_calls(monkeypatch: pytest.MonkeyPatch, stop_at: int = 0) -> list[str]:
+    """The boxes whose surfaces are made from now on; the `stop_at`-th is stopped in its middle."""
+    calls: list[str] = []
+    mesh_of = make.mesh_of
+
+    def stopped(field: Any, roi: OrientedBox, **options: Any) -> Any:
+        calls.append(roi.name)
+        if len(calls) == stop_at:
+            raise Stopped
+        return mesh_of(field, roi, **options)
+
+    monkeypatch.setattr(make, "mesh_of", stopped)
+    return calls
+
+
+def test_a_stopped_command_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = write_run(tmp_path, boxes=(HALF, BALL))
+    request = MakeSurface(run=folder, device="cpu", faces=2000)
+    calls = counted_calls(monkeypatch, stop_at=2)
+    with pytest.raises(Stopped):
+        make_surfaces(request)
+    first = (folder / "rois/half.glb").read_bytes()
+    assert not list((folder / "rois").glob("ball*"))
+    assert not list((folder / "rois").glob("*tmp*"))
+    texts: list[str] = []
+    context = Context(emit=lambda event: texts.append(getattr(event, "text", "")))
+    assert len(make_surfaces(request, context).surfaces) == 2
+    assert calls == ["half", "ball", "ball"]
+    assert "Box 'half': its surface is there already." in texts
+    assert (folder / "rois/half.glb").read_bytes() == first
+    make_surfaces(replace(request, format=("stl",)))  # a file is missing, so both are made again
+    assert calls[3:] == ["half", "ball"]
+    (folder / "rois/half.glb").write_bytes(b"edited")
+    make_surfaces(request)
+    assert calls[5:] == ["half"]
+    assert (folder / "rois/half.glb").read_bytes() == first
+    make_surfaces(replace(request, faces=1000))
+    assert calls[6:] == ["half", "ball"]
+
+
+def test_masks_decide_what_is_the_object(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Masks of the left half of each photo, though the run was trained without any."""
+    folder = write_run(tmp_path)
+    words = ["surface", str(folder), "--device", "cpu", "--faces", "2000"]
+    assert main(words) == 0
+    assert "No masks of the objects in 'ball'" in capsys.readouterr().err
+    whole = json.loads((folder / "rois/ball.surface.json").read_text())
+    for name in NAMES:
+        with Image.open(tmp_path / "scene/images" / name) as photo:
+            size = photo.size
+        mask = np.zeros(size[::-1], np.uint8)
+        mask[: size[1] // 2] = 255
+        path = tmp_path / "scene/masks/ball" / f"{name}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(mask).save(path)
+    assert main(words) == 0
+    assert "No masks" not in capsys.readouterr().err
+    upper = json.loads((folder / "rois/ball.surface.json").read_text())
+    assert upper["area"] < 0.8 * whole["area"]
+
+
+def glass() -> Gaussians:
+    """A ball that is seen through, with a smaller one inside."""
+    outer, inner = cloud(3000, 0, size=0.4), cloud(500, 1, size=0.1)
+    outer.logit_opacities.fill_(-3.0)
+    both = zip(outer.tensors().items(), inner.tensors().values(), strict=True)
+    return Gaussians(**{name: torch.cat([one, other]) for (name, one), other in both})
+
+
+def mirror() -> Gaussians:
+    """Half a ball, and what a mirror shows behind: a ball out of the box."""
+    half = cloud(3000, 0, size=0.4)
+    return half.rows(half.means[:, 2] > 0.2)
+
+
+BAD: dict[str, Callable[[], dict[str, Any]]] = {
+    "glass": lambda: {"model": glass()},
+    "a mirror": lambda: {"model": mirror()},
+    "three photos": lambda: {"photos": 3},
+    "millimetres": lambda: {"sim3": pycolmap.Sim3d(1000, pycolmap.Rotation3d(), np.zeros(3))},
+    "rotated": lambda: {
+        "sim3": pycolmap.Sim3d(
+            0.01,
+            pycolmap.Rotation3d(Rotation.from_euler("xyz", [40, 70, 20], degrees=True).as_quat()),
+            np.array([30.0, -20, 10]),
+        )
+    },
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_bad_boxes_end_in_a_mesh_that_says_what_is_open(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], what: str
+) -> None:
+    given = BAD[what]()
+    folder = write_run(tmp_path, **given)
+    assert main(["surface", str(folder), "--device", "cpu", "--faces", "2000"]) == 0
+    out, err = capsys.readouterr()
+    assert "Traceback" not in err and "with holes" in out
+    record = json.loads((folder / "rois/ball.surface.json").read_text())
+    scale = given["sim3"].scale if "sim3" in given else 1.0
+    if what in ("millimetres", "rotated"):
+        sizes = [0.923, 0.754, 0.898]  # in the frame of the other cases
+        assert record["size"] == pytest.approx([scale * size for size in sizes], rel=0.05)
+    assert trimesh.load(folder / "rois/ball.glb", force="mesh").is_empty is False
+
+
+def test_an_empty_box_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = write_run(tmp_path, model=cloud(3000, 0, size=0.2, shift=2.0))
+    assert main(["surface", str(folder), "--device", "cpu"]) == 2
+    out, err = capsys.readouterr()
+    assert "No photo shows a surface in box 'ball'" in err.splitlines()[-1]
+    assert out == "" and "Traceback" not in err
