@@ -13,7 +13,6 @@ from benchmarks.study.scenes import StudyScene
 from roigs_engine.errors import ConfigError
 from roigs_engine.requests.choices import MAX_FACTOR
 from roigs_engine.run.presets import preset
-from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
 from roigs_engine.training.mechanisms.density_control import DensityControl
 from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
 
@@ -41,7 +40,6 @@ def test_equal_time_lengthens_the_box_stage_alone() -> None:
     longer = measure.longer_box_stage(draft, 1.5)
     assert longer.scene == draft.scene
     assert (longer.roi.steps, longer.roi.of(DensityControl).until) == (4500, 1000)
-    assert longer.roi.of(CoarseToFine).until == 1000
     assert longer.roi.of(ModelAveraging).steps == 450
     assert measure.longer_box_stage(draft, 0.1).roi.of(DensityControl).until == 100
 

@@ -38,7 +38,6 @@ from roigs_engine.run.manifest import from_json
 from roigs_engine.run.plan import Plan
 from roigs_engine.run.stages import PhotoSets, scene_stage
 from roigs_engine.training.config import with_steps
-from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
 from roigs_engine.training.mechanisms.density_control import DensityControl
 
 EQUAL_TIME_FOLDER = run_files.COMPARED + "equal-time"
@@ -266,15 +265,13 @@ def equal_time_factor(theirs: float, ours: float) -> float:
 
 
 def longer_box_stage(config: RunConfig, factor: float) -> RunConfig:
-    """The config with the box stage's steps multiplied, not those that densify on small photos.
+    """The config with the box stage's steps multiplied, not those that densify.
 
     So it learns for longer, with as many Gaussians.
     """
     roi = with_steps(config.roi, max(1, round(factor * config.roi.steps)))
     if (density := roi.get(DensityControl)) and (own := config.roi.get(DensityControl)):
         roi = roi.using(replace(density, until=min(density.until, own.until)))
-    if (small := roi.get(CoarseToFine)) and (first := config.roi.get(CoarseToFine)):
-        roi = roi.using(replace(small, until=min(small.until, first.until)))
     return replace(config, roi=roi)
 
 

@@ -65,11 +65,8 @@ class ScenePlan:
 
 
 def stage_work(stage: Stage) -> float:
-    """Steps times megapixels of the largest photo, in each size."""
-    small = sum(map(stage.config.is_small, range(stage.config.steps)))
-    return (stage.config.steps - small) * megapixels(stage.images) + small * megapixels(
-        stage.small_images
-    )
+    """Steps times megapixels of the largest photo."""
+    return stage.config.steps * megapixels(stage.images)
 
 
 def megapixels(images: Sequence[PosedImage]) -> float:

@@ -22,7 +22,7 @@ from ..model.scene import PosedImage
 from ..photos.cache import PhotoCache
 from ..training.floaters import shown_by
 from ..training.labels import object_owners
-from ..training.stage_data import SmallPhotos, StageData
+from ..training.stage_data import StageData
 from .definition import Run
 from .plan import CELLS, CROP, MERGE, POINTS, Output, Plan, PlannedModel, Source, Stage
 from .stage_folder import StageFolder, StageResult, folder_of
@@ -42,7 +42,7 @@ class Executor:
         self._named: set[str] = set()
         self._results: dict[str, StageResult] = {}
         self._models: dict[str, Gaussians] = {}
-        self._photos: dict[Hashable, PhotoCache] = {}
+        self._photos: tuple[Hashable, PhotoCache] | None = None
 
     def execute(self, plan: Plan) -> list[EvaluatedModel]:
         """Train the missing stages and write the outputs; returns the models, the result last.
@@ -137,9 +137,9 @@ class Executor:
 
     def close(self) -> None:
         """Drop the decoded photos."""
-        for cache in self._photos.values():
-            cache.close()
-        self._photos = {}
+        if self._photos:
+            self._photos[1].close()
+        self._photos = None
 
     def _place(self, stage: Stage) -> Path:
         return folder_of(self.run.folder, stage.name, stage.fingerprint)
@@ -157,8 +157,6 @@ class Executor:
 
     def _data(self, stage: Stage) -> StageData:
         device = torch.device(self.context.device)
-        photos, *halves = self._caches([i for i in (stage.images, stage.small_images) if i])
-        small = SmallPhotos(images=stage.small_images, photos=halves[0]) if halves else None
 
         def labelled() -> tuple[Gaussians, torch.Tensor]:
             start = self.gaussians(stage.start)
@@ -166,8 +164,7 @@ class Executor:
 
         return StageData(
             images=stage.images,
-            photos=photos,
-            small=small,
+            photos=self._cache(stage.images),
             photo_at=stage.order.photo_at(),
             extent=stage.extent,
             rois=stage.rois,
@@ -203,23 +200,13 @@ class Executor:
         on_device = model.to(torch.device(self.context.device))
         return object_owners(on_device, rois, images, self.context).to(model.means.device)
 
-    def _caches(self, sizes: Sequence[Sequence[PosedImage]]) -> list[PhotoCache]:
-        """The caches of photos in each size, which share what the run may keep.
-
-        Drops those of other photos, as only one stage runs at a time.
-        """
-        pixels = [sum(image.decoded_bytes for image in images) for images in sizes]
-        shares = [self._memory.cache * each // sum(pixels) for each in pixels]
-        keys = [
-            (limit, *((image.name, image.camera.width) for image in images))
-            for limit, images in zip(shares, sizes, strict=True)
-        ]
-        for key in self._photos.keys() - keys:
-            self._photos.pop(key).close()
-        for key, limit, images in zip(keys, shares, sizes, strict=True):
-            if key not in self._photos:
-                self._photos[key] = PhotoCache(images, limit)
-        return [self._photos[key] for key in keys]
+    def _cache(self, images: Sequence[PosedImage]) -> PhotoCache:
+        """The cache of these photos; drops that of others, as only one stage runs at a time."""
+        key = tuple((image.name, image.camera.width) for image in images)
+        if self._photos is None or self._photos[0] != key:
+            self.close()
+            self._photos = key, PhotoCache(images, self._memory.cache)
+        return self._photos[1]
 
     def _write(self, output: Output) -> None:
         """Write the result as a whole and in parts, and the Scene-GS's Gaussians in each box.

@@ -191,24 +191,19 @@ class Estimator:
         """The estimate of a stage that starts with `start` Gaussians."""
         counts = expected_counts(stage, start, self._share_in_boxes(stage))
         end, most = counts[-1], max(counts)
-        seconds = small = self._line(stage, stage.images, start, most)
-        if stage.small_images:
-            small = self._line(stage, stage.small_images, start, most)
-        config = stage.config
-        total = sum(
-            (small if config.is_small(step) else seconds)(count)
-            for step, count in enumerate(counts)
-        )
+        seconds = self._line(stage, start, most)
         return StageForecast(
-            stage=stage, end=end, most=most, seconds=total, step_seconds=seconds(end)
+            stage=stage,
+            end=end,
+            most=most,
+            seconds=sum(map(seconds, counts)),
+            step_seconds=seconds(end),
         )
 
-    def _line(
-        self, stage: Stage, images: Sequence[PosedImage], start: int, most: int
-    ) -> Callable[[int], float]:
-        """Number of Gaussians -> seconds of a step on such photos."""
+    def _line(self, stage: Stage, start: int, most: int) -> Callable[[int], float]:
+        """Number of Gaussians -> seconds of a step."""
         few, many = min(start, MOST_MEASURED), min(most, MOST_MEASURED)
-        low, high = self._step_seconds(stage, images, few, many)
+        low, high = self._step_seconds(stage, few, many)
         slope = (high - low) / (many - few) if many > few else high / max(few, 1)
         return lambda count: low + slope * (count - few)
 
@@ -219,23 +214,21 @@ class Estimator:
             inside |= roi.contains(self._scene.points)
         return float(inside.mean()) if len(inside) else 0.0
 
-    def _step_seconds(
-        self, stage: Stage, images: Sequence[PosedImage], start: int, end: int
-    ) -> tuple[float, float]:
-        """Seconds of a step on such photos with `start` and with `end` Gaussians."""
-        largest = max(image.camera.width * image.camera.height for image in images)
+    def _step_seconds(self, stage: Stage, start: int, end: int) -> tuple[float, float]:
+        """Seconds of a step with `start` and with `end` Gaussians."""
+        largest = max(image.camera.width * image.camera.height for image in stage.images)
         settings = replace(stage.config, steps=0).to_dict()
         key = (json_digest(settings), largest, _rounded(start), _rounded(end))
         if key not in self._times:
-            first = self._measured(stage, images, start)
-            last = first if end == start else self._measured(stage, images, end)
+            first = self._measured(stage, start)
+            last = first if end == start else self._measured(stage, end)
             self._times[key] = first, max(first, last)
         return self._times[key]
 
-    def _measured(self, stage: Stage, images: Sequence[PosedImage], count: int) -> float:
+    def _measured(self, stage: Stage, count: int) -> float:
         """Seconds of a training step with `count` Gaussians, the median of a few."""
         self._context.check_cancelled()
-        images = images[:: max(1, len(images) // 8)]
+        images = stage.images[:: max(1, len(stage.images) // 8)]
         data = StageData(
             images=images,
             photos=_GreyPhotos(images),

@@ -209,8 +209,6 @@ def plan_memory(
     machine = machine_memory()
     largest = max(i.camera.width * i.camera.height for i in images)
     photos = sum(image.decoded_bytes for image in images)
-    if config.roi.has_small:
-        photos += photos // 4  # the same at half their size
     growth = PER_DENSIFICATION * _densifications(config.scene, config.roi)
     count = points + round(share * growth)
     start = PER_GAUSSIAN * points

@@ -22,7 +22,6 @@ from ..training.photo_order import PhotoOrder
 
 POINTS, RESULT, CROP, MERGE = "points", "result", "crop", "merge"
 CELLS, SEEN = "cells", "seen"
-SMALL = 0.5  # size of the photos of the first steps of a stage (`TrainConfig.is_small`)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,13 +77,6 @@ class Stage:
     extent: float  # of the scene, world units
     seed: int  # for the positions of split Gaussians
     rois: tuple[OrientedBox, ...] = ()  # boxes that limit densification and masks
-
-    @cached_property
-    def small_images(self) -> tuple[PosedImage, ...]:
-        """The photos at half their size, for the first steps; empty: no step uses them."""
-        if not self.config.has_small:
-            return ()
-        return tuple(image.scaled(SMALL) for image in self.images)
 
     @cached_property
     def fingerprint(self) -> str:

@@ -12,7 +12,6 @@ from ..selection.config import SelectionConfig
 from ..training.config import Mechanism, TrainConfig, with_steps
 from ..training.mechanisms.background_points import BackgroundPoints
 from ..training.mechanisms.box_density_control import BoxDensityControl
-from ..training.mechanisms.coarse_to_fine import CoarseToFine
 from ..training.mechanisms.density_control import DensityControl
 from ..training.mechanisms.floater_pruning import FloaterPruning
 from ..training.mechanisms.idle_pruning import IdlePruning
@@ -21,8 +20,6 @@ from ..training.mechanisms.masked_steps import MaskedSteps
 from ..training.mechanisms.measured_sh_rate import MeasuredShRate
 from ..training.mechanisms.model_averaging import ModelAveraging
 from ..training.mechanisms.opacity_decay import OpacityDecay
-from ..training.mechanisms.spaced_sh_rate import SpacedShRate
-from ..training.mechanisms.surroundings_rate import SurroundingsRate
 from ..training.mechanisms.warm_restarts import WarmRestarts
 from .config import RunConfig
 
@@ -106,25 +103,18 @@ def _box_mechanisms(steps: int) -> tuple[Mechanism, ...]:
     """The mechanisms of the joint recipe's box stage."""
     return (
         MaskedSteps(full_every=3, view_weighting=1.5),
-        # What densification adds is coarse at first.
-        CoarseToFine(until=steps // 3, whole_until=steps * 2 // 3),
-        SpacedShRate(limit=25.0),
         MeasuredShRate(),
-        # 3 would make up for the fewer steps, but loses where SH learn fast.
-        SurroundingsRate(factor=2.0),
         BoxDensityControl(
             start=0,
             until=steps // 3,
             grad_threshold=6e-5,
-            # Far away 4 x 3DGS's; at the boxes' sides 3DGS's: people look at both from near.
-            outside_threshold=8e-4,
-            near_threshold=2e-4,
+            outside_threshold=8e-4,  # 4 x 3DGS's
             budget=32.0,
             reset_every=0,
         ),
         WarmRestarts(count=3),
         ModelAveraging(steps=steps // 10),
-        OpacityDecay(share=0.025, one_sided=45.0),
+        OpacityDecay(share=0.025),
         ImportancePruning(growth=0.05),
         FloaterPruning(min_views=4),
     )

@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields, replace
 from ..formats.targets import PLAIN
 from ..training.config import TrainConfig, miniature, with_steps
 from ..training.mechanisms.box_density_control import BoxDensityControl
-from ..training.mechanisms.coarse_to_fine import CoarseToFine
 from ..training.mechanisms.cutout_steps import CutoutSteps
 from ..training.mechanisms.density_control import DensityControl
 from ..training.mechanisms.floater_pruning import FloaterPruning
@@ -17,7 +16,6 @@ from ..training.mechanisms.masked_steps import MaskedSteps
 from ..training.mechanisms.measured_sh_rate import MeasuredShRate
 from ..training.mechanisms.model_averaging import ModelAveraging
 from ..training.mechanisms.opacity_decay import OpacityDecay
-from ..training.mechanisms.spaced_sh_rate import SpacedShRate
 from ..training.mechanisms.surface_losses import SurfaceLosses
 from ..training.mechanisms.warm_restarts import WarmRestarts
 from .config import RunConfig
@@ -66,8 +64,7 @@ def tuned_baseline(config: RunConfig) -> TunedBaseline:
     """The tuned Full Scene and Full Object: 3DGS with all settings of ours that fit any scene.
 
     These are the joint recipe's, without what boxes bring: masks, weights, budgets, a lower
-    threshold; and without small photos in the last stage, by which they lose (notebook/sampling.md,
-    "Small photos first"). The steps that densify are as many in sum as in the baseline; the last
+    threshold. The steps that densify are as many in sum as in the baseline; the last
     stage densifies for a third of its steps at the least, like the joint stage.
     """
     ours = config if config.strategy == "joint" else in_strategy(config, "joint")
@@ -86,14 +83,12 @@ def tuned_baseline(config: RunConfig) -> TunedBaseline:
 
 def _without_boxes(stage: TrainConfig, density: DensityControl) -> TrainConfig:
     """What a box stage uses that fits any scene."""
-    decay = stage.get(OpacityDecay)
     return replace(
         stage,
         mechanisms=(
-            *stage.chosen(SpacedShRate, MeasuredShRate),
+            *stage.chosen(MeasuredShRate),
             density,
-            *stage.chosen(WarmRestarts, ModelAveraging),
-            *((OpacityDecay(share=decay.share),) if decay else ()),
+            *stage.chosen(WarmRestarts, ModelAveraging, OpacityDecay),
             *stage.chosen(ImportancePruning, FloaterPruning),
         ),
     )
@@ -105,7 +100,7 @@ def cutout_stage(config: RunConfig) -> TrainConfig:
     stage = replace(
         config.roi, steps=steps, sh_start=config.roi.sh_degree, lr_means=config.roi.lr_means / 10
     )
-    stage = stage.only(MaskedSteps, SpacedShRate, MeasuredShRate)
+    stage = stage.only(MaskedSteps, MeasuredShRate)
     return stage.using(CutoutSteps(), ModelAveraging(steps=steps // 2))
 
 
@@ -122,7 +117,7 @@ def surface_stage(config: RunConfig) -> TrainConfig:
         lr_means=SURFACE_RATE * config.roi.lr_means,
         lr_means_final=SURFACE_RATE * config.roi.lr_means / 10,
     )
-    stage = stage.only(SpacedShRate, MeasuredShRate)
+    stage = stage.only(MeasuredShRate)
     masks = config.roi.get(MaskedSteps) or MaskedSteps()
     return stage.using(
         replace(masks, full_every=max(2, steps)), SurfaceLosses(), ModelAveraging(steps=steps // 4)
@@ -153,7 +148,7 @@ def surroundings_stage(config: TrainConfig, share: float) -> TrainConfig:
     masks, density = config.get(MaskedSteps), _outside_density(config)
     grows = (WarmRestarts, ImportancePruning) if density else ()
     mechanisms = (
-        *config.chosen(CoarseToFine, MeasuredShRate),
+        *config.chosen(MeasuredShRate),
         *((density,) if density else ()),
         *config.chosen(IdlePruning, ModelAveraging, *grows),
     )
@@ -175,8 +170,7 @@ def _outside_density(config: TrainConfig) -> DensityControl | None:
 def block_stage(config: TrainConfig, share: float, photos: float) -> TrainConfig:
     """A stage of the boxes of a block and of its surroundings.
 
-    It uses no opacity decay, as other photos show what is beside the block, and no other rate for
-    its surroundings: each of its whole photos has nearly twice as many steps.
+    It uses no opacity decay, as other photos show what is beside the block.
 
     Args:
         config: of the stage of a whole scene.
@@ -184,9 +178,8 @@ def block_stage(config: TrainConfig, share: float, photos: float) -> TrainConfig
         photos: share of all photos that the block has.
     """
     config = config.only(
-        *(MaskedSteps, CoarseToFine, SpacedShRate, MeasuredShRate, DensityControl, IdlePruning),
-        *(WarmRestarts, ModelAveraging, ImportancePruning, FloaterPruning, CutoutSteps),
-        SurfaceLosses,
+        *(MaskedSteps, MeasuredShRate, DensityControl, IdlePruning, WarmRestarts, ModelAveraging),
+        *(ImportancePruning, FloaterPruning, CutoutSteps, SurfaceLosses),
     )
     masks = config.get(MaskedSteps)
     if masks is None:
@@ -217,5 +210,5 @@ def refine_stage(config: RunConfig) -> TrainConfig:
         sh_start=config.roi.sh_degree,
         made_for=config.roi.made_for,
     )
-    stage = stage.only(MaskedSteps, SpacedShRate, MeasuredShRate, ModelAveraging, FloaterPruning)
+    stage = stage.only(MaskedSteps, MeasuredShRate, ModelAveraging, FloaterPruning)
     return stage.using(ModelAveraging(steps=steps // 2))

@@ -127,15 +127,6 @@ class Mechanism:
         """Points to start with beside the sparse ones: (B, 3) positions, (B, 3) uint8 colours."""
         return None
 
-    @property
-    def has_small(self) -> bool:
-        """Whether some steps use photos of half the size."""
-        return False
-
-    def is_small(self, step: int, config: TrainConfig) -> bool:
-        """Whether a step uses a photo of half the size."""
-        return False
-
     def acts(self, config: TrainConfig) -> bool:
         """Whether it does anything while a stage of this config trains."""
         return type(self).begin is not Mechanism.begin
@@ -241,15 +232,6 @@ class TrainConfig:
     def degree(self, step: int) -> int:
         return min(self.sh_degree, self.sh_start + step // max(self.sh_every, 1))
 
-    @property
-    def has_small(self) -> bool:
-        """See `Mechanism`."""
-        return any(each.has_small for each in self.mechanisms)
-
-    def is_small(self, step: int) -> bool:
-        """See `Mechanism`."""
-        return any(each.is_small(step, self) for each in self.mechanisms)
-
     def planned(self, views: PlannedViews) -> TrainConfig:
         config = self
         for mechanism in self.mechanisms:
@@ -282,7 +264,7 @@ def _alike(one: Mechanism, other: Mechanism) -> bool:
 
 
 def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
-    """The config with `steps` steps, of which the same shares densify, are small and averaged.
+    """The config with `steps` steps, of which the same shares densify and are averaged.
 
     Intervals do not scale: Adam and the statistics need a fixed number of steps. `miniature` scales
     them too.

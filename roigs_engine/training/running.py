@@ -68,13 +68,13 @@ class Running:
         """Take this step in a way of its own; returns its photo and its loss, or None."""
         return None
 
-    def mask(self, step: int, photo: int, *, small: bool) -> LossMask | None:
+    def mask(self, step: int, photo: int) -> LossMask | None:
         """The part of the photo that a step uses; None: all of it."""
         return None
 
-    def row_rates(self, *, whole: bool) -> Tensor | None:
-        """(N,) float32 factors of learning rates, in a step on a `whole` photo; None: all are 1."""
-        return None
+    def rate(self, step: int) -> float:
+        """Factor of all learning rates in a step."""
+        return 1.0
 
     def surface_loss(
         self, surface: Surface, alpha: Tensor, intrinsics: Tensor, weights: Tensor | None

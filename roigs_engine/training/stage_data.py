@@ -19,14 +19,6 @@ from .photo_order import PhotoAt
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SmallPhotos:
-    """The photos of a stage at half their size; attributes as in `StageData`."""
-
-    images: Sequence[PosedImage]
-    photos: Photos
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class StageData:
     """The data that a stage trains on.
 
@@ -36,7 +28,6 @@ class StageData:
         photo_at: step -> position in `images` of the photo that the step uses.
         extent: the *scene's* extent, world units; scales position learning rates and pruning sizes.
         rois: the boxes.
-        small: the photos at half their size, for steps that use these (`config.is_small`).
         labelled: the stage's first model, and the box that owns each of its Gaussians, or -1: by
             masks, where these show a box's object.
         points: (P, 3) of the scene, world units.
@@ -51,7 +42,6 @@ class StageData:
     photo_at: PhotoAt
     extent: float
     rois: Sequence[OrientedBox] = ()
-    small: SmallPhotos | None = None
     labelled: Callable[[], tuple[Gaussians, Tensor]] | None = None
     points: Float64 = field(default_factory=lambda: np.zeros((0, 3)))
     backgrounds: Tensor | None = None
@@ -76,9 +66,7 @@ class View(NamedTuple):
 class PhotoViews:
     """The photos of a stage in one size, on the device; `limit`: as `StageData.card_photos`."""
 
-    def __init__(
-        self, of: StageData | SmallPhotos, device: torch.device, limit: int | None
-    ) -> None:
+    def __init__(self, of: StageData, device: torch.device, limit: int | None) -> None:
         self.images = of.images
         self._photos = photos_on(device, of.photos, limit)
         poses = np.stack([image.world_to_camera for image in of.images])

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import reduce
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -56,8 +57,6 @@ class Trainer:
         self.gaussians = leaves(gaussians.rows(morton_order(gaussians.means)))
         self.optimizer = self._new_optimizer()
         self.health = Health([image.name for image in data.images])
-        small = data.small if config.has_small else None
-        self._small = None if small is None else PhotoViews(small, data.device, data.card_photos)
         self.photos = PhotoViews(data, data.device, data.card_photos)
         self._ahead = StepsAhead(data.device)
         self._metrics = TrainingMetrics(data.device)
@@ -136,10 +135,10 @@ class Trainer:
             return
         index = data.photo_at(self.step)
         for step in (self.step + 1, self.step + 2):
-            self._views(step).prefetch(data.photo_at(step))
-        photo, counted = split_mask(self._views(self.step).photo(index))
+            self.photos.prefetch(data.photo_at(step))
+        photo, counted = split_mask(self.photos.photo(index))
         mask = self._mask(index)
-        self.optimizer.row_rates = self._row_rates(whole=mask is None)
+        self.optimizer.rate = prod(each.rate(self.step) for each in self._running.values())
         output = self._render(index, mask, counted)
         # squeeze, not [0]: its gradient is a view, that of an index is a copy into zeros
         image, weights = output.image.squeeze(0), None
@@ -166,11 +165,6 @@ class Trainer:
         value = loss.loss.detach()
         self._metrics.observe(self.step, value, (image, photo), weights)
         self._end_step(index, value)
-
-    def _row_rates(self, *, whole: bool) -> Tensor | None:
-        found = [each.row_rates(whole=whole) for each in self._running.values()]
-        factors = [rates for rates in found if rates is not None]
-        return reduce(torch.mul, factors) if factors else None
 
     def _end_step(self, index: int, loss: Tensor) -> None:
         """Count a step on a photo, look for NaN, and let mechanisms act."""
@@ -213,14 +207,9 @@ class Trainer:
         self._taken_back(wait=True)
         self.health.check(self.step, self.gaussians.tensors(), self.optimizer.skipped_rows)
 
-    def _views(self, step: int) -> PhotoViews:
-        """The photos in the size that a step uses."""
-        return (self._small if self.config.is_small(step) else None) or self.photos
-
     def _mask(self, index: int) -> LossMask | None:
         """The mask of this step's photo; None: the step uses the whole photo."""
-        small = self._views(self.step) is self._small
-        found = (each.mask(self.step, index, small=small) for each in self._running.values())
+        found = (each.mask(self.step, index) for each in self._running.values())
         return next((mask for mask in found if mask is not None), None)
 
     def _render(self, index: int, mask: LossMask | None, counted: Tensor | None) -> RenderOutput:
@@ -243,7 +232,7 @@ class Trainer:
         """The sum of the mechanisms' losses on a surface."""
         if output.surface is None:
             return 0.0
-        intrinsics = self._views(self.step).view(index).Ks[0].clone()
+        intrinsics = self.photos.view(index).Ks[0].clone()
         if mask is not None:
             x0, y0, _, _ = mask.tiles.shown
             intrinsics[0, 2] -= x0
@@ -256,7 +245,7 @@ class Trainer:
         self, optimizer: VisibleAdam, view: tuple[int, int | str], active: Mask, **options: Any
     ) -> RenderOutput:
         """The Gaussians of the optimizer of the model, or of a part; `options` of `rasterize`."""
-        p, camera = optimizer.parameters, self._views(self.step).view(view[0])
+        p, camera = optimizer.parameters, self.photos.view(view[0])
         return rasterize(
             p["means"],
             p["quats"],

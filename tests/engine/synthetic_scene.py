@@ -18,7 +18,7 @@ from roigs_engine.model.scene import Camera, PosedImage, SfmScene
 from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.rasterize import rasterize
 from roigs_engine.training import photo_order
-from roigs_engine.training.stage_data import SmallPhotos, StageData
+from roigs_engine.training.stage_data import StageData
 from tests.poses import look_at
 
 CAMERA = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
@@ -106,9 +106,3 @@ def stage_data(scene: SfmScene, seed: int = 3, **changes: Any) -> StageData:
         extent=scene.extent(),
     )
     return replace(data, **changes)
-
-
-def small_photos(scene: SfmScene) -> SmallPhotos:
-    """The photos at half their size."""
-    halves = [image.scaled(0.5) for image in scene.images]
-    return SmallPhotos(images=halves, photos=PhotoCache(halves))

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
-import numpy as np
-
 from ...context import QUIET, Context
 from ...model.mask_coverage import counted_pixels, object_share
 from ...model.roi import OrientedBox
@@ -22,7 +20,6 @@ if TYPE_CHECKING:
     from ..running import Training
     from ..state_reader import StateReader
 
-NEAR = 2.0  # diagonals of a box: what is nearer is in the same close-ups as its object
 EXPONENT = 0.5  # of a budget, to the number of pixels
 
 
@@ -35,16 +32,13 @@ class BoxDensityControl(DensityControl):
     no budget, and adds none outside the boxes.
 
     Earns: +0.21 dB in the silhouettes and +0.53 dB in images by densifying outside the boxes,
-        too, with 18 % more Gaussians; +0.08 dB (marginal) by the lower threshold near them, with
-        13 % more; −0.03 dB (marginal) by budgets, with 16 % fewer. Draft, six boxes of kumamon,
-        flowerpot and the demo, two seeds (notebook/leave_one_out.md).
+        too, with 18 % more Gaussians; −0.03 dB (marginal) by budgets, with 16 % fewer.
+        Draft, six boxes of kumamon, flowerpot and the demo, two seeds (notebook/leave_one_out.md).
 
     Attributes:
         grad_threshold: in the boxes.
         outside_threshold: Gaussians outside the boxes above this gradient are densified, too; 0:
             none (paper).
-        near_threshold: that threshold at the boxes' sides; it rises evenly to `outside_threshold`
-            over two diagonals of a box. 0, or not below that: it is the same everywhere.
         box_sizes: the size reference in a box is at most its diagonal (paper).
         budget: factor on the root of a box's pixels; 0: no limit.
         budgets: most Gaussians in each box at the end of densification; None: no limit.
@@ -53,7 +47,6 @@ class BoxDensityControl(DensityControl):
     name: ClassVar[str] = "box_density_control"
 
     outside_threshold: float = 0.0
-    near_threshold: float = 0.0
     box_sizes: bool = True
     budget: float = 0.0
     budgets: tuple[int, ...] | None = planned(None)
@@ -129,8 +122,8 @@ class RunningBoxDensityControl(RunningDensityControl):
 
         gradient = self.mean_gradient()
         owner = owners(gaussians, self.rois)
-        mask = self._outside(gaussians, gradient, owner)
-        mask = (gradient > self.settings.grad_threshold).where(owner >= 0, mask)
+        outside = gradient > (self.settings.outside_threshold or float("inf"))
+        mask = (gradient > self.settings.grad_threshold).where(owner >= 0, outside)
         for index, limit in enumerate(self.limits(step / self.settings.until)):
             mine = (mask & (owner == index)).nonzero().flatten()
             left = max(0, limit - int((owner == index).sum()))
@@ -138,26 +131,6 @@ class RunningBoxDensityControl(RunningDensityControl):
                 order = gradient[mine].argsort(descending=True, stable=True)
                 mask[mine[order[left:]]] = False
         return mask
-
-    def _outside(self, gaussians: Gaussians, gradient: Tensor, owner: Tensor) -> Tensor:
-        """(N,) bool: which Gaussians outside the boxes are densified.
-
-        The threshold of each follows from its distance from the boxes, in diagonals of each; the
-        lowest counts.
-        """
-        far = self.settings.outside_threshold or np.inf
-        near = self.settings.near_threshold or far
-        dense = gradient > far
-        if not near < far < np.inf:
-            return dense
-        asked = ((gradient > near) & ~dense & (owner < 0)).nonzero()[:, 0]
-        centres = gaussians.means.detach()[asked].cpu().double().numpy()  # there, as in `owners`
-        share = np.ones(len(asked))
-        for roi in self.rois:
-            share = np.fmin(share, roi.distance(centres) / (NEAR * roi.diagonal))
-        thresholds = gradient.new_tensor(near + (far - near) * share)
-        dense[asked] = gradient[asked] > thresholds
-        return dense
 
     def size_reference(self, gaussians: Gaussians) -> Tensor:
         """(N,) the scene's extent; in a box at most the box's diagonal, world units.

@@ -57,18 +57,14 @@ class MaskedSteps(Mechanism):
         from ..loss_masks import LossMasks
 
         data = training.data
-        sizes = {False: data.images}
-        if config.has_small and data.small is not None:
-            sizes[True] = data.small.images
         given = data.rois, self.seeing, data.device, self.view_weighting, training.context
-        masks = {small: LossMasks(images, *given) for small, images in sizes.items()}
-        return _Running(self.full_every, masks)
+        return _Running(self.full_every, LossMasks(data.images, *given))
 
 
 class _Running(Running):
-    def __init__(self, full_every: int, masks: dict[bool, LossMasks]) -> None:
+    def __init__(self, full_every: int, masks: LossMasks) -> None:
         self._full_every, self._masks = full_every, masks
 
-    def mask(self, step: int, photo: int, *, small: bool) -> LossMask | None:
+    def mask(self, step: int, photo: int) -> LossMask | None:
         """The photo's mask; None: the step uses a whole photo, or the photo sees no box."""
-        return None if is_whole(step, self._full_every) else self._masks[small][photo]
+        return None if is_whole(step, self._full_every) else self._masks[photo]

@@ -24,7 +24,6 @@ from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.edits import morton_order
 from roigs_engine.training.mechanisms import cutout_steps
-from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
 from roigs_engine.training.mechanisms.cutout_steps import EVERY, Cutouts, CutoutSteps
 from roigs_engine.training.mechanisms.density_control import DensityControl
 from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
@@ -35,7 +34,7 @@ from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.trainer import Trainer
 from tests.engine.cuda.pretend_card import FAR, PretendCard, use
 from tests.engine.cuda.shim import ShimProgram
-from tests.engine.synthetic_scene import BOX, make_scene, small_photos
+from tests.engine.synthetic_scene import BOX, make_scene
 
 Inputs = Callable[[SfmScene], dict[str, Any]]
 VIEWS = 2
@@ -97,10 +96,6 @@ class MaskedPhotos:
         pass
 
 
-def two_sizes(scene: SfmScene) -> dict[str, Any]:
-    return {"small": small_photos(scene), "config": CONFIG.using(MASKS, CoarseToFine(until=100))}
-
-
 def masked_photos(scene: SfmScene) -> dict[str, Any]:
     return {**boxes(scene), "photos": MaskedPhotos(scene)}
 
@@ -113,7 +108,7 @@ def backgrounds(scene: SfmScene) -> dict[str, Any]:
     "inputs",
     [
         *(nothing_more, boxes, masked_photos),
-        *(pytest.param(each, marks=pytest.mark.slow) for each in (two_sizes, backgrounds)),
+        pytest.param(backgrounds, marks=pytest.mark.slow),
     ],
 )
 def test_no_step_waits(scene: SfmScene, card: PretendCard, inputs: Inputs) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import os
 import shutil
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,7 +15,7 @@ from roigs_engine.context import Context
 from roigs_engine.errors import RunFolderError, Stopped
 from roigs_engine.formats.events import Event, Message, Progress
 from roigs_engine.formats.lock import locked
-from roigs_engine.model.scene import PosedImage, SfmScene
+from roigs_engine.model.scene import SfmScene
 from roigs_engine.run import forecast
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.dry_run import describe_plan
@@ -24,10 +23,8 @@ from roigs_engine.run.forecast import MOST_MEASURED, Estimator, expected_counts,
 from roigs_engine.run.plan import Stage
 from roigs_engine.run.presets import preset
 from roigs_engine.run.strategies import plan_run
-from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
 from roigs_engine.training.mechanisms.density_control import DensityControl
 from roigs_engine.training.mechanisms.importance_pruning import ImportancePruning
-from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
 from tests.engine.runs import stage_of, tiny, train_run
 from tests.engine.synthetic_scene import BOX, make_scene
 
@@ -166,7 +163,7 @@ def test_a_stage_that_shrinks_is_timed_at_its_largest(scene: SfmScene, tmp_path:
         estimator = Estimator(scene)
         asked = []
 
-        def measured(stage: Stage, images: object, count: int, asked: list[int] = asked) -> float:
+        def measured(stage: Stage, count: int, asked: list[int] = asked) -> float:
             asked.append(count)
             return 1e-3 * count
 
@@ -191,7 +188,7 @@ def test_a_large_model_is_extrapolated_not_made(
 ) -> None:
     sizes: list[int] = []
 
-    def measured(self: Estimator, stage: Stage, images: object, count: int) -> float:
+    def measured(self: Estimator, stage: Stage, count: int) -> float:
         sizes.append(count)
         return 1e-6 * count
 
@@ -208,20 +205,3 @@ def test_a_stage_without_its_model_is_not_done(scene: SfmScene, tmp_path: Path) 
     (stage_of(tmp_path, "joint") / "model.ply").unlink()
     found = rows(describe_plan(run))
     assert found["scene"][-1] == "done" and found["joint"][-1] != "done"
-
-
-def test_steps_on_small_photos_are_estimated_on_small_photos(
-    scene: SfmScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def measured(self: Estimator, stage: Stage, images: Sequence[PosedImage], count: int) -> float:
-        return float(images[0].camera.width)
-
-    monkeypatch.setattr(Estimator, "_measured", measured)
-    plan = plan_run(define_run(tmp_path, scene, [BOX], tiny("joint")))
-    joint = next(stage for stage in plan.stages if stage.name == "joint")
-    width = joint.images[0].camera.width
-    assert joint.config.of(MaskedSteps).full_every == 3  # steps 0, 3, 6 and 9 are whole
-    config = replace(joint.config.using(CoarseToFine(until=4, whole_until=7)), steps=10)
-    found = Estimator(scene).estimate(replace(joint, config=config), 1000)
-    assert found.seconds == pytest.approx(5 * width + 5 * round(width / 2))
-    assert found.step_seconds == width

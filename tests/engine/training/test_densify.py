@@ -181,31 +181,6 @@ def test_outside_the_boxes_another_threshold_may_densify_without_budgets() -> No
     assert torch.equal(full, chosen & ~inside)
 
 
-@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
-def test_outside_the_boxes_thresholds_rise_with_the_distance(scale: float) -> None:
-    box = OrientedBox.between("box", [-scale] * 3, [scale] * 3)
-    away = 2 * box.diagonal * np.array([1e-6, 0.25, 0.5, 1, 3])
-    means = torch.zeros(6, 3)
-    means[1:, 0] = torch.from_numpy(-scale - away)
-    gaussians = replace(model(6), means=means)
-    thresholds = torch.tensor([1e-4, 2e-4, 3.5e-4, 5e-4, 8e-4, 8e-4])
-    config = replace(IN_BOXES, grad_threshold=1e-4, outside_threshold=8e-4, near_threshold=2e-4)
-    there = [-scale - away[-1], 0, 0]  # a second box, around the farthest of them
-    second = OrientedBox.between("second", np.subtract(there, scale), np.add(there, scale))
-    beside = torch.cat([thresholds[:-1], torch.tensor([1e-4])])
-    for boxes, expected in (([box], thresholds), ([second, box], beside), ([box, second], beside)):
-        for factor in (0.98, 1.02):
-            chosen = control(config, stats(factor * expected), boxes, None)
-            assert chosen.densify_mask(gaussians, 0).tolist() == 6 * [factor > 1]
-    nowhere = replace(config, outside_threshold=0.0)
-    chosen = control(nowhere, stats(torch.ones(6)), [box], None).densify_mask(gaussians, 0)
-    assert chosen.tolist() == [True] + 5 * [False]
-    lost = replace(gaussians, means=gaussians.means * float("nan"))  # nowhere near
-    for gradient in (7e-4, 9e-4):
-        found = control(config, stats(torch.full((6,), gradient)), [box], None)
-        assert found.densify_mask(lost, 0).tolist() == 6 * [gradient > 8e-4]
-
-
 def test_boxes_may_have_a_threshold_and_limits_of_their_own() -> None:
     gaussians = model(300)
     inside, gradient = gaussians.in_box(BOX), torch.linspace(0, 3e-4, 300)

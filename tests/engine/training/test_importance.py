@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +23,6 @@ from roigs_engine.rasterize.view import rasterize_view
 from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.mechanisms import importance_pruning
-from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
 from roigs_engine.training.mechanisms.density_control import DensityControl
 from roigs_engine.training.mechanisms.importance_pruning import (
     EACH,
@@ -36,10 +34,9 @@ from roigs_engine.training.mechanisms.importance_pruning import (
     least_important,
     visible_worth,
 )
-from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
 from roigs_engine.training.stage_data import PhotoViews, StageData
 from roigs_engine.training.trainer import Trainer
-from tests.engine.synthetic_scene import BOX, make_scene, small_photos
+from tests.engine.synthetic_scene import BOX, make_scene
 
 DENSITY = DensityControl(start=10, until=40, every=10, grad_threshold=1e-5)
 PLAIN = TrainConfig(steps=60, made_for="viewers", mechanisms=(DENSITY,))
@@ -286,26 +283,6 @@ def test_a_stage_prunes_once_when_densification_ends(scene: SfmScene) -> None:
         "Looking for Gaussians that the photos hardly show.",
         f"Removed {removed:,} Gaussians that the photos hardly show, of {whole:,}.",
     ]
-
-
-@pytest.mark.parametrize("small_until", [0, 39, 40, 41, 60])
-@pytest.mark.parametrize("full_every", [1, 2, 3])
-def test_photos_of_full_size_judge(
-    scene: SfmScene, monkeypatch: pytest.MonkeyPatch, small_until: int, full_every: int
-) -> None:
-    widths: list[int] = []
-
-    class Asked(PhotoErrors):
-        def __init__(self, views: PhotoViews, *options: Any) -> None:
-            super().__init__(views, *options)
-            widths.append(views.view(0).width)
-
-    monkeypatch.setattr(importance_pruning, "PhotoErrors", Asked)
-    masks = (MaskedSteps(full_every=full_every),) if full_every > 1 else ()
-    config = CONFIG.using(*masks, CoarseToFine(until=small_until))
-    data = replace(stage_data(scene), small=small_photos(scene), rois=[BOX])
-    Trainer(model_of(scene), data, config).run()
-    assert widths == [scene.images[0].camera.width]
 
 
 def test_stopped_meanwhile_it_goes_on_to_the_same_end(scene: SfmScene) -> None:

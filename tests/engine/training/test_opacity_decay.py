@@ -27,13 +27,6 @@ def test_each_opacity_loses_that_share(share: float) -> None:
     torch.testing.assert_close(logits.sigmoid(), (1 - share) * before)
 
 
-def test_each_gaussian_has_a_share_of_its_own() -> None:
-    logits, shares = torch.tensor([-3.0, 0.0, 3.0]), torch.tensor([0.0, 0.5, 0.01])
-    kept = (1 - shares) * logits.sigmoid()
-    decay_opacities(logits, shares)
-    torch.testing.assert_close(logits.sigmoid(), kept)
-
-
 def test_nothing_becomes_infinite() -> None:
     logits = torch.tensor([-200.0, -90.0, 0.0, 90.0, 200.0])
     decay_opacities(logits, 0.025)
@@ -58,12 +51,6 @@ def test_it_is_due_once_a_round_of_the_photos(tmp_path: Path) -> None:
         running = Trainer(model, stage_data(scene), config)._running["opacity_decay"]
         due[photos] = [step for step in range(1, 61) if running.is_due(step)]
     assert due == {3: [10, 20, 30, 40, 50], 25: [25, 50]}
-
-
-@pytest.mark.parametrize("changes", [{"outside_share": 1.1}, {"one_sided": -1.0}])
-def test_limits_outside_the_boxes(changes: dict[str, float]) -> None:
-    with pytest.raises(ConfigError, match=next(iter(changes))):
-        TrainConfig(steps=9, mechanisms=(OpacityDecay(**changes),))
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.0])

@@ -22,9 +22,7 @@ from roigs_engine.run.manifest import manifest_difference
 from roigs_engine.run.strategies import plan_run
 from roigs_engine.training.loss_masks import counted_weights, split_mask
 from roigs_engine.training.mechanisms.box_density_control import box_budgets
-from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
 from tests.engine.runs import plys, tiny, train
-from tests.engine.settings import without
 from tests.engine.synthetic_scene import BOX, make_scene
 from tests.engine.training.reference_loss import photo_loss
 
@@ -168,8 +166,7 @@ def test_a_run_is_the_same_whatever_ignored_pixels_show(
 
 def full_size(strategy: str) -> RunConfig:
     """A smaller photo mixes pixels at the edge of what is ignored."""
-    config = tiny(strategy, scene_scale=1.0)
-    return replace(config, roi=without(config.roi, CoarseToFine))
+    return tiny(strategy, scene_scale=1.0)
 
 
 def tmp_path_folder(folder: Path, name: str) -> Path:

@@ -29,26 +29,22 @@ from roigs_engine.training import trainer as trainer_module
 from roigs_engine.training.checkpoint import load_checkpoint, save_checkpoint
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.mechanisms.box_density_control import BoxDensityControl
-from roigs_engine.training.mechanisms.coarse_to_fine import CoarseToFine
 from roigs_engine.training.mechanisms.density_control import DensityControl
 from roigs_engine.training.mechanisms.floater_pruning import FloaterPruning
 from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
 from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
 from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
 from roigs_engine.training.mechanisms.opacity_decay import OpacityDecay
-from roigs_engine.training.mechanisms.surroundings_rate import SurroundingsRate
 from roigs_engine.training.mechanisms.warm_restarts import WarmRestarts
 from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.trainer import Trainer
 from tests.engine.settings import without
-from tests.engine.synthetic_scene import BOX, make_scene, small_photos, stage_data
+from tests.engine.synthetic_scene import BOX, make_scene, stage_data
 from tests.engine.training.short import DENSITY, PLAIN, SHORT, first_model, same_bits
 
 IN_BOXES = BoxDensityControl(start=10, until=50, every=10, grad_threshold=1e-5, reset_every=0)
 RESTING = TrainConfig(steps=20)
-SMALL_FIRST = PLAIN.using(
-    MaskedSteps(full_every=3), CoarseToFine(until=25), SurroundingsRate(factor=2.0), DENSITY
-)
+MASKED = PLAIN.using(MaskedSteps(full_every=3), DENSITY)
 AVERAGED = PLAIN.using(replace(DENSITY, until=30), ModelAveraging(steps=25))
 RESTARTED = SHORT.using(replace(DENSITY, until=25), WarmRestarts(count=2))
 FADING = AVERAGED.using(OpacityDecay(share=0.1))
@@ -57,11 +53,6 @@ FADING = AVERAGED.using(OpacityDecay(share=0.1))
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
     return make_scene(tmp_path_factory.mktemp("photos"))
-
-
-def two_sizes(scene: SfmScene) -> StageData:
-    """Photos, and the same at half their size, with a box."""
-    return stage_data(scene, small=small_photos(scene), rois=[BOX])
 
 
 def floater(scene: SfmScene) -> np.ndarray:
@@ -128,40 +119,12 @@ def test_every_photo_is_drawn_both_ways(period: int) -> None:
         assert 3 <= sum(drawn[first::period]) <= 9
 
 
-def test_whole_photos_can_be_small_for_longer() -> None:
-    config = SMALL_FIRST.using(CoarseToFine(until=25, whole_until=40))
-    small = [step for step in range(config.steps) if config.is_small(step)]
-    assert small == [*range(25), 27, 30, 33, 36, 39]  # every third step uses a whole photo
-    assert config.using(CoarseToFine(whole_until=40)).has_small
-    assert config.has_small and not SHORT.has_small
-
-
-def test_the_first_steps_draw_half_the_size(
-    scene: SfmScene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sizes = []
-
-    def noted(*args: Any, **options: Any) -> RenderOutput:
-        width, height = options["width"], options["height"]
-        assert float(options["Ks"][0, 0, 2]) == pytest.approx(width / 2, abs=1)  # the centre
-        mask = options["mask"]
-        assert mask is None or mask.size == (width, height)
-        sizes.append((width, height, options["pixel_size"]))
-        return rasterize(*args, **options)
-
-    monkeypatch.setattr(trainer_module, "rasterize", noted)
-    Trainer(first_model(scene), two_sizes(scene), SMALL_FIRST).run()
-    camera = scene.images[0].camera
-    half = (camera.width // 2, camera.height // 2, 2.0)
-    assert sizes == [half] * 25 + [(camera.width, camera.height, 1.0)] * 35
-
-
 @pytest.mark.parametrize(
     ("config", "stop"),
     [
         *((SHORT, stop) for stop in (1, 10, 29, 33, 59)),
         *((AVERAGED, stop) for stop in (35, 52)),
-        *((SMALL_FIRST, stop) for stop in (24, 25, 26)),
+        *((MASKED, stop) for stop in (24, 25, 26)),
         *((RESTARTED, stop) for stop in (24, 25, 26)),
         *((FADING, stop) for stop in (15, 16, 40)),
     ],
@@ -169,7 +132,7 @@ def test_the_first_steps_draw_half_the_size(
 def test_resuming_equals_never_stopping(
     scene: SfmScene, tmp_path: Path, config: TrainConfig, stop: int
 ) -> None:
-    data = two_sizes(scene) if config.has_small else stage_data(scene)
+    data = stage_data(scene, rois=[BOX] if config is MASKED else ())
     whole = Trainer(first_model(scene), data, config)
     whole.run()
     half = Trainer(first_model(scene), data, config)
