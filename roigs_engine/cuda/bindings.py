@@ -83,6 +83,7 @@ class Step(ctypes.Structure):
             for name in ("add1", "add2", "epsilon", "inverse_sqrt_correction2", "rate_scale")
         ),
         ("skipped", _ADDRESS),
+        ("row_rates", _ADDRESS),
     ]
 
 

@@ -22,6 +22,7 @@ public:
 
     AdamRows(const Adam& adam, const AdamParameter& parameter, int64_t columns)
         : buffers_{parameter.values, parameter.exp_avg, parameter.exp_avg_sq},
+          row_rates_(adam.row_rates),
           width_(parameter.width),
           columns_(columns),
           tile_rates_(kTile * parameter.width) {
@@ -29,7 +30,7 @@ public:
         const double correction2 = 1.0 - std::pow(adam.beta2, double(adam.step));
         constants_ = {float(1.0 - adam.beta1), float(1.0 - adam.beta2), float(adam.epsilon),
                       float(1.0 / std::sqrt(correction2))};
-        const float rate_scale = float(adam.rate / correction1);
+        const float rate_scale = float(1.0 / correction1);
         for (int64_t i = 0; i < kTile * width_; ++i)
             tile_rates_[i] = rate_scale * parameter.rates[i % width_];
     }
@@ -39,14 +40,24 @@ public:
     // of such rows.
     int64_t update(int64_t first, int64_t count, float* gradient, const uint8_t* visible) const {
         int64_t broken = 0;
-        for (int64_t i = 0; i < count; i += kTile) {
-            const int64_t rows = std::min(kTile, count - i);
+        for (int64_t i = 0; i < count;) {
+            const int64_t rows = alike(first + i, std::min(kTile, count - i));
             broken += tile(first + i, rows, gradient + i * width_, visible + i);
+            i += rows;
         }
         return broken;
     }
 
 private:
+    // How many of `count` rows have the first one's factor. Neighbours in Z-order: nearly always all.
+    int64_t alike(int64_t first, int64_t count) const {
+        if (!row_rates_) return count;
+        int64_t rows = 1;
+        while (rows < count && row_rate(first) == row_rate(first + rows)) ++rows;
+        return rows;
+    }
+    float row_rate(int64_t row) const { return row_rates_ ? row_rates_[row] : 1.0f; }
+
     static constexpr int64_t kWide = 16;  // columns from which on visible rows are updated in runs
 
     // First moments below this are zero: decaying on, they would become subnormal numbers, whose
@@ -76,6 +87,7 @@ private:
     void elements(int64_t row, float* __restrict g, int64_t count,
                   const int32_t* __restrict mask) const {
         const Buffers b = buffers_.at(row * width_);
+        const float factor = row_rate(row);
         float *__restrict p = b.parameter, *__restrict m = b.exp_avg, *__restrict v = b.exp_avg_sq;
         const float* __restrict rate = tile_rates_.data();
         const Constants c = constants_;
@@ -85,7 +97,7 @@ private:
             mean = std::fabs(mean) < kTinyMoment ? 0.0f : mean;
             const float square = v[i] + c.add2 * (gradient * gradient - v[i]);
             const float denominator = std::sqrt(square) * c.inverse_sqrt_correction2 + c.epsilon;
-            const float value = p[i] - rate[i] * mean / denominator;
+            const float value = p[i] - factor * rate[i] * mean / denominator;
             const bool on = !kMasked || mask[i];
             p[i] = on ? value : p[i];
             m[i] = on ? mean : m[i];
@@ -157,6 +169,7 @@ private:
     }
 
     const Buffers buffers_;
+    const float* const row_rates_;
     const int64_t width_, columns_;
     Constants constants_;
     std::vector<float> tile_rates_;

@@ -102,7 +102,7 @@ class Adam(ctypes.Structure):
         ("betas", ctypes.c_double * 2),
         ("epsilon", ctypes.c_double),
         ("step", _COUNT),
-        ("rate", ctypes.c_double),
+        ("row_rates", _ADDRESS),
     ]
 
 

@@ -41,7 +41,7 @@ struct Adam {
     int64_t count;  // of parameters
     double beta1, beta2, epsilon;
     int64_t step;  // counts from 1
-    double rate;   // factor of all learning rates
+    const float* row_rates;  // (rows,) factors of the rates; null: 1
 };
 
 struct Camera {

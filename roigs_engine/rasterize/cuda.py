@@ -218,8 +218,9 @@ class CameraView:
             add2=1 - beta2,
             epsilon=adam.epsilon,
             inverse_sqrt_correction2=(1 - beta2**adam.step) ** -0.5,
-            rate_scale=adam.rate / (1 - beta1**adam.step),
+            rate_scale=1 / (1 - beta1**adam.step),
             skipped=address(skipped),
+            row_rates=adam.row_rates,
         )
         blocks = -(-self.frame.gaussians.count // ROWS)
         card.program(self.device).launch("project_backward_adam", blocks, ROWS, step)

@@ -20,6 +20,7 @@ from ..training.mechanisms.masked_steps import MaskedSteps
 from ..training.mechanisms.measured_sh_rate import MeasuredShRate
 from ..training.mechanisms.model_averaging import ModelAveraging
 from ..training.mechanisms.opacity_decay import OpacityDecay
+from ..training.mechanisms.surroundings_rate import SurroundingsRate
 from ..training.mechanisms.warm_restarts import WarmRestarts
 from .config import RunConfig
 
@@ -104,6 +105,8 @@ def _box_mechanisms(steps: int) -> tuple[Mechanism, ...]:
     return (
         MaskedSteps(full_every=3, view_weighting=1.5),
         MeasuredShRate(),
+        # 3 would make up for the fewer steps, but loses where SH learn fast.
+        SurroundingsRate(factor=2.0),
         BoxDensityControl(
             start=0,
             until=steps // 3,

@@ -170,7 +170,8 @@ def _outside_density(config: TrainConfig) -> DensityControl | None:
 def block_stage(config: TrainConfig, share: float, photos: float) -> TrainConfig:
     """A stage of the boxes of a block and of its surroundings.
 
-    It uses no opacity decay, as other photos show what is beside the block.
+    It uses no opacity decay, as other photos show what is beside the block, and no other rate for
+    its surroundings: each of its whole photos has nearly twice as many steps.
 
     Args:
         config: of the stage of a whole scene.

@@ -36,7 +36,9 @@ class VisibleAdam:
     Attributes:
         parameters: the leaf tensors by name.
         exp_avg, exp_avg_sq: their first and second moments.
-        rate: factor of all learning rates in the next steps; no part of the state or of a `part`.
+        row_rates: (N,) float32, a factor of the learning rates for each Gaussian in the next steps;
+            None: 1. It does not follow the rows in `replace`, and is no part of the state or of a
+            `part`.
         skipped_rows: number of rows skipped so far for a NaN or Inf gradient; a tensor on a GPU,
             since reading it would wait for the GPU.
     """
@@ -54,7 +56,7 @@ class VisibleAdam:
         self.parameters: dict[str, Tensor] = {}
         self.exp_avg: dict[str, Tensor] = {}
         self.exp_avg_sq: dict[str, Tensor] = {}
-        self.rate = 1.0
+        self.row_rates: Tensor | None = None
         self.step_count = 0
         self.skipped_rows: int | Tensor = 0
         self._learning_rates: dict[str, Tensor] = {}
@@ -82,6 +84,7 @@ class VisibleAdam:
 
     def step_by(self, kernel: Callable[[Any], int | Tensor]) -> int | Tensor:
         """Take a step with a kernel, which gets a `bindings.Adam*` and returns what `step` does."""
+        self._check_row_rates()
         self.step_count += 1
         parameters = (bindings.AdamParameter * len(self.parameters))()
         for entry, (name, parameter) in zip(parameters, self.parameters.items(), strict=True):
@@ -91,11 +94,23 @@ class VisibleAdam:
             entry.exp_avg_sq = self.exp_avg_sq[name].data_ptr()
             entry.gradient = address(parameter.grad)
             entry.rates, entry.width = learning_rates.data_ptr(), learning_rates.numel()
-        count = len(parameters)
-        adam = bindings.Adam(parameters, count, BETAS, EPS, self.step_count, self.rate)
+        rates, count = address(self.row_rates), len(parameters)
+        adam = bindings.Adam(parameters, count, BETAS, EPS, self.step_count, rates)
         skipped = kernel(ctypes.byref(adam))
         self.skipped_rows += skipped
         return skipped
+
+    def _check_row_rates(self) -> None:
+        """The kernels trust it."""
+        rates, first = self.row_rates, next(iter(self.parameters.values()))
+        if rates is None:
+            return
+        fits = rates.shape == first.shape[:1] and rates.device == first.device
+        if not (fits and rates.dtype == torch.float32 and rates.is_contiguous()):
+            raise EngineError(
+                f"row_rates is {tuple(rates.shape)} {rates.dtype} on {rates.device} "
+                f"for {len(first)} Gaussians on {first.device}."
+            )
 
     @property
     def backward_step(self) -> BackwardStep:

@@ -72,9 +72,9 @@ class Running:
         """The part of the photo that a step uses; None: all of it."""
         return None
 
-    def rate(self, step: int) -> float:
-        """Factor of all learning rates in a step."""
-        return 1.0
+    def row_rates(self, *, whole: bool) -> Tensor | None:
+        """(N,) float32 factors of learning rates, in a step on a `whole` photo; None: all are 1."""
+        return None
 
     def surface_loss(
         self, surface: Surface, alpha: Tensor, intrinsics: Tensor, weights: Tensor | None

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import reduce
-from math import prod
 from typing import Any
 
 import numpy as np
@@ -138,7 +137,7 @@ class Trainer:
             self.photos.prefetch(data.photo_at(step))
         photo, counted = split_mask(self.photos.photo(index))
         mask = self._mask(index)
-        self.optimizer.rate = prod(each.rate(self.step) for each in self._running.values())
+        self.optimizer.row_rates = self._row_rates(whole=mask is None)
         output = self._render(index, mask, counted)
         # squeeze, not [0]: its gradient is a view, that of an index is a copy into zeros
         image, weights = output.image.squeeze(0), None
@@ -165,6 +164,11 @@ class Trainer:
         value = loss.loss.detach()
         self._metrics.observe(self.step, value, (image, photo), weights)
         self._end_step(index, value)
+
+    def _row_rates(self, *, whole: bool) -> Tensor | None:
+        found = [each.row_rates(whole=whole) for each in self._running.values()]
+        factors = [rates for rates in found if rates is not None]
+        return reduce(torch.mul, factors) if factors else None
 
     def _end_step(self, index: int, loss: Tensor) -> None:
         """Count a step on a photo, look for NaN, and let mechanisms act."""

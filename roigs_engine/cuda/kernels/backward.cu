@@ -117,6 +117,9 @@ struct Element {
     }
 };
 
+// The factor of a Gaussian's rates; like all else that is loaded, before anything is stored.
+ROIGS_INLINE float row_rate(const Step& s, int64_t n) { return s.row_rates ? s.row_rates[n] : 1.0f; }
+
 // A Gaussian's row of a narrow parameter.
 template <int kWidth>
 struct AdamRow {
@@ -125,7 +128,7 @@ struct AdamRow {
     ROIGS_INLINE void load(const AdamParameter& p, int64_t n) {
         for (int k = 0; k < kWidth; ++k) elements[k].load(p, n * kWidth + k);
     }
-    ROIGS_INLINE void update(const Step& s, const AdamParameter& p, int64_t n,
+    ROIGS_INLINE void update(const Step& s, const AdamParameter& p, int64_t n, float factor,
                              const float (&gradient)[kWidth]) {
         for (int k = 0; k < kWidth; ++k)
             if (!is_finite(gradient[k])) {
@@ -133,7 +136,7 @@ struct AdamRow {
                 return;
             }
         for (int k = 0; k < kWidth; ++k) {
-            elements[k].step(s, p.rates[k], gradient[k]);
+            elements[k].step(s, factor * p.rates[k], gradient[k]);
             elements[k].store(p, n * kWidth + k);
         }
     }
@@ -144,14 +147,15 @@ __device__ void update_narrow_rows(const Step& s, int64_t n, const RowGradient& 
     AdamRow<3> means, scales;
     AdamRow<4> quats;
     AdamRow<1> opacities;
+    const float factor = row_rate(s, n);
     means.load(p[0], n);
     quats.load(p[1], n);
     scales.load(p[2], n);
     opacities.load(p[3], n);
-    means.update(s, p[0], n, row.mean);
-    quats.update(s, p[1], n, row.quat);
-    scales.update(s, p[2], n, row.scale);
-    opacities.update(s, p[3], n, row.opacity);
+    means.update(s, p[0], n, factor, row.mean);
+    quats.update(s, p[1], n, factor, row.quat);
+    scales.update(s, p[2], n, factor, row.scale);
+    opacities.update(s, p[3], n, factor, row.opacity);
 }
 
 constexpr int kWarp = 32, kWarps = 4;
@@ -184,18 +188,20 @@ __device__ void update_wide_rows(const Step& s, const WideRows& rows, int64_t fi
         const float rate = p.rates[column];
         for (unsigned left = todo; left;) {
             int owner[kSide];
+            float factor[kSide];
             Element element[kSide];
             for (int i = 0; i < kSide; ++i) {
                 owner[i] = __ffs(int(left)) - 1;  // -1: none is left
                 left &= left - 1;
                 if (owner[i] < 0) continue;
+                factor[i] = row_rate(s, first + owner[i]);
                 element[i].load(p, (first + owner[i]) * width + column);
             }
             for (int i = 0; i < kSide; ++i) {
                 if (owner[i] < 0) continue;
                 const float gradient =
                     rows.basis[owner[i]][column / 3] * rows.colour[owner[i]][column % 3];
-                element[i].step(s, rate, gradient);
+                element[i].step(s, factor[i] * rate, gradient);
                 element[i].store(p, (first + owner[i]) * width + column);
             }
         }

@@ -89,8 +89,9 @@ struct Step {
     float add1, add2;                       // 1 - beta1, 1 - beta2
     float epsilon;
     float inverse_sqrt_correction2;         // 1 / sqrt(1 - beta2^t)
-    float rate_scale;                       // factor of all rates / (1 - beta1^t)
+    float rate_scale;                       // 1 / (1 - beta1^t)
     int32_t* skipped;                       // rows left out for a gradient that is not finite
+    const float* row_rates;                 // (N,) factors of the rates; null: 1
 };
 
 ROIGS_INLINE int64_t thread_index() { return int64_t(blockIdx.x) * blockDim.x + threadIdx.x; }

@@ -9,6 +9,8 @@ from ..config import Mechanism, TrainConfig, limited
 from ..running import Running
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from ..running import Training
 
 
@@ -27,12 +29,13 @@ class FallingRates(Mechanism):
     last: float = limited(0.1, above=0, most=1)
 
     def begin(self, config: TrainConfig, training: Training) -> Running:
-        return _Running(self.last, config.steps)
+        return _Running(self.last, config.steps, training)
 
 
 class _Running(Running):
-    def __init__(self, last: float, steps: int) -> None:
-        self._last, self._steps = last, steps
+    def __init__(self, last: float, steps: int, training: Training) -> None:
+        self._last, self._steps, self._training = last, steps, training
 
-    def rate(self, step: int) -> float:
-        return float(self._last ** (step / self._steps))
+    def row_rates(self, *, whole: bool) -> Tensor | None:
+        factor = self._last ** (self._training.step / self._steps)
+        return self._training.gaussians.means.new_full((len(self._training.gaussians),), factor)

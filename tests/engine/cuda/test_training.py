@@ -73,7 +73,7 @@ def test_the_fused_step_is_adam_with_the_gradients(shim: ShimProgram, coefficien
         parameters[3][7] = 90.0  # opaque: exp(-90) makes no gradient
         pairs = zip(NAMES, parameters, strict=True)
         optimizer = VisibleAdam({name: (p, 1e-3) for name, p in pairs})
-        optimizer.rate = 2.5
+        optimizer.row_rates = 1.0 + (torch.arange(60) % 3)
         for step in range(3):
             output = rasterize(
                 *parameters,

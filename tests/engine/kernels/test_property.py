@@ -262,7 +262,7 @@ def bits_of_training(scene: Scene, threads: int, *, fused: bool) -> dict[str, by
     leaves = [p.clone() for p in scene.parameters]
     parameters = {n: (leaf, 0.01) for n, leaf in zip(NAMES, leaves, strict=True)}
     adam = VisibleAdam(parameters) if fused else AdamFromGradients(parameters)
-    adam.rate = 2.5
+    adam.row_rates = 1.0 + (torch.arange(len(leaves[0])) // 7 % 3)
     left: dict[str, Tensor] = {}
     for k in range(2):
         output = step(scene, leaves, "cpu", adam if fused else None)

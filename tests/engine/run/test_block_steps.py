@@ -10,6 +10,7 @@ from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.mechanisms.box_density_control import BoxDensityControl
 from roigs_engine.training.mechanisms.density_control import DensityControl
 from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
+from roigs_engine.training.mechanisms.surroundings_rate import SurroundingsRate
 
 
 def densifications(config: TrainConfig) -> int:
@@ -36,6 +37,7 @@ def test_boxes_and_whole_photos_have_their_shares() -> None:
     for config in (near, far):
         full_every = config.of(MaskedSteps).full_every
         assert config.steps / full_every == pytest.approx(0.3 * whole.steps, rel=0.4)
+        assert config.get(SurroundingsRate) is None is not whole.get(SurroundingsRate)
     none = surroundings_stage(whole, 0.5)
     assert none.get(MaskedSteps) is None and none.steps == pytest.approx(0.3 * whole.steps, abs=1)
     density = none.of(DensityControl)

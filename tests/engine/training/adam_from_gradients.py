@@ -43,6 +43,7 @@ class AdamFromGradients(VisibleAdam):
         if not self.reference:
             kernels = bindings.kernels()
             return self.step_by(lambda adam: kernels.roigs_adam(len(on), adam, on.data_ptr()))
+        self._check_row_rates()
         self.step_count += 1
         skipped: int | Tensor = sum(self._reference_step(name, on) for name in self.parameters)
         self.skipped_rows += skipped
@@ -63,7 +64,9 @@ class AdamFromGradients(VisibleAdam):
         mean.copy_(torch.where(on, beta1 * mean + (1 - beta1) * usable, mean))
         square.copy_(torch.where(on, beta2 * square + (1 - beta2) * usable**2, square))
         denominator = (square / (1 - beta2**self.step_count)).sqrt() + EPS
-        change = self.rate * lr * mean / (1 - beta1**self.step_count) / denominator
+        if self.row_rates is not None:
+            lr = lr * self.row_rates.to(lr.dtype).view(row)
+        change = lr * mean / (1 - beta1**self.step_count) / denominator
         parameter.copy_(torch.where(on, parameter - change, parameter))
         gradient.copy_(torch.where(visible.view(row), 0, gradient))
         return (visible & ~finite).sum()

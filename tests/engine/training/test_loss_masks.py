@@ -19,6 +19,7 @@ from roigs_engine.training.loss_masks import LossMask, LossMasks
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
 from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
+from roigs_engine.training.mechanisms.surroundings_rate import SurroundingsRate
 from tests.engine.training.mask_pixels import pixels_of
 
 CAMERA = Camera(width=150, height=100, fx=100.0, fy=100.0, cx=75.0, cy=50.0)
@@ -142,3 +143,7 @@ def test_settings_that_do_not_go_together_are_refused() -> None:
         config.using(MaskedSteps(view_weighting=-1.0))
     with pytest.raises(ConfigError, match="full_every is 1"):
         config.using(MaskedSteps(full_every=1))
+    with pytest.raises(ConfigError, match="factor is -1"):
+        config.using(SurroundingsRate(factor=-1.0))
+    with pytest.raises(ConfigError, match="surroundings_rate needs masked_steps"):
+        TrainConfig(steps=10, mechanisms=(SurroundingsRate(),))

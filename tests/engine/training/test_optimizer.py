@@ -152,20 +152,37 @@ def test_rows_out_of_view_stay_as_they_are(backend: str) -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_all_rates_may_have_a_factor(backend: str) -> None:
-    """A factor of 4 does what four times the learning rates do; moments are not changed."""
-    fast, given = (make(120, backend=backend) for _ in range(2))
+@pytest.mark.parametrize("longest", [1, 5, 40])
+def test_rows_may_learn_faster(backend: str, longest: int) -> None:
+    """A factor of 4 moves a row as four times the learning rates do; moments are not changed."""
+    count = 120
+    plain, fast, mixed = (make(count, backend=backend) for _ in range(3))
     for name, rates in fast._learning_rates.items():
         fast.set_lr(name, 4 * rates)
-    given.rate = 4.0
+    quick = torch.arange(count) // longest % 2 == 0
+    mixed.row_rates = torch.where(quick, 4.0, 1.0)
     for step in range(3):
-        visible = torch.rand(120, generator=torch.Generator().manual_seed(step)) < 0.8
-        for optimizer in (fast, given):
-            give(optimizer, gradients(120, seed=step), visible)
+        visible = torch.rand(count, generator=torch.Generator().manual_seed(step)) < 0.8
+        for optimizer in (plain, fast, mixed):
+            give(optimizer, gradients(count, seed=step), visible)
             optimizer.step(visible)
-    expected = everything(fast)
-    for name, value in everything(given).items():
-        assert torch.equal(value, expected[name]), name
+    slow_state, fast_state = everything(plain), everything(fast)
+    for name, value in everything(mixed).items():
+        assert torch.equal(value[quick], fast_state[name][quick]), name
+        assert torch.equal(value[~quick], slow_state[name][~quick]), name
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize(
+    "rates",
+    [torch.ones(19), torch.ones(20, 1), torch.ones(20, dtype=torch.float64), torch.ones(40)[::2]],
+)
+def test_factors_that_do_not_fit_are_refused(backend: str, rates: Tensor) -> None:
+    optimizer = make(20, backend=backend)
+    optimizer.row_rates = rates
+    with pytest.raises(EngineError, match="row_rates"):
+        optimizer.step(torch.ones(20, dtype=torch.bool))
+    assert optimizer.step_count == 0
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

@@ -25,6 +25,7 @@ from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
 from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
 from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
 from roigs_engine.training.mechanisms.opacity_decay import OpacityDecay
+from roigs_engine.training.mechanisms.surroundings_rate import SurroundingsRate
 from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import BOX, make_scene, stage_data
@@ -40,7 +41,7 @@ CONFIG = TrainConfig(
 )
 MASKED = TrainConfig(
     steps=20,
-    mechanisms=(MaskedSteps(), BoxDensityControl(start=0, budgets=(50,))),
+    mechanisms=(MaskedSteps(), SurroundingsRate(), BoxDensityControl(start=0, budgets=(50,))),
 )
 State = dict[str, Any]
 
@@ -161,21 +162,26 @@ def test_a_forged_one_counts_as_damaged(name: str, good: State, tmp_path: Path) 
         load_checkpoint(path, "one", check=check)
 
 
-BEGAN = "mechanisms", "box_density_control", "began"
-FORGED_BEGAN = {
-    "missing": put(*BEGAN, value=...),
-    "none": put(*BEGAN, value=None),
-    "a number": put(*BEGAN, value=2.0),
-    "of more boxes": put(*BEGAN, value=lambda t: torch.cat([t, t])),
+OUTSIDE = "mechanisms", "surroundings_rate", "outside"
+FORGED_OUTSIDE = {
+    "missing": put(*OUTSIDE, value=...),
+    "none": put(*OUTSIDE, value=None),
+    "a number": put(*OUTSIDE, value=2.0),
+    "of other rows": put(*OUTSIDE, value=lambda t: t[:-1]),
+    "of another type": put(*OUTSIDE, value=torch.Tensor.float),
+    "budgets of more boxes": put(
+        *("mechanisms", "box_density_control", "began"), value=lambda t: torch.cat([t, t])
+    ),
+    "no budgets": put("mechanisms", "box_density_control", "began", value=...),
 }
 
 
-@pytest.mark.parametrize("name", FORGED_BEGAN)
+@pytest.mark.parametrize("name", FORGED_OUTSIDE)
 def test_a_forged_one_of_a_box_stage(name: str, tmp_path: Path) -> None:
     scene = make_scene(tmp_path, views=4)
     model = Gaussians.from_points(scene.points, scene.colors)
     state = Trainer(model, stage_data(scene, rois=[BOX]), MASKED).state_dict()
     check_state(state, MASKED)
-    FORGED_BEGAN[name](state)
-    with pytest.raises(ValueError, match="began"):
+    FORGED_OUTSIDE[name](state)
+    with pytest.raises(ValueError, match=r"outside|began"):
         check_state(state, MASKED)

@@ -35,6 +35,7 @@ from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
 from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
 from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
 from roigs_engine.training.mechanisms.opacity_decay import OpacityDecay
+from roigs_engine.training.mechanisms.surroundings_rate import SurroundingsRate
 from roigs_engine.training.mechanisms.warm_restarts import WarmRestarts
 from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.trainer import Trainer
@@ -44,7 +45,7 @@ from tests.engine.training.short import DENSITY, PLAIN, SHORT, first_model, same
 
 IN_BOXES = BoxDensityControl(start=10, until=50, every=10, grad_threshold=1e-5, reset_every=0)
 RESTING = TrainConfig(steps=20)
-MASKED = PLAIN.using(MaskedSteps(full_every=3), DENSITY)
+MASKED = PLAIN.using(MaskedSteps(full_every=3), SurroundingsRate(factor=2.0), DENSITY)
 AVERAGED = PLAIN.using(replace(DENSITY, until=30), ModelAveraging(steps=25))
 RESTARTED = SHORT.using(replace(DENSITY, until=25), WarmRestarts(count=2))
 FADING = AVERAGED.using(OpacityDecay(share=0.1))
