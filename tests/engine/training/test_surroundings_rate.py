@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 import torch
 from torch import Tensor
@@ -14,7 +12,6 @@ from roigs_engine.run import stage_configs
 from roigs_engine.run.presets import PRESETS, in_strategy, preset
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
-from roigs_engine.training.mechanisms.opacity_decay import OpacityDecay
 from roigs_engine.training.mechanisms.surroundings_rate import SurroundingsRate
 from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import BOX, make_scene, stage_data
@@ -66,18 +63,6 @@ def test_only_whole_photos_move_what_is_outside_farther(scene: SfmScene) -> None
     assert fast.optimizer.row_rates is not None
     fast.train_step()
     assert fast.optimizer.row_rates is None  # this step is on a mask
-
-
-def test_opacities_outside_can_decay_less(scene: SfmScene) -> None:
-    """The steps before the first decay do the same."""
-    decays = [OpacityDecay(share=0.0123, outside_share=share) for share in (0.0123 / 4, None)]
-    less, alike = (trainer(scene, replace(PLAIN, steps=99).using(decay)) for decay in decays)
-    for _ in range(len(scene.images)):
-        less.train_step(), alike.train_step()
-    kept, usual = (t.gaussians.logit_opacities.detach().sigmoid() for t in (less, alike))
-    within = inside(less)
-    assert torch.equal(kept[within], usual[within])
-    torch.testing.assert_close(kept[~within], usual[~within] * (1 - 0.0123 / 4) / (1 - 0.0123))
 
 
 @pytest.mark.parametrize("name", sorted(PRESETS))
