@@ -56,7 +56,7 @@ def test_2000_photos_of_24_megapixels_stay_in_the_limit(monkeypatch: pytest.Monk
 def test_what_is_expected_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "machine_memory", lambda: 16 * GB)
     plan = plan_memory(posed(2000), 100_000, preset("draft"))
-    assert plan.photos == 2500 * ONE and plan.cache == 4 * GB
+    assert plan.photos == 2000 * ONE and plan.cache == 4 * GB
     assert plan.count > 100_000 and plan.total < 16 * GB
     first, second = plan.messages()
     assert "of 16.0 GB" in first.text and f"{plan.count:,} Gaussians" in first.text
