@@ -60,9 +60,9 @@ def test_what_is_expected_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     assert plan.count > 100_000 and plan.total < 16 * GB
     first, second = plan.messages()
     assert "of 16.0 GB" in first.text and f"{plan.count:,} Gaussians" in first.text
-    assert "180.0 GB" in second.text and "4.0 GB are kept" in second.text
+    assert "144.0 GB" in second.text and "4.0 GB are kept" in second.text
     (small,) = plan_memory(posed(3), 1000, preset("draft")).messages()
-    assert "photos 0.3 GB" in small.text
+    assert "photos 0.2 GB" in small.text
     assert plan_memory(posed(2000), 1000, preset("draft"), cache=GB).cache == GB
     assert plan_memory(posed(2000), 1000, preset("draft"), cache=0).cache == 3 * ONE
 
