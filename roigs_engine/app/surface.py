@@ -173,6 +173,10 @@ def _gaussians(run: Run, context: Context) -> Gaussians:
         found = train_surface(replace(run, scene=replace(run.scene, images=unmasked)), context)
     if found is not None:
         return found
+    context.warn(
+        "The training's stages are gone, or its settings have changed: surfaces are made of the"
+        " result as it is, and are less exact."
+    )
     return load_model(run.folder / run_files.RESULT, run.frame, context)
 
 
@@ -297,8 +301,10 @@ def _training(request: MakeSurface) -> Train:
         raise ConfigError(
             f"The scene of {request.run} is not where it was.", "Give its folder with --scene."
         )
-    boxes = training.rois
-    if boxes is not None and not boxes.exists() and request.scene is not None:
-        boxes = request.scene / boxes.name
     images = None if request.scene else training.images
-    return replace(training, scene=scene, rois=boxes, images=images)
+    training = replace(training, scene=scene, images=images)
+    manifest = request.run / run_files.MANIFEST
+    if not read_record(manifest).get("rois"):
+        return training
+    # The file that was given may be gone by now, or have other boxes.
+    return replace(training, rois=manifest, roi=(), only=())

@@ -94,6 +94,17 @@ def test_a_box_gets_a_mesh_and_its_facts(run: Path, capsys: pytest.CaptureFixtur
     assert (run / "rois/ball.glb").read_bytes() == first
 
 
+def test_the_boxes_are_those_of_the_training(run: Path) -> None:
+    trained = json.loads((run / "boxes.json").read_text())["rois"]
+    (run / "manifest.json").write_text(json.dumps({"config": {}, "rois": trained}))
+    others = [OrientedBox.between("pot", [-0.5] * 3, [0.0] * 3)]
+    (run / "boxes.json").write_text(rois_document(others))
+    assert main(["surface", str(run), "--device", "cpu", "--faces", "2000"]) == 0
+    assert (run / "rois/ball.glb").is_file() and not (run / "rois/pot.glb").exists()
+    (run / "boxes.json").unlink()
+    assert main(["surface", str(run), "--device", "cpu", "--faces", "2000"]) == 0
+
+
 def test_what_cannot_be_is_said_in_a_line(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "There is no box 'vase'" in refused(capsys, "surface", run, "--only", "vase")
     assert "is not a run folder" in refused(capsys, "surface", run.parent)
