@@ -21,12 +21,17 @@ pytestmark = [pytest.mark.blender, pytest.mark.exact_look]
 
 BLENDER_SCRIPT = """
 import sys
+from contextlib import suppress
 sys.path.insert(0, {root!r})
 import bpy
 import roigs_addon
 from roigs_addon.scene import native_splats
 from roigs_addon.viewport.objects import marked
 native_splats.exist = lambda: False  # as the mark exact_look
+with suppress(ImportError):
+    from roigs_addon.engine.command import Engine
+    from tests import warm_engine
+    Engine.command = warm_engine.quick(Engine.command)
 roigs_addon.register()
 bpy.ops.wm.open_mainfile(filepath={blend!r})
 scene = bpy.context.scene

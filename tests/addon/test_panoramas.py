@@ -53,8 +53,9 @@ def smaller(picture: np.ndarray) -> np.ndarray:
     return picture.reshape(height // 3, 3, width // 3, 3, channels).mean(axis=(1, 3))
 
 
-@pytest.mark.parametrize("kind", ["EQUIRECTANGULAR", "FISHEYE_EQUIDISTANT"])
-@pytest.mark.parametrize("depth", [0.8, 40.0])
+@pytest.mark.parametrize(
+    ("kind", "depth"), [("EQUIRECTANGULAR", 40.0), ("FISHEYE_EQUIDISTANT", 0.8)]
+)
 def test_pinhole_pictures_are_found_in_it(shot, kind: str, depth: float) -> None:
     """With a mesh in front of the Gaussians, or behind them."""
     from roigs_addon import rendering

@@ -75,29 +75,60 @@ def cameras() -> list[dict]:
     ]
 
 
-def test_the_viewport_draws_what_the_engine_draws(blender: str, tmp_path: Path) -> None:
-    """With colours of each degree."""
+def degrees(coefficients: int) -> dict[str, np.ndarray]:
+    """Gaussians with as many coefficients.
+
+    Some have opacities of exactly 1 and 0, and some are flat, as programs write them.
+    """
+    arrays = random_arrays(800, 5, coefficients)
+    arrays["logit_opacities"][:200], arrays["logit_opacities"][200:250] = np.inf, -np.inf
+    arrays["log_scales"][100:300, 0] = -np.inf
+    return arrays
+
+
+def at_the_edges(camera: dict) -> dict[str, np.ndarray]:
+    """Needles just before a camera's plane and far beside its picture; balls around the camera.
+
+    Large ones a little beside the picture, and the ball that ends before the camera, must look as
+    in the engine's picture in any window.
+    """
+    arrays = random_arrays(700, seed=6)
+    to_world = np.linalg.inv(camera["world_to_camera"])
+    beside = [[1.0, 0.2, 0.05], [-1.0, 0.4, 0.03], [0.1, 2.0, 0.1], [1.5, 0.1, 0.4], [0, -1, 0.3]]
+    arrays["means"][:5] = np.array(beside) @ to_world[:3, :3].T + to_world[:3, 3]
+    arrays["log_scales"][:5] = np.log([0.27, 0.27, 3.5])
+    arrays["logit_opacities"][:5] = 3.0
+    around = [[0.1, 0.1, 0.55], [-0.2, 0.0, 0.59], [0.2, -0.1, 0.61]]  # two of them are left out
+    arrays["means"][5:8] = np.array(around) @ to_world[:3, :3].T + to_world[:3, 3]
+    arrays["log_scales"][5:8] = np.log(0.3)
+    arrays["logit_opacities"][5:8] = 0.0
+    return arrays
+
+
+def test_the_viewport_draws_what_the_engine_draws_and_leaves_out_what_it_does(
+    blender: str, tmp_path: Path
+) -> None:
+    """With colours of each degree; in one process, as a Blender takes a second to start."""
     pytest.importorskip("torch")
     from roigs_engine.formats.splat_ply import write_ply
     from roigs_engine.model.gaussians import Gaussians
     from roigs_engine.rasterize.camera_path import load_camera_path
     from roigs_engine.rasterize.image_files import render_sequence
 
-    folders, pictures = [], 0
-    for coefficients in (1, 4, 9, 16):
-        folder = tmp_path / f"{coefficients}"
+    outside, shifted, inside = cameras()
+    cases = {str(number): (degrees(number), [outside]) for number in (1, 4, 9)}
+    cases["16"] = degrees(16), [outside, shifted, inside]
+    cases["edges"] = at_the_edges(inside), [inside]
+    pictures = 0
+    for name, (arrays, chosen) in cases.items():
+        folder = tmp_path / name
         folder.mkdir()
-        path, arrays = folder / "splats.ply", random_arrays(1500, 5, coefficients)
-        # Opacities of exactly 1 and 0, and flat Gaussians, as programs write them.
-        arrays["logit_opacities"][:200], arrays["logit_opacities"][200:250] = np.inf, -np.inf
-        arrays["log_scales"][100:300, 0] = -np.inf
-        write_ply(path, arrays)
-        chosen = cameras() if coefficients == 16 else cameras()[:1]
+        write_ply(folder / "splats.ply", arrays)
         (folder / "cameras.json").write_text(json.dumps({"cameras": chosen}), encoding="utf-8")
-        gaussians = Gaussians.load_ply(path)
+        gaussians = Gaussians.load_ply(folder / "splats.ply")
         render_sequence(gaussians, load_camera_path(folder / "cameras.json"), folder)
-        folders.append(folder)
         pictures += len(chosen)
+    folders = [tmp_path / name for name in cases]
     assert len(run(blender, "viewport_parity.py", *folders).splitlines()) >= 8 * pictures
 
 
@@ -128,8 +159,15 @@ def test_the_viewport_draws_as_objects_are_made_for(blender: str, tmp_path: Path
     pytest.importorskip("torch")
     from roigs_engine.rasterize.image_files import save_png
 
-    chosen, folders = cameras(), []
-    for kinds in ((VIEWERS,), (VIEWERS, PLAIN), (CYCLES,), (EEVEE, EEVEE, VIEWERS)):
+    outside, shifted, inside = cameras()
+    cases = (
+        ((VIEWERS,), [outside]),
+        ((VIEWERS, PLAIN), [outside, shifted, inside]),
+        ((CYCLES,), [shifted]),
+        ((EEVEE, EEVEE, VIEWERS), [inside]),
+    )
+    folders, pictures = [], 0
+    for kinds, chosen in cases:
         folder = tmp_path / "-".join(kind.name for kind in kinds)
         folder.mkdir()
         folders.append(folder)
@@ -143,36 +181,8 @@ def test_the_viewport_draws_as_objects_are_made_for(blender: str, tmp_path: Path
             error = np.square((wanted.astype(float) - without) / 255).mean()
             assert -10 * np.log10(error) < 33, "no difference: nothing would be compared"
             save_png(folder / f"{camera['name']}.png", wanted)
-    assert len(run(blender, "viewport_parity.py", *folders).splitlines()) >= 16 * len(chosen)
-
-
-def test_the_viewport_leaves_out_what_the_engine_leaves_out(blender: str, tmp_path: Path) -> None:
-    """Needles just before the camera plane and far beside the picture; balls around the camera.
-
-    Large ones a little beside the picture, and the ball that ends before the camera, must look as
-    in the engine's picture in any window.
-    """
-    pytest.importorskip("torch")
-    from roigs_engine.formats.splat_ply import write_ply
-    from roigs_engine.model.gaussians import Gaussians
-    from roigs_engine.rasterize.camera_path import load_camera_path
-    from roigs_engine.rasterize.image_files import render_sequence
-
-    arrays, chosen = random_arrays(700, seed=6), cameras()[2:]
-    to_world = np.linalg.inv(chosen[0]["world_to_camera"])
-    beside = [[1.0, 0.2, 0.05], [-1.0, 0.4, 0.03], [0.1, 2.0, 0.1], [1.5, 0.1, 0.4], [0, -1, 0.3]]
-    arrays["means"][:5] = np.array(beside) @ to_world[:3, :3].T + to_world[:3, 3]
-    arrays["log_scales"][:5] = np.log([0.27, 0.27, 3.5])
-    arrays["logit_opacities"][:5] = 3.0
-    around = [[0.1, 0.1, 0.55], [-0.2, 0.0, 0.59], [0.2, -0.1, 0.61]]  # two of them are left out
-    arrays["means"][5:8] = np.array(around) @ to_world[:3, :3].T + to_world[:3, 3]
-    arrays["log_scales"][5:8] = np.log(0.3)
-    arrays["logit_opacities"][5:8] = 0.0
-    write_ply(tmp_path / "splats.ply", arrays)
-    (tmp_path / "cameras.json").write_text(json.dumps({"cameras": chosen}), encoding="utf-8")
-    path = load_camera_path(tmp_path / "cameras.json")
-    render_sequence(Gaussians.load_ply(tmp_path / "splats.ply"), path, tmp_path)
-    run(blender, "viewport_parity.py", tmp_path)
+        pictures += len(chosen)
+    assert len(run(blender, "viewport_parity.py", *folders).splitlines()) >= 8 * pictures
 
 
 def test_the_viewport_draws_the_demo(blender: str, tmp_path: Path) -> None:
