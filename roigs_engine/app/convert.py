@@ -10,9 +10,10 @@ import numpy as np
 
 from ..context import QUIET, Context
 from ..errors import ConfigError, RoiError
-from ..exchange import formats
+from ..exchange import formats, gltf
 from ..exchange.arrays import turn
 from ..formats.drawable import usable
+from ..formats.files import remove_leftovers_of
 from ..formats.gravity import gravity_alignment
 from ..formats.targets import Target, target_with
 from ..formats.text import counted
@@ -54,6 +55,8 @@ class _Model:
 def convert(request: Convert, context: Context = QUIET) -> Result:
     """Read the models, make them one, and write it; EngineError: input or options do not fit."""
     refuse_run_files(request.out)
+    if request.source.suffix.lower() == ".glb" and gltf.is_mesh(request.source):
+        return _mesh(request)
     if request.out.name == STREAMED:
         _refuse_page_options(request, plain=False)
         return _write_streamed(request, context)
@@ -79,6 +82,34 @@ def convert(request: Convert, context: Context = QUIET) -> Result:
     left = f" ({model.count - written:,} left out)" if model.count > written else ""
     size = request.out.stat().st_size / 1e6
     text = f"{counted(written, 'Gaussian')}{left}, {size:.1f} MB in {request.out}"
+    return Result(files={"result": request.out}, text=text)
+
+
+def _mesh(request: Convert) -> Result:
+    """Convert a surface, or another textured mesh with y up."""
+    from ..surface.files import UP, convert_mesh
+
+    refuse_inputs([request.out], [request.source], OTHER)
+    if request.out.suffix.lower() not in UP:
+        raise ConfigError(
+            f"{request.source} is a mesh, which {request.out.name} cannot hold.",
+            f"Use {', '.join(UP)}.",
+        )
+    given = {
+        "--rois": request.rois,
+        "--sh-degree": request.sh_degree,
+        "--plain": request.plain or None,
+        "--from-up": request.from_up,
+    }
+    for option in (name for name, value in given.items() if value is not None):
+        raise ConfigError(
+            f"{option} is for Gaussians alone; {request.source} is a mesh.", "Leave it out."
+        )
+    _refuse_page_options(request, plain=False)
+    remove_leftovers_of(request.out)
+    faces = convert_mesh(request.source, request.out, request.up)
+    size = request.out.stat().st_size / 1e6
+    text = f"{counted(faces, 'face')}, {size:.1f} MB in {request.out}"
     return Result(files={"result": request.out}, text=text)
 
 

@@ -241,15 +241,17 @@ def _names(path: Path, formats: Sequence[str]) -> list[str]:
 
 def _write(path: Path, made: Surface, run: Run, formats: Sequence[str]) -> dict[str, str]:
     """Write the files of a mesh; returns their digests, by name."""
-    from ..surface.files import write_mesh
+    from ..surface.files import convert_mesh, write_mesh
 
     up = np.eye(4)
     up[:3, :3] = _upright(run)
-    others = [path.parent / name for name in _names(path, formats)]
-    for other in others:
-        remove_leftovers_of(other)
-        write_mesh(other, made.textured, run.frame, up)
-    return {other.name: sha256(other) for other in others}
+    first, *others = [path.parent / name for name in _names(path, formats)]
+    for file in (first, *others):
+        remove_leftovers_of(file)
+    write_mesh(first, made.textured, run.frame, up)
+    for file in others:
+        convert_mesh(first, file)
+    return {file.name: sha256(file) for file in (first, *others)}
 
 
 def _upright(run: Run) -> NDArray[np.float64]:

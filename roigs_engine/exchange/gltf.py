@@ -26,7 +26,7 @@ from ..model.gaussians import SH_C0
 from ..model.scene import Float64
 from . import spz
 from .arrays import Arrays, joined, logits, opacities, unit_quats
-from .libraries import MOST_PARTS, NotSupportedError, read_beside, refuse_bomb
+from .libraries import MOST_PARTS, NotSupportedError, read_beside, reading, refuse_bomb
 from .transform import moved, recoloured
 
 TITLE = "glTF"
@@ -40,7 +40,7 @@ MEANING = {
     "sortingMethod": "cameraDistance",
     "projection": "perspective",
 }
-FLOAT, BYTE, POINTS, ARRAY_BUFFER = 5126, 5121, 0, 34962
+FLOAT, BYTE, POINTS, TRIANGLES, ARRAY_BUFFER = 5126, 5121, 0, 4, 34962
 KINDS = {5120: "i1", BYTE: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", FLOAT: "<f4"}
 COMPONENTS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 DRAFTS = ("KHR_spz_gaussian_splats_compression", "KHR_spz_compression")
@@ -113,6 +113,16 @@ def read(path: Path) -> Arrays:
     read = {key: file.gaussians(item) for key, item in own.items()}
     refuse_bomb(file.size, sum(map(_bytes, (read[id(item)] for _, item in shown))))
     return joined([moved(read[id(item)], matrix) for matrix, item in shown])
+
+
+def is_mesh(path: Path) -> bool:
+    """Whether a GLB has triangles, and no Gaussians."""
+    with reading(path, TITLE):
+        record = _File(path).record
+        every = [item for mesh in record.get("meshes", []) for item in mesh["primitives"]]
+        return any(item.get("mode", TRIANGLES) == TRIANGLES for item in every) and not any(
+            {NAME, *DRAFTS} & item.get("extensions", {}).keys() for item in every
+        )
 
 
 def _bytes(arrays: Arrays) -> int:

@@ -43,7 +43,7 @@ SETTINGS = {"USDC_USE_ASSET": "1", "TF_ENV_SETTING_ALERTS_ENABLED": "0"}
 """Files are not mapped to memory: of damaged ones, that prints lines of OpenUSD's own."""
 
 
-def _pxr(*names: str) -> list[Any]:
+def pxr_modules(*names: str) -> list[Any]:
     """Modules of OpenUSD; EngineError if it is missing, or too old."""
     for name, value in SETTINGS.items():
         os.environ.setdefault(name, value)
@@ -56,7 +56,7 @@ def _pxr(*names: str) -> list[Any]:
 
 def write(path: Path, arrays: Arrays) -> int:
     """See `FileFormat`. The name's end says whether as text, binary or packed."""
-    usd, geom, vol, vt, utils = _pxr("Usd", "UsdGeom", "UsdVol", "Vt", "UsdUtils")
+    usd, geom, vol, vt, utils = pxr_modules("Usd", "UsdGeom", "UsdVol", "Vt", "UsdUtils")
     packed = path.suffix.lower() == ".usdz"
     with scratch(TITLE) as folder:
         made = folder / ("model.usdc" if packed else f"model{path.suffix.lower()}")
@@ -97,7 +97,7 @@ def read(path: Path) -> Arrays:
 
     In metres, by what the stage says. Of an animation, the first frame.
     """
-    usd, geom = _pxr("Usd", "UsdGeom")
+    usd, geom = pxr_modules("Usd", "UsdGeom")
     layer, others = _alone(path)
     stage = usd.Stage.Open(layer, usd.Stage.LoadNone)
     prims = [prim for prim in stage.Traverse() if prim.GetTypeName() == KIND]
@@ -128,14 +128,14 @@ def read(path: Path) -> Arrays:
 
 def frame(path: Path) -> Float64:
     """(3, 3) from a file's axes to those of its format: from the stage's upAxis to y."""
-    usd, geom = _pxr("Usd", "UsdGeom")
+    usd, geom = pxr_modules("Usd", "UsdGeom")
     stage = usd.Stage.Open(_alone(path)[0], usd.Stage.LoadNone)
     return turn(str(geom.GetStageUpAxis(stage)).lower(), "y")[:3, :3]
 
 
 def _gaussians(prim: Any) -> Arrays:
     """A prim's, in its own frame; of float and half attributes the former, if it has both."""
-    first = _pxr("Usd")[0].TimeCode.EarliestTime()
+    first = pxr_modules("Usd")[0].TimeCode.EarliestTime()
 
     def numbers(name: str, width: int) -> Float32:
         values = (prim.GetAttribute(kind).Get(first) for kind in (name, f"{name}h"))
@@ -161,7 +161,7 @@ def _in_srgb(prim: Any, sh: Float32) -> Float32:
 
     That is how trainers have them, though OpenUSD's own default is linear.
     """
-    gf, vt = _pxr("Gf", "Vt")
+    gf, vt = pxr_modules("Gf", "Vt")
     attribute = prim.GetAttribute(SH if prim.GetAttribute(SH).HasValue() else f"{SH}h")
     name, place = str(attribute.GetColorSpace() or ""), prim
     while not name and not place.IsPseudoRoot():  # ColorSpaceAPI knows fewer names
@@ -188,7 +188,7 @@ def _alone(path: Path) -> tuple[Any, bool]:
 
     A small file may name a pipe, any file of the computer, or itself a billion times.
     """
-    (sdf,) = _pxr("Sdf")
+    (sdf,) = pxr_modules("Sdf")
     _refuse_crash(path)
     layer = sdf.Layer.OpenAsAnonymous(os.fspath(path))
     if layer is None:

@@ -102,13 +102,14 @@ class Convert(Boxes, _Page):
     source: Path = argument(
         PathName("IN"),
         "file of Gaussians (.ply, .compressed.ply, .spz, .sog, meta.json, .glb, .gltf, .usd, .usdc,"
-        " .splat), or a JSON list of files and their places (docs/files.md)",
+        " .splat), a JSON list of files and their places (docs/files.md), or a mesh (.glb)",
     )
     out: Path = argument(
         PathName("OUT"),
         "file to write; the end of its name says how: .ply, .compressed.ply, .spz, .sog, .glb,"
         " .usdc, .usda, .usdz, .splat; .html: a web page to send, with the viewer inside;"
-        " DIR/lod-meta.json: a run's levels of detail, for PlayCanvas",
+        " DIR/lod-meta.json: a run's levels of detail, for PlayCanvas. Of a mesh: .obj, .ply, .stl,"
+        " .usdc, .usda, .usdz",
     )
     up: str | None = option(
         Choice(choices.AXES),

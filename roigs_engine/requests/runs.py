@@ -24,7 +24,7 @@ MAX_SECONDS = 1e9
 MOST_LEVELS, MOST_LEVEL_STEPS = 8, 100_000
 MIN_FACES, MOST_FACES = 100, 10_000_000
 MIN_TEXTURE, MOST_TEXTURE = 64, 16_384
-MESH_FORMATS = ("obj", "ply", "stl")
+MESH_FORMATS = ("obj", "ply", "stl", "usda", "usdc", "usdz")
 MOST_JOBS, MOST_RETRIES, RETRIES = 1024, 100, 3
 CLUSTER = (
     "on Ray: ray://HOST:10001, auto (the cluster that this machine is part of), or local (a Ray of"

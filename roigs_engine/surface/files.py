@@ -1,42 +1,78 @@
-"""Files of textured meshes: glTF binary, OBJ, PLY, STL."""
+"""Files of textured meshes: glTF, and from it OBJ, PLY, STL, OpenUSD."""
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
-from ..formats.files import write_bytes
+from ..exchange.arrays import turn
+from ..exchange.libraries import reading
+from ..formats.files import read_bytes, write_bytes
 from ..machine import package
 from ..model.local_frame import LocalFrame
 from ..model.scene import Float64
 from .texture import Textured
 
 PURPOSE = "A mesh's file"
-GLB = ".glb"
+USD = (".usda", ".usdc", ".usdz")
+UP = {".glb": "y", ".obj": "y", ".ply": "z", ".stl": "z", **dict.fromkeys(USD, "y")}
+"""Endings of files, and the axis that points up, as most readers of the format have it."""
 FILLED = "_filled"  # attribute of vertices in glTF and PLY: 1 where no photo has shown the surface
 
 
 def write_mesh(
     path: Path, textured: Textured, frame: LocalFrame, up: Float64 | None = None
 ) -> None:
-    """Write a mesh in the world, atomically, in the format that the path ends in.
+    """Write a mesh in the world as a .glb, atomically.
 
     Args:
-        path: ends in .glb, .obj (with .mtl and .png beside it), .ply or .stl.
         frame: that of the mesh.
-        up: (4, 4) rotation that turns the world upright, for glTF; its vertices stay the world's.
+        up: (4, 4) rotation that turns the world upright (y up); its vertices stay the world's.
     """
-    scene = _exported(textured, frame)
+    trimesh: Any = package("trimesh", PURPOSE)
+    scene = trimesh.Scene()
+    mesh = _exported(textured, frame)
+    scene.add_geometry(mesh, node_name="surface", geom_name="surface", transform=up)
+    write_bytes(path, bytes(trimesh.exchange.gltf.export_glb(scene, include_normals=True)))
+
+
+def convert_mesh(source: Path, path: Path, up: str | None = None) -> int:
+    """Write the mesh of a .glb in the format that the path ends in, atomically.
+
+    Args:
+        source: with y up.
+        path: ends as one of `UP`. OBJ and OpenUSD get a PNG beside them, PLY colours of vertices.
+        up: the axis that points up in the file; None: as most readers of the format have it.
+
+    Returns:
+        The number of faces.
+
+    Raises:
+        EngineError: the file cannot be read, or a package is not installed.
+    """
+    trimesh: Any = package("trimesh", PURPOSE)
     ending = path.suffix.lower()
-    if ending == GLB:
-        write_bytes(path, _glb(scene, up))
-    elif ending == ".obj":
-        _write_obj(path, scene)
+    with reading(source, "glTF"):
+        content = io.BytesIO(read_bytes(source, most=None))
+        mesh = trimesh.load(content, file_type="glb", force="mesh", process=False)
+        if not len(mesh.faces):
+            raise ValueError("no faces")
+    mesh.apply_transform(turn("y", up or UP[ending]))
+    if ending == ".obj":
+        _write_obj(path, mesh)
+    elif ending in USD:
+        _write_usd(path, mesh)
     else:
-        write_bytes(path, scene.export(file_type=ending[1:]))
+        if ending == ".ply" and mesh.visual.kind == "texture":
+            mesh.visual = mesh.visual.to_color()
+        columns = mesh.vertex_attributes.items()
+        mesh.vertex_attributes = {name: values.squeeze() for name, values in columns}
+        write_bytes(path, mesh.export(file_type=ending[1:]))
+    return len(mesh.faces)
 
 
 def _exported(textured: Textured, frame: LocalFrame) -> Any:
@@ -64,22 +100,27 @@ def _exported(textured: Textured, frame: LocalFrame) -> Any:
     )
 
 
-def _glb(mesh: Any, up: Float64 | None) -> bytes:
-    trimesh: Any = package("trimesh", PURPOSE)
-    scene = trimesh.Scene()
-    scene.add_geometry(mesh, node_name="surface", geom_name="surface", transform=up)
-    return bytes(trimesh.exchange.gltf.export_glb(scene, include_normals=True))
-
-
 def _write_obj(path: Path, mesh: Any) -> None:
     """The geometry's file last, so that it never names a texture that is not there."""
     trimesh: Any = package("trimesh", PURPOSE)
-    material = mesh.visual.material.to_simple()
-    material.name = path.stem
-    mesh.visual.material = material
+    if mesh.visual.kind == "texture":
+        mesh.visual.material = mesh.visual.material.to_simple()
+        mesh.visual.material.name = path.stem
     text, files = trimesh.exchange.obj.export_obj(
         mesh, return_texture=True, mtl_name=f"{path.stem}.mtl", include_normals=True
     )
     for name, content in files.items():
         write_bytes(path.with_name(name), content)
     write_bytes(path, text.encode())
+
+
+def _write_usd(path: Path, mesh: Any) -> None:
+    from ..exchange.usd_mesh import write_mesh as write_usd
+
+    uv, picture = None, io.BytesIO()
+    if mesh.visual.kind == "texture":
+        image = getattr(mesh.visual.material, "baseColorTexture", None)
+        if image is not None:
+            uv = mesh.visual.uv
+            image.save(picture, "PNG")
+    write_usd(path, mesh.vertices, mesh.faces, uv, picture.getvalue())

@@ -25,6 +25,7 @@ from ..photos.decode import Pixels
 from ..rasterize.instances import NOTHING, surface_depth
 from .charts import Charts, charts_of
 from .depth import DepthMap
+from .fusion import footprint
 from .mesh import Mesh
 
 STAGE = "texture"
@@ -34,7 +35,7 @@ SMALLEST, LARGEST = 256, 8192  # texels
 FILLED = 0.35  # share of a texture that charts take
 LEAST_FACING = 0.15  # cosine between surface and ray
 SHARP = 6  # power of the weights in the fine band
-BROAD = 6.0  # standard deviation that parts the bands, pixels
+BROAD = 6.0  # standard deviation that parts the bands, pixels of the best photos
 FINE_DEPTH = 2  # the mesh's depth is drawn so many times finer than the photo
 HIDDEN = 3.0  # sizes of a pixel behind the nearest face, or the Gaussians' depth: then it is hidden
 GAINS = 0.6, 1.6
@@ -71,16 +72,16 @@ class _Points:
 
 def texture_side(mesh: Mesh, maps: Sequence[DepthMap]) -> int:
     """The side of a texture in which the best photos' pixels have room, texels."""
-    sizes = [
-        float(np.median(m.depth[m.depth > 0])) / max(m.camera.fx, m.camera.fy)
-        for m in maps
-        if m.depth.any()
-    ]
-    if not sizes:
+    pixel = _best_pixel(maps) / FINER
+    if not math.isfinite(pixel):
         return SMALLEST
-    pixel = float(np.percentile(sizes, BEST)) / FINER
     side = math.sqrt(float(mesh.areas.sum()) / FILLED) / pixel
     return int(np.clip(2 ** round(math.log2(max(side, 1))), SMALLEST, LARGEST))
+
+
+def _best_pixel(maps: Sequence[DepthMap]) -> float:
+    """The size on the surface of a pixel of the best photos; infinite without any."""
+    return float(np.percentile([footprint(m) for m in maps], BEST, method="lower"))
 
 
 def textured(
@@ -216,6 +217,7 @@ def _blended(
     broad, fine = np.zeros((n, 3), np.float32), np.zeros((n, 3), np.float32)
     broad_weight, fine_weight = np.zeros(n, np.float32), np.zeros(n, np.float32)
     best = None
+    broad_size = BROAD * _best_pixel([view.map for view in views])
     started = time.monotonic()
     for step, (view, gain) in enumerate(zip(views, gains, strict=True), start=1):
         context.check_cancelled()
@@ -224,7 +226,7 @@ def _blended(
             best = float(weights.max()) if best is None else best
             weights = (weights / best).astype(np.float32)
             picture = view.pixels() * gain.astype(np.float32)
-            low = _sampled(_blurred(picture, view.drawn), pixels)
+            low = _sampled(_blurred(picture, view.drawn, broad_size / footprint(view.map)), pixels)
             high = _sampled(picture, pixels) - low
             sharp = weights**SHARP
             broad[rows] += weights[:, None] * low
@@ -237,10 +239,15 @@ def _blended(
     return colours, broad_weight
 
 
-def _blurred(picture: Float32, mask: Float32) -> Float32:
-    """The broad colours (H, W, 3) of what a mask (H, W) shows; what is behind does not count."""
-    part = ndimage.gaussian_filter(picture * mask[..., None], (BROAD, BROAD, 0))
-    share = ndimage.gaussian_filter(mask, BROAD)
+def _blurred(picture: Float32, mask: Float32, size: float) -> Float32:
+    """The broad colours (H, W, 3) of what a mask (H, W) shows; what is behind does not count.
+
+    Args:
+        size: standard deviation, pixels. It is one size on the surface for all photos: else the
+            bands of near and far ones would neither meet nor part.
+    """
+    part = ndimage.gaussian_filter(picture * mask[..., None], (size, size, 0))
+    share = ndimage.gaussian_filter(mask, size)
     return np.asarray(part / np.maximum(share, 1e-3)[..., None], dtype=np.float32)
 
 

@@ -89,6 +89,12 @@ def test_a_box_gets_a_mesh_and_its_facts(run: Path, capsys: pytest.CaptureFixtur
     mesh = trimesh.load(run / "rois/ball.glb", force="mesh")
     assert len(mesh.faces) == record["faces"]
     assert trimesh.load(run / "rois/ball.stl").is_watertight
+    assert main(["convert", str(run / "rois/ball.glb"), str(run / "other.stl")]) == 0
+    assert (run / "other.stl").read_bytes() == (run / "rois/ball.stl").read_bytes()
+    capsys.readouterr()
+    words_of = ("convert", run / "rois/ball.glb")
+    assert "which ball.spz cannot hold" in refused(capsys, *words_of, run / "ball.spz")
+    assert "--plain is for Gaussians" in refused(capsys, *words_of, run / "b.obj", "--plain")
     first = (run / "rois/ball.glb").read_bytes()
     assert main([*words, "--watertight"]) == 0
     assert (run / "rois/ball.glb").read_bytes() == first

@@ -11,7 +11,7 @@ import pytest
 from roigs_engine.errors import SceneError
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.surface.depth import DepthMap
-from roigs_engine.surface.files import write_mesh
+from roigs_engine.surface.files import convert_mesh, write_mesh
 from roigs_engine.surface.fusion import fuse, slopes
 from roigs_engine.surface.mesh import Mesh, mesh_of, simplified
 from roigs_engine.surface.texture import Textured, _texels, textured
@@ -20,6 +20,8 @@ from tests.engine.surface.ball import BOX, CAMERA, RADIUS, colour_at, depth_map,
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("skimage")
 VOXEL = 0.02
+FRAME = LocalFrame(origin=np.array([4.0, 0, 0]), scale=16.0)
+UPRIGHT = np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]], float)  # x is up
 
 
 @pytest.fixture(scope="module")
@@ -110,15 +112,38 @@ def test_a_place_far_from_the_origin_gets_its_own_colours(coloured: Textured) ->
     assert share.sum(axis=1) == pytest.approx(1, abs=1e-12)
 
 
-@pytest.mark.parametrize("ending", ["glb", "obj", "ply", "stl"])
-def test_files_are_read_by_others(coloured: Textured, tmp_path: Path, ending: str) -> None:
-    path = tmp_path / f"ball.{ending}"
-    frame = LocalFrame(origin=np.array([64.0, 0, 0]), scale=16.0)
-    write_mesh(path, coloured, frame)
+@pytest.mark.parametrize(("ending", "up"), [("obj", 1), ("ply", 2), ("stl", 2), ("glb", 1)])
+def test_files_are_read_by_others(coloured: Textured, tmp_path: Path, ending: str, up: int) -> None:
+    """The ball lies 4 units along the world's x axis, which points up."""
+    glb, path = tmp_path / "ball.glb", tmp_path / f"other.{ending}"
+    write_mesh(glb, coloured, FRAME, UPRIGHT)
+    assert convert_mesh(glb, path) == len(coloured.mesh.faces)
     before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
-    write_mesh(path, coloured, frame)
+    convert_mesh(glb, path)
     assert before == {file.name: file.read_bytes() for file in tmp_path.iterdir()}
     mesh = trimesh.load(path, force="mesh")
     assert len(mesh.faces) == len(coloured.mesh.faces)
-    assert mesh.bounds.mean(axis=0) == pytest.approx([64, 0, 0], abs=0.01)
+    assert mesh.bounds.mean(axis=0) == pytest.approx(4 * np.eye(3)[up], abs=0.01)
     assert mesh.extents == pytest.approx([RADIUS / 8] * 3, rel=0.05)
+    if ending != "stl":  # in the colours of the photos: red towards x
+        colours = mesh.visual if ending == "ply" else mesh.visual.to_color()
+        red = np.asarray(colours.vertex_colors)[:, 0].astype(float)
+        assert np.corrcoef(red, mesh.vertices[:, up])[0, 1] > 0.95
+
+
+@pytest.mark.parametrize("ending", ["usda", "usdc", "usdz"])
+def test_open_usd_has_the_texture(coloured: Textured, tmp_path: Path, ending: str) -> None:
+    usd, shade = pytest.importorskip("pxr.Usd"), pytest.importorskip("pxr.UsdShade")
+    glb, path = tmp_path / "ball.glb", tmp_path / f"other.{ending}"
+    write_mesh(glb, coloured, FRAME, UPRIGHT)
+    convert_mesh(glb, path)
+    stage = usd.Stage.Open(str(path))
+    mesh = stage.GetDefaultPrim()
+    points = np.array(mesh.GetAttribute("points").Get())
+    assert len(mesh.GetAttribute("faceVertexCounts").Get()) == len(coloured.mesh.faces)
+    assert np.ptp(points, axis=0) == pytest.approx([RADIUS / 8] * 3, rel=0.05)
+    assert points.mean(axis=0) == pytest.approx([0, 4, 0], abs=0.02)
+    material = shade.MaterialBindingAPI(mesh).ComputeBoundMaterial()[0]
+    assert material.ComputeSurfaceSource()[0].GetPrim().GetName() == "Surface"
+    picture = stage.GetPrimAtPath("/Mesh/Photos/Texture").GetAttribute("inputs:file").Get()
+    assert Path(picture.resolvedPath.split("[")[0]).is_file()
