@@ -32,7 +32,12 @@ HEAD = (
     *("off, median (mm)", "95 %", "missed, median (mm)", "95 %", "normals (°)", "seen"),
     *("components", "faces", "MB"),
 )
-HEAD_PICTURES = ("box", "photo", "pixels", "PSNR, mesh", "Gaussians", "FLIP, mesh", "Gaussians")
+PAINTED = ("mesh", "mesh, colours per vertex", "Gaussians")
+HEAD_PICTURES = (
+    *("box", "photo", "pixels"),
+    *(f"PSNR, {what}" for what in PAINTED),
+    *(f"FLIP, {what}" for what in PAINTED),
+)
 
 
 def true_surfaces(folder: Path) -> dict[str, Triangles]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +40,7 @@ class Mesh:
         vertices, faces: (V, 3) in the scene's frame, (F, 3).
         uv: (V, 2) where the texture has a vertex's colour, from its upper left corner, 0 to 1.
         texture: (H, W, 3) in [0, 1]; None: `colours`.
-        colours: (V, 3) in [0, 1].
+        colours: (V, 3) in [0, 1]; with a texture, its colours there.
         components: connected ones.
     """
 
@@ -59,12 +59,15 @@ class Mesh:
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """Scores of a photo's pixels that show the object: of the mesh, and of the Gaussians."""
+    """Scores of a photo's pixels that show the object.
+
+    They are those of the mesh, of the mesh with colours per vertex alone, and of the Gaussians.
+    """
 
     name: str
     pixels: int
-    psnr: tuple[float, float]
-    flip: tuple[float | None, float | None]
+    psnr: tuple[float, ...]
+    flip: tuple[float | None, ...]
 
 
 def load_mesh(path: Path, roi: OrientedBox) -> Mesh:
@@ -85,6 +88,7 @@ def load_mesh(path: Path, roi: OrientedBox) -> Mesh:
         if picture is not None:
             texture = np.asarray(picture.convert("RGB"), dtype=float) / 255
             uv = np.asarray(mesh.visual.uv) * (1.0, -1.0) + (0.0, 1.0)
+            colours = _looked_up(texture, uv)
     elif mesh.visual.kind in ("vertex", "face"):
         colours = np.asarray(mesh.visual.vertex_colors, dtype=float)[:, :3] / 255
     return Mesh(
@@ -212,15 +216,18 @@ def pictures(
             continue
         pose = image.camera, image.world_to_camera
         photo = torch.from_numpy(load_photo(image)).float() / 255
-        colours, alpha = (torch.from_numpy(part).float() for part in drawn(mesh, *pose))
-        made = colours + (1 - alpha[..., None]) * render_view(rest, *pose).image
-        shown = made, render_view(whole, *pose).image
+        behind = render_view(rest, *pose).image
+        shown = []
+        for each in (mesh, replace(mesh, texture=None)):
+            colours, alpha = (torch.from_numpy(part).float() for part in drawn(each, *pose))
+            shown.append(colours + (1 - alpha[..., None]) * behind)
+        shown.append(render_view(whole, *pose).image)
         scores = [_scores(picture, photo, torch.from_numpy(mask)) for picture in shown]
         yield Picture(
             name=image.name,
             pixels=int(mask.sum()),
-            psnr=(scores[0][0], scores[1][0]),
-            flip=(scores[0][1], scores[1][1]),
+            psnr=tuple(psnr for psnr, _ in scores),
+            flip=tuple(flip for _, flip in scores),
         )
 
 
