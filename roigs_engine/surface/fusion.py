@@ -47,13 +47,11 @@ class Field:
 
     Attributes:
         distance: (X, Y, Z) positive where it is free, negative inside, in truncations, -1 to 1.
-        seen: (X, Y, Z) how much photos say of a surface there, in photos; 0: nothing.
         origin: (3,) the first voxel's centre in the box's axes.
         voxel: side of a voxel, units of the scene.
     """
 
     distance: Float32
-    seen: Float32
     origin: Float64
     voxel: float
 
@@ -89,16 +87,14 @@ def fuse(
     field = np.sign(coarse)
     for axis in range(3):
         field = field.repeat(COARSE, axis)
-    seen = np.zeros_like(field)
     offsets = _grid([COARSE] * 3)
     step = max(1, POINTS_AT_ONCE // len(offsets))
     for some in (active[first : first + step] for first in range(0, len(active), step)):
         index = (some[:, None] * COARSE + offsets).reshape(-1, 3)
         sums = _sampled(low + (index + 0.5) * voxel, rays, voxel, context)
         field[tuple(index.T)] = _field(sums)
-        seen[tuple(index.T)] = sums[:, 4]
     context.progress(STAGE, 2, 2, started)
-    return Field(distance=field, seen=seen, origin=low + voxel / 2, voxel=voxel)
+    return Field(distance=field, origin=low + voxel / 2, voxel=voxel)
 
 
 def _grid(sides: Sequence[int]) -> NDArray[np.int64]:

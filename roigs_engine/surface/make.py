@@ -116,7 +116,7 @@ def make_surface(
     field = fuse(maps, roi, voxel, context)
     if has_masks(scene, roi) and (support := support_of(maps, roi, voxel)) is not None:
         field = cut_off(field, support)
-    mesh = mesh_of(field, roi, closed=options.watertight, context=context)
+    mesh = mesh_of(field, roi, maps, closed=options.watertight, context=context)
     del field
     context.check_cancelled()
     mesh = simplified(mesh, options.faces)

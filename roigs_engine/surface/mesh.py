@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +16,8 @@ from ..context import QUIET, Context
 from ..errors import SceneError
 from ..machine import package
 from ..model.roi import OrientedBox
-from ..model.scene import Float64
+from ..model.scene import Float64, project
+from .depth import DepthMap
 from .fusion import Field
 
 PURPOSE = "A mesh"
@@ -23,7 +25,8 @@ SMOOTHING = 1.0  # standard deviation of what the field is smoothed with, voxels
 PHOTOS = 2  # that must show a surface, else it is filled
 SMALLEST = 0.02  # area of a part, in that of the largest one: smaller ones fly about
 HOLE = 0.01  # share of the area that a filled hole has at most; larger ones stay open
-REACH = 3  # side of the cube of voxels that a face's photos are looked up in
+FACING = 0.15  # least cosine between a face's normal and a ray that shows it
+SLACK = 2.0  # sizes of a pixel or voxel between a face and the depth that shows it
 
 Faces = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -96,11 +99,17 @@ class Mesh:
 
 
 def mesh_of(
-    field: Field, roi: OrientedBox, *, closed: bool = False, context: Context = QUIET
+    field: Field,
+    roi: OrientedBox,
+    maps: Sequence[DepthMap],
+    *,
+    closed: bool = False,
+    context: Context = QUIET,
 ) -> Mesh:
     """The surface of a field, without what flies about and without layers inside.
 
     Args:
+        maps: those that the field was fused from; what fewer than two of them show is filled.
         closed: whether it gets no holes: what no photo shows is filled, also at the box's sides.
 
     Raises:
@@ -117,18 +126,35 @@ def mesh_of(
     places, faces, _, _ = measure.marching_cubes(volume, 0.0)
     places = places.astype(np.float64) - closed
     context.check_cancelled()
-    reached = ndimage.maximum_filter(field.seen, REACH)
-    centres = places[faces].mean(axis=1).round().astype(int)
-    inside = np.clip(centres, 0, np.array(reached.shape) - 1)
-    there = (centres == inside).all(axis=1)
-    seen = there & (reached[tuple(inside.T)] >= PHOTOS)
-    mesh = Mesh(vertices=places, faces=faces.astype(np.int64), filled=~seen)
+    to_world = np.linalg.inv(roi.world_to_box)
+    local = places * field.voxel + field.origin
+    vertices = local @ to_world[:3, :3].T + to_world[:3, 3]
+    mesh = Mesh(vertices=vertices, faces=faces.astype(np.int64), filled=np.zeros(len(faces), bool))
+    mesh = replace(mesh, filled=_views(mesh, maps, field.voxel, context) < PHOTOS)
     mesh = cleaned(mesh, closed=closed)
     if not len(mesh.faces) or mesh.filled.all():
         raise nothing_there(roi)
-    to_world = np.linalg.inv(roi.world_to_box)
-    local = mesh.vertices * field.voxel + field.origin
-    return replace(mesh, vertices=local @ to_world[:3, :3].T + to_world[:3, 3])
+    return mesh
+
+
+def _views(mesh: Mesh, maps: Sequence[DepthMap], voxel: float, context: Context) -> Faces:
+    """(F,) how many depth maps show each face: from in front, and at their depth."""
+    centres, normals = mesh.vertices[mesh.faces].mean(axis=1), mesh.crosses
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    views = np.zeros(len(centres), np.int64)
+    for depth_map in maps:
+        context.check_cancelled()
+        camera, pose = depth_map.lens, depth_map.world_to_camera
+        away = centres - depth_map.image.centre
+        facing = -(away * normals).sum(axis=1) / np.linalg.norm(away, axis=1)
+        rows = np.flatnonzero(facing > FACING)
+        pixels, depth, inside = project(centres[rows], camera, pose)
+        rows, depth, facing = rows[inside], depth[inside], facing[rows[inside]]
+        x, y = pixels[inside].astype(np.int64).T
+        there = np.where(depth_map.weight > 0, depth_map.depth, 0)[y, x]
+        slack = SLACK * np.maximum(depth / max(camera.fx, camera.fy), voxel) / facing
+        views[rows[(there > 0) & (np.abs(there - depth) < slack)]] += 1
+    return views
 
 
 def nothing_there(roi: OrientedBox) -> SceneError:

@@ -123,11 +123,11 @@ def counted_calls(monkeypatch: pytest.MonkeyPatch, stop_at: int = 0) -> list[str
     calls: list[str] = []
     mesh_of = make.mesh_of
 
-    def stopped(field: Any, roi: OrientedBox, **options: Any) -> Any:
+    def stopped(field: Any, roi: OrientedBox, maps: Any, **options: Any) -> Any:
         calls.append(roi.name)
         if len(calls) == stop_at:
             raise Stopped
-        return mesh_of(field, roi, **options)
+        return mesh_of(field, roi, maps, **options)
 
     monkeypatch.setattr(make, "mesh_of", stopped)
     return calls

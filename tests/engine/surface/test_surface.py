@@ -31,7 +31,7 @@ def maps() -> list[DepthMap]:
 
 @pytest.fixture(scope="module")
 def ball(maps: list[DepthMap]) -> Mesh:
-    return mesh_of(fuse(maps, BOX, VOXEL), BOX)
+    return mesh_of(fuse(maps, BOX, VOXEL), BOX, maps)
 
 
 def test_the_mesh_is_where_the_ball_is(ball: Mesh) -> None:
@@ -63,7 +63,7 @@ def test_wrong_depths_of_a_few_photos_make_no_layer(maps: list[DepthMap], ball: 
         if number in (3, 9, 15):
             depth[36:44, 44:52] += 0.4
         wrong.append(replace(each, depth=depth))
-    found = mesh_of(fuse(wrong, BOX, VOXEL), BOX)
+    found = mesh_of(fuse(wrong, BOX, VOXEL), BOX, wrong)
     away = np.abs(np.linalg.norm(found.vertices, axis=1) - RADIUS)
     assert len(np.unique(found.parts())) == 1
     assert away.max() < 2 * VOXEL
@@ -73,7 +73,7 @@ def test_what_no_photo_shows_stays_open_or_is_filled() -> None:
     """Photos from above alone: the lower part is a hole, or closed and marked."""
     above = [depth_map(image) for image in images() if image.centre[2] > 0.5]
     field = fuse(above, BOX, VOXEL)
-    open_mesh, closed = mesh_of(field, BOX), mesh_of(field, BOX, closed=True)
+    open_mesh, closed = mesh_of(field, BOX, above), mesh_of(field, BOX, above, closed=True)
     assert not open_mesh.is_closed()
     assert closed.is_closed() and 0.1 < closed.filled.mean() < 0.9
     few = simplified(closed, 4000)
@@ -81,10 +81,17 @@ def test_what_no_photo_shows_stays_open_or_is_filled() -> None:
     assert trimesh.Trimesh(few.vertices, few.faces, process=False).is_watertight
 
 
+def test_the_mesh_ends_where_photos_end() -> None:
+    """Photos from one side: nothing goes on along their last rays, behind the ball."""
+    maps = [depth_map(image) for image in images(60) if image.centre[0] > 1.2]
+    mesh = mesh_of(fuse(maps, BOX, VOXEL), BOX, maps)
+    assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - RADIUS).max() < 2 * VOXEL
+
+
 def test_an_empty_box_is_said() -> None:
     empty = [replace(m, depth=np.full_like(m.depth, 8.0)) for m in map(depth_map, images(6))]
     with pytest.raises(SceneError, match="No photo shows a surface in box 'ball'"):
-        mesh_of(fuse(empty, BOX, VOXEL), BOX)
+        mesh_of(fuse(empty, BOX, VOXEL), BOX, empty)
 
 
 @pytest.fixture(scope="module")
