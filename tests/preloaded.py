@@ -23,7 +23,7 @@ MODULES = (
     *(f"roigs_engine.exchange.{name}" for name in ("sog", "splat", "spz", "transform")),
     "sklearn.cluster",
 )
-EXTRAS = ("flip_evaluator", "gsply", "imagecodecs", "pygltflib")
+EXTRAS = ("flip_evaluator", "gsply", "imagecodecs", "pycolmap", "pygltflib")
 
 for _name in MODULES:
     import_module(_name)

@@ -103,6 +103,7 @@ def test_extras_are_what_rasterize_offers(tiny: StepBenchmark) -> None:
         assert set(times[0][name]) == {"render", "project", "bin", "raster"}
 
 
+@pytest.mark.slow
 def test_peak(tmp_path: Path) -> None:
     try:
         with flops.peak_libraries() as libraries:

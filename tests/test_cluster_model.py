@@ -17,14 +17,12 @@ def test_machines_that_are_never_lost_or_slow_reach_the_bound() -> None:
 
 
 def test_lost_machines_cost_little_and_slow_ones_are_left() -> None:
-    for seed in range(2):
-        lossy = simulate(EQUAL, World(10, slow=0, seed=seed))
-        assert 1 <= lossy.seconds / lossy.bound < 1.15
+    lossy = simulate(EQUAL, World(10, slow=0))
+    assert 1 <= lossy.seconds / lossy.bound < 1.15
     stay, move = (
-        [simulate(EQUAL, World(50, lost=0, moves=moves, seed=s)).seconds for s in range(2)]
-        for moves in (False, True)
+        simulate(EQUAL, World(50, lost=0, moves=moves)).seconds for moves in (False, True)
     )
-    assert sum(move) < 0.9 * sum(stay)
+    assert move < 0.9 * stay
 
 
 def test_no_machine_left() -> None:

@@ -22,7 +22,7 @@ from ..machine import child_environment
 Record = dict[str, Any]
 POLL_SECONDS = 0.25
 FULL = 16 << 20  # bytes; SQLite may fail with less
-WORKER = f"{__package__}.worker"
+WORKER = [sys.executable, "-m", f"{__package__}.worker"]
 
 
 def run_stage(
@@ -60,7 +60,7 @@ def run_task(
     """
     with open(log, "ab") as messages:
         child = subprocess.Popen(
-            [sys.executable, "-m", WORKER],
+            WORKER,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=messages,

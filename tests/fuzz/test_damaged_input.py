@@ -47,7 +47,7 @@ def ended(tmp_path: Path, family: str, number: int) -> int:
     if command[0] not in WHOLE:
         return -1
     done = subprocess.run(
-        [sys.executable, "-m", "roigs_engine", *command],
+        warm_engine.command(command),
         cwd=runner.ROOT,
         env=os.environ | {"PYTHONPATH": str(runner.ROOT)},
         stdin=subprocess.DEVNULL,

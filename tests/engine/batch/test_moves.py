@@ -131,6 +131,5 @@ def test_a_simulated_batch_ends_near_its_bound(machines: int) -> None:
     from benchmarks.cluster_model import World, simulate
 
     scenes = [600.0 + 3 * k for k in range(200)]
-    for seed in range(2):
-        run = simulate(scenes, World(machines, seed=seed))
-        assert 1 <= run.seconds / run.bound <= 1.2
+    run = simulate(scenes, World(machines))
+    assert 1 <= run.seconds / run.bound <= 1.2

@@ -23,6 +23,7 @@ from roigs_engine.formats.events import Message, Progress, to_json
 from tests.engine.commands.command_line import BOX, EMPTY, python, refused, start
 from tests.engine.runs import checkpoint_step, stage_of
 from tests.engine.synthetic_colmap import Project
+from tests.warm_engine import CAN_FORK
 
 
 def events(result: subprocess.CompletedProcess[str]) -> list[dict[str, Any]]:
@@ -59,12 +60,11 @@ def test_a_failure_is_an_event(project: Project) -> None:
     assert "Traceback" not in result.stderr
 
 
-def train(project: Project, folder: Path, *, cold: bool = False) -> subprocess.Popen[str]:
+def train(project: Project, folder: Path) -> subprocess.Popen[str]:
     """A training run in its first stage, with a preview every moment."""
     process = start(
         *("train", project.folder, "--roi", BOX, "--run-dir", folder, "--test-every", 3),
         *("--events", "--threads", 1, "--preview-seconds", 0.01),
-        cold=cold,
     )
     assert process.stdout is not None
     for line in process.stdout:
@@ -128,11 +128,11 @@ def test_a_second_engine_is_refused(
     project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "run"
-    process = train(project, folder, cold=True)
-    lock = json.loads((folder / "run.lock").read_text(encoding="utf-8"))
-    assert lock["pid"] == process.pid
+    process = train(project, folder)
+    pid = json.loads((folder / "run.lock").read_text(encoding="utf-8"))["pid"]
+    assert CAN_FORK or pid == process.pid
     second = ("train", project.folder, "--roi", BOX, "--run-dir", folder, "--test-every", 3)
-    assert f"process {process.pid}" in refused(capsys, *second)
+    assert f"process {pid}" in refused(capsys, *second)
     process.kill()
     process.communicate()
     assert (folder / "run.lock").exists()

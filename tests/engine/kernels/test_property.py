@@ -34,7 +34,7 @@ logit's gradient, to 1e-4: at 11 its own error is 2e-3."""
 EXACT = Limits(min_transmittance=0.0)
 """By default the kernels give a Gaussian no gradient where its weight is below 1e-6. The truth has
 it, which shows in a scene whose gradients are all small."""
-FEW, MANY = range(40), range(40, 540)  # numbers of scenes
+FEW, MANY = range(24), range(24, 540)  # numbers of scenes
 AT_A_LIMIT = 0.15
 """Share of the numbers of scenes that are drawn at an end of their range."""
 
@@ -294,7 +294,7 @@ LARGER = {"most": 8_000, "largest": 128}
 
 
 def test_same_bits_at_any_number_of_threads(isa: str) -> None:
-    for number in FEW[::3]:
+    for number in FEW[::4]:
         has_the_same_bits(kind_of(number, **LARGER))
 
 

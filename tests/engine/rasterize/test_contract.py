@@ -158,7 +158,7 @@ def test_views_are_used_again() -> None:
         render([p.detach() for p in parameters])
         render(parameters).image.sum().backward()
         render(parameters)  # dropped without a backward
-        gc.collect()
+    gc.collect()
     assert len(cpu.KernelView._idle) <= cpu.KernelView._MOST_IDLE
     kept = set(map(id, cpu.KernelView._idle))
     render(parameters).image.sum().backward()

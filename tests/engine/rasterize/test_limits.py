@@ -11,6 +11,8 @@ from torch import Tensor
 
 from roigs_engine.errors import EngineError, KernelError
 from roigs_engine.rasterize import RenderOutput, rasterize
+from tests import warm_engine
+from tests.engine.commands.command_line import ROOT
 from tests.engine.rasterize_cases import cameras, gaussians
 
 EIGHT_K = (7680, 4320)
@@ -59,31 +61,14 @@ def test_8k() -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="measures the kernel's count")
 def test_too_many_intersections_are_refused_at_once() -> None:
     """34,000 Gaussians on all of an 8K image's 129,600 tiles; in a process, to see its memory."""
+    command = warm_engine.module("tests.engine.rasterize.too_many_pairs")
     result = subprocess.run(
-        [sys.executable, "-c", _TOO_MANY], capture_output=True, text=True, timeout=300, check=False
+        command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False
     )
     assert result.returncode == 0, result.stderr
     error, peak = result.stdout.splitlines()
     assert error.startswith("This view has more than 2^31 ")
     assert float(peak) < 2048, "MiB"
-
-
-_TOO_MANY = """
-import torch
-from benchmarks.memory import resident
-from roigs_engine.errors import KernelError
-from roigs_engine.rasterize import rasterize
-n = 34_000
-means = torch.tensor([[0.0, 0.0, 2.0]]).repeat(n, 1)
-quats = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(n, 1)
-K = torch.tensor([[[7000.0, 0.0, 3840.0], [0.0, 7000.0, 2160.0], [0.0, 0.0, 1.0]]])
-scene = means, quats, torch.full((n, 3), 2.0), torch.full((n,), 0.9), torch.zeros(n, 1, 3)
-try:
-    rasterize(*scene, torch.eye(4)[None], K, 7680, 4320)
-except KernelError as error:
-    print(error.args[0])
-print(resident("VmHWM"))
-"""
 
 
 def test_too_many_gaussians_are_refused() -> None:

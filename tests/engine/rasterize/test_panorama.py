@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from torch.nn.functional import grid_sample
 
 from roigs_engine.model.scene import Camera
-from roigs_engine.rasterize.instances import NOTHING, render_instances
+from roigs_engine.rasterize.instances import NOTHING, Instance, Layer, render_instances
 from roigs_engine.rasterize.panorama import render_panorama
 from tests.engine.clouds import affine, cloud, on_black, placed
 
@@ -50,14 +50,22 @@ def looked_up(picture: torch.Tensor, rays: torch.Tensor) -> torch.Tensor:
     return found[0].permute(1, 2, 0)
 
 
-@pytest.mark.parametrize("angles", [(0, 0), (45, 35), (150, -30), (-80, 60)])
-def test_pinhole_views_are_found_in_it(angles: tuple[float, float]) -> None:
-    """Seams of the cube included."""
+@pytest.fixture(scope="module")
+def around_us() -> tuple[list[Instance], Layer]:
+    """Gaussians on all sides, and their panorama."""
     around = np.random.default_rng(1).normal(size=(900, 3)).astype(np.float32)
     around *= 3 / np.linalg.norm(around, axis=1, keepdims=True)
     sizes = np.random.default_rng(2).uniform(np.log(0.02), np.log(0.2), (900, 3))
     models = [placed(cloud(900, means=around, log_scales=sizes))]
-    panorama = render_panorama(models, equirectangular(), DENSITY, np.eye(4))
+    return models, render_panorama(models, equirectangular(), DENSITY, np.eye(4))
+
+
+@pytest.mark.parametrize("angles", [(0, 0), (45, 35), (150, -30), (-80, 60)])
+def test_pinhole_views_are_found_in_it(
+    around_us: tuple[list[Instance], Layer], angles: tuple[float, float]
+) -> None:
+    """Seams of the cube included."""
+    models, panorama = around_us
     turn = Rotation.from_euler("yx", angles, degrees=True).as_matrix()
     layer = render_instances(models, LENS, affine(turn))
     rays = pinhole_rays(turn)

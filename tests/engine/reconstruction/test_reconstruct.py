@@ -209,7 +209,8 @@ def test_the_demo_is_registered(tmp_path: Path) -> None:
 
 
 def test_pycolmap_that_dies_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("roigs_engine.reconstruction.child.WORKER", "this")
+    missing = [sys.executable, "-m", "this"]
+    monkeypatch.setattr("roigs_engine.reconstruction.child.WORKER", missing)
     with pytest.raises(SceneError, match="ended without a result"):
         run_task({}, tmp_path / "log.txt", QUIET)
     monkeypatch.setattr("roigs_engine.reconstruction.child.FULL", 1 << 60)
@@ -225,8 +226,7 @@ def test_a_damaged_database_is_one_line(tmp_path: Path) -> None:
 
 
 def test_the_worker_ends_with_its_parent() -> None:
-    command = [sys.executable, "-m", WORKER]
-    with subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE) as process:
+    with subprocess.Popen(WORKER, cwd=ROOT, stdin=subprocess.PIPE) as process:
         assert process.stdin is not None
         process.stdin.close()
         assert process.wait(30) is not None
