@@ -29,11 +29,31 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Project:
     return project
 
 
+@pytest.fixture(scope="module")
+def trained_through_a_lens(tmp_path_factory: pytest.TempPathFactory) -> Project:
+    """The same with photos that the lens distorts, and cameras as text."""
+    folder = tmp_path_factory.mktemp("distorted")
+    project = scene(folder, distorted=True, binary=False)
+    assert main(arguments(project, folder / "run")) == 0
+    return project
+
+
+def copy_of(project: Project, folder: Path) -> tuple[Project, Path]:
+    """A copy of a scene with its run."""
+    shutil.copytree(project.folder.parent, folder, dirs_exist_ok=True)
+    return replace(project, folder=folder / project.folder.name), folder / "run"
+
+
 @pytest.fixture
 def copied(trained: Project, tmp_path: Path) -> tuple[Project, Path]:
-    """A copy of a scene with its run."""
-    shutil.copytree(trained.folder.parent, tmp_path, dirs_exist_ok=True)
-    return replace(trained, folder=tmp_path / trained.folder.name), tmp_path / "run"
+    """Of `trained`."""
+    return copy_of(trained, tmp_path)
+
+
+@pytest.fixture
+def distorted(trained_through_a_lens: Project, tmp_path: Path) -> tuple[Project, Path]:
+    """Of `trained_through_a_lens`."""
+    return copy_of(trained_through_a_lens, tmp_path)
 
 
 def split_of(run: Path) -> list[str]:
@@ -41,13 +61,12 @@ def split_of(run: Path) -> list[str]:
     return [str(name) for name in record["test"]]
 
 
-@pytest.mark.parametrize("distorted", [False, True])
+@pytest.mark.parametrize("kind", ["copied", "distorted"])
 def test_a_damaged_test_photo_is_left_out_before_the_split(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], *, distorted: bool
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, request: pytest.FixtureRequest
 ) -> None:
     """Its file ends with an end marker, so only decoding finds the damage."""
-    project, run = scene(tmp_path, distorted=distorted), tmp_path / "run"
-    assert main(arguments(project, run)) == 0
+    project, run = request.getfixturevalue(kind)
     lost = split_of(run)[0]
     path = project.folder / "images" / lost
     path.write_bytes(path.read_bytes()[:-200] + b"\xff\xd9")
@@ -248,10 +267,9 @@ def test_a_run_with_selected_and_damaged_photos_resumes(
 
 
 def test_other_cameras_are_not_called_changed_photos(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    distorted: tuple[Project, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    project, run = scene(tmp_path, distorted=True, binary=False), tmp_path / "run"
-    assert main(arguments(project, run)) == 0
+    project, run = distorted
     capsys.readouterr()
     assert main(arguments(project, run, "--dry-run")) == 0
     assert "lens distortion" not in capsys.readouterr().out  # it is removed already
@@ -265,9 +283,10 @@ def test_other_cameras_are_not_called_changed_photos(
     assert "has another run" in error and "photo" not in error
 
 
-def test_one_changed_photo_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    project, run = scene(tmp_path, distorted=True), tmp_path / "run"
-    assert main(arguments(project, run)) == 0
+def test_one_changed_photo_is_named(
+    distorted: tuple[Project, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    project, run = distorted
     path = project.folder / "images/3.jpg"
     ImageOps.invert(Image.open(path)).save(path)
     capsys.readouterr()

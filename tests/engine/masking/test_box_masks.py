@@ -40,11 +40,19 @@ def work(ball: BallScene, folder: Path, drawn: dict[str, tuple[Stroke, ...]]) ->
 
 
 @pytest.fixture(scope="module")
-def made(ball: BallScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The masks of one photo's strokes, to copy."""
-    folder = tmp_path_factory.mktemp("made")
-    work(ball, folder, {"0.png": strokes(ball.true["0.png"])}).make(votes(ball))
-    return folder
+def scribbled(
+    ball: BallScene, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, GaussianVotes, list[str]]:
+    """The folder with masks of one photo's strokes, to copy; who voted, and what was made."""
+    folder, knowledge = tmp_path_factory.mktemp("made"), votes(ball)
+    names = work(ball, folder, {"0.png": strokes(ball.true["0.png"])}).make(knowledge)
+    return folder, knowledge, sorted(names)
+
+
+@pytest.fixture(scope="module")
+def made(scribbled: tuple[Path, GaussianVotes, list[str]]) -> Path:
+    """The folder of `scribbled`."""
+    return scribbled[0]
 
 
 def votes(ball: BallScene) -> GaussianVotes:
@@ -61,14 +69,15 @@ def scores(ball: BallScene, folder: Path) -> list[float]:
     return [iou(mask, ball.true[name]) for name, mask in masks(folder).items()]
 
 
-def test_one_scribble_gives_the_masks_of_all_photos(ball: BallScene, tmp_path: Path) -> None:
-    knowledge = votes(ball)
-    made = work(ball, tmp_path, {"0.png": strokes(ball.true["0.png"])}).make(knowledge)
-    assert sorted(made) == [f"{k}.png.png" for k in range(6)]
-    assert min(scores(ball, tmp_path)) > 0.9, scores(ball, tmp_path)
+def test_one_scribble_gives_the_masks_of_all_photos(
+    ball: BallScene, scribbled: tuple[Path, GaussianVotes, list[str]]
+) -> None:
+    folder, knowledge, names = scribbled
+    assert names == [f"{k}.png.png" for k in range(6)]
+    assert min(scores(ball, folder)) > 0.9, scores(ball, folder)
     rows = knowledge.rows()
     assert float((rows == ball.ball)[: len(rows)].float().mean()) > 0.95
-    assert generated_masks(tmp_path).keys() == set(made)
+    assert generated_masks(folder).keys() == set(names)
 
 
 def test_without_a_model_points_and_colours_carry_the_masks(
@@ -227,7 +236,7 @@ def test_a_mask_that_a_person_saves_meanwhile_stays(ball: BallScene, tmp_path: P
     assert not np.asarray(Image.open(folder / "1.png.png")).any()
 
 
-@pytest.mark.parametrize("width", [1e-300, 4e4, 9e5])
+@pytest.mark.parametrize("width", [1e-300, 9e5])
 def test_strokes_may_have_any_width_and_place(
     ball: BallScene, tmp_path: Path, width: float
 ) -> None:

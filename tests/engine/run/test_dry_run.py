@@ -19,6 +19,7 @@ from roigs_engine.model.scene import SfmScene
 from roigs_engine.run import forecast
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.dry_run import describe_plan
+from roigs_engine.run.folder import open_folder
 from roigs_engine.run.forecast import MOST_MEASURED, Estimator, expected_counts, model_of_size
 from roigs_engine.run.plan import Stage
 from roigs_engine.run.presets import preset
@@ -70,7 +71,7 @@ def test_what_is_done_is_said(scene: SfmScene, tmp_path: Path) -> None:
     text = describe_plan(other)
     assert "seed was 0, now 1" in text and "--update" in text
     assert "would move to 'earlier'" in describe_plan(other, update=True)
-    train_run(other, update=True)
+    open_folder(other, update=True)
     former = rows(describe_plan(run, update=True))
     assert {name for name, row in former.items() if row[-1] == "done"} == {"scene", "joint"}
 
@@ -113,8 +114,13 @@ def test_the_disk_space_is_said(
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1))
     monkeypatch.setattr(forecast, "WORTH_SAYING", 1)
     events: list[Event] = []
-    train_run(run, context=Context(emit=events.append))
-    (warning,) = [e for e in events if isinstance(e, Message) and e.text.startswith("Disk:")]
+
+    def said() -> list[Message]:
+        return [e for e in events if isinstance(e, Message) and e.text.startswith("Disk:")]
+
+    with pytest.raises(Stopped):
+        train_run(run, context=Context(emit=events.append, should_stop=lambda: bool(said())))
+    (warning,) = said()
     assert warning.level == "warning" and "can be resumed" in warning.text
 
 

@@ -50,10 +50,24 @@ def trained(scene: SfmScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def trained_apart(scene: SfmScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same of the other strategy."""
+    folder = tmp_path_factory.mktemp("apart")
+    train(folder, scene, [BOX], production("independent"))
+    return folder
+
+
 @pytest.fixture
 def run(trained: Path, tmp_path: Path) -> Path:
     """A copy of `trained`."""
     return shutil.copytree(trained, tmp_path / "run")
+
+
+@pytest.fixture
+def run_apart(trained_apart: Path, tmp_path: Path) -> Path:
+    """A copy of `trained_apart`."""
+    return shutil.copytree(trained_apart, tmp_path / "apart")
 
 
 def written(folder: Path, name: str) -> tuple[Path, int]:
@@ -69,11 +83,10 @@ def messages(events: list[Event]) -> list[str]:
 # --- no test photos ---
 
 
-def test_without_test_photos_all_are_trained_on(scene: SfmScene, tmp_path: Path) -> None:
-    run = opened(tmp_path, scene, [BOX], production())
-    train_run(run)
-    assert run.test == () and len(run.train_scene.images) == len(scene.images)
-    assert json.loads((tmp_path / "split.json").read_text(encoding="utf-8")) == {
+def test_without_test_photos_all_are_trained_on(scene: SfmScene, run: Path) -> None:
+    again = opened(run, scene, [BOX], production())
+    assert again.test == () and len(again.train_scene.images) == len(scene.images)
+    assert json.loads((run / "split.json").read_text(encoding="utf-8")) == {
         "evaluate_on": "test",
         "test": [],
     }
@@ -143,37 +156,39 @@ def test_other_photos_of_the_same_number_are_another_stage(scene: SfmScene, tmp_
 
 
 @pytest.mark.parametrize("strategy", ["joint", "independent"])
-def test_a_moved_box_keeps_the_scene(scene: SfmScene, tmp_path: Path, strategy: str) -> None:
+def test_a_moved_box_keeps_the_scene(
+    scene: SfmScene, run: Path, run_apart: Path, tmp_path: Path, strategy: str
+) -> None:
     config = production(strategy)
-    name = "joint" if strategy == "joint" else "object-thing"
-    train(tmp_path, scene, [BOX], config)
-    first = plys(tmp_path)
-    before = {n: written(tmp_path, n) for n in ("scene", name)}
-    train(tmp_path, scene, [MOVED], config, update=True)
-    assert written(tmp_path, "scene") == before["scene"]
-    assert stage_of(tmp_path, name) != before[name][0].parent
+    folder, name = (run, "joint") if strategy == "joint" else (run_apart, "object-thing")
+    first = plys(folder)
+    before = {n: written(folder, n) for n in ("scene", name)}
+    train(folder, scene, [MOVED], config, update=True)
+    assert written(folder, "scene") == before["scene"]
+    assert stage_of(folder, name) != before[name][0].parent
     assert before[name][0].exists()
     # What a fresh run would have made.
     train(tmp_path / "fresh", scene, [MOVED], config)
     for path in ("result.ply", "rois/thing.ply"):
-        assert (tmp_path / path).read_bytes() == (tmp_path / "fresh" / path).read_bytes()
+        assert (folder / path).read_bytes() == (tmp_path / "fresh" / path).read_bytes()
     # And back: nothing is trained again.
-    train(tmp_path, scene, [BOX], config, update=True)
-    assert written(tmp_path, name) == before[name]
-    again = plys(tmp_path)
+    train(folder, scene, [BOX], config, update=True)
+    assert written(folder, name) == before[name]
+    again = plys(folder)
     assert {path: again[path] for path in first} == first
 
 
-def test_a_second_box_keeps_the_scene_and_the_first_object(scene: SfmScene, tmp_path: Path) -> None:
+def test_a_second_box_keeps_the_scene_and_the_first_object(
+    scene: SfmScene, run_apart: Path
+) -> None:
     config = production("independent")
-    train(tmp_path, scene, [BOX], config)
-    before = [written(tmp_path, n) for n in ("scene", "object-thing")]
-    train(tmp_path, scene, [BOX, SECOND], config, update=True)
-    assert [written(tmp_path, n) for n in ("scene", "object-thing")] == before
-    assert (stage_of(tmp_path, "object-second") / "model.ply").exists()
-    assert (tmp_path / "rois" / "second.ply").exists()
-    train(tmp_path, scene, [BOX], config, update=True)
-    assert not (tmp_path / "rois" / "second.ply").exists()
+    before = [written(run_apart, n) for n in ("scene", "object-thing")]
+    train(run_apart, scene, [BOX, SECOND], config, update=True)
+    assert [written(run_apart, n) for n in ("scene", "object-thing")] == before
+    assert (stage_of(run_apart, "object-second") / "model.ply").exists()
+    assert (run_apart / "rois" / "second.ply").exists()
+    train(run_apart, scene, [BOX], config, update=True)
+    assert not (run_apart / "rois" / "second.ply").exists()
 
 
 def test_a_box_less_leaves_no_stage_that_clean_does_not_find(
