@@ -333,7 +333,7 @@ class RoigsScene(bpy.types.PropertyGroup):
     fine_texture: zero(
         "texture_size",
         2048,
-        name="As fine as the photos",
+        name="As the photos",
         description="The texture is as large as the photos' resolution on the object asks for."
         " Switch off to choose its side",
     )

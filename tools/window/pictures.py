@@ -18,6 +18,8 @@ from .scenario import BUSY, STATE, addon, import_demo, load_boxes, parser, prepa
 
 SIZE = (1040, 980)
 DRAWING = addon("viewport.draw")
+SURFACE_BELOW = 28
+"""Pixels from the button Export to the header of the panel Surface."""
 COLOURS = ("+dither", "-colors", "128")
 """For small files; the loss is not visible."""
 
@@ -56,6 +58,21 @@ def show_result(blender: Blender) -> None:
     blender.scroll(100)
     blender.until(f"{DRAWING}._painter is not None and {DRAWING}._painter.idle()", 120)
     blender.pause(10.0)
+
+
+def show_mesh(blender: Blender) -> None:
+    """The vase's mesh alone, on a plane of its own, in the Rendered view; its panel is open."""
+    blender.ask("call('roigs.show_alone', name='vase Mesh')")
+    column, row = blender.find("roigs.export_gaussians", x=0.8)
+    blender.click((column, row + SURFACE_BELOW))
+    blender.ask("call('mesh.primitive_plane_add', size=1)")
+    blender.ask("call('object.light_add', type='SUN', rotation=(0.8, 0, 0))")
+    blender.ask("bpy.context.object.data.energy = 3")
+    blender.ask("bpy.context.scene.world = bpy.context.scene.world or bpy.data.worlds.new('World')")
+    blender.ask("call('roigs.select_gaussians', name='vase Mesh')")
+    blender.ask("view()['area'].spaces.active.shading.type = 'RENDERED'")
+    blender.scroll(100)
+    blender.pause(60.0)  # shaders
 
 
 def story(blender: Blender, out: Path, run: Path, max_side: int, *, trained: bool) -> None:
@@ -104,6 +121,14 @@ def story(blender: Blender, out: Path, run: Path, max_side: int, *, trained: boo
     blender.until(f"not {BUSY}", 3600)
     show_result(blender)
     picture("5-result")
+
+    if blender.ask("'vase Mesh' in bpy.data.objects"):  # the run has it
+        show_mesh(blender)
+        picture("16-mesh", "1040x958+0+0")
+        blender.ask("call('roigs.show_surface', name='vase Mesh', way='GAUSSIANS')")
+        blender.ask("bpy.data.batch_remove([bpy.data.objects[n] for n in ('Plane', 'Sun')])")
+        blender.ask("view()['area'].spaces.active.shading.type = 'SOLID'")
+        blender.ask("call('roigs.look_through', photo=bpy.context.scene.camera.name)")
 
     blender.ask("view()['area'].spaces.active.overlay.show_overlays = True")
     blender.ask("bpy.context.scene.roigs.compare_photo = True")
