@@ -29,8 +29,11 @@ if TYPE_CHECKING:
     from ..model.roi import OrientedBox
     from ..run.definition import Run
     from ..surface.make import Surface, SurfaceOptions
+    from ..surface.mesh import Mesh
 
 GLB, RECORD = ".glb", ".surface.json"
+STEEP = 0.7  # cosine between up and a hole that is above or below
+LEAST = 0.005  # share of a surface: smaller holes are not listed
 VERSION = 1  # increase it if the same inputs become another mesh
 
 
@@ -45,6 +48,8 @@ class SurfaceRecord:
         volume: None, if it has holes.
         filled: share of the surface that no photo has shown, and that was closed.
         untextured: share of the surface without a colour from a photo.
+        unseen: where no photo shows the surface, and it is open: shares of it, about, by the side
+            (`above`, `below`, `beside`).
     """
 
     box: str
@@ -59,6 +64,7 @@ class SurfaceRecord:
     watertight: bool
     filled: float
     untextured: float
+    unseen: dict[str, float]
     voxel: float
     texture: int
     photos: int
@@ -68,6 +74,8 @@ class SurfaceRecord:
         """A line for people."""
         sides = " x ".join(f"{side:.3g}" for side in self.size)
         whole = f"closed, volume {self.volume:.3g}" if self.volume is not None else "with holes"
+        found = [f"{share:.0%} {side}" for side, share in self.unseen.items() if share >= LEAST]
+        whole += f", not seen: {', '.join(found)}" if found else ""
         return (
             f"Box '{self.box}': {self.faces:,} faces, {sides} large, {whole};"
             f" {self.filled:.1%} filled, {self.untextured:.1%} without a photo's colour;"
@@ -280,10 +288,21 @@ def _record(made: Surface, run: Run, roi: OrientedBox) -> SurfaceRecord:
         watertight=closed,
         filled=made.filled,
         untextured=1 - made.textured.seen,
+        unseen=_unseen(mesh, _upright(run)),
         voxel=made.voxel / scale,
         texture=made.textured.charts.side,
         photos=made.photos,
     )
+
+
+def _unseen(mesh: Mesh, upright: NDArray[np.float64]) -> dict[str, float]:
+    """Areas of the holes, in that of the surface with them, by the side that they are on."""
+    holes = mesh.holes() @ upright.T
+    areas = np.linalg.norm(holes, axis=1)
+    up = holes[:, 1] / np.maximum(areas, 1e-30)
+    sides = {"above": up > STEEP, "below": up < -STEEP, "beside": np.abs(up) <= STEEP}
+    whole = max(float(mesh.areas.sum() + areas.sum()), 1e-30)
+    return {side: float(areas[on].sum()) / whole for side, on in sides.items() if on.any()}
 
 
 def _training(request: MakeSurface) -> Train:

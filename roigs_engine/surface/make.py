@@ -29,6 +29,8 @@ PACKAGES = {
 }
 FACES = 100_000
 MOST_PHOTOS = 150
+NEAR_SIDE = 0.02  # of the box's size: so near its sides, ..
+CUT = 0.002  # .. a mesh has no more of its vertices, if the box contains the object
 FEWEST = 5  # photos: with fewer, much stays open
 
 
@@ -114,10 +116,13 @@ def make_surface(
         )
     voxel = voxel_size(maps, roi, plan, context)
     field = fuse(maps, roi, voxel, context)
-    if has_masks(scene, roi) and (support := support_of(maps, roi, voxel)) is not None:
+    masked = has_masks(scene, roi)
+    if masked and (support := support_of(maps, roi, voxel)) is not None:
         field = cut_off(field, support)
     mesh = mesh_of(field, roi, maps, closed=options.watertight, context=context)
     del field
+    if masked and roi.scaled(1 - NEAR_SIDE).distance(mesh.vertices).astype(bool).mean() > CUT:
+        context.warn(f"The box cuts object '{roi.name}': make the box larger.")
     context.check_cancelled()
     mesh = simplified(mesh, options.faces)
     side = min(options.texture_size or texture_side(mesh, maps), plan.texture)

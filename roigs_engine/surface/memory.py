@@ -1,7 +1,4 @@
-"""The plan of a surface's memory: how fine its depth maps, its field and its texture can be.
-
-The constants were measured on the demo's boxes (docs/reliability.md).
-"""
+"""The plan of a surface's memory: how fine its depth maps, its field and its texture can be."""
 
 from __future__ import annotations
 

@@ -79,6 +79,19 @@ class Mesh:
         forth, back = np.sort(a * n + b), np.sort(b * n + a)
         return bool((forth[1:] > forth[:-1]).all() and (forth == back).all())
 
+    def holes(self) -> Float64:
+        """(H, 3) for each hole: its area, as seen from its front, times its normal to outside."""
+        a, b = self.faces[:, (0, 1, 2)].ravel(), self.faces[:, (1, 2, 0)].ravel()
+        n = len(self.vertices)
+        rim = ~np.isin(a * n + b, b * n + a)
+        a, b = a[rim], b[rim]
+        graph = sparse.coo_matrix((np.ones(len(a), np.int8), (a, b)), shape=(n, n))
+        labels = csgraph.connected_components(graph, directed=False)[1][a]
+        _, hole = np.unique(labels, return_inverse=True)
+        crosses = np.cross(self.vertices[b], self.vertices[a]) / 2
+        sums = [np.bincount(hole, crosses[:, axis], minlength=1) for axis in range(3)]
+        return np.stack(sums, axis=1) if len(a) else np.zeros((0, 3))
+
     def kept(self, mask: Mask) -> Mesh:
         """The mesh of the faces of a mask (F,) alone."""
         used, faces = np.unique(self.faces[mask], return_inverse=True)

@@ -39,7 +39,7 @@ BROAD = 6.0  # standard deviation that parts the bands, pixels of the best photo
 FINE_DEPTH = 2  # the mesh's depth is drawn so many times finer than the photo
 HIDDEN = 3.0  # sizes of a pixel behind the nearest face, or the Gaussians' depth: then it is hidden
 GAINS = 0.6, 1.6
-PAIRS_AT_ONCE = 1 << 21
+PAIRS_AT_ONCE = 1 << 19
 
 Float32 = NDArray[np.float32]
 Load = Callable[[PosedImage], Pixels]

@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
+from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, PosedImage
 from roigs_engine.surface.depth import DepthMap
@@ -15,6 +17,7 @@ from tests.poses import look_at
 RADIUS = 0.5
 BOX = OrientedBox.between("ball", [-0.6, -0.62, -0.64], [0.6, 0.62, 0.64])
 CAMERA = Camera(width=96, height=80, fx=150.0, fy=150.0, cx=48.0, cy=40.0)
+DISCS, SIZE = 3000, 0.02  # size: standard deviation, a pixel and a half
 BEHIND = 8.0  # depth of what is behind the ball
 
 
@@ -67,3 +70,20 @@ def photo(image: PosedImage, gain: float = 1.0) -> NDArray[np.uint8]:
     depth, places = rays_hit(image)
     colours = np.where(np.isnan(depth)[..., None], 0, colour_at(places) * gain)
     return np.clip(colours, 0, 255).round().astype(np.uint8)
+
+
+def discs() -> Gaussians:
+    """Flat Gaussians on the ball (a Fibonacci sphere)."""
+    k = np.arange(DISCS) + 0.5
+    z, angle = 1 - 2 * k / DISCS, np.pi * (1 + 5**0.5) * k
+    flat = np.sqrt(1 - z**2)
+    normals = torch.from_numpy(np.stack([flat * np.cos(angle), flat * np.sin(angle), z], axis=1))
+    halfway = torch.nn.functional.normalize(normals + torch.tensor([0.0, 0.0, 1.0]), dim=1)
+    turns = torch.cat([torch.zeros(DISCS, 1), halfway], dim=1)  # half a turn, z to the normal
+    return Gaussians(
+        means=(RADIUS * normals).float(),
+        quats=turns.float(),
+        log_scales=torch.tensor([SIZE, SIZE, SIZE / 100]).log().expand(DISCS, 3).contiguous(),
+        logit_opacities=torch.full((DISCS,), 3.0),
+        sh=torch.zeros(DISCS, 1, 3),
+    )

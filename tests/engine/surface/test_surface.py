@@ -43,6 +43,12 @@ def test_the_mesh_is_where_the_ball_is(ball: Mesh) -> None:
     assert ((ball.normals() * ball.vertices).sum(axis=1) / RADIUS > 0.97).all()
 
 
+def test_a_hole_has_the_area_that_is_missing(ball: Mesh) -> None:
+    half = ball.kept(ball.vertices[ball.faces].mean(axis=1)[:, 2] > 0)
+    assert half.holes() == pytest.approx(np.array([[0, 0, -np.pi * RADIUS**2]]), abs=0.03)
+    assert not len(ball.holes())
+
+
 def test_the_slope_of_a_plane_is_exact() -> None:
     normal = np.array([0.3, -0.4, -1.0]) / np.linalg.norm([0.3, -0.4, -1.0])
     x = (np.arange(CAMERA.width) + 0.5 - CAMERA.cx) / CAMERA.fx
