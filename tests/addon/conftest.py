@@ -141,7 +141,7 @@ def two(blender: ModuleType, run):
 
 
 @pytest.fixture
-def reconstructing(addon: ModuleType, blender: ModuleType):
+def reconstructing(addon: ModuleType, blender: ModuleType, monkeypatch: pytest.MonkeyPatch):
     """The scene, with small photos; skips where no engine can reconstruct."""
     from roigs_addon import settings
     from roigs_addon.engine.python import FOR_RECONSTRUCTING
@@ -153,4 +153,5 @@ def reconstructing(addon: ModuleType, blender: ModuleType):
         pytest.skip(str(error))
     scene = blender.context.scene
     scene.roigs.feature_side = SIDE
+    monkeypatch.setenv(warm_engine.IMPORTED_FIRST, "tests.engine.reconstruction.forked_worker")
     return scene

@@ -45,21 +45,21 @@ def test_photos_become_a_scene(
     steps: list[str] = []
     monkeypatch.setattr(undo, "push", steps.append)
     bpy, scene = blender, reconstructing
-    photos = photos_in(tmp_path / "ein Garten", 12)
+    photos = photos_in(tmp_path / "ein Garten", 6)
     (photos / "notes.jpg").write_text("No photo.")
     before = {path: path.stat().st_mtime_ns for path in photos.iterdir()}
     assert bpy.ops.roigs.reconstruct(photos=str(photos)) == {"FINISHED"}
     project = tmp_path / "ein Garten_colmap"
     assert (scene.roigs.photos, scene.roigs.project) == (str(photos), str(project))
     assert scene.roigs.colmap == str(project) and steps == ["Reconstructing"]
-    assert len(lookup.cameras(scene)) == 12 and lookup.points(scene)
+    assert len(lookup.cameras(scene)) == 6 and lookup.points(scene)
     assert {path: path.stat().st_mtime_ns for path in photos.iterdir()} == before
     said = panel(bpy)
-    assert "12 of 12 photos registered" in said and "1 photo cannot be read" in said
+    assert "6 of 6 photos registered" in said and "1 photo cannot be read" in said
     assert is_shown(bpy)
     assert bpy.ops.roigs.show_reconstruction() == {"FINISHED"}
     (text,) = bpy.data.texts
-    assert "| photos registered | 12 of 12 |" in text.as_string()
+    assert "| photos registered | 6 of 6 |" in text.as_string()
 
 
 def test_what_was_stopped_resumes(blender: ModuleType, reconstructing, tmp_path: Path) -> None:

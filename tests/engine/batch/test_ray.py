@@ -188,6 +188,7 @@ def test_a_machine_without_the_gpu_that_it_promised(
     assert "1 of 2 objects done" in page and f"failed: {hall}: " in page
 
 
+@pytest.mark.slow  # a cluster starts; `misfit`, above, has the words
 def test_machines_with_another_version_are_refused(
     head: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -226,8 +226,9 @@ def test_too_few_photos_are_one_line(
 def test_two_photos_give_a_model_or_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    copy_photos(tmp_path / "photos", demo_photos("wide/*.jpg", 2), ["a b.jpg", "写真 ü.jpg"])
-    words = ["reconstruct", tmp_path / "photos", "--out", tmp_path / "scene", "--features", 2000]
+    names = ["a b.jpg", "写真 ü.jpg"]
+    copy_photos(tmp_path / "photos", demo_photos("wide/*.jpg", 2), names, 0.6)
+    words = ["reconstruct", tmp_path / "photos", "--out", tmp_path / "scene", "--features", 1000]
     status = main([str(word) for word in words])
     said = capsys.readouterr().err
     assert status in (0, 2) and "Traceback" not in said

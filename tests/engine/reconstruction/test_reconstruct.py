@@ -158,9 +158,9 @@ def test_photos_that_match_nothing_are_one_line_and_a_report(
 def test_features_are_not_found_where_a_mask_is_black(tmp_path: Path) -> None:
     names = ["a.jpg", "b.jpg"]
     folder = Folder(tmp_path / "scene")
-    copy_photos(folder.images, demo_photos("wide/*.jpg", 2), names)
-    mask = np.zeros((428, 640), dtype=np.uint8)
-    mask[:, 320:] = 255
+    copy_photos(folder.images, demo_photos("wide/*.jpg", 2), names, 0.5)
+    mask = np.zeros((214, 320), dtype=np.uint8)
+    mask[:, 160:] = 255
     (tmp_path / "masks").mkdir()
     Image.fromarray(mask).save(tmp_path / "masks/b.jpg.png")
     folder.work().mkdir()
@@ -176,7 +176,7 @@ def test_features_are_not_found_where_a_mask_is_black(tmp_path: Path) -> None:
         name: np.frombuffer(data, dtype=np.float32).reshape(-1, columns)[:, 0].min()
         for name, (columns, data, _) in rows.items()
     }
-    assert left["a.jpg"] < 100 and left["b.jpg"] >= 320
+    assert left["a.jpg"] < 50 and left["b.jpg"] >= 160
     assert len({camera for _, _, camera in rows.values()}) == 1
 
 
