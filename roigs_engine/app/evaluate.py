@@ -20,6 +20,7 @@ from ..requests.runs import Evaluate
 from ..run.config import RunConfig
 from .inputs import boxes_of, load_model, load_scene, mask_options, on_device
 from .outputs import Evaluated, named_files, refuse_inputs, refuse_run_files
+from .surface_record import add_to_reports
 
 if TYPE_CHECKING:
     from ..evaluation.scores import Evaluation
@@ -91,6 +92,7 @@ def write_evaluation(
     write_report(evaluation, folder)
     write_crops(evaluation, models, scene, rois, folder, context=context)
     write_page(evaluation, comparisons(evaluation, models, scene, rois, context=context), folder)
+    add_to_reports(folder)
     return format_markdown(evaluation)
 
 

@@ -23,6 +23,7 @@ from ..requests.runs import MakeSurface, Train
 from .asked import Asked
 from .inputs import load_model
 from .outputs import Result
+from .surface_record import PICTURE, RECORD, SurfaceRecord, add_to_reports, read_surface
 
 if TYPE_CHECKING:
     from ..model.gaussians import Gaussians
@@ -31,56 +32,9 @@ if TYPE_CHECKING:
     from ..surface.make import Surface, SurfaceOptions
     from ..surface.mesh import Mesh
 
-GLB, RECORD = ".glb", ".surface.json"
+GLB = ".glb"
 STEEP = 0.7  # cosine between up and a hole that is above or below
-LEAST = 0.005  # share of a surface: smaller holes are not listed
-VERSION = 1  # increase it if the same inputs become another mesh
-
-
-@dataclass(frozen=True, kw_only=True)
-class SurfaceRecord:
-    """A surface that was made; lengths in units of the COLMAP model.
-
-    Attributes:
-        file: in the run folder.
-        result: SHA-256 of the box's PLY beside it, empty if there is none.
-        size: of its bounding box, along the box's axes.
-        volume: None, if it has holes.
-        filled: share of the surface that no photo has shown, and that was closed.
-        untextured: share of the surface without a colour from a photo.
-        unseen: where no photo shows the surface, and it is open: shares of it, about, by the side
-            (`above`, `below`, `beside`).
-    """
-
-    box: str
-    file: str
-    result: str
-    faces: int
-    vertices: int
-    parts: int
-    size: tuple[float, float, float]
-    area: float
-    volume: float | None
-    watertight: bool
-    filled: float
-    untextured: float
-    unseen: dict[str, float]
-    voxel: float
-    texture: int
-    photos: int
-
-    @property
-    def text(self) -> str:
-        """A line for people."""
-        sides = " x ".join(f"{side:.3g}" for side in self.size)
-        whole = f"closed, volume {self.volume:.3g}" if self.volume is not None else "with holes"
-        found = [f"{share:.0%} {side}" for side, share in self.unseen.items() if share >= LEAST]
-        whole += f", not seen: {', '.join(found)}" if found else ""
-        return (
-            f"Box '{self.box}': {self.faces:,} faces, {sides} large, {whole};"
-            f" {self.filled:.1%} filled, {self.untextured:.1%} without a photo's colour;"
-            f" from {self.photos} photos."
-        )
+VERSION = 2  # increase it if the same inputs become another mesh
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,6 +118,7 @@ def surfaces_of_run(
         files[roi.name] = path
     if failed is not None and not records:
         raise failed
+    add_to_reports(run.folder)
     done = Surfaces(files=files, surfaces=tuple(records))
     return done.with_places(*(record.text for record in records))
 
@@ -230,11 +185,11 @@ def _finished(path: Path, inputs: str, formats: Sequence[str]) -> SurfaceRecord 
     """The record of a surface that was made of the same inputs, and whose files are all whole."""
     try:
         record = read_record(path.with_suffix(RECORD))
-        digests = record.pop("files")
-        same = record.pop("inputs") == inputs and digests.keys() >= set(_names(path, formats))
+        digests = record["files"]
+        same = record["inputs"] == inputs and digests.keys() >= set(_names(path, formats))
         if not same or any(sha256(path.parent / f) != digests[f] for f in digests):
             return None
-        return SurfaceRecord(**record | {"size": tuple(record["size"])})
+        return read_surface(path.with_suffix(RECORD))
     except (RunFolderError, OSError, KeyError, TypeError, AttributeError):
         return None
 
@@ -249,6 +204,8 @@ def _names(path: Path, formats: Sequence[str]) -> list[str]:
 
 def _write(path: Path, made: Surface, run: Run, formats: Sequence[str]) -> dict[str, str]:
     """Write the files of a mesh; returns their digests, by name."""
+    from ..rasterize.image_files import save_png
+    from ..surface.clay import clay
     from ..surface.files import convert_mesh, write_mesh
 
     up = np.eye(4)
@@ -259,7 +216,9 @@ def _write(path: Path, made: Surface, run: Run, formats: Sequence[str]) -> dict[
     write_mesh(first, made.textured, run.frame, up)
     for file in others:
         convert_mesh(first, file)
-    return {file.name: sha256(file) for file in (first, *others)}
+    picture = path.with_suffix(PICTURE)
+    save_png(picture, clay(made.mesh, up[:3, :3]))
+    return {file.name: sha256(file) for file in (first, *others, picture)}
 
 
 def _upright(run: Run) -> NDArray[np.float64]:

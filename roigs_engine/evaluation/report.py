@@ -73,11 +73,11 @@ def format_markdown(evaluation: Evaluation) -> str:
     for scores in evaluation.rois:
         rows = scores.rows
         columns = shown_columns(rows)
-        lines += [f"## box '{_text(scores.roi)}'", "", *_table(rows, columns), ""]
+        lines += [f"## box '{markdown_text(scores.roi)}'", "", *_table(rows, columns), ""]
         columns = [column for column in PHOTO_COLUMNS if has_number(rows, column)]
         if columns:
             lines += ["Near and far, and single photos:", "", *_table(rows, columns), ""]
-        lines += [f"- {_text(line)}" for line in box_notes(scores, evaluation)]
+        lines += [f"- {markdown_text(line)}" for line in box_notes(scores, evaluation)]
         lines.append("")
     seen = [row for scores in evaluation.rois for row in scores.rows if row.views]
     missing = bool(seen) and not has_number(seen, FLIP)
@@ -104,7 +104,7 @@ def write_report(evaluation: Evaluation, run_dir: Path) -> tuple[Path, Path]:
     return markdown, record
 
 
-def _text(text: str) -> str:
+def markdown_text(text: str) -> str:
     """The text on one line; names in it are no Markdown, and no HTML."""
     return MARKDOWN.sub(r"\\\g<0>", printable(" ".join(text.split())))
 
@@ -121,7 +121,7 @@ def has_number(rows: Sequence[ModelScore], column: Column) -> bool:
 
 def _table(rows: Sequence[ModelScore], shown: Sequence[Column]) -> list[str]:
     """Header, rule and rows, padded so that the columns align in plain text."""
-    columns = [["Method", *(_text(row.model) for row in rows)]]
+    columns = [["Method", *(markdown_text(row.model) for row in rows)]]
     columns += [[heading, *cells(rows, key, form, best)] for heading, key, form, best in shown]
     widths = [max(len(cell) for cell in column) for column in columns]
     lines = []

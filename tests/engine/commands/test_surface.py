@@ -16,6 +16,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from roigs_engine.app.surface import make_surfaces
+from roigs_engine.app.surface_record import add_to_reports
 from roigs_engine.cli import main
 from roigs_engine.context import Context
 from roigs_engine.errors import Stopped
@@ -235,3 +236,18 @@ def test_an_empty_box_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[
     out, err = capsys.readouterr()
     assert "No photo shows a surface in box 'ball'" in err.splitlines()[-1]
     assert out == "" and "Traceback" not in err
+
+
+def test_reports_get_a_line_and_a_picture_of_each_surface(run: Path) -> None:
+    (run / "report.md").write_text("# Evaluation\n")
+    (run / "report.html").write_text("<h1>Evaluation</h1>\n<script></script>\n</html>\n")
+    for faces in ("1000", "500"):  # made again, what is said of it is replaced
+        assert main(["surface", str(run), "--device", "cpu", "--faces", faces]) == 0
+    text, page = ((run / name).read_text() for name in ("report.md", "report.html"))
+    few = f"{json.loads((run / 'rois/ball.surface.json').read_text())['faces']} faces"
+    assert text.startswith("# Evaluation\n") and text.count("faces,") == text.count(few) == 1
+    assert page.count("faces,") == page.count(few) == page.count("data:image/png") == 1
+    assert page.index(few) < page.index("<script>")
+    (run / "rois/ball.surface.json").write_text('{"box": "ball", "faces": "<b>"}')
+    add_to_reports(run)  # a damaged record: the reports say nothing of it
+    assert (run / "report.md").read_text() == "# Evaluation\n"

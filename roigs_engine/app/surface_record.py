@@ -1,0 +1,105 @@
+"""What is recorded of a surface, and its part of a run's reports."""
+
+from __future__ import annotations
+
+import base64
+from contextlib import suppress
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from ..formats import run_files
+from ..formats.files import read_bytes, read_record, write_text
+
+LEAST = 0.005  # share of a surface: smaller holes are not listed
+RECORD, PICTURE = ".surface.json", ".surface.png"
+START, END = "<!-- surfaces -->\n", "<!-- end of surfaces -->\n"
+"""In reports, around what these say of surfaces."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceRecord:
+    """A surface that was made; lengths in units of the COLMAP model.
+
+    Attributes:
+        file: in the run folder.
+        result: SHA-256 of the box's PLY beside it, empty if there is none.
+        size: of its bounding box, along the box's axes.
+        volume: None, if it has holes.
+        filled: share of the surface that no photo has shown, and that was closed.
+        untextured: share of the surface without a colour from a photo.
+        unseen: where no photo shows the surface, and it is open: shares of it, about, by the side
+            (`above`, `below`, `beside`).
+    """
+
+    box: str
+    file: str
+    result: str
+    faces: int
+    vertices: int
+    parts: int
+    size: tuple[float, float, float]
+    area: float
+    volume: float | None
+    watertight: bool
+    filled: float
+    untextured: float
+    unseen: dict[str, float]
+    voxel: float
+    texture: int
+    photos: int
+
+    @property
+    def text(self) -> str:
+        """A line for people."""
+        sides = " x ".join(f"{side:.3g}" for side in self.size)
+        whole = f"closed, volume {self.volume:.3g}" if self.volume is not None else "with holes"
+        found = [f"{share:.0%} {side}" for side, share in self.unseen.items() if share >= LEAST]
+        whole += f", not seen: {', '.join(found)}" if found else ""
+        return (
+            f"Box '{self.box}': {self.faces:,} faces, {sides} large, {whole};"
+            f" {self.filled:.1%} filled, {self.untextured:.1%} without a photo's colour;"
+            f" from {self.photos} photos."
+        )
+
+
+def read_surface(path: Path) -> SurfaceRecord | None:
+    """The record in a file; None: there is none, or it is damaged."""
+    record = read_record(path)
+    with suppress(KeyError, TypeError, ValueError, AttributeError):
+        values = {field.name: record[field.name] for field in fields(SurfaceRecord)}
+        found = SurfaceRecord(**values | {"size": tuple(values["size"])})
+        return found if found.text else None
+    return None
+
+
+def add_to_reports(folder: Path) -> None:
+    """Put a run's surfaces at the end of its reports, in place of what these say of them."""
+    from ..evaluation.report import markdown_text
+    from ..evaluation.report_html import html_text
+
+    files = sorted((folder / run_files.FINE).glob(f"*{RECORD}"))
+    found = [(file, record) for file in files if (record := read_surface(file)) is not None]
+    title, caption = "Surfaces", "In clay, from four sides; what no photo shows is orange."
+    lines = [f"- {markdown_text(record.text)}" for _, record in found]
+    _replace(folder / run_files.REPORT, [f"## {title}", "", *lines, ""] if found else [])
+    parts = [f"<h2>{title}</h2>", f"<p>{caption}</p>"] if found else []
+    for file, record in found:
+        with suppress(OSError):
+            data = base64.b64encode(read_bytes(file.with_suffix(".png"))).decode()
+            parts.append(f'<p class="wide"><img alt="" src="data:image/png;base64,{data}"></p>')
+        parts.append(f"<p>{html_text(record.text)}</p>")
+    _replace(folder / run_files.REPORT_PAGE, parts, before="<script>")
+
+
+def _replace(report: Path, lines: list[str], before: str = "") -> None:
+    """Write these lines between `START` and `END`; if it has none, before the last `before`."""
+    try:
+        text = read_bytes(report, most=None).decode()
+    except (OSError, UnicodeError):
+        return  # there is no report
+    head, _, rest = text.partition(START)
+    text = head + rest.partition(END)[2]
+    place = text.rfind(before) if before in text else len(text)
+    part = "".join(f"{line}\n" for line in lines)
+    whole = f"{START}{part}{END}" if lines else ""
+    write_text(report, text[:place] + whole + text[place:])
