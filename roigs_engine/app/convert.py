@@ -334,6 +334,7 @@ def _refuse_page_options(request: Convert, *, plain: bool) -> None:
         "--title": request.title,
         "--fly-to": request.fly_to,
         "--before": request.before,
+        "--mesh": request.mesh or None,
         "--scene": None if plain else request.page_scene,
     }
     if request.out.suffix.lower() != PAGE:
@@ -370,6 +371,12 @@ def _page_extras(request: Convert, before: Arrays | None, model: _Model) -> Extr
         centre = matrix[:3, :3] @ box.centre + matrix[:3, 3]
         ball = Ball(centre=centre, radius=float(np.linalg.norm(box.half_extents)))
         places.append((box.name, ball))
+    meshes = []
+    for file in request.mesh:
+        from ..surface.files import page_meshes
+
+        refuse_inputs([request.out], [file], OTHER)
+        meshes += page_meshes(file, matrix)
     shown = None if request.before is None else formats.target_of(request.before)
     return Extras(
         title=request.title or "",
@@ -377,6 +384,7 @@ def _page_extras(request: Convert, before: Arrays | None, model: _Model) -> Extr
         before=before,
         before_antialiased=shown is not None and shown.antialiased,
         poses=None if poses is None else poses @ np.linalg.inv(matrix),
+        meshes=meshes,
     )
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import ConfigError, EngineError
 from ..formats.drawable import usable
@@ -30,8 +31,8 @@ from . import spz
 from .arrays import Arrays, opacities
 
 PARTS = Path(__file__).parent / "page_parts"
-SCRIPTS = ("shaders.js", "renderer.js", "camera.js", "page.js")
-BEFORE, AFTER = "Before", "After"
+SCRIPTS = ("shaders.js", "renderer.js", "mesh.js", "camera.js", "page.js")
+BEFORE, AFTER, ALONE, MESH = "Before", "After", "Gaussians", "Mesh"
 WHOLE = "Whole scene"
 FIELD = 50.0  # degrees; the viewer's vertical field of view
 MARGIN = 1.1  # around what is looked at
@@ -51,6 +52,22 @@ class Ball:
     radius: float
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PageMesh:
+    """A textured mesh in the model's frame.
+
+    Attributes:
+        vertices, faces: (V, 3), (F, 3).
+        uv: (V, 2) in the picture, from its upper left corner, 0 to 1.
+        picture: a JPEG.
+    """
+
+    vertices: Float64
+    faces: NDArray[np.int64]
+    uv: Float64
+    picture: bytes
+
+
 @dataclass(frozen=True, kw_only=True)
 class Extras:
     """What a page shows besides the model; places and poses are in the model's frame."""
@@ -59,6 +76,7 @@ class Extras:
     places: Sequence[tuple[str, Ball]] = ()  # to look at, one button each
     before: Arrays | None = None  # a second model to switch to
     before_antialiased: bool = False
+    meshes: Sequence[PageMesh] = ()  # to switch to
     poses: Float64 | None = None
     """(N, 4, 4) world_to_camera of the photos; places are first seen from where one was taken."""
 
@@ -68,13 +86,16 @@ def write(
 ) -> int:
     """See `FileFormat`. ConfigError: also if `before` has no Gaussians."""
     extras = extras or Extras()
-    models = {AFTER: arrays}
+    models = {ALONE if extras.meshes else AFTER: arrays}
     if extras.before is not None:
         models = {BEFORE: usable(extras.before), AFTER: arrays}
         if not len(models[BEFORE]["means"]):
             raise ConfigError("The model before has no Gaussians.", "Give another --before.")
-    drawn = {BEFORE: extras.before_antialiased, AFTER: antialiased}
-    embedded = {name: _embedded(name, model, drawn[name]) for name, model in models.items()}
+    before = {BEFORE: extras.before_antialiased}
+    embedded = {
+        name: _embedded(name, model, before.get(name, antialiased))
+        for name, model in models.items()
+    }
     counts = {name: count for name, (_, count) in embedded.items()}
     values = {
         "title": html.escape(printable(extras.title or path.stem)),
@@ -83,13 +104,13 @@ def write(
         "count": f"{sum(counts.values()):,}",
         # No HTML can end it.
         "page": json.dumps(_description(arrays, counts, extras)).replace("<", "\\u003c"),
-        "models": "\n".join(text for text, _ in embedded.values()),
+        "models": "\n".join([*(text for text, _ in embedded.values()), *_embedded_meshes(extras)]),
         "worker": _part("worker.js"),
         "script": "\n".join(_part(name).replace('"use strict";\n', "") for name in SCRIPTS),
     }
     text = re.sub(r"\{\{(\w+)\}\}", lambda found: values[found[1]], _part("page.html"))
     write_text(path, text)
-    return counts[AFTER]
+    return [*counts.values()][-1]
 
 
 def _description(shown: Arrays, counts: dict[str, int], extras: Extras) -> dict[str, Any]:
@@ -106,6 +127,7 @@ def _description(shown: Arrays, counts: dict[str, int], extras: Extras) -> dict[
     return {
         "models": list(counts),
         "counts": counts,
+        "meshes": len(extras.meshes),
         "places": places,
         "field": FIELD,
         "rules": {
@@ -126,6 +148,26 @@ def _embedded(name: str, arrays: Arrays, antialiased: bool) -> tuple[str, int]:
     data, count = spz.encoded(arrays, spz.STEPS[-1], antialiased=antialiased)  # a small page
     text = base64.b64encode(data).decode()
     return f'<script id="{name}" type="text/plain">{text}</script>', count
+
+
+def _embedded_meshes(extras: Extras) -> list[str]:
+    """A script element with all meshes, if there are any."""
+
+    def text(values: NDArray[Any] | bytes, kind: str = "") -> str:
+        data = values if isinstance(values, bytes) else values.astype(kind).tobytes()
+        return base64.b64encode(data).decode()
+
+    meshes = [
+        {
+            "places": text(mesh.vertices, "<f4"),
+            "uvs": text(mesh.uv, "<f4"),
+            "faces": text(mesh.faces, "<u4"),
+            "picture": text(mesh.picture),
+        }
+        for mesh in extras.meshes
+    ]
+    script = f'<script id="{MESH}" type="text/plain">{json.dumps(meshes)}</script>'
+    return [script] if meshes else []
 
 
 def _part(name: str) -> str:

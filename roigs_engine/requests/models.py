@@ -87,6 +87,9 @@ class _Page(Request, heading="web page (OUT.html)"):
         FILE, "rois.json: a button for each box, which flies there; crops nothing"
     )
     before: Path | None = option(FILE, "a second model, to switch between before/after")
+    mesh: tuple[Path, ...] = option(
+        FILE, "a mesh that surface made (.glb), to switch to; repeatable", repeat=True
+    )
     page_scene: Path | None = option(
         DIR,
         "COLMAP project that IN was trained on: its photos tell which way is up, and from where to"

@@ -10,7 +10,8 @@ import numpy as np
 from PIL import Image
 
 from ..exchange.arrays import turn
-from ..exchange.libraries import reading
+from ..exchange.libraries import NotSupportedError, reading
+from ..exchange.page import PageMesh
 from ..formats.files import read_bytes, write_bytes
 from ..machine import package
 from ..model.local_frame import LocalFrame
@@ -73,6 +74,30 @@ def convert_mesh(source: Path, path: Path, up: str | None = None) -> int:
         mesh.vertex_attributes = {name: values.squeeze() for name, values in columns}
         write_bytes(path, mesh.export(file_type=ending[1:]))
     return len(mesh.faces)
+
+
+def page_meshes(path: Path, matrix: Float64) -> list[PageMesh]:
+    """The textured meshes of a surface's .glb for a web page.
+
+    Args:
+        matrix: (4, 4) from the world, in which a surface's vertices are, to the page.
+    """
+    trimesh: Any = package("trimesh", PURPOSE)
+    found = []
+    with reading(path, "glTF"):
+        content = io.BytesIO(read_bytes(path, most=None))
+        for mesh in trimesh.load_scene(content, file_type="glb", process=False).geometry.values():
+            if mesh.visual.kind != "texture" or mesh.visual.uv is None:
+                raise NotSupportedError("a mesh without a texture")
+            picture = io.BytesIO()
+            mesh.visual.material.baseColorTexture.convert("RGB").save(picture, "JPEG", quality=90)
+            vertices = np.asarray(mesh.vertices) @ matrix[:3, :3].T + matrix[:3, 3]
+            uv = np.asarray(mesh.visual.uv) * (1, -1) + (0, 1)
+            faces = np.asarray(mesh.faces)
+            found.append(
+                PageMesh(vertices=vertices, faces=faces, uv=uv, picture=picture.getvalue())
+            )
+    return found
 
 
 def _exported(textured: Textured, frame: LocalFrame) -> Any:

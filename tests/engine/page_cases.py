@@ -61,20 +61,24 @@ def still(shown: chromium.Page) -> None:
     )
 
 
-def ours(
-    values: dict[str, np.ndarray], shown: chromium.Page, *, antialiased: bool = False
-) -> np.ndarray:
-    """Our renderer's picture from the page's camera."""
+def camera_of(shown: chromium.Page) -> tuple[Camera, np.ndarray]:
+    """The page's camera and world_to_camera (4, 4)."""
     width, height = shown.run("[innerWidth, innerHeight]")
     eye, axes = shown.run("ready.then(({ orbit }) => [orbit.position, orbit.axes()])")
     world_to_camera = np.eye(4)
     world_to_camera[:3, :3] = np.array(axes) * np.array([[1], [-1], [-1]])
     world_to_camera[:3, 3] = -world_to_camera[:3, :3] @ np.array(eye)
     focal = height / 2 / np.tan(np.radians(FIELD / 2))
-    camera = Camera(width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
+    size = {"width": width, "height": height, "cx": width / 2, "cy": height / 2}
+    return Camera(fx=focal, fy=focal, **size), world_to_camera
+
+
+def ours(
+    values: dict[str, np.ndarray], shown: chromium.Page, *, antialiased: bool = False
+) -> np.ndarray:
+    """Our renderer's picture from the page's camera."""
     model = Gaussians.from_arrays(values, target=target_with(antialiased=antialiased))
-    view = render_view(model, camera, world_to_camera)
-    return np.asarray(view.image)
+    return np.asarray(render_view(model, *camera_of(shown)).image)
 
 
 def bare(shown: chromium.Page) -> np.ndarray:

@@ -9,7 +9,9 @@
   const canvas = element("view");
   const orbit = new Orbit(page.field);
   const models = {}; // name -> promise
-  let renderer, flight = null, wanted = null;
+  const MESH = "Mesh"; // of the choice, and of the element with the meshes
+  const meshCanvas = element("mesh-view");
+  let renderer, meshes = null, flight = null, wanted = null;
 
   function say(text) {
     element("message").textContent = text;
@@ -50,6 +52,12 @@
     for (const each of element("models").children) {
       each.setAttribute("aria-pressed", String(each.textContent === name));
     }
+    if (name === MESH) {
+      models[name] ??= loadMeshes();
+      await models[name];
+    }
+    meshCanvas.hidden = wanted !== MESH;
+    if (name === MESH) return;
     if (!models[name]) {
       say(`Loading ${page.counts[name].toLocaleString("en")} Gaussians …`);
       const holder = element(name);
@@ -62,11 +70,19 @@
     say("");
   }
 
+  async function loadMeshes() {
+    meshes = new MeshView(meshCanvas, renderer);
+    const holder = element(MESH);
+    await meshes.load(holder.textContent);
+    holder.remove();
+  }
+
   function resize() {
     const density = Math.min(MOST_DENSITY, devicePixelRatio);
     orbit.size = [innerWidth, innerHeight];
     canvas.width = Math.max(1, Math.round(innerWidth * density));
     canvas.height = Math.max(1, Math.round(innerHeight * density));
+    [meshCanvas.width, meshCanvas.height] = [canvas.width, canvas.height];
     renderer.move();
   }
 
@@ -86,13 +102,15 @@
     });
     for (const place of page.places) button("places", place.name, () => fly(place));
     const choose = (name) => show(name).catch((error) => say(error.message));
-    if (page.models.length > 1) {
-      for (const name of page.models) button("models", name, () => choose(name));
+    const choices = page.meshes ? [...page.models, MESH] : page.models;
+    if (choices.length > 1) {
+      for (const name of choices) button("models", name, () => choose(name));
     }
     await show(page.models.at(-1));
     const frame = (now) => {
       if (flight) step(now);
-      renderer.tick(orbit.camera, now);
+      if (meshCanvas.hidden) renderer.tick(orbit.camera, now);
+      else meshes.draw(orbit.camera);
       requestAnimationFrame(frame);
     };
     requestAnimationFrame(frame);

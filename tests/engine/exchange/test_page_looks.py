@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import io
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from PIL import Image
 
 from roigs_engine.exchange import formats, page
 from roigs_engine.formats.targets import target_with
+from roigs_engine.rasterize.instances import NOTHING, surface_depth
 from tests import chromium
 from tests.chromium import browser
 from tests.engine.page_cases import (
     BOX,
     arrays,
     bare,
+    camera_of,
     fine,
     opened,
     ours,
@@ -66,6 +71,42 @@ def test_the_model_before_may_be_drawn_otherwise(tmp_path: Path) -> None:
         assert psnr(bare(shown), ours(before, shown, antialiased=True)) > 40
         press(shown, "After")
         assert psnr(bare(shown), ours(after, shown)) > 40
+
+
+@browser
+def test_a_mesh_is_shown_in_the_place_of_the_gaussians(tmp_path: Path) -> None:
+    """A red wall, whose left half is hidden by a green one before it."""
+    wall = np.array([[-0.4, -0.3, 0], [0.4, -0.3, 0], [0.4, 0.3, 0], [-0.4, 0.3, 0]])
+    near = wall * (0.5, 1, 1) + (-0.2, 0, 0.1)
+    picture = np.zeros((64, 64, 3), np.uint8)
+    picture[:32, :, 0] = picture[32:, :, 1] = 255  # red above green
+    jpeg = io.BytesIO()
+    Image.fromarray(picture).save(jpeg, "JPEG", quality=95)
+    quads = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    mesh = page.PageMesh(
+        vertices=np.concatenate([wall, near]),
+        faces=quads,
+        uv=np.repeat([[0.5, 0.2], [0.5, 0.8]], 4, axis=0),
+        picture=jpeg.getvalue(),
+    )
+    values = arrays()
+    formats.write(tmp_path / "a.html", values, extras=page.Extras(meshes=[mesh]))
+    with opened(tmp_path / "a.html") as shown:
+        whole = bare(shown)
+        assert psnr(whole, ours(values, shown)) > 36
+        press(shown, "Mesh")
+        time.sleep(1)
+        picture, depths = bare(shown), []
+        for part in (quads[:2], quads[2:]):
+            triangles = torch.from_numpy(mesh.vertices[part].astype(np.float32))
+            depths.append(surface_depth(triangles, *camera_of(shown)).numpy())
+        red, green = (picture[..., k] > 0.6 for k in (0, 1))
+        assert (green != ((depths[1] < NOTHING) & (depths[1] <= depths[0]))).mean() < 0.01
+        assert (red != ((depths[0] < NOTHING) & (depths[0] < depths[1]))).mean() < 0.01
+        assert red.sum() > 100 and green.sum() > 100
+        press(shown, "Gaussians")
+        assert psnr(bare(shown), whole) > 50
+        assert not shown.problems
 
 
 @browser
