@@ -92,7 +92,7 @@ def page_meshes(path: Path, matrix: Float64) -> list[PageMesh]:
             picture = io.BytesIO()
             mesh.visual.material.baseColorTexture.convert("RGB").save(picture, "JPEG", quality=90)
             vertices = np.asarray(mesh.vertices) @ matrix[:3, :3].T + matrix[:3, 3]
-            uv = np.asarray(mesh.visual.uv) * (1, -1) + (0, 1)
+            uv = np.asarray(mesh.visual.uv, dtype=float) * (1.0, -1.0) + (0.0, 1.0)
             faces = np.asarray(mesh.faces)
             found.append(
                 PageMesh(vertices=vertices, faces=faces, uv=uv, picture=picture.getvalue())

@@ -90,15 +90,27 @@ def test_a_box_gets_a_mesh_and_its_facts(run: Path, capsys: pytest.CaptureFixtur
     mesh = trimesh.load(run / "rois/ball.glb", force="mesh")
     assert len(mesh.faces) == record["faces"]
     assert trimesh.load(run / "rois/ball.stl").is_watertight
-    assert main(["convert", str(run / "rois/ball.glb"), str(run / "other.stl")]) == 0
-    assert (run / "other.stl").read_bytes() == (run / "rois/ball.stl").read_bytes()
-    capsys.readouterr()
-    words_of = ("convert", run / "rois/ball.glb")
-    assert "which ball.spz cannot hold" in refused(capsys, *words_of, run / "ball.spz")
-    assert "--plain is for Gaussians" in refused(capsys, *words_of, run / "b.obj", "--plain")
     first = (run / "rois/ball.glb").read_bytes()
     assert main([*words, "--watertight"]) == 0
     assert (run / "rois/ball.glb").read_bytes() == first
+
+
+def test_meshes_in_other_formats_and_on_pages(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["surface", str(run), "--device", "cpu", "--faces", "2000", "--format", "stl"]
+    assert main(words) == 0
+    glb, stl, page = run / "rois/ball.glb", run / "other.stl", run / "page.html"
+    assert main(["convert", str(glb), str(stl)]) == 0
+    assert stl.read_bytes() == (run / "rois/ball.stl").read_bytes()
+    model = str(run / "result.ply")
+    assert main(["convert", model, str(page), "--from-up=y", "--mesh", str(glb)]) == 0
+    assert '"meshes": 1' in page.read_text() and '"places"' in page.read_text()
+    capsys.readouterr()
+    assert "which ball.spz cannot hold" in refused(capsys, "convert", glb, run / "ball.spz")
+    assert "--plain is for Gaussians" in refused(capsys, "convert", glb, stl, "--plain")
+    other = "convert", model, run / "b.spz", "--mesh", glb
+    assert "--mesh is for web pages alone" in refused(capsys, *other)
 
 
 def test_the_boxes_are_those_of_the_training(run: Path) -> None:
