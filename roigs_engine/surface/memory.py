@@ -26,6 +26,7 @@ PER_DEPTH = 20  # bytes: depth, weight, slope, and what is computed of them
 PER_TEXEL = 300  # bytes while it gets its colour
 PER_PIXEL = 200  # bytes of the largest part of a photo: its colours, the mesh's depth there
 PER_GAUSSIAN = 800  # bytes: parameters, and what drawing computes of them
+CHARTS = 150 << 20  # bytes for charts, and what reading the scene leaves
 NEAR_ENOUGH = 1.5  # depth maps so many times finer than the field stay as they are
 
 
@@ -82,7 +83,7 @@ def plan_surface(images: Sequence[PosedImage], roi: OrientedBox, gaussians: int)
         coarser=coarser,
         voxel=voxel,
         texture=1 << int(math.log2(side)),
-        memory=ENGINE + PER_GAUSSIAN * gaussians + work,
+        memory=ENGINE + CHARTS + PER_GAUSSIAN * gaussians + work,
         machine=machine,
     )
 
