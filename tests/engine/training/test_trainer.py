@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -120,6 +122,24 @@ def test_every_photo_is_drawn_both_ways(period: int) -> None:
         assert 3 <= sum(drawn[first::period]) <= 9
 
 
+def data_for(scene: SfmScene, config: TrainConfig) -> StageData:
+    """With boxes, where the config needs them."""
+    return stage_data(scene, rois=[BOX] if config is MASKED else ())
+
+
+@pytest.fixture(scope="module")
+def never_stopped(scene: SfmScene) -> Callable[[TrainConfig], Gaussians]:
+    """The model of a config's training, made once."""
+
+    @functools.cache
+    def trained(config: TrainConfig) -> Gaussians:
+        whole = Trainer(first_model(scene), data_for(scene, config), config)
+        whole.run()
+        return whole.gaussians
+
+    return trained
+
+
 @pytest.mark.parametrize(
     ("config", "stop"),
     [
@@ -131,11 +151,13 @@ def test_every_photo_is_drawn_both_ways(period: int) -> None:
     ],
 )
 def test_resuming_equals_never_stopping(
-    scene: SfmScene, tmp_path: Path, config: TrainConfig, stop: int
+    scene: SfmScene,
+    tmp_path: Path,
+    config: TrainConfig,
+    stop: int,
+    never_stopped: Callable[[TrainConfig], Gaussians],
 ) -> None:
-    data = stage_data(scene, rois=[BOX] if config is MASKED else ())
-    whole = Trainer(first_model(scene), data, config)
-    whole.run()
+    data, whole = data_for(scene, config), never_stopped(config)
     half = Trainer(first_model(scene), data, config)
     assert not half.run(Context(should_stop=lambda: half.step >= stop))
     save_checkpoint(tmp_path / "checkpoint.bin", half.state_dict(), "same")
@@ -146,8 +168,8 @@ def test_resuming_equals_never_stopping(
     assert rest.cpu_seconds == half.cpu_seconds > 0
     assert rest.run()
     assert rest.cpu_seconds > half.cpu_seconds
-    assert len(rest.gaussians) == len(whole.gaussians) > 0
-    assert same_bits(rest.gaussians, whole.gaussians)
+    assert len(rest.gaussians) == len(whole) > 0
+    assert same_bits(rest.gaussians, whole)
 
 
 def test_a_stage_ends_with_the_mean_of_its_last_models(scene: SfmScene) -> None:
