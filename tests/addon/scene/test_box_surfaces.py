@@ -396,3 +396,35 @@ def test_renamed_and_deleted(blender: ModuleType, ball) -> None:
     blender.data.objects.remove(item)
     item = show()
     assert item.name == "thing Mesh" and scene.objects["thing Gaussians"].hide_render
+
+
+@pytest.mark.parametrize("mode", ["SCULPT", "VERTEX_PAINT", "TEXTURE_PAINT", "WEIGHT_PAINT"])
+def test_made_again_while_it_is_painted(blender: ModuleType, ball, mode: str) -> None:
+    from roigs_addon.scene import box_surfaces
+
+    scene, path, show = ball
+    item = show()
+    blender.context.view_layer.update()
+    blender.context.view_layer.objects.active = item
+    item.select_set(True)
+    blender.ops.object.mode_set(mode=mode)
+    write_ball(path, radius=2 * RADIUS)
+    assert show() == item and item.mode == "OBJECT"
+    blender.context.view_layer.update()
+    assert item.dimensions.x == pytest.approx(4 * RADIUS, rel=0.02)
+    assert not box_surfaces.edited(scene)
+
+
+def test_modifiers_that_are_applied_are_edits(blender: ModuleType, ball) -> None:
+    from roigs_addon.scene import box_surfaces
+
+    scene, _, show = ball
+    item = show()
+    modifier = item.modifiers.new("Fewer", "DECIMATE")
+    modifier.ratio = 0.5
+    blender.context.view_layer.update()
+    assert not box_surfaces.edited(scene)  # a new mesh keeps it
+    blender.context.view_layer.objects.active = item
+    blender.ops.object.modifier_apply(modifier="Fewer")
+    blender.context.view_layer.update()
+    assert box_surfaces.edited(scene) == ["thing Mesh"]
