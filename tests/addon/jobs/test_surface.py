@@ -119,15 +119,22 @@ def test_an_edit_meanwhile_is_kept(blender: ModuleType, made) -> None:
 
 def test_it_stops(blender: ModuleType, run, tmp_path: Path, monkeypatch) -> None:
     from roigs_addon import settings
+    from roigs_addon.engine.run_status import RunStatus
+    from roigs_addon.facts import run_facts
     from roigs_addon.jobs import current, surface_job
+    from roigs_addon.ui import train
 
     scene, _ = run
     use(monkeypatch, tmp_path, LISTEN)
     job = current.start(settings.engine(()), surface_job.spec(scene, [], replace_edits=False))
     assert until(lambda: job.poll() and job.state.stage == "scene")
+    holds = RunStatus(result=True, holder=1234)  # the lock of this engine
+    monkeypatch.setattr(run_facts, "run", lambda _: holds)
+    assert not any("Another Blender" in label for label in said(blender, train.TrainPanel))
     job.stop()
     assert until(lambda: not job.poll())
     assert job.result.stopped and current.stopped() and "thing Mesh" not in scene.objects
+    assert any("Another Blender" in label for label in said(blender, train.TrainPanel))
 
 
 def test_what_is_finished_is_shown_after_a_stop(
