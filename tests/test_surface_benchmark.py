@@ -81,6 +81,18 @@ def test_only_the_side_that_photos_look_at_is_seen_and_nothing_behind_a_wall(
     assert not distances.views_of(samples, np.concatenate([true, wall]), [photo()])[0].any()
 
 
+def test_a_layer_behind_a_slanted_one_is_not_seen() -> None:
+    """5 mm behind it, where a pixel is 14 mm large."""
+    front = np.array([[[-1, -1, -1], [1, -1, -1], [0, 1, 1]]], np.float32)
+    behind = front + np.float32(0.005) * np.array([0, -1, 1], np.float32) / np.sqrt(2)
+    both = np.concatenate([front, behind]).astype(np.float32)
+    for sheet, wanted in ((front, True), (behind, False)):
+        samples = distances.sampled(sheet, 2000)
+        samples = samples.rows(np.abs(samples.points - (0, -0.3, -0.3)).max(axis=1) < 0.2)
+        views = distances.views_of(samples, both, [photo()])[0]
+        assert len(views) > 20 and (views > 0).all() == wanted and views.any() == wanted
+
+
 def test_a_mesh_is_moved_back_onto_the_truth() -> None:
     true = sphere(0.1) * np.float32([1, 0.7, 0.5])
     moved = true + np.float32([0.002, -0.001, 0.0015])

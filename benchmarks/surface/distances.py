@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from roigs_engine.model.scene import Float64, PosedImage, project
+from roigs_engine.model.scene import Camera, Float64, PosedImage, project
 from roigs_engine.rasterize.instances import surface_depth
 
 Triangles = NDArray[np.float32]
@@ -28,7 +28,8 @@ WITHIN = (0.001, 0.002, 0.005)
 NEAREST = 4  # samples whose triangles are tried for the nearest point
 CONTACT = 0.006  # this far above what an object stands on, it and the support are not told apart
 FINER = 2  # times a photo's resolution, of the depth that says what it sees
-SLACK, STEEPEST_SLACK = 0.0005, 3.0
+SLACK, SLACK_PIXELS = 0.0005, 0.25  # metres and pixels behind the nearest surface: still seen
+FARTHEST = 2.0  # pixels of depth between a sample and its plane at its pixel's centre
 LEAST_VIEWS = 2
 ROUNDS = 10  # of an alignment
 STEEPEST = 0.2  # least cosine of the angle at which a photo sees a surface
@@ -47,7 +48,7 @@ class Samples:
     normals: Float64
     faces: NDArray[np.int64]
 
-    def rows(self, which: NDArray[np.bool_]) -> Samples:
+    def rows(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Samples:
         """Some of them."""
         return Samples(
             points=self.points[which], normals=self.normals[which], faces=self.faces[which]
@@ -114,14 +115,28 @@ def views_of(
             continue
         x, y = pixels[rows].astype(np.int64).T
         nearest = surface_depth(shapes, camera, image.world_to_camera).numpy()[y, x]
-        # A pixel's centre is up to 0.7 pixels away, where a slanted surface has another depth.
-        slope = np.sqrt(1 - cosine[rows] ** 2) / cosine[rows]
-        slack = SLACK + 0.7 * depth[rows] / camera.fx * np.minimum(slope, STEEPEST_SLACK)
-        rows = rows[depth[rows] < nearest + slack]
+        slack = SLACK + depth[rows] / camera.fx * SLACK_PIXELS
+        rows = rows[_at_centres(samples.rows(rows), camera, image) < nearest + slack]
         count[rows] += 1
         towards[rows] += rays[rows]
     flipped = (towards * samples.normals).sum(axis=1, keepdims=True) < 0
     return count, np.where(flipped, -samples.normals, samples.normals)
+
+
+def _at_centres(samples: Samples, camera: Camera, image: PosedImage) -> Float64:
+    """(N,) the depth of the samples' planes at the centres of their pixels.
+
+    A slanted surface has another depth there than at the sample; a layer behind it has not.
+    """
+    pixels, depth, _ = project(samples.points, camera, image.world_to_camera)
+    centres = (np.floor(pixels) + 0.5 - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    rays = np.concatenate([centres, np.ones((len(centres), 1))], axis=1)
+    rotation = image.world_to_camera[:3, :3]
+    normals = samples.normals @ rotation.T
+    away = ((samples.points - image.centre) @ rotation.T * normals).sum(axis=1)
+    found = away / (rays * normals).sum(axis=1)
+    farthest = FARTHEST * depth / camera.fx
+    return np.asarray(np.clip(found, depth - farthest, depth + farthest))
 
 
 def nearest(
@@ -202,7 +217,8 @@ def seen_truth(
         images: the photos.
         folder: where the result is kept.
     """
-    digest = hashlib.sha256(true.tobytes() + rest.tobytes())
+    digest = hashlib.sha256(f"{SLACK} {SLACK_PIXELS} {FARTHEST}".encode())
+    digest.update(true.tobytes() + rest.tobytes())
     for image in images:
         digest.update(f"{image.name} {image.camera}".encode() + image.world_to_camera.tobytes())
     file = folder / f"seen-{digest.hexdigest()[:16]}.npz"

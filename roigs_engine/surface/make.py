@@ -20,6 +20,7 @@ from .fusion import footprint, fuse
 from .memory import BETTER, FINER, SurfacePlan, pixel_size, plan_surface
 from .mesh import Mesh, mesh_of, nothing_there, simplified
 from .objects import cut_off, has_masks, painted, support_of
+from .photo_fit import fitted
 from .texture import Load, Textured, texture_side, textured
 
 PACKAGES = {
@@ -124,7 +125,7 @@ def make_surface(
     if masked and roi.scaled(1 - NEAR_SIDE).distance(mesh.vertices).astype(bool).mean() > CUT:
         context.warn(f"The box cuts object '{roi.name}': make the box larger.")
     context.check_cancelled()
-    mesh = simplified(mesh, options.faces)
+    mesh = fitted(simplified(mesh, options.faces), maps, load, context)
     side = min(options.texture_size or texture_side(mesh, maps), plan.texture)
     return Surface(
         textured=textured(mesh, maps, side, load, context), voxel=voxel, photos=len(maps)
