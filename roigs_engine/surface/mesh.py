@@ -213,11 +213,11 @@ def _large_parts(mesh: Mesh) -> Mesh:
 def simplified(mesh: Mesh, faces: int) -> Mesh:
     """The mesh with about so many faces at most (quadric errors, Garland and Heckbert 1997).
 
-    A closed mesh stays closed; for that, it may keep more.
+    A closed mesh stays closed; for that, it may keep more. What merging cuts off is removed.
     """
     wanted, is_closed = faces, mesh.is_closed()
     while len(mesh.faces) > wanted:
-        found = _decimated(mesh, wanted)
+        found = _large_parts(_decimated(mesh, wanted))
         if not is_closed or found.is_closed():
             return found
         wanted *= 2

@@ -94,6 +94,28 @@ def test_the_mesh_ends_where_photos_end() -> None:
     assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - RADIUS).max() < 2 * VOXEL
 
 
+def test_what_simplifying_cuts_off_is_removed() -> None:
+    """A small sheet that touches a large one with a corner."""
+    x, y = np.mgrid[0:40, 0:40]
+    large = np.stack([x, y, 0.1 * np.sin(1.7 * x + y)], axis=-1).reshape(-1, 3)
+    small = large[(x < 4).ravel() & (y < 4).ravel()] / 10 + (39, 39, 0)
+    quads = [
+        (i * n + j + k, n)
+        for n, k in ((40, 0), (4, 1599))
+        for i in range(n - 1)
+        for j in range(n - 1)
+    ]
+    faces = [face for a, n in quads for face in ((a, a + n, a + 1), (a + 1, a + n, a + n + 1))]
+    corners = np.array(faces, dtype=np.int64)
+    mesh = Mesh(
+        vertices=np.concatenate([large, small[1:]]),
+        faces=corners,
+        filled=np.zeros(len(corners), bool),
+    )
+    assert len(np.unique(mesh.parts())) == 1
+    assert len(np.unique(simplified(mesh, 1000).parts())) == 1
+
+
 def test_an_empty_box_is_said() -> None:
     empty = [replace(m, depth=np.full_like(m.depth, 8.0)) for m in map(depth_map, images(6))]
     with pytest.raises(SceneError, match="No photo shows a surface in box 'ball'"):
