@@ -86,7 +86,8 @@ def add_to_reports(folder: Path) -> None:
     for file, record in found:
         with suppress(OSError):
             data = base64.b64encode(read_bytes(file.with_suffix(".png"))).decode()
-            parts.append(f'<p class="wide"><img alt="" src="data:image/png;base64,{data}"></p>')
+            source = f"data:image/png;base64,{data}"
+            parts.append(f'<p><img alt="" style="max-width: 100%" src="{source}"></p>')
         parts.append(f"<p>{html_text(record.text)}</p>")
     _replace(folder / run_files.REPORT_PAGE, parts, before="<script>")
 
