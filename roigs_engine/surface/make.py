@@ -125,7 +125,7 @@ def make_surface(
     if masked and roi.scaled(1 - NEAR_SIDE).distance(mesh.vertices).astype(bool).mean() > CUT:
         context.warn(f"The box cuts object '{roi.name}': make the box larger.")
     context.check_cancelled()
-    mesh = fitted(simplified(mesh, options.faces), maps, load, context)
+    mesh = fitted(simplified(mesh, options.faces), maps, roi, load, context)
     side = min(options.texture_size or texture_side(mesh, maps), plan.texture)
     return Surface(
         textured=textured(mesh, maps, side, load, context), voxel=voxel, photos=len(maps)

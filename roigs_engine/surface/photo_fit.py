@@ -9,7 +9,7 @@ patches of a neighbourhood say is sharp. So a mesh gets one smooth field of offs
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -18,6 +18,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from ..context import QUIET, Context
+from ..model.roi import OrientedBox
 from ..model.scene import Float64, project
 from .depth import DepthMap
 from .mesh import Mesh
@@ -34,6 +35,7 @@ PLAIN = 2.0  # levels of 255: patches with a smaller standard deviation say noth
 WIDEST, NARROW = 0.9, 0.3  # sine of the angle between two rays: not above; counts less below
 PEAK = 0.02  # correlation by which the best offset must exceed the usual one
 AT_ONCE = 512  # patches whose colours are looked up: 60 MB
+ALIKE, SAME_SIDE = 0.7, 0.0  # least cosine of normals: of neighbours; of what moves a vertex
 PRIOR = 0.01  # weight of no offset, in patches' correlations
 
 Float32 = NDArray[np.float32]
@@ -61,13 +63,15 @@ class _Patches:
         return np.where(np.isfinite(self.pixels[0]), self.pixels[0], 0.0)
 
 
-def fitted(mesh: Mesh, maps: Sequence[DepthMap], load: Load, context: Context = QUIET) -> Mesh:
+def fitted(
+    mesh: Mesh, maps: Sequence[DepthMap], roi: OrientedBox, load: Load, context: Context = QUIET
+) -> Mesh:
     """The mesh, moved to where its photos agree, by at most four pixels of the best of them.
 
-    Where photos have no detail, it stays.
+    Where photos have no detail, it stays, and where it would leave its box.
 
     Args:
-        mesh: in the frame of the maps.
+        mesh: in the frame of the maps and the box.
         load: returns a photo, (H, W, 3) uint8 sRGB.
     """
     if not mesh.areas[~mesh.filled].sum() > 0:
@@ -76,16 +80,19 @@ def fitted(mesh: Mesh, maps: Sequence[DepthMap], load: Load, context: Context = 
     colours = _colours(patches, maps, load, context)
     centres = np.array([depth_map.image.centre for depth_map in maps])
     scores, weights = _agreement(patches, colours, centres)
-    tree, normals = cKDTree(patches.places), mesh.normals()
-    near = _Neighbours(tree, patches, patches.places, patches.normals)
+    tree = cKDTree(patches.places)
+    near = _Neighbours(tree, patches, patches.places, patches.normals, ALIKE)
     offsets, sure = _best(near.sums(scores), near.sums(weights[:, None])[:, 0])
-    here = _Neighbours(tree, patches, mesh.vertices, normals)
     sure[patches.size == 0] = 0
-    total = here.sums(np.stack([sure * offsets * patches.size, sure], axis=1))
-    moved = total[:, 0] / (total[:, 1] + PRIOR)
-    return Mesh(
-        vertices=mesh.vertices + moved[:, None] * normals, faces=mesh.faces, filled=mesh.filled
-    )
+    # As vectors: at the rims of holes, the mesh's own normals are noise.
+    moves = (sure * offsets * patches.size)[:, None] * patches.normals
+    here = _Neighbours(tree, patches, mesh.vertices, mesh.normals(), SAME_SIDE)
+    total = here.sums(np.column_stack([moves, sure]))
+    moved = mesh.vertices + total[:, :3] / (total[:, 3:] + PRIOR)
+    before, after = (np.abs(roi.to_box(places)) for places in (mesh.vertices, moved))
+    leaves = (after > np.maximum(before, 1)).any(axis=1)
+    moved[leaves] = mesh.vertices[leaves]
+    return replace(mesh, vertices=moved)
 
 
 def _patches(mesh: Mesh, maps: Sequence[DepthMap]) -> _Patches:
@@ -188,11 +195,13 @@ def _agreement(patches: _Patches, colours: Float32, centres: Float64) -> tuple[F
 class _Neighbours:
     """The patches around some places of a mesh, that face as these do, and their weights."""
 
-    def __init__(self, tree: cKDTree, patches: _Patches, places: Float64, normals: Float64) -> None:
+    def __init__(
+        self, tree: cKDTree, patches: _Patches, places: Float64, normals: Float64, alike: float
+    ) -> None:
         away, self._near = tree.query(places, k=NEIGHBOURS)
         weight = np.exp(-2 * (away / np.maximum(away[:, -1:], 1e-30)) ** 2)
-        alike = np.einsum("nkd,nd->nk", patches.normals[self._near], normals) > 0.7
-        self._weights = weight * alike
+        cosine = np.einsum("nkd,nd->nk", patches.normals[self._near], normals)
+        self._weights = weight * (cosine > alike)
 
     def sums(self, values: Float64) -> Float64:
         """(P, M) sums of the patches' values (N, M) around each place."""
