@@ -25,6 +25,7 @@ from roigs_engine.training.mechanisms.importance_pruning import ImportancePrunin
 from roigs_engine.training.mechanisms.measured_sh_rate import MeasuredShRate
 from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
 from roigs_engine.training.mechanisms.opacity_decay import OpacityDecay
+from roigs_engine.training.mechanisms.spaced_sh_rate import SpacedShRate
 from roigs_engine.training.mechanisms.warm_restarts import WarmRestarts
 from tests.engine.runs import tiny, train, train_run
 from tests.engine.synthetic_scene import BOX, make_scene
@@ -33,7 +34,7 @@ TUNED = ("full-scene-tuned", "full-object-tuned")
 SECOND = OrientedBox.between("second", [-0.2, -0.2, -0.2], [0.5, 0.5, 0.5])
 # What fits any scene.
 USED = (
-    *(MeasuredShRate, DensityControl, WarmRestarts, ModelAveraging),
+    *(SpacedShRate, MeasuredShRate, DensityControl, WarmRestarts, ModelAveraging),
     *(OpacityDecay, ImportancePruning, FloaterPruning),
 )
 
@@ -69,7 +70,7 @@ def test_settings_are_ours_without_the_boxes(name: str) -> None:
     ours = preset("standard").roi
     for field in ("lr_shN", "lr_scales", "lr_means", "sh_start"):
         assert getattr(fine, field) == getattr(ours, field)
-    for kind in (OpacityDecay, FloaterPruning, WarmRestarts):
+    for kind in (SpacedShRate, OpacityDecay, FloaterPruning):
         assert fine.of(kind) == ours.of(kind)
     assert fine.of(ModelAveraging).steps == fine.steps // 10
     densify = first.until + last.until
@@ -88,7 +89,7 @@ def test_all_photos_whole_shuffled_and_everywhere(scene: SfmScene) -> None:
     assert tuned.order.kind == "shuffled" and tuned.order.count == len(tuned.images)
     assert (tuned.seed, tuned.extent) == (joint.seed, joint.extent)
     assert [roi.name for roi in tuned.rois] == [roi.name for roi in joint.rois]
-    assert tuned.config.lr_shN == joint.config.lr_shN == config.roi.lr_shN
+    assert tuned.config.lr_shN == joint.config.lr_shN < config.roi.lr_shN  # by view spacing
     assert type(tuned.config.of(DensityControl)) is DensityControl
 
 
