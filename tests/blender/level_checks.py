@@ -64,9 +64,9 @@ def check_levels_being_read(_a: bpy.types.Object, _b: bpy.types.Object) -> None:
     item, painter = levelled(), Painter()
     held = glance(item, 0.1, painter, wait=True)
     assert painter.counts[0] == (150, 600)
-    for _ in range(2):  # not read yet, then read and not sorted
+    for _ in range(2):  # not read yet; then read, and mostly not sorted
         now = glance(item, 1.0, painter)
-        assert now[..., 3].max() > 0.5 and painter.counts[0] == (150, 600)
+        assert now[..., 3].max() > 0.5 and painter.counts[0] in ((150, 600), (600, 600))
         while not painter.idle():
             time.sleep(0.01)
     for _ in range(3000):  # a minute
