@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -54,15 +55,36 @@ def pxr_modules(*names: str) -> list[Any]:
     return [import_module(f"pxr.{name}") for name in names]
 
 
-def write(path: Path, arrays: Arrays) -> int:
-    """See `FileFormat`. The name's end says whether as text, binary or packed."""
-    usd, geom, vol, vt, utils = pxr_modules("Usd", "UsdGeom", "UsdVol", "Vt", "UsdUtils")
-    packed = path.suffix.lower() == ".usdz"
+def write_stage(path: Path, name: str, fill: Callable[[Any, Path], None]) -> None:
+    """Write a stage with y up, in metres; the path's end says whether as text, binary or packed.
+
+    Args:
+        name: of the layer, which a .usdz has inside.
+        fill: gets the new stage, and a folder for the files that it refers to.
+    """
+    usd, geom, utils = pxr_modules("Usd", "UsdGeom", "UsdUtils")
+    ending = path.suffix.lower()
+    packed = ending == ".usdz"
     with scratch(TITLE) as folder:
-        made = folder / ("model.usdc" if packed else f"model{path.suffix.lower()}")
+        made = folder / (f"{name}.usdc" if packed else f"{name}{ending}")
         stage = usd.Stage.CreateNew(os.fspath(made))
         geom.SetStageUpAxis(stage, geom.Tokens.y)
         geom.SetStageMetersPerUnit(stage, 1.0)
+        fill(stage, folder)
+        stage.GetRootLayer().Save()
+        if packed:
+            whole = made.with_suffix(".usdz")
+            utils.CreateNewUsdzPackage(os.fspath(made), os.fspath(whole))
+            made = whole
+        data = made.read_bytes()
+    write_bytes(path, data)
+
+
+def write(path: Path, arrays: Arrays) -> int:
+    """See `FileFormat`. The name's end says whether as text, binary or packed."""
+    vol, vt = pxr_modules("UsdVol", "Vt")
+
+    def fill(stage: Any, _folder: Path) -> None:
         prim = getattr(vol, KIND).Define(stage, PRIM)
         stage.SetDefaultPrim(prim.GetPrim())
         means = np.ascontiguousarray(arrays["means"], np.float32)
@@ -82,14 +104,9 @@ def write(path: Path, arrays: Arrays) -> int:
         }
         for name, value in values.items():
             prim.GetPrim().GetAttribute(name).Set(value)
-        stage.GetRootLayer().Save()
-        if packed:
-            whole = made.with_suffix(".usdz")
-            utils.CreateNewUsdzPackage(os.fspath(made), os.fspath(whole))
-            made = whole
-        data = made.read_bytes()
-    write_bytes(path, data)
-    return len(means)
+
+    write_stage(path, "model", fill)
+    return len(arrays["means"])
 
 
 def read(path: Path) -> Arrays:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +10,7 @@ from numpy.typing import NDArray
 
 from ..formats.files import write_bytes
 from ..model.scene import Float64
-from .libraries import scratch
-from .usd import TITLE, pxr_modules
+from .usd import pxr_modules, write_stage
 
 MESH, MATERIAL = "/Mesh", "/Mesh/Photos"
 
@@ -28,14 +26,11 @@ def write_mesh(
         uv: (V, 2) in the texture, from its lower left corner, 0 to 1; None: no texture.
         picture: the PNG.
     """
-    usd, geom, vt, utils = pxr_modules("Usd", "UsdGeom", "Vt", "UsdUtils")
-    ending = path.suffix.lower()
-    packed = ending == ".usdz"
-    with scratch(TITLE) as folder:
-        made = folder / ("mesh.usdc" if packed else f"mesh{ending}")
-        stage = usd.Stage.CreateNew(os.fspath(made))
-        geom.SetStageUpAxis(stage, geom.Tokens.y)
-        geom.SetStageMetersPerUnit(stage, 1.0)
+    geom, vt = pxr_modules("UsdGeom", "Vt")
+    packed = path.suffix.lower() == ".usdz"
+    texture = "mesh.png" if packed else f"{path.stem}.png"
+
+    def fill(stage: Any, folder: Path) -> None:
         mesh = geom.Mesh.Define(stage, MESH)
         stage.SetDefaultPrim(mesh.GetPrim())
         points = np.ascontiguousarray(vertices, np.float32)
@@ -48,18 +43,12 @@ def write_mesh(
         mesh.GetExtentAttr().Set(vt.Vec3fArray.FromNumpy(extent))
         mesh.GetSubdivisionSchemeAttr().Set(geom.Tokens.none)
         if uv is not None:
-            texture = "mesh.png" if packed else f"{path.stem}.png"
             _give_texture(stage, mesh, uv, texture)
             (folder / texture).write_bytes(picture)
-            if not packed:  # before the file that names it
-                write_bytes(path.with_name(texture), picture)
-        stage.GetRootLayer().Save()
-        if packed:
-            whole = made.with_suffix(".usdz")
-            utils.CreateNewUsdzPackage(os.fspath(made), os.fspath(whole))
-            made = whole
-        data = made.read_bytes()
-    write_bytes(path, data)
+
+    if uv is not None and not packed:  # before the file that names it
+        write_bytes(path.with_name(texture), picture)
+    write_stage(path, "mesh", fill)
 
 
 def _give_texture(stage: Any, mesh: Any, uv: Float64, texture: str) -> None:
