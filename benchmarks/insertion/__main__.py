@@ -13,7 +13,7 @@ from roigs_engine.formats import run_files
 
 from .views import MEASURES, means, measured, photos_that_show_most
 
-TRUE_ROOM = Path(__file__).with_name("true_room.py")
+TRUE_ROOM = Path(__file__).resolve().parents[2] / "demo/inserted.py"
 
 
 def make_truth(given: argparse.Namespace) -> None:

@@ -64,7 +64,8 @@ def put_lamp() -> Any:
 
 def _linked(name: str, data: Any) -> Any:
     thing: Any = bpy.data.objects.new(name, data)
-    bpy.context.scene.collection.objects.link(thing)
+    scene: Any = bpy.context.scene
+    scene.collection.objects.link(thing)
     return thing
 
 

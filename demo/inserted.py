@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The truth: the demo's room, rendered from its photos' cameras without and with the things.
 
-Needs `bpy` and the folder `demo` on Python's path: `python -m benchmarks.insertion truth` runs it.
-What is there already is not made again. Pictures are NumPy files (H, W, 3) of linear light; the
+Needs `bpy`; `python -m benchmarks.insertion truth` runs it. What is there already is not made again. Pictures are NumPy files (H, W, 3) of linear light; the
 photos are these with Blender's view transform Standard.
 
-    python true_room.py OUT --photos wide/wide_005.jpg ... --width 320
+    python demo/inserted.py OUT --photos wide/wide_005.jpg ... --width 320
 """
 
 from __future__ import annotations
@@ -20,8 +19,13 @@ from typing import Any
 import bpy
 import numpy as np
 
-DEMO = Path(__file__).resolve().parents[2] / "demo"
-sys.path[:0] = [str(DEMO), str(DEMO.parent)]
+from make_scene import HEIGHT, HERE, WIDTH, prepare
+from masks import pose
+from materials import Library
+from objects import build_objects
+from room import build_room
+
+sys.path.insert(0, str(HERE.parent))
 
 from benchmarks.insertion import things  # noqa: E402
 from benchmarks.insertion.views import VASE, picture_file  # noqa: E402
@@ -46,11 +50,6 @@ def room(samples: int, width: int) -> Any:
     A path through glass needs more bounces than the photos had; what is matt keeps its two. The
     room's lamps, which no photo shows, stay hidden from mirrors and glass too.
     """
-    from make_scene import HEIGHT, WIDTH, prepare
-    from materials import Library
-    from objects import build_objects
-    from room import build_room
-
     camera = prepare(samples, 80, 0)
     scene: Any = bpy.context.scene
     lib = Library()
@@ -137,9 +136,7 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     camera = room(args.samples, args.width)
     made, lamp = things.put_things(), things.put_lamp()
-    from masks import pose
-
-    truth = json.loads((DEMO / "scene/truth.json").read_text("utf-8"))["photos"]
+    truth = json.loads((HERE / "scene/truth.json").read_text("utf-8"))["photos"]
     poses = {name: pose(truth[name]) for name in args.photos}
     show(made, lamp, "with")
     index_pictures(args.photos, poses, camera, args.out)
