@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The truth: the demo's room, rendered from its photos' cameras without and with the things.
 
-Needs `bpy`; `python -m benchmarks.insertion truth` runs it. What is there already is not made again. Pictures are NumPy files (H, W, 3) of linear light; the
-photos are these with Blender's view transform Standard.
+Needs `bpy`; `python -m benchmarks.insertion truth` runs it. What is there already is not made
+again. Pictures are NumPy files (H, W, 3) of linear light; the photos are these with Blender's view
+transform Standard.
 
     python demo/inserted.py OUT --photos wide/wide_005.jpg ... --width 320
 """
@@ -18,7 +19,6 @@ from typing import Any
 
 import bpy
 import numpy as np
-
 from make_scene import HEIGHT, HERE, WIDTH, prepare
 from masks import pose
 from materials import Library
@@ -27,8 +27,8 @@ from room import build_room
 
 sys.path.insert(0, str(HERE.parent))
 
-from benchmarks.insertion import things  # noqa: E402
-from benchmarks.insertion.views import VASE, picture_file  # noqa: E402
+from benchmarks.insertion import things
+from benchmarks.insertion.views import VASE, picture_file
 
 STATES = ("with", "without", "lamp")
 

@@ -49,7 +49,8 @@ def put_things() -> dict[str, Any]:
         lowest = min((thing.matrix_basis @ vertex.co).z for vertex in thing.data.vertices)
         thing.location = (x, y, TABLE - lowest)
         thing.pass_index = number
-    bpy.context.view_layer.update()
+    context: Any = bpy.context
+    context.view_layer.update()
     return made
 
 
