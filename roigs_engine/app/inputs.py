@@ -21,7 +21,7 @@ from ..model.roi import AUTOMATIC_NAME, OrientedBox, automatic_box, load_rois, p
 from ..model.scene import SfmScene
 from ..photos.files import EXTENSIONS, HEIC, PhotoFolder
 from ..photos.mask_paths import MaskOptions
-from ..requests.groups import Boxes, ObjectMasks, PhotoMasks, PhotoSize, Scene
+from ..requests.groups import Boxes, Exposures, ObjectMasks, PhotoMasks, PhotoSize, Scene
 from ..requests.values import AUTO
 
 if TYPE_CHECKING:
@@ -92,6 +92,7 @@ def load_scene(
         downscale=request.downscale,
         max_side=request.max_side,
         masks=masks or mask_options(request),
+        exposures=not (isinstance(request, Exposures) and request.no_exposures),
         pixels=pixels and cache is not None,
         check=check,
         context=context,

@@ -116,6 +116,7 @@ class PhotoLoader:
         posed: image id -> photo, with its final camera and the original file.
         skipped: reason -> names.
         why: reason -> what is wrong with one of these photos.
+        exposures: name -> stops of the photo's exposure (`exif_exposure`), of those looked at.
         approximate: whether lens distortion is ignored, because pycolmap is not installed.
     """
 
@@ -139,6 +140,7 @@ class PhotoLoader:
         self.skipped: defaultdict[str, list[str]] = defaultdict(list)
         self.why: dict[str, Skip] = {}
         self.posed: dict[int, PosedImage] = {}
+        self.exposures: dict[str, float | None] = {}
         self._plans: dict[int, undistort.UndistortionPlan] = {}
         found: dict[int, StoredPhoto] = {}
         names: set[str] = set()
@@ -225,6 +227,7 @@ class PhotoLoader:
             if content.whole is False:
                 self._skip(key, UNREADABLE)
                 continue
+            self.exposures[image.name] = content.exposure
             digest = content.digest + content.colours  # what decides the pixels
             if key in self._plans:
                 self._plans[key] = replace(

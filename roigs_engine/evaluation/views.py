@@ -18,8 +18,7 @@ from ..formats.text import counted
 from ..model.gaussians import Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import Camera, Float64, PosedImage
-from ..photos.decode import load_photo
-from ..photos.mask_images import load_mask, load_object_mask
+from ..photos.mask_images import load_counted, load_counts, load_object_mask
 from ..rasterize.view import render_view
 from . import metrics
 from .scores import FEW_VIEWS, MIN_OBJECT, MIN_SILHOUETTE, MeasuredView, ViewScore
@@ -114,8 +113,8 @@ def points_in_box(
 
 
 def measured_pixels(roi: OrientedBox, image: PosedImage) -> NDArray[np.bool_]:
-    """(H, W) the pixels of the box's silhouette, without those that the photo's mask ignores."""
-    silhouette, mask = roi.silhouette(image.camera, image.world_to_camera), load_mask(image)
+    """(H, W) the pixels of the box's silhouette, of those that count."""
+    silhouette, mask = roi.silhouette(image.camera, image.world_to_camera), load_counts(image)
     return silhouette if mask is None else silhouette & mask
 
 
@@ -184,9 +183,9 @@ def measure_view(
     There is one sample for each plan, None if the photo does not count for its box.
     """
     device = models[0].gaussians.means.device
-    photo = torch.as_tensor(load_photo(image), device=device)
+    shown, mask = load_counted(image)
+    photo = torch.as_tensor(shown, device=device)
     target = photo.float() / 255
-    mask = load_mask(image)
     counted = None if mask is None else torch.as_tensor(mask, device=device)
     boxes = {
         index: _Box(plan, image, device)

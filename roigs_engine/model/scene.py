@@ -97,6 +97,8 @@ class PosedImage:
             `cameras.txt`, without the number.
         whole_size: width and height of the photo of which this one is the average; None: this
             one is whole.
+        exposure: stops by which the photo is brighter than the scene's photo in the middle; it is
+            decoded as that one would be (`photos.exposures`).
     """
 
     name: str
@@ -113,6 +115,7 @@ class PosedImage:
     distorted: bool = False
     lens: str = ""
     whole_size: tuple[int, int] | None = None
+    exposure: float = 0.0
 
     @property
     def centre(self) -> Float64:
@@ -124,9 +127,14 @@ class PosedImage:
         return np.asarray(points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3])
 
     @property
+    def has_counts(self) -> bool:
+        """Whether some pixels may not count: by a mask, or clipped in a brighter photo."""
+        return self.mask is not None or self.exposure > 0
+
+    @property
     def decoded_bytes(self) -> int:
         """Bytes of the decoded photo, with its mask."""
-        channels = 3 if self.mask is None else 4
+        channels = 4 if self.has_counts else 3
         return channels * self.camera.width * self.camera.height
 
     @property

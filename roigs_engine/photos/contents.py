@@ -1,4 +1,4 @@
-"""Contents of the photos' files: a hash of each, whether it is complete, its colours.
+"""Contents of the photos' files: a hash of each, whether it is complete, its colours, its exposure.
 
 All are remembered in a small file with the size and times of the photo's file. So a photo is read
 for them only once, and again when its file has changed.
@@ -21,7 +21,7 @@ from .headers import CONVERTED, DAMAGED, PhotoError, content_digest, photo_size
 from .parallel import decoding_bytes, in_parallel
 
 FILE = "photos.json"
-VERSION = 3  # increase it if what is found of a photo changes
+VERSION = 4  # increase it if what is found of a photo changes
 STAGE = "photos"
 CHECKSUM = "checksum"  # key of the file
 WRITE_SECONDS = 60.0
@@ -37,6 +37,7 @@ class Content:
     digest: str = ""  # hash of its bytes, 32 hexadecimal digits; empty: they cannot be read
     whole: bool | None = None  # whether the photo can be decoded and is complete; None: not known
     colours: str = ""  # what is done about its colour space, see `colours`; empty: it is sRGB
+    exposure: float | None = None  # in stops, as `exif_exposure`
     tone: str = ""  # "black" or "white": nearly that, though it has more than 8 bits a channel
 
 
@@ -86,7 +87,9 @@ def _is_current(known: Content | None, path: Path, check: bool) -> bool:
     """Whether enough is known of a file that is still the same."""
     if known is not None and not (check and known.whole is None):
         with suppress(OSError):
-            return _stamp(path) == replace(known, digest="", whole=None, colours="", tone="")
+            return _stamp(path) == Content(
+                size=known.size, modified=known.modified, changed=known.changed
+            )
     return False
 
 
@@ -109,6 +112,7 @@ def _read(path: Path, check: bool, context: Context) -> Content:
     """Hash the file, and decode the photo if `check`."""
     from .colours import colours_in_words  # needs Pillow, which reading cameras does not
     from .decode import check_whole
+    from .exposures import exif_exposure
 
     context.check_cancelled()
     try:
@@ -116,7 +120,9 @@ def _read(path: Path, check: bool, context: Context) -> Content:
         digest = content_digest(path)
     except OSError:
         return UNREAD
-    content = replace(stamp, digest=digest, colours=colours_in_words(path))
+    content = replace(
+        stamp, digest=digest, colours=colours_in_words(path), exposure=exif_exposure(path)
+    )
     if not check:
         return content
     try:

@@ -29,6 +29,7 @@ from PIL import Image, ImageFile
 from ..formats.files import regular
 from ..model.scene import PosedImage
 from .colours import Colours, colours_of, deep_to_srgb, kind_of, packing, to_srgb
+from .exposures import levelled
 from .headers import PhotoError, check_unchanged, open_photo
 from .jpeg import jpeg_segments
 from .profiles import PART, Deep
@@ -175,7 +176,7 @@ def _weigh(result: Pixels, pixels: Pixels, weights: Weights, change: Change, lea
 
 
 def load_photo(image: PosedImage) -> Pixels:
-    """(H, W, 3) uint8 sRGB of a posed photo at its camera's size.
+    """(H, W, 3) uint8 sRGB of a posed photo at its camera's size, levelled to its scene's exposure.
 
     A pixel of a photo with a `whole_size` is the average of the pixels that it covers there.
 
@@ -185,6 +186,11 @@ def load_photo(image: PosedImage) -> Pixels:
         PhotoError, MaskError: a file is missing, cannot be decoded, or was changed; names it.
         RunFolderError: a file of the engine cannot be made again.
     """
+    return levelled(load_as_taken(image), image.exposure)
+
+
+def load_as_taken(image: PosedImage) -> Pixels:
+    """As `load_photo`, in the photo's own exposure."""
     size = (image.camera.width, image.camera.height)
     if image.whole_size is None:
         return _load(image, size)

@@ -78,7 +78,18 @@ class PhotoMasks(Request, heading="scene"):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene(PhotoSize, PhotoMasks):
+class Exposures(Request, heading="scene"):
+    """Whether photos are levelled to one exposure."""
+
+    no_exposures: bool = option(
+        FLAG,
+        "use photos as bright as they are, even where EXIF says that exposures differ",
+        False,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene(PhotoSize, PhotoMasks, Exposures):
     """The scene, and how its photos are read."""
 
     scene: Path = argument(

@@ -1,0 +1,218 @@
+"""Exposures of a scene's photos: from EXIF, checked against what the photos show, or from points.
+
+A point has one colour, so the light that photos show there tells their exposures. EXIF is more
+exact, but stays as it was taken when a program brightens photos, and levelling those would be wrong
+by stops. So EXIF is believed if photos agree better once it is used. Without EXIF, exposures are
+solved from the points, and used as far as two halves of the points agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..context import QUIET, Context
+from ..errors import RunFolderError
+from ..formats.files import read_record, write_json
+from ..formats.text import counted, json_digest, named
+from ..model.scene import Float64, Int64, PosedImage, SfmScene, project
+from ..photos.exposures import LEAST_SPREAD, relative_exposures
+
+FILE = "exposures.json"
+VERSION = 1  # increase it if the same photos get other exposures
+SIDE = 256  # pixels of the photos that are looked at
+DARK, BRIGHT = 8, 245  # of 255: outside, a value says little of the light
+LEAST_PAIRS = 100  # of observations, to judge by
+ROUNDS = 20  # medians of points and of photos in turn; they settle in about ten
+EXIF, POINTS = "EXIF", "points"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observed:
+    """What photos show at the points that they observe.
+
+    Attributes:
+        photo, point: (N,) rows of photos and of points.
+        light: (N,) log2 of the linear light there.
+    """
+
+    photo: Int64
+    point: Int64
+    light: Float64
+
+    def among(self, chosen: NDArray[np.bool_]) -> Observed:
+        """Those (N,) that are chosen."""
+        return Observed(
+            photo=self.photo[chosen], point=self.point[chosen], light=self.light[chosen]
+        )
+
+
+def with_exposures(
+    scene: SfmScene,
+    exposures: Mapping[str, float | None],
+    cache: Path | None,
+    *,
+    pixels: bool,
+    context: Context = QUIET,
+) -> SfmScene:
+    """The scene with the exposures of its photos, by which they are levelled.
+
+    Args:
+        exposures: name -> stops, as `exif_exposure`.
+        cache: folder in which the answer is kept; None: it is not.
+        pixels: whether photos can be decoded; if not, only an answer in the cache counts.
+
+    Raises:
+        PhotoError: a photo cannot be decoded.
+        Stopped: on request.
+    """
+    names = [image.name for image in scene.images]
+    exif = relative_exposures({name: exposures.get(name) for name in names})
+    digests = [image.digest for image in scene.images]
+    key = json_digest([VERSION, exif, digests, scene.digest()])
+    found = _remembered(cache, key)
+    if found is None:
+        if not pixels:
+            return scene
+        found = _found(scene, exif, context)
+        if cache is not None:
+            with suppress(RunFolderError):  # it only saves time
+                write_json(cache / FILE, {"key": key, "stops": found}, durable=False)
+    if pixels:
+        _tell(scene, found, exif, context)
+    images = tuple(_with_exposure(image, found.get(image.name, 0.0)) for image in scene.images)
+    return replace(scene, images=images)
+
+
+def _found(scene: SfmScene, exif: Mapping[str, float], context: Context) -> dict[str, float]:
+    """Name -> stops of the photos that are levelled."""
+    observed = observe(scene, context)
+    stops = np.array([exif.get(image.name, 0.0) for image in scene.images])
+    if exif and agrees(observed, stops):
+        return dict(exif)
+    solved = solve(observed, len(scene.images))
+    return {
+        image.name: round(float(value), 4)
+        for image, value in zip(scene.images, solved, strict=True)
+        if value
+    }
+
+
+def observe(scene: SfmScene, context: Context = QUIET) -> Observed:
+    """What a scene's photos show at their points, without dark or clipped pixels."""
+    parts = []
+    for row, image in enumerate(scene.images):
+        context.check_cancelled()
+        points, light = _observed_light(image, scene.points)
+        parts.append((np.full(len(points), row), points, light))
+    photo, point, light = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return Observed(photo=photo, point=point, light=light)
+
+
+def _observed_light(image: PosedImage, points: Float64) -> tuple[Int64, Float64]:
+    from ..photos.decode import load_as_taken
+    from ..photos.profiles import srgb_curve
+
+    small = replace(image, camera=image.camera.thumbnail(SIDE), whole_size=None)
+    pixels = load_as_taken(small)
+    at, _, within = project(points[image.point_indices], small.camera, image.world_to_camera)
+    rows, at = image.point_indices[within], at[within].astype(int)
+    values = pixels[at[:, 1], at[:, 0]]
+    good = ((values > DARK) & (values < BRIGHT)).all(axis=1)
+    light = srgb_curve(values[good] / 255.0).mean(axis=1)
+    return rows[good], np.log2(light)
+
+
+def agrees(observed: Observed, stops: Float64) -> bool:
+    """Whether photos show points in more equal light once they are levelled by (V,) `stops`."""
+    order = np.argsort(observed.point, kind="stable")
+    same = np.diff(observed.point[order]) == 0
+    apart = np.diff(stops[observed.photo[order]])
+    pairs = same & (np.abs(apart) >= LEAST_SPREAD)
+    if pairs.sum() < LEAST_PAIRS:
+        return True
+    plain = np.diff(observed.light[order])[pairs]
+    return bool(np.median(np.abs(plain - apart[pairs])) < np.median(np.abs(plain)))
+
+
+def solve(observed: Observed, photos: int) -> Float64:
+    """(V,) stops of the photos by their points; zeros: they do not differ, or it is not certain.
+
+    The light at a point in a photo is the point's times the photo's; medians in turn solve for
+    both. Halves of the points, solved alone, tell how much of a difference is chance.
+    """
+    stops = _solved(observed, photos)
+    even = observed.point % 2 == 0
+    halves = [_solved(observed.among(half), photos) for half in (even, ~even)]
+    chance = float(np.var(halves[0] - halves[1])) / 4  # of the mean of both
+    spread = float(np.var(stops))
+    if spread < LEAST_SPREAD**2:
+        return np.zeros(photos)
+    return stops * max(0.0, 1 - chance / spread)
+
+
+def _solved(observed: Observed, photos: int) -> Float64:
+    stops = np.zeros(photos)
+    for _ in range(ROUNDS):
+        points = _medians(observed.light - stops[observed.photo], observed.point)
+        stops = _medians(observed.light - points[observed.point], observed.photo, photos)
+        stops -= np.median(stops)
+    return stops
+
+
+def _medians(values: Float64, groups: Int64, count: int = 0) -> Float64:
+    """(G,) the median of the values (N,) of each group, from 0; 0 for those without any."""
+    order = np.lexsort((values, groups))
+    ordered, members = values[order], groups[order]
+    numbers = np.arange(max(count, int(members[-1]) + 1 if len(members) else 0))
+    first, end = (np.searchsorted(members, numbers, side) for side in ("left", "right"))
+    medians = np.zeros(len(numbers))
+    filled = end > first
+    low, high = (first[filled] + end[filled] - 1) // 2, (first[filled] + end[filled]) // 2
+    medians[filled] = (ordered[low] + ordered[high]) / 2
+    return medians
+
+
+def _with_exposure(image: PosedImage, stops: float) -> PosedImage:
+    if not stops:
+        return image
+    digest = image.digest and f"{image.digest}-{stops:+.4f}"
+    return replace(image, exposure=stops, digest=digest)
+
+
+def _remembered(cache: Path | None, key: str) -> dict[str, float] | None:
+    record = read_record(cache / FILE) if cache is not None else {}
+    stops = record.get("stops")
+    if record.get("key") != key or not isinstance(stops, dict):
+        return None
+    return {name: float(value) for name, value in stops.items()}
+
+
+def _tell(
+    scene: SfmScene, found: Mapping[str, float], exif: Mapping[str, float], context: Context
+) -> None:
+    """Say by what, and how far, photos are levelled; warn of EXIF that is wrong or missing."""
+    believed = bool(found) and found == exif
+    if exif and not believed:
+        spread = np.ptp([*exif.values()])
+        context.warn(
+            f"EXIF says that exposures differ by {spread:.1f} stops, but the photos do not show"
+            " it: EXIF is not used."
+        )
+    if found:
+        source = EXIF if believed else POINTS
+        context.info(
+            f"Exposures differ by {np.ptp([*found.values()]):.1f} stops ({source}): photos are"
+            " levelled in linear light."
+        )
+    unknown = [image.name for image in scene.images if believed and image.name not in exif]
+    if unknown:
+        context.warn(
+            f"{counted(len(unknown), 'photo')} without an exposure in EXIF, used as they are:"
+            f" {named(unknown)}."
+        )

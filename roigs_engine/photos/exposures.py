@@ -1,0 +1,85 @@
+"""Exposures of photos from EXIF, and photos levelled to one exposure in linear light.
+
+A camera on automatic exposure lets in more light where the scene is dark, by stops. Without the
+exposures, a model learns that as view dependence, or as a mean of photos that disagree. With them,
+each photo is decoded as the photo of the exposure in the middle would be.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .profiles import srgb_curve, srgb_values
+
+LEAST_SPREAD = 0.1  # stops; where exposures differ by less, photos stay as they are
+CLIPPED = 250  # of 255: of a brighter photo, a channel above this may have been any brighter
+EXIF_IFD, TIME, APERTURE, ISO = 0x8769, 0x829A, 0x829D, 0x8827  # EXIF 3.0, 4.6.5
+BASE_ISO = 100
+MOST_STOPS = 40  # of any camera, between a night and the sun
+Key = TypeVar("Key")
+
+
+def exif_exposure(path: Path) -> float | None:
+    """log2(time x ISO / 100 / aperture^2), in stops: larger is brighter; None: EXIF does not say.
+
+    A photo without an aperture, as of phones whose lens has only one, counts as taken at f/1.
+    """
+    from .headers import PhotoError, open_photo
+
+    try:
+        with open_photo(path) as photo:
+            tags = photo.getexif().get_ifd(EXIF_IFD)
+    except (PhotoError, MemoryError):
+        return None
+    time, iso, aperture = (_number(tags.get(tag)) for tag in (TIME, ISO, APERTURE))
+    if time is None or iso is None:
+        return None
+    stops = math.log2(time * iso / BASE_ISO / (aperture or 1.0) ** 2)
+    return round(stops, 4) if abs(stops) <= MOST_STOPS else None
+
+
+def _number(value: Any) -> float | None:
+    """A positive number of EXIF; None: there is none. ISO may be several numbers."""
+    try:
+        number = float(value[0] if isinstance(value, tuple) else value)
+    except (TypeError, ValueError, IndexError, ZeroDivisionError):
+        return None
+    return number if 0 < number < math.inf else None
+
+
+def relative_exposures(exposures: Mapping[Key, float | None]) -> dict[Key, float]:
+    """Stops by which photos are brighter than the middle one; empty: they need no levelling.
+
+    That is so if EXIF tells the exposure of less than half of them, or of none that differ.
+    Photos without an exposure are missing.
+    """
+    known = {key: value for key, value in exposures.items() if value is not None}
+    if 2 * len(known) < len(exposures) or not known:
+        return {}
+    values = np.array(list(known.values()))
+    if np.ptp(values) < LEAST_SPREAD:
+        return {}
+    middle = float(np.median(values))
+    return {key: round(value - middle, 4) for key, value in known.items()}
+
+
+def levelled(pixels: NDArray[np.uint8], stops: float) -> NDArray[np.uint8]:
+    """sRGB pixels (..., 3) uint8 as they are with `stops` less light."""
+    if not stops:
+        return pixels
+    light = srgb_curve(np.arange(256) / 255) * 2.0**-stops
+    table = (255 * srgb_values(light.clip(0, 1))).round().astype(np.uint8)
+    return np.asarray(table[pixels])
+
+
+def not_clipped(pixels: NDArray[np.uint8], stops: float) -> NDArray[np.bool_]:
+    """(H, W) which of a brighter photo's own pixels (H, W, 3) say how bright the scene is there."""
+    if stops <= 0:
+        return np.ones(pixels.shape[:-1], dtype=bool)
+    return np.asarray((pixels < CLIPPED).all(axis=-1))
