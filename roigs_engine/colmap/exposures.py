@@ -21,7 +21,7 @@ from ..errors import RunFolderError
 from ..formats.files import read_record, write_json
 from ..formats.text import counted, json_digest, named
 from ..model.scene import Float64, Int64, PosedImage, SfmScene, project
-from ..photos.exposures import LEAST_SPREAD, relative_exposures
+from ..photos.exposures import LEAST_SPREAD, MOST_STOPS, relative_exposures
 
 FILE = "exposures.json"
 VERSION = 1  # increase it if the same photos get other exposures
@@ -190,7 +190,8 @@ def _remembered(cache: Path | None, key: str) -> dict[str, float] | None:
     stops = record.get("stops")
     if record.get("key") != key or not isinstance(stops, dict):
         return None
-    return {name: float(value) for name, value in stops.items()}
+    good = all(isinstance(value, float) and abs(value) <= MOST_STOPS for value in stops.values())
+    return stops if good else None
 
 
 def _tell(

@@ -1,0 +1,112 @@
+"""A scene's exposures: EXIF that the photos confirm, that they refute, and none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from roigs_engine.colmap.exposures import FILE
+from roigs_engine.colmap.project import load_colmap
+from roigs_engine.context import Context
+from roigs_engine.formats.events import Event, Message
+from roigs_engine.model.scene import SfmScene
+from roigs_engine.photos.decode import load_photo
+from roigs_engine.photos.exposures import APERTURE, EXIF_IFD, ISO, TIME
+from roigs_engine.photos.mask_images import load_masked
+from roigs_engine.photos.profiles import srgb_curve, srgb_values
+from tests.engine.synthetic_colmap import write_project
+
+NAMES = tuple(f"{letter}.jpg" for letter in "abcdefgh")
+STOPS = np.array([-1.0, 0.5, 0.0, 1.2, -0.6, 0.0, 0.3, -0.2])
+POINTS = np.random.default_rng(3).uniform(-0.8, 0.8, (150, 3))
+
+
+def project(folder: Path, shown: np.ndarray, said: np.ndarray | None) -> None:
+    """Grey photos that differ by the stops `shown`; their EXIF says `said`."""
+    write_project(folder, names=NAMES, points=POINTS)
+    light = srgb_curve(np.full((72, 96, 3), 0.4))
+    for index, name in enumerate(NAMES):
+        values = srgb_values(light * 2.0 ** shown[index])
+        pixels = (255 * values.clip(0, 1)).round().astype(np.uint8)
+        exif = Image.Exif()
+        if said is not None:
+            tags = {TIME: 2.0 ** said[index] / 64, APERTURE: 2.8, ISO: 100}
+            exif.get_ifd(EXIF_IFD).update(tags)
+        path = folder / "images" / name
+        Image.fromarray(pixels).save(path, quality=95, exif=exif)
+
+
+def load(folder: Path, **options: object) -> tuple[SfmScene, list[str]]:
+    events: list[Event] = []
+    context = Context(emit=events.append)
+    scene = load_colmap(folder, cache=folder / "cache", context=context, **options)  # type: ignore[arg-type]
+    return scene, [event.text for event in events if isinstance(event, Message)]
+
+
+def exposures(scene: SfmScene) -> np.ndarray:
+    return np.array([image.exposure for image in scene.images])
+
+
+def brightness(scene: SfmScene) -> np.ndarray:
+    return np.array([load_photo(image).mean() for image in scene.images])
+
+
+def test_exif_levels_photos(tmp_path: Path) -> None:
+    project(tmp_path, STOPS, STOPS)
+    scene, texts = load(tmp_path)
+    assert np.abs(exposures(scene) - STOPS).max() < 0.01
+    assert np.ptp(brightness(scene)) < 3
+    assert any("differ by 2.2 stops (EXIF)" in text for text in texts)
+    cameras, _ = load(tmp_path, pixels=False)  # a plan without pixels knows the same photos
+    assert [i.digest for i in cameras.images] == [i.digest for i in scene.images]
+    plain, _ = load(tmp_path, exposures=False)
+    assert not exposures(plain).any() and np.ptp(brightness(plain)) > 50
+    assert {i.digest for i in plain.images}.isdisjoint(
+        i.digest for i in scene.images if i.exposure
+    )
+
+
+def test_exif_of_photos_that_were_made_equal_is_not_believed(tmp_path: Path) -> None:
+    project(tmp_path, np.zeros(8), STOPS)
+    scene, texts = load(tmp_path)
+    assert not exposures(scene).any()
+    assert any("EXIF is not used" in text for text in texts)
+
+
+def test_points_tell_exposures_without_exif(tmp_path: Path) -> None:
+    project(tmp_path, STOPS, None)
+    scene, texts = load(tmp_path)
+    assert np.abs(exposures(scene) - STOPS).max() < 0.05
+    assert any("(points)" in text for text in texts)
+
+
+@pytest.mark.parametrize("shown", [np.zeros(8), STOPS / 25])
+def test_equal_exposures_change_nothing(tmp_path: Path, shown: np.ndarray) -> None:
+    project(tmp_path, shown, shown)
+    scene, texts = load(tmp_path)
+    plain, _ = load(tmp_path, exposures=False)
+    assert [i.digest for i in scene.images] == [i.digest for i in plain.images]
+    assert not any("xposure" in text for text in texts)
+
+
+def test_a_damaged_answer_in_the_cache_is_made_again(tmp_path: Path) -> None:
+    project(tmp_path, STOPS, STOPS)
+    first, _ = load(tmp_path)
+    (tmp_path / "cache" / FILE).write_text('{"key": "x", "stops": 3}')
+    again, _ = load(tmp_path)
+    assert np.array_equal(exposures(first), exposures(again))
+
+
+def test_what_is_clipped_in_a_brighter_photo_does_not_count(tmp_path: Path) -> None:
+    project(tmp_path, STOPS, STOPS)
+    path = tmp_path / "images" / "d.jpg"
+    with Image.open(path) as opened:
+        exif, pixels = opened.getexif(), np.array(opened)
+    pixels[:, :48] = 255
+    Image.fromarray(pixels).save(path, quality=95, exif=exif)
+    image = load(tmp_path)[0].image("d.jpg")
+    counts = load_masked(image)[..., 3]
+    assert not counts[:, :40].any() and counts[:, 56:].all()
