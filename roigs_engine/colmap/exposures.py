@@ -54,7 +54,7 @@ class Observed:
 
 def with_exposures(
     scene: SfmScene,
-    exposures: Mapping[str, float | None],
+    exposures: Mapping[str, float | None] | None,
     cache: Path | None,
     *,
     pixels: bool,
@@ -63,7 +63,7 @@ def with_exposures(
     """The scene with the exposures of its photos, by which they are levelled.
 
     Args:
-        exposures: name -> stops, as `exif_exposure`.
+        exposures: name -> stops, as `exif_exposure`; None: photos stay as they are.
         cache: folder in which the answer is kept; None: it is not.
         pixels: whether photos can be decoded; if not, only an answer in the cache counts.
 
@@ -71,6 +71,8 @@ def with_exposures(
         PhotoError: a photo cannot be decoded.
         Stopped: on request.
     """
+    if exposures is None:
+        return scene
     names = [image.name for image in scene.images]
     exif = relative_exposures({name: exposures.get(name) for name in names})
     digests = [image.digest for image in scene.images]

@@ -36,6 +36,7 @@ UNREADABLE = "unreadable"
 NO_CAMERA = "without a camera"
 DUPLICATE = "twice in the model"
 CANNOT_UNDISTORT = "cannot be undistorted"  # after the camera's model
+APPROXIMATE = "pycolmap is not installed: lens distortion is ignored, so cameras differ slightly."
 HINT_SHAPE = "Give the photos that the model was made from (--images), not cropped or turned."
 HINT_SIDE = "The photos are on their side: give those that the model was made from (--images)."
 Shrink = Callable[[int, int], tuple[int, int]]
@@ -117,7 +118,6 @@ class PhotoLoader:
         skipped: reason -> names.
         why: reason -> what is wrong with one of these photos.
         exposures: name -> stops of the photo's exposure (`exif_exposure`), of those looked at.
-        approximate: whether lens distortion is ignored, because pycolmap is not installed.
     """
 
     def __init__(
@@ -132,7 +132,7 @@ class PhotoLoader:
         context: Context = QUIET,
     ) -> None:
         """Args: `pixels`: False if only cameras are needed; `masks`: see `load_colmap`."""
-        self.approximate = False
+        self._approximate = False
         self._pixels = pixels
         self._masks = masks
         self._mask_files = MaskFiles(photos.folder, masks.folder)
@@ -168,6 +168,8 @@ class PhotoLoader:
             skip = self._add(photo, turns.get(photo.key, AS_STORED), shrink)
             if skip is not None:
                 self._leave_out(photo.name, skip)
+        if self._approximate:
+            context.warn(APPROXIMATE)
 
     def _leave_out(self, name: str, skip: Skip) -> None:
         self.skipped[skip.reason].append(name)
@@ -188,7 +190,7 @@ class PhotoLoader:
                 plan = undistort.plan_undistortion(path, camera, size, shrink, turn)
                 self._plans[photo.key], target = plan, plan.target
             else:
-                self.approximate = True
+                self._approximate = True
                 target = undistort.without_distortion(camera).resized(*shrink(*size))
         except SceneError:
             return Skip(f"{camera.model} {CANNOT_UNDISTORT}")

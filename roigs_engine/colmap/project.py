@@ -91,9 +91,6 @@ def load_colmap(
     observed = _observations(model, ids, context)
     cloud = Cloud(points=points, colors=colors, observed=observed)
     loader = PhotoLoader(model, photos, shrink, cloud, pixels=pixels, masks=masks, context=context)
-    if loader.approximate:
-        text = "pycolmap is not installed: lens distortion is ignored, so cameras differ slightly."
-        context.warn(text)
     if any(map(len, observed.values())):
         _mention_refined(model, folder, context)
     if check is not None and loader.posed:
@@ -105,9 +102,8 @@ def load_colmap(
         context.info(f"The photos are the smaller ones of {photos.folder.name}.")
     loader.skipped[UNPOSED] += photos.others([image.name for image in model.images])
     scene = _cleaned(_scene(loader, observed, points, colors), loader.why, context)
-    if not exposures:
-        return scene
-    return with_exposures(scene, loader.exposures, cache, pixels=pixels, context=context)
+    found = loader.exposures if exposures else None
+    return with_exposures(scene, found, cache, pixels=pixels, context=context)
 
 
 def _scene(

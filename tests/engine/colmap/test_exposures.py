@@ -64,9 +64,7 @@ def test_exif_levels_photos(tmp_path: Path) -> None:
     assert [i.digest for i in cameras.images] == [i.digest for i in scene.images]
     plain, _ = load(tmp_path, exposures=False)
     assert not exposures(plain).any() and np.ptp(brightness(plain)) > 50
-    assert {i.digest for i in plain.images}.isdisjoint(
-        i.digest for i in scene.images if i.exposure
-    )
+    assert {i.digest for i in plain.images}.isdisjoint(i.digest for i in scene.images if i.exposure)
 
 
 def test_exif_of_photos_that_were_made_equal_is_not_believed(tmp_path: Path) -> None:
