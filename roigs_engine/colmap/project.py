@@ -73,8 +73,7 @@ def load_colmap(
         pixels: False if only cameras are needed: the cameras are the same, but nothing is decoded
             or undistorted, damaged photos are not all found, and `path` names the distorted photo.
             Photos have digests and masks of their own only with a `cache`, which is not written.
-            Needs numpy alone, unless there are masks; without pycolmap, lens distortion is
-            ignored, with a warning.
+            Needs numpy alone, unless there are masks; without pycolmap, distortion is ignored.
         check: called with the cameras before any photo is decoded; raises what is wrong with them.
 
     Raises:
@@ -102,8 +101,8 @@ def load_colmap(
         context.info(f"The photos are the smaller ones of {photos.folder.name}.")
     loader.skipped[UNPOSED] += photos.others([image.name for image in model.images])
     scene = _cleaned(_scene(loader, observed, points, colors), loader.why, context)
-    found = loader.exposures if exposures else None
-    return with_exposures(scene, found, cache, pixels=pixels, context=context)
+    given = loader.exposures if exposures else None
+    return with_exposures(scene, given, cache, pixels=pixels, context=context)
 
 
 def _scene(
