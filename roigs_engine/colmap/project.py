@@ -60,20 +60,19 @@ def load_colmap(
 
     Args:
         path: project folder with `sparse/0` or `sparse`, or the model's own folder.
-        images: the photos' folder; default: the first of the project's folders `images`,
-            `images_2`, `images_4` and `images_8` that has any of the model's photos.
-        cache: folder that keeps undistorted photos between loads, and what was found of photos;
-            default: a temporary folder.
+        images: the photos' folder; default: the first of the folders `images`, `images_2`,
+            `images_4` and `images_8` of the project that has any of the model's photos.
+        cache: folder that keeps undistorted photos and facts of photos; default: a temporary one.
         downscale: divides the photos' size, >= 1.
         max_side: longest side in pixels; photos are never enlarged.
         masks: which masks of photos to use; default: those in the folder `masks` beside the
             photos' folder, files `NAME.mask.png` beside photos, and alpha channels; no masks of
             boxes' objects.
-        exposures: whether photos are levelled to one exposure, where EXIF tells theirs.
+        exposures: whether photos are levelled to one exposure, where theirs differ.
         pixels: False if only cameras are needed: the cameras are the same, but nothing is decoded
             or undistorted, damaged photos are not all found, and `path` names the distorted photo.
             Photos have digests and masks of their own only with a `cache`, which is not written.
-            Needs numpy alone, unless there are masks; without pycolmap, distortion is ignored.
+            Without pycolmap, distortion is then ignored.
         check: called with the cameras before any photo is decoded; raises what is wrong with them.
 
     Raises:
