@@ -82,6 +82,7 @@ def load_scene(
         check: called with the cameras before any photo is decoded.
         masks: which to use; None: those of `mask_options`, without masks of objects.
     """
+    from ..colmap.exposures import with_exposures
     from ..colmap.project import load_colmap
 
     use_threads(request.threads)
@@ -92,11 +93,12 @@ def load_scene(
         downscale=request.downscale,
         max_side=request.max_side,
         masks=masks or mask_options(request),
-        exposures=not (isinstance(request, Exposures) and request.no_exposures),
         pixels=pixels and cache is not None,
         check=check,
         context=context,
     )
+    if isinstance(request, Exposures) and not request.no_exposures and cache is not None:
+        scene = with_exposures(scene, cache, pixels=pixels, context=context)
     return _without(scene, request.exclude, context) if isinstance(request, Scene) else scene
 
 

@@ -53,17 +53,11 @@ class Observed:
 
 
 def with_exposures(
-    scene: SfmScene,
-    exposures: Mapping[str, float | None] | None,
-    cache: Path | None,
-    *,
-    pixels: bool,
-    context: Context = QUIET,
+    scene: SfmScene, cache: Path | None, *, pixels: bool, context: Context = QUIET
 ) -> SfmScene:
     """The scene with the exposures of its photos, by which they are levelled.
 
     Args:
-        exposures: name -> stops, as `exif_exposure`; None: photos stay as they are.
         cache: folder in which the answer is kept; None: it is not.
         pixels: whether photos can be decoded; if not, only an answer in the cache counts.
 
@@ -71,10 +65,7 @@ def with_exposures(
         PhotoError: a photo cannot be decoded.
         Stopped: on request.
     """
-    if exposures is None:
-        return scene
-    names = [image.name for image in scene.images]
-    exif = relative_exposures({name: exposures.get(name) for name in names})
+    exif = relative_exposures({image.name: image.exif_exposure for image in scene.images})
     digests = [image.digest for image in scene.images]
     key = json_digest([VERSION, exif, digests, scene.digest()])
     found = _remembered(cache, key)

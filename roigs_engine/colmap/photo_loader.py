@@ -117,7 +117,6 @@ class PhotoLoader:
         posed: image id -> photo, with its final camera and the original file.
         skipped: reason -> names.
         why: reason -> what is wrong with one of these photos.
-        exposures: name -> stops of the photo's exposure (`exif_exposure`), of those looked at.
     """
 
     def __init__(
@@ -140,7 +139,6 @@ class PhotoLoader:
         self.skipped: defaultdict[str, list[str]] = defaultdict(list)
         self.why: dict[str, Skip] = {}
         self.posed: dict[int, PosedImage] = {}
-        self.exposures: dict[str, float | None] = {}
         self._plans: dict[int, undistort.UndistortionPlan] = {}
         found: dict[int, StoredPhoto] = {}
         names: set[str] = set()
@@ -229,7 +227,6 @@ class PhotoLoader:
             if content.whole is False:
                 self._skip(key, UNREADABLE)
                 continue
-            self.exposures[image.name] = content.exposure
             digest = content.digest + content.colours  # what decides the pixels
             if key in self._plans:
                 self._plans[key] = replace(
@@ -238,7 +235,9 @@ class PhotoLoader:
                 digest = self._plans[key].key()
             elif image.turn != AS_STORED:
                 digest = f"{digest}-{image.turn}"
-            self.posed[key] = replace(image, file_digest=content.digest, digest=digest)
+            self.posed[key] = replace(
+                image, file_digest=content.digest, digest=digest, exif_exposure=content.exposure
+            )
 
     def _mask(self, cache: Path | None, context: Context) -> None:
         """Give the photos their masks; skip those that are hidden whole."""

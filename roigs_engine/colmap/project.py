@@ -21,7 +21,6 @@ from ..photos.files import PhotoFolder, find_photos
 from ..photos.mask_paths import USUAL_MASKS, MaskOptions
 from ..requests.choices import MAX_DOWNSCALE, MAX_SIDE
 from .camera_masks import HIDDEN
-from .exposures import with_exposures
 from .model_files import HINT_DAMAGED, count_images, read_images, read_model
 from .photo_loader import (
     CANNOT_UNDISTORT,
@@ -51,7 +50,6 @@ def load_colmap(
     downscale: float | None = None,
     max_side: int | None = None,
     masks: MaskOptions = USUAL_MASKS,
-    exposures: bool = True,
     pixels: bool = True,
     check: Callable[[SfmScene], None] | None = None,
     context: Context = QUIET,
@@ -68,7 +66,6 @@ def load_colmap(
         masks: which masks of photos to use; default: those in the folder `masks` beside the
             photos' folder, files `NAME.mask.png` beside photos, and alpha channels; no masks of
             boxes' objects.
-        exposures: whether photos are levelled to one exposure, where theirs differ.
         pixels: False if only cameras are needed: the cameras are the same, but nothing is decoded
             or undistorted, damaged photos are not all found, and `path` names the distorted photo.
             Photos have digests and masks of their own only with a `cache`, which is not written.
@@ -99,9 +96,7 @@ def load_colmap(
     if photos.folder.name in projects.PHOTO_FOLDERS[1:]:
         context.info(f"The photos are the smaller ones of {photos.folder.name}.")
     loader.skipped[UNPOSED] += photos.others([image.name for image in model.images])
-    scene = _cleaned(_scene(loader, observed, points, colors), loader.why, context)
-    given = loader.exposures if exposures else None
-    return with_exposures(scene, given, cache, pixels=pixels, context=context)
+    return _cleaned(_scene(loader, observed, points, colors), loader.why, context)
 
 
 def _scene(

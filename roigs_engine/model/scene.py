@@ -97,6 +97,8 @@ class PosedImage:
             `cameras.txt`, without the number.
         whole_size: width and height of the photo of which this one is the average; None: this
             one is whole.
+        exif_exposure: stops of light by EXIF (`photos.exposures`), larger is brighter; None: not
+            known.
         exposure: stops by which the photo is brighter than the scene's photo in the middle; it is
             decoded as that one would be (`photos.exposures`).
     """
@@ -115,6 +117,7 @@ class PosedImage:
     distorted: bool = False
     lens: str = ""
     whole_size: tuple[int, int] | None = None
+    exif_exposure: float | None = None
     exposure: float = 0.0
 
     @property

@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from roigs_engine.colmap.exposures import FILE
+from roigs_engine.app.inputs import load_scene
+from roigs_engine.colmap.exposures import FILE, with_exposures
 from roigs_engine.colmap.project import load_colmap
-from roigs_engine.context import Context
+from roigs_engine.context import QUIET, Context
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.photos.decode import load_photo
 from roigs_engine.photos.exposures import APERTURE, EXIF_IFD, ISO, TIME
 from roigs_engine.photos.mask_images import load_masked
 from roigs_engine.photos.profiles import srgb_curve, srgb_values
+from roigs_engine.requests.groups import Scene
 from tests.engine.synthetic_colmap import write_project
 
 NAMES = tuple(f"{letter}.jpg" for letter in "abcdefgh")
@@ -39,10 +41,11 @@ def project(folder: Path, shown: np.ndarray, said: np.ndarray | None) -> None:
         Image.fromarray(pixels).save(path, quality=95, exif=exif)
 
 
-def load(folder: Path, **options: object) -> tuple[SfmScene, list[str]]:
+def load(folder: Path, *, pixels: bool = True) -> tuple[SfmScene, list[str]]:
     events: list[Event] = []
-    context = Context(emit=events.append)
-    scene = load_colmap(folder, cache=folder / "cache", context=context, **options)  # type: ignore[arg-type]
+    context, cache = Context(emit=events.append), folder / "cache"
+    scene = load_colmap(folder, cache=cache, pixels=pixels, context=context)
+    scene = with_exposures(scene, cache, pixels=pixels, context=context)
     return scene, [event.text for event in events if isinstance(event, Message)]
 
 
@@ -62,7 +65,7 @@ def test_exif_levels_photos(tmp_path: Path) -> None:
     assert any("differ by 2.2 stops (EXIF)" in text for text in texts)
     cameras, _ = load(tmp_path, pixels=False)  # a plan without pixels knows the same photos
     assert [i.digest for i in cameras.images] == [i.digest for i in scene.images]
-    plain, _ = load(tmp_path, exposures=False)
+    plain = load_colmap(tmp_path, cache=tmp_path / "cache")
     assert not exposures(plain).any() and np.ptp(brightness(plain)) > 50
     assert {i.digest for i in plain.images}.isdisjoint(i.digest for i in scene.images if i.exposure)
 
@@ -85,7 +88,7 @@ def test_points_tell_exposures_without_exif(tmp_path: Path) -> None:
 def test_equal_exposures_change_nothing(tmp_path: Path, shown: np.ndarray) -> None:
     project(tmp_path, shown, shown)
     scene, texts = load(tmp_path)
-    plain, _ = load(tmp_path, exposures=False)
+    plain = load_colmap(tmp_path, cache=tmp_path / "cache")
     assert [i.digest for i in scene.images] == [i.digest for i in plain.images]
     assert not any("xposure" in text for text in texts)
 
@@ -108,3 +111,11 @@ def test_what_is_clipped_in_a_brighter_photo_does_not_count(tmp_path: Path) -> N
     image = load(tmp_path)[0].image("d.jpg")
     counts = load_masked(image)[..., 3]
     assert not counts[:, :40].any() and counts[:, 56:].all()
+
+
+def test_requests_level_photos_unless_they_refuse(tmp_path: Path) -> None:
+    project(tmp_path, STOPS, STOPS)
+    asked = load_scene(Scene(scene=tmp_path), QUIET, tmp_path / "cache")
+    assert np.abs(exposures(asked) - STOPS).max() < 0.01
+    refused = load_scene(Scene(scene=tmp_path, no_exposures=True), QUIET, tmp_path / "cache")
+    assert not exposures(refused).any()
