@@ -1,9 +1,9 @@
-"""Surfaces of a finished run's boxes: a textured mesh beside each box's PLY."""
+"""Surfaces of a finished run's boxes: a textured mesh beside each box's PLY, and the background."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +17,7 @@ from ..formats import clean_up, run_files
 from ..formats.files import own_folder, read_record, remove_leftovers_of, sha256, write_json
 from ..formats.gravity import gravity_alignment
 from ..formats.lock import check_held, locked
+from ..formats.names import same_name
 from ..formats.text import json_digest
 from ..requests.declare import read_options
 from ..requests.runs import MakeSurface, Train
@@ -45,7 +46,7 @@ class Surfaces(Result):
 
 
 def make_surfaces(request: MakeSurface, context: Context = QUIET) -> Surfaces:
-    """Make the surfaces of a finished run's boxes; they are in its folder.
+    """Make the surfaces of a finished run's boxes, or of its background; they are in its folder.
 
     Raises:
         EngineError: the run folder or its scene cannot be used, or no box has a surface.
@@ -63,6 +64,8 @@ def make_surfaces(request: MakeSurface, context: Context = QUIET) -> Surfaces:
         if name not in asked.boxes.names:
             boxes = ", ".join(asked.boxes.names)
             raise RoiError(f"There is no box '{name}'.", f"The boxes are: {boxes}.")
+    if request.background:
+        _check_background(request, asked.boxes.names)
     options = SurfaceOptions(
         faces=request.faces,
         watertight=request.watertight,
@@ -70,57 +73,120 @@ def make_surfaces(request: MakeSurface, context: Context = QUIET) -> Surfaces:
     )
     with locked(request.run, context.warn, option=None):
         run, context = asked.defined(context)
-        return surfaces_of_run(run, options, request.only, request.format, context)
+        names = request.only or (() if request.background else asked.boxes.names)
+        gaussians = _gaussians(run, context)
+        work = [_of_box(gaussians, run, roi, options) for roi in run.rois if roi.name in names]
+        if work:
+            _say_before(gaussians, run, names, context)
+        if request.background:
+            work.append(_of_background(gaussians, run, options))
+        return _made(work, run, request.format, context)
 
 
-def surfaces_of_run(
-    run: Run,
-    options: SurfaceOptions,
-    only: Sequence[str],
-    formats: Sequence[str],
-    context: Context = QUIET,
-) -> Surfaces:
-    """The surfaces of a run's boxes, written to its folder, which is locked.
+def surfaces_of_run(run: Run, options: SurfaceOptions, context: Context = QUIET) -> Surfaces:
+    """The surfaces of a run's boxes, written to its folder, which is locked; see `make_surfaces`"""
+    gaussians = _gaussians(run, context)
+    _say_before(gaussians, run, [roi.name for roi in run.rois], context)
+    work = [_of_box(gaussians, run, roi, options) for roi in run.rois]
+    return _made(work, run, (), context)
 
-    Args:
-        only: names of the boxes; empty: all.
-        formats: endings of further files to write.
 
-    Raises as `make_surfaces`.
-    """
+@dataclass(frozen=True, kw_only=True)
+class _Work:
+    """A surface to make."""
+
+    name: str  # of its files
+    title: str
+    inputs: str  # hash of everything that decides it
+    make: Callable[[Context], Surface]
+    roi: OrientedBox  # along whose axes it is measured
+
+
+def _of_box(gaussians: Gaussians, run: Run, roi: OrientedBox, options: SurfaceOptions) -> _Work:
     from ..surface.make import make_surface
 
-    rois = [roi for roi in run.rois if roi.name in only] if only else run.rois
+    return _Work(
+        name=roi.name,
+        title=f"Box '{roi.name}'",
+        inputs=_inputs(gaussians, run, roi, options),
+        make=lambda context: make_surface(
+            gaussians, run.train_scene, roi, options, context=context
+        ),
+        roi=roi,
+    )
+
+
+def _of_background(gaussians: Gaussians, run: Run, options: SurfaceOptions) -> _Work:
+    """The work for the background; it leaves out what the boxes' own meshes show."""
+    from ..surface.background import background_plan, make_background, surroundings
+    from ..surface.files import read_points
+
+    own, digests = {}, {}
+    for roi in run.rois:
+        path = run.folder / run_files.FINE / f"{roi.name}{GLB}"
+        if path.is_file():
+            own[roi.name] = read_points(path, run.frame)
+            digests[roi.name] = sha256(path)
+    whole = surroundings(run.train_scene)
+
+    def make(context: Context) -> Surface:
+        context.info(background_plan(run.train_scene, len(gaussians)).text)
+        return make_background(gaussians, run.train_scene, run.rois, own, options, context=context)
+
+    boxes = [digests, [roi.to_dict() for roi in run.rois]]
+    return _Work(
+        name=run_files.SURROUNDINGS,
+        title="Background",
+        inputs=json_digest([_inputs(gaussians, run, whole, options), boxes]),
+        make=make,
+        roi=whole,
+    )
+
+
+def _made(work: Sequence[_Work], run: Run, formats: Sequence[str], context: Context) -> Surfaces:
+    """Do the work that is not done, and say where all is.
+
+    Args:
+        formats: endings of further files to write.
+    """
     folder = own_folder(run.folder, run_files.FINE)
-    gaussians = _gaussians(run, context)
-    _say_before(gaussians, run, rois, context)
     records, files, failed = [], {}, None
-    for roi in rois:
-        path = folder / f"{roi.name}{GLB}"
-        inputs = _inputs(gaussians, run, roi, options)
-        record = _finished(path, inputs, formats)
+    for each in work:
+        path = folder / f"{each.name}{GLB}"
+        record = _finished(path, each.inputs, formats)
         if record is not None:
-            context.info(f"Box '{roi.name}': its surface is there already.")
+            context.info(f"{each.title}: its surface is there already.")
         else:
             try:
-                made = make_surface(gaussians, run.train_scene, roi, options, context=context)
+                made = each.make(context)
             except SceneError as error:
                 failed = error
                 context.warn(error.message)
                 continue
             check_held(run.folder)
-            record = _record(made, run, roi)
+            record = _record(made, run, each.roi)
             digests = _write(path, made, run, formats)
-            finished = asdict(record) | {"inputs": inputs, "files": digests}
+            finished = asdict(record) | {"inputs": each.inputs, "files": digests}
             write_json(path.with_suffix(RECORD), finished)
             context.info(record.text)
         records.append(record)
-        files[roi.name] = path
+        files[each.name] = path
     if failed is not None and not records:
         raise failed
     add_to_reports(run.folder)
     done = Surfaces(files=files, surfaces=tuple(records))
     return done.with_places(*(record.text for record in records))
+
+
+def _check_background(request: MakeSurface, boxes: Sequence[str]) -> None:
+    """ConfigError, RoiError: the background cannot be made as it is asked for."""
+    if request.watertight and not request.only:
+        raise ConfigError("--watertight is for boxes; a background is open.", "Leave it out.")
+    if any(same_name(name) == run_files.SURROUNDINGS for name in boxes):
+        raise RoiError(
+            f"A box is called '{run_files.SURROUNDINGS}', as the background's files are.",
+            "Rename the box, and train again.",
+        )
 
 
 def _gaussians(run: Run, context: Context) -> Gaussians:
@@ -143,13 +209,12 @@ def _gaussians(run: Run, context: Context) -> Gaussians:
     return load_model(run.folder / run_files.RESULT, run.frame, context)
 
 
-def _say_before(
-    gaussians: Gaussians, run: Run, rois: Sequence[OrientedBox], context: Context
-) -> None:
-    """What memory it takes, and which objects stay joined to what they stand on."""
+def _say_before(gaussians: Gaussians, run: Run, names: Sequence[str], context: Context) -> None:
+    """What memory it takes, and which boxes' objects stay joined to what they stand on."""
     from ..surface.make import surface_plan
     from ..surface.objects import has_masks
 
+    rois = [roi for roi in run.rois if roi.name in names]
     plans = [surface_plan(gaussians, run.train_scene, roi) for roi in rois]
     context.info(max(plans, key=lambda plan: plan.memory).text)
     whole = [f"'{roi.name}'" for roi in rois if not has_masks(run.train_scene, roi)]
@@ -247,7 +312,7 @@ def _record(made: Surface, run: Run, roi: OrientedBox) -> SurfaceRecord:
         watertight=closed,
         filled=made.filled,
         untextured=1 - made.textured.seen,
-        unseen=_unseen(mesh, _upright(run)),
+        unseen={} if roi.name == run_files.SURROUNDINGS else _unseen(mesh, _upright(run)),
         voxel=made.voxel / scale,
         texture=made.textured.charts.side,
         photos=made.photos,

@@ -21,6 +21,7 @@ class SurfaceRecord:
     """A surface that was made; lengths in units of the COLMAP model.
 
     Attributes:
+        box: its name, or that of the background (`run_files.SURROUNDINGS`).
         file: in the run folder.
         result: SHA-256 of the box's PLY beside it, empty if there is none.
         size: of its bounding box, along the box's axes.
@@ -55,8 +56,9 @@ class SurfaceRecord:
         whole = f"closed, volume {self.volume:.3g}" if self.volume is not None else "with holes"
         found = [f"{share:.0%} {side}" for side, share in self.unseen.items() if share >= LEAST]
         whole += f", not seen: {', '.join(found)}" if found else ""
+        title = "Background" if self.box == run_files.SURROUNDINGS else f"Box '{self.box}'"
         return (
-            f"Box '{self.box}': {self.faces:,} faces, {sides} large, {whole};"
+            f"{title}: {self.faces:,} faces, {sides} large, {whole};"
             f" {self.filled:.1%} filled, {self.untextured:.1%} without a photo's colour;"
             f" from {self.photos} photos."
         )

@@ -67,7 +67,7 @@ def train(request: Train, context: Context = QUIET) -> Trained:
                 from ..surface.make import SurfaceOptions
                 from .surface import surfaces_of_run
 
-                surfaces_of_run(run, SurfaceOptions(), (), (), context)
+                surfaces_of_run(run, SurfaceOptions(), context)
         done = result_in(request.run_dir, table)
         if not asked.evaluated:
             context.info(f"The result is {done.result}.")

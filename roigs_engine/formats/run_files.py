@@ -23,6 +23,8 @@ RESULT = "result.ply"
 BACKGROUND = "background.ply"  # the result without what lies in the boxes
 FINE, COARSE = "rois", "coarse"
 """Folders with a PLY for each box: refined, and as the Scene-GS has it."""
+SURROUNDINGS = "background"
+"""Beside the boxes' meshes: the name of the mesh of all that is around them."""
 PREVIEW = "preview.ply"
 REPORT, REPORT_DATA, CROPS = "report.md", "report.json", "crops"
 REPORT_PAGE = "report.html"

@@ -146,6 +146,12 @@ class MakeSurface(Threads, Device):
     only: tuple[str, ...] = option(
         NAME, "only the box of this name; repeatable", repeat=True, flags=("--only", "--box")
     )
+    background: bool = option(
+        FLAG,
+        "make one coarse mesh of all that is around the boxes, to catch shadows and to be mirrored;"
+        " the boxes of --only are then made too",
+        False,
+    )
     faces: int = option(
         integer(MIN_FACES, MOST_FACES),
         "faces of a mesh at most (default: {default})",

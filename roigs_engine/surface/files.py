@@ -76,6 +76,21 @@ def convert_mesh(source: Path, path: Path, up: str | None = None) -> int:
     return len(mesh.faces)
 
 
+def read_points(path: Path, frame: LocalFrame) -> tuple[Float64, Float64]:
+    """(V, 3) points of a surface's .glb in a frame: vertices and middles of faces; their normals.
+
+    Raises:
+        EngineError: the file cannot be read, or a package is not installed.
+    """
+    trimesh: Any = package("trimesh", PURPOSE)
+    with reading(path, "glTF"):
+        content = io.BytesIO(read_bytes(path, most=None))
+        meshes = trimesh.load_scene(content, file_type="glb", process=False).geometry.values()
+        points = [np.concatenate([m.vertices, m.triangles_center]) for m in meshes]
+        normals = [np.concatenate([m.vertex_normals, m.face_normals]) for m in meshes]
+    return frame.points(np.concatenate(points)), np.concatenate(normals)
+
+
 def page_meshes(path: Path, matrix: Float64) -> list[PageMesh]:
     """The textured meshes of a surface's .glb for a web page.
 

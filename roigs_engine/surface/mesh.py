@@ -128,6 +128,18 @@ def mesh_of(
     Raises:
         SceneError: there is no surface in the box.
     """
+    mesh = cut_out(field, roi, closed=closed, context=context)
+    mesh = replace(mesh, filled=views(mesh, maps, field.voxel, context) < PHOTOS)
+    mesh = cleaned(mesh, closed=closed)
+    if not len(mesh.faces) or mesh.filled.all():
+        raise nothing_there(roi)
+    return mesh
+
+
+def cut_out(
+    field: Field, roi: OrientedBox, *, closed: bool = False, context: Context = QUIET
+) -> Mesh:
+    """All that is the surface of a field; raises as `mesh_of`."""
     measure: Any = package("skimage.measure", PURPOSE, "scikit-image")
     context.check_cancelled()
     volume = ndimage.gaussian_filter(field.distance, SMOOTHING)
@@ -142,15 +154,10 @@ def mesh_of(
     to_world = np.linalg.inv(roi.world_to_box)
     local = places * field.voxel + field.origin
     vertices = local @ to_world[:3, :3].T + to_world[:3, 3]
-    mesh = Mesh(vertices=vertices, faces=faces.astype(np.int64), filled=np.zeros(len(faces), bool))
-    mesh = replace(mesh, filled=_views(mesh, maps, field.voxel, context) < PHOTOS)
-    mesh = cleaned(mesh, closed=closed)
-    if not len(mesh.faces) or mesh.filled.all():
-        raise nothing_there(roi)
-    return mesh
+    return Mesh(vertices=vertices, faces=faces.astype(np.int64), filled=np.zeros(len(faces), bool))
 
 
-def _views(mesh: Mesh, maps: Sequence[DepthMap], voxel: float, context: Context) -> Faces:
+def views(mesh: Mesh, maps: Sequence[DepthMap], voxel: float, context: Context) -> Faces:
     """(F,) how many depth maps show each face: from in front, and at their depth."""
     centres, normals = mesh.vertices[mesh.faces].mean(axis=1), mesh.crosses
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
@@ -217,14 +224,17 @@ def simplified(mesh: Mesh, faces: int) -> Mesh:
     """
     wanted, is_closed = faces, mesh.is_closed()
     while len(mesh.faces) > wanted:
-        found = _large_parts(_decimated(mesh, wanted))
+        found = _large_parts(decimated(mesh, wanted))
         if not is_closed or found.is_closed():
             return found
         wanted *= 2
     return mesh
 
 
-def _decimated(mesh: Mesh, faces: int) -> Mesh:
+def decimated(mesh: Mesh, faces: int) -> Mesh:
+    """The mesh with about so many faces, if it has more; its parts stay."""
+    if len(mesh.faces) <= faces:
+        return mesh
     library: Any = package("fast_simplification", PURPOSE, "fast-simplification")
     middle = mesh.vertices.mean(axis=0)
     vertices, triangles = library.simplify(

@@ -1,0 +1,324 @@
+"""The surroundings of the boxes as one coarse mesh: it catches shadows, is mirrored, bounces light.
+
+Two grids: a coarse one of all that cameras and points are in, and finer ones around the boxes,
+where things will stand. The fine grids lie on the lattice of the coarse one, and each cell belongs
+to one grid. The coarse mesh reaches one cell into the fine ones, so that no light leaks between.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..context import QUIET, Context
+from ..errors import SceneError
+from ..formats.gravity import gravity_alignment
+from ..formats.run_files import SURROUNDINGS
+from ..formats.text import in_gb
+from ..machine import ENGINE, machine_memory
+from ..model.gaussians import Gaussians
+from ..model.roi import OrientedBox
+from ..model.scene import Float64, SfmScene
+from ..photos.decode import load_photo
+from .depth import DepthMap, depth_maps
+from .fusion import COARSE, Field, footprint, fuse
+from .make import Surface, SurfaceOptions
+from .memory import FIELD_SHARE, PER_DEPTH, PER_GAUSSIAN, PER_TEXEL, PER_VOXEL
+from .mesh import HOLE, Mask, Mesh, cut_out, decimated, views
+from .texture import FILLED, Load, textured
+
+REACH = 4.0  # extents of the cameras from their middle: what is farther is left out
+OUTLIERS = 0.005  # share of the points that is ignored at each side
+MARGIN = 0.1  # of the size, at each side: where few photos show a floor, its depth scatters
+MOST_PHOTOS, PHOTO_SIDE = 120, 640
+VOXELS = 1 << 23  # of the coarse grid, and ..
+NEAR_VOXELS = 1 << 22  # .. of all fine ones, at most
+AROUND = 0.5  # of its diagonal: so far around a box the grid is fine
+FINEST = 4  # voxels of a fine grid in one of the coarse grid's, along a side
+SMALLEST = 10  # voxels along a side: parts of a smaller area fly about
+DOUBLE = 2.5  # voxels: so near a box's own mesh, and facing alike, ..
+ALIKE = 0.3  # .. by the cosine of the normals, it is the same surface
+TEXTURE = 1024  # texels along a side
+PICTURES, MOST_STEP = 40, 4  # photos that it is made of, and how much smaller, at most
+CHARTS = 200 << 20  # bytes for charts, and what reading the scene leaves
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Region:
+    """A part of the coarse grid, by its cells: from `low` to `high`, exclusive, (3,) each."""
+
+    low: Any
+    high: Any
+
+    @property
+    def count(self) -> int:
+        return int(np.prod(self.high - self.low))
+
+
+def surroundings(scene: SfmScene) -> OrientedBox:
+    """The box that cameras and points are in, upright; points that are far out do not count.
+
+    SceneError: the scene has no cameras.
+    """
+    centres = scene.centres()
+    if not len(centres):
+        raise SceneError("The scene has no cameras.", "Give a COLMAP project with photos.")
+    middle = np.median(centres, axis=0)
+    near = np.linalg.norm(scene.points - middle, axis=1) <= REACH * scene.extent()
+    turn = gravity_alignment(np.array([image.world_to_camera for image in scene.images]))
+    eyes, points = centres @ turn.T, scene.points[near] @ turn.T
+    low, high = eyes.min(axis=0), eyes.max(axis=0)
+    if len(points):
+        ends = np.quantile(points, [OUTLIERS, 1 - OUTLIERS], axis=0)
+        low, high = np.minimum(low, ends[0]), np.maximum(high, ends[1])
+    half = (high - low) * (0.5 + MARGIN)
+    half = np.maximum(half, MARGIN * half.max())
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = turn, -(low + high) / 2
+    return OrientedBox(name=SURROUNDINGS, world_to_box=matrix, half_extents=half)
+
+
+def smaller_scene(scene: SfmScene) -> SfmScene:
+    """Enough of the photos, evenly chosen, and small: the mesh is coarse."""
+    step = max(1, math.ceil(len(scene.images) / MOST_PHOTOS))
+    images = tuple(
+        image.scaled(min(1.0, PHOTO_SIDE / max(image.camera.width, image.camera.height)))
+        for image in scene.images[::step]
+    )
+    return replace(scene, images=images)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BackgroundPlan:
+    """How it fits into memory: voxels of a grid at most, and bytes that all takes, about."""
+
+    voxels: int
+    memory: int
+    machine: int
+
+    @property
+    def text(self) -> str:
+        """A line for people."""
+        return f"Memory: up to about {in_gb(self.memory)} of {in_gb(self.machine)}."
+
+
+def background_plan(scene: SfmScene, gaussians: int, side: int = TEXTURE) -> BackgroundPlan:
+    """The plan of the memory of `make_background`.
+
+    Args:
+        scene: of the run.
+        gaussians: their number.
+        side: of the texture.
+    """
+    machine = machine_memory()
+    voxels = min(VOXELS, machine // FIELD_SHARE // PER_VOXEL)
+    pixels = sum(i.camera.width * i.camera.height for i in smaller_scene(scene).images)
+    work = PER_DEPTH * pixels + max(PER_VOXEL * voxels, PER_TEXEL * side**2)
+    memory = ENGINE + CHARTS + PER_GAUSSIAN * gaussians + work
+    return BackgroundPlan(voxels=voxels, memory=memory, machine=machine)
+
+
+def make_background(
+    gaussians: Gaussians,
+    scene: SfmScene,
+    rois: Sequence[OrientedBox],
+    own: Mapping[str, tuple[Float64, Float64]],
+    options: SurfaceOptions,
+    *,
+    load: Load = load_photo,
+    context: Context = QUIET,
+) -> Surface:
+    """The surroundings of the boxes as a mesh with a texture.
+
+    Args:
+        gaussians: the trained scene, on the context's device.
+        scene: the photos, in the frame of the Gaussians and the boxes.
+        rois: the boxes, around which the mesh is finer.
+        own: box -> (V, 3) points and their unit normals, of the mesh that the box has: there, the
+            background has none.
+        load: returns a photo, (H, W, 3) uint8 sRGB.
+
+    Raises:
+        SceneError: no photo shows a surface.
+        EngineError: an optional package is not installed.
+        Stopped: on request.
+    """
+    side = options.texture_size or TEXTURE
+    plan = background_plan(scene, len(gaussians), side)
+    whole, small = surroundings(scene), smaller_scene(scene)
+    names = [image.name for image in small.images]
+    found = depth_maps(gaussians, small, whole, names, context)
+    maps = [depth_map for depth_map in found if depth_map.depth.any()]
+    if not maps:
+        raise SceneError("No photo shows a surface.", "Train the scene longer.")
+    voxel = _voxel(maps, whole, plan.voxels)
+    whole = _on_cells(whole, voxel)
+    regions, finer = _regions(rois, whole, voxel, _finest(maps, voxel))
+    coarse = _cut(fuse(maps, whole, voxel, context), whole, voxel, context)
+    inner = [replace(region, low=region.low + 1, high=region.high - 1) for region in regions]
+    coarse = coarse.kept(_owner(coarse, inner, whole, voxel) < 0)
+    parts = [_near(maps, whole, regions, k, voxel, finer, context) for k in range(len(regions))]
+    near = _without_doubles(_joined(parts), rois, own, voxel / finer)
+    coarse = _without_doubles(coarse, rois, own, voxel)
+    share = options.faces // 2
+    room = share if len(near.faces) > share else options.faces - len(near.faces)
+    mesh = _joined([decimated(coarse, room), decimated(near, options.faces - room)])
+    mesh = replace(mesh, filled=views(mesh, maps, voxel, context) == 0)
+    mesh = _seen(_large(mesh, voxel))
+    if not len(mesh.faces):
+        raise SceneError("No photo shows a surface.", "Train the scene longer.")
+    pictures = _coarser(maps[:: math.ceil(len(maps) / PICTURES)], mesh, side)
+    picture = textured(mesh, pictures, side, load, context)
+    return Surface(textured=picture, voxel=voxel, photos=len(maps))
+
+
+def _voxel(maps: Sequence[DepthMap], whole: OrientedBox, most: int) -> float:
+    """Side of a coarse voxel: a pixel of the usual photo, or as many as there may be."""
+    pixel = float(np.median([footprint(depth_map) for depth_map in maps]))
+    return max(pixel, float((8 * np.prod(whole.half_extents) / most) ** (1 / 3)))
+
+
+def _finest(maps: Sequence[DepthMap], voxel: float) -> int:
+    """How many times finer voxels may be: as the pixels of the nearest photos."""
+    pixel = min(footprint(depth_map) for depth_map in maps)
+    return int(np.clip(voxel / pixel, 1, FINEST))
+
+
+def _on_cells(whole: OrientedBox, voxel: float) -> OrientedBox:
+    """The box, grown to whole cells of the grid, so that it is the grid's."""
+    cells = np.ceil(2 * whole.half_extents / (COARSE * voxel) - 1e-9)
+    return replace(whole, half_extents=cells * COARSE * voxel / 2)
+
+
+def _regions(
+    rois: Sequence[OrientedBox], whole: OrientedBox, voxel: float, finest: int
+) -> tuple[list[_Region], int]:
+    """Where the grid is finer, and how many times: less where all would be too many voxels."""
+    found = []
+    most = np.round(2 * whole.half_extents / voxel).astype(int) - 1
+    for roi in rois:
+        corners = roi.corners() @ whole.world_to_box[:3, :3].T + whole.world_to_box[:3, 3]
+        more = AROUND * roi.diagonal
+        low = (corners.min(axis=0) - more + whole.half_extents) / voxel - 0.5
+        high = (corners.max(axis=0) + more + whole.half_extents) / voxel - 0.5
+        region = _Region(
+            low=np.clip(np.floor(low), 0, most).astype(int),
+            high=np.clip(np.ceil(high), 0, most).astype(int),
+        )
+        if (region.high > region.low).all():
+            found.append(region)
+    cells = sum(region.count for region in found)
+    finer = min(finest, int((NEAR_VOXELS / max(cells, 1)) ** (1 / 3)))
+    return (found, finer) if finer > 1 else ([], 1)
+
+
+def _owner(mesh: Mesh, regions: Sequence[_Region], whole: OrientedBox, voxel: float) -> Any:
+    """(F,) the first region that each face's cell is in; -1: none."""
+    middles = mesh.vertices[mesh.faces].mean(axis=1)
+    local = middles @ whole.world_to_box[:3, :3].T + whole.world_to_box[:3, 3]
+    cells = np.floor((local + whole.half_extents) / voxel - 0.5).astype(int)
+    owner = np.full(len(cells), -1)
+    for k in reversed(range(len(regions))):
+        inside = (cells >= regions[k].low) & (cells < regions[k].high)
+        owner[inside.all(axis=1)] = k
+    return owner
+
+
+def _near(
+    maps: Sequence[DepthMap],
+    whole: OrientedBox,
+    regions: Sequence[_Region],
+    index: int,
+    voxel: float,
+    finer: int,
+    context: Context,
+) -> Mesh:
+    """The mesh of a region, from a finer grid."""
+    region, fine = regions[index], voxel / finer
+    # Samples at both ends of the region, and as many beyond as fill the last cell.
+    cells = np.ceil(((region.high - region.low) * finer + 1) / COARSE)
+    half = cells * COARSE * fine / 2
+    low = (region.low + 0.5) * voxel - whole.half_extents - fine / 2
+    matrix = whole.world_to_box.copy()
+    matrix[:3, 3] -= low + half
+    box = OrientedBox(name=SURROUNDINGS, world_to_box=matrix, half_extents=half)
+    mesh = _cut(fuse(maps, box, fine, context), box, fine, context)
+    return mesh.kept(_owner(mesh, regions, whole, voxel) == index)
+
+
+def _cut(field: Field, box: OrientedBox, voxel: float, context: Context) -> Mesh:
+    """The surface of a field, without small parts; it may have none."""
+    try:
+        return _large(cut_out(field, box, context=context), voxel)
+    except SceneError:
+        return _joined([])
+
+
+def _coarser(maps: Sequence[DepthMap], mesh: Mesh, side: int) -> list[DepthMap]:
+    """The depth maps of smaller photos, whose pixels are about as large as a texture's texels."""
+    texel = math.sqrt(float(mesh.areas.sum()) / FILLED) / side
+    found = []
+    for depth_map in maps:
+        step = int(np.clip(texel / footprint(depth_map), 1, MOST_STEP))
+        image = depth_map.image.scaled(1 / step)
+        depth, weight = (a[::step, ::step].copy() for a in (depth_map.depth, depth_map.weight))
+        found.append(
+            replace(depth_map, image=image, camera=image.camera, depth=depth, weight=weight)
+        )
+    return found
+
+
+def _large(mesh: Mesh, voxel: float) -> Mesh:
+    """Without parts of less than `SMALLEST` voxels along a side."""
+    if not len(mesh.faces):
+        return mesh
+    parts = mesh.parts()
+    return mesh.kept((np.bincount(parts, mesh.areas) >= (SMALLEST * voxel) ** 2)[parts])
+
+
+def _seen(mesh: Mesh) -> Mesh:
+    """Without large parts that no photo shows: they are the edges of what was seen."""
+    if not mesh.filled.any():
+        return mesh
+    patches = np.where(mesh.filled, mesh.parts(mesh.filled), -1)
+    areas = np.bincount(patches + 1, mesh.areas)
+    large: Mask = areas[patches + 1] > HOLE * areas.sum()
+    return mesh.kept(~(mesh.filled & large))
+
+
+def _joined(meshes: Sequence[Mesh]) -> Mesh:
+    """All meshes as one; their vertices stay apart."""
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    return Mesh(
+        vertices=np.concatenate([np.zeros((0, 3)), *(mesh.vertices for mesh in meshes)]),
+        faces=np.concatenate(
+            [np.zeros((0, 3), int), *(m.faces + n for m, n in zip(meshes, starts, strict=False))]
+        ),
+        filled=np.concatenate([np.zeros(0, bool), *(mesh.filled for mesh in meshes)]),
+    )
+
+
+def _without_doubles(
+    mesh: Mesh,
+    rois: Sequence[OrientedBox],
+    own: Mapping[str, tuple[Float64, Float64]],
+    voxel: float,
+) -> Mesh:
+    """Without what the boxes' own meshes show."""
+    middles, normals = mesh.vertices[mesh.faces].mean(axis=1), mesh.crosses
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    double = np.zeros(len(middles), bool)
+    for roi in rois:
+        points, facing = own.get(roi.name, (np.zeros((0, 3)),) * 2)
+        rows = np.flatnonzero(roi.distance(middles) < DOUBLE * voxel)
+        if not len(points) or not len(rows):
+            continue
+        away, nearest = cKDTree(points).query(middles[rows])
+        alike = (facing[nearest] * normals[rows]).sum(axis=1) > ALIKE
+        double[rows] |= (away < DOUBLE * voxel) & alike
+    return mesh.kept(~double) if double.any() else mesh
