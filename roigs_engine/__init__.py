@@ -68,6 +68,7 @@ if TYPE_CHECKING:
     from .requests.models import Cut as Cut
     from .requests.models import Floaters as Floaters
     from .requests.models import Masks as Masks
+    from .requests.models import Panorama as Panorama
     from .requests.models import Render as Render
     from .requests.models import RenderFrames as RenderFrames
     from .requests.projects import Export as Export
@@ -107,12 +108,13 @@ _MODULES = {
     "app.evaluate": "evaluate",
     "app.masks": "make_masks",
     "app.objects": "compose cut find_floaters",
+    "app.panorama": "draw_panorama",
     "app.render": "render render_frames",
     "app.scenes": "export inspect reconstruct refine_cameras select show_photo",
     "app.surface": "make_surfaces",
     "app.train": "plan_training train train_parts",
     "app.upkeep": "check_gpu clean make_levels",
-    "requests.models": "Adapt Compose Convert Cut Floaters Masks Render RenderFrames",
+    "requests.models": "Adapt Compose Convert Cut Floaters Masks Panorama Render RenderFrames",
     "requests.projects": "Export Inspect Reconstruct RefineCameras Select ShowPhoto",
     "requests.runs": "Batch CheckGpu Clean Evaluate Levels MakeSurface Train TrainAndEvaluate",
     "colmap.project": "load_colmap",

@@ -35,6 +35,7 @@ PACKAGES = (
     "evaluation",
     "levels",
     "surface",
+    "lighting",
     "run",
     "storage",
     "batch",

@@ -168,6 +168,15 @@ COMMANDS: dict[str, Command] = {
         help="render pictures for compositing, as another program asks for them in a folder",
         examples=("requests --once",),
     ),
+    "panorama": Command(
+        request=models.Panorama,
+        does="panorama:draw_panorama",
+        help="draw the light from all around a point, for the world of another program",
+        examples=(
+            "runs/garden/result.ply --at=-0.4,0.1,0.9 --out light.hdr",
+            "runs/garden/result.ply --at 0,0,1 --without vase --highlights 8 --out light.hdr",
+        ),
+    ),
     "compose": Command(
         request=models.Compose,
         does="objects:compose",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from ..formats.events import Preview, StageStarted
 from ..formats.files import atomic_write
 from ..formats.frame_requests import png
 from ..formats.names import safe_name
+from ..machine import package
 from ..model.gaussians import Gaussians
 from ..model.scene import Camera, Float64
 from .camera_path import CameraPath
@@ -45,6 +47,18 @@ def save_layer(colour: Path, depth: Path, layer: Layer) -> None:
     rows[:, 1:] = rgba.reshape(height, -1)
     with atomic_write(colour, durable=False) as file:
         file.write(png(rows.tobytes(), width, height))
+
+
+def save_light(path: Path, light: NDArray[np.float32]) -> None:
+    """Write (H, W, 3) linear light as a Radiance .hdr to `path`, atomically.
+
+    EngineError: OpenCV is not installed.
+    """
+    cv2: Any = package("cv2", "A panorama", "opencv-python-headless")
+    done, data = cv2.imencode(".hdr", np.ascontiguousarray(light[..., ::-1], dtype=np.float32))
+    assert done
+    with atomic_write(path) as file:
+        file.write(data.tobytes())
 
 
 def render_sequence(

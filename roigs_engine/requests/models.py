@@ -9,7 +9,23 @@ from ..formats.run_files import BACKGROUND, FINE
 from . import choices
 from .declare import Request, argument, option
 from .groups import MODEL, Boxes, Device, PhotoMasks, Photos, PhotoSize, Scene, Threads
-from .values import DIR, FILE, FLAG, NAME, PATH, Choice, Name, Number, PathName, integer
+from .values import (
+    DIR,
+    FAR,
+    FILE,
+    FLAG,
+    NAME,
+    PATH,
+    Choice,
+    Name,
+    Number,
+    PathName,
+    Place,
+    integer,
+)
+
+MIN_PANORAMA, MOST_PANORAMA = 64, 8192
+MOST_HIGHLIGHTS = 1000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +59,50 @@ class RenderFrames(Threads, Device):
 
     folder: Path = argument(PATH, "folder of the requests, JSON files (docs/files.md)")
     once: bool = option(FLAG, "end when no request is left", False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Panorama(Threads, Device):
+    """The light from all around a point, for the world of another program."""
+
+    model: Path = argument(
+        PATH,
+        "PLY, in the frame of its COLMAP project, or a JSON list of PLYs and their places"
+        " (docs/files.md), z up",
+    )
+    at: tuple[tuple[float, float, float], ...] = option(
+        Place("X,Y,Z"),
+        "where the light comes to, in the frame of MODEL (--at=-1,0,2 if it begins with a minus);"
+        " repeatable: then the files are FILE-1, FILE-2 ...",
+        required=True,
+        repeat=True,
+    )
+    out: Path = option(PathName("FILE.hdr"), "picture to write, Radiance HDR", required=True)
+    width: int = option(
+        integer(MIN_PANORAMA, MOST_PANORAMA, metavar="PX"),
+        "its width; it is half as high (default: {default})",
+        1024,
+    )
+    without: tuple[str, ...] = option(
+        NAME, "leave out what is in the box of this name; repeatable", repeat=True
+    )
+    near: float = option(
+        Number(low=0, high=FAR, metavar="R"),
+        "leave out Gaussians whose centres are nearer than R to the point (default: {default})",
+        0.0,
+    )
+    highlights: float | None = option(
+        Number(low=1, high=MOST_HIGHLIGHTS, metavar="K"),
+        "how many times brighter lamps and windows are than the photos show, where they are white"
+        " (default: as the shading in the scene tells)",
+        label="Highlights",
+        tooltip="How many times brighter lamps and windows are than the photos show",
+    )
+    run: Path | None = option(
+        DIR,
+        "run folder of MODEL, with its boxes, and the background that `surface --background` made,"
+        " from whose shading the highlights are known (default: the folder that MODEL is in)",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

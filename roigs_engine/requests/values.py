@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 MOST = (1 << 31) - 1  # of counts: a larger one is a typing error
+FAR = 1e15  # coordinates: larger ones are no place
 AUTO = "auto"
 SECRET = re.compile(r"//[^/@\s]*:(?!\d+/)[^@\s]*@|https?://[^/\s]*@|://.*\?", re.IGNORECASE)
 """User and password in an address, a token, or a query: these are signatures, of any store."""
@@ -124,6 +125,20 @@ class PlaceName(PathName):
                 "it begins as an address, but has no ://; a folder of this name is ./NAME"
             )
         return super().of_json(value)
+
+
+class Place(Name):
+    """Three numbers: a text with commas between them, or a list."""
+
+    def of_json(self, value: Any) -> Any:
+        parts = super().of_json(value).split(",") if isinstance(value, str) else value
+        try:
+            numbers = tuple(float(part) for part in parts)
+        except (TypeError, ValueError):
+            numbers = ()
+        if len(numbers) != 3 or not all(abs(number) < FAR for number in numbers):
+            raise ArgumentTypeError(f"{shown(value)} is not a place: x,y,z")
+        return numbers
 
 
 class Choice(Name):

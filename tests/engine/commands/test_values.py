@@ -11,7 +11,7 @@ import pytest
 
 from roigs_engine.cli import main
 from roigs_engine.commands.parser import build_parser, parsed
-from roigs_engine.requests.values import Name, Number
+from roigs_engine.requests.values import Name, Number, Place
 from tests.engine.commands.command_line import BOX, refused
 from tests.engine.synthetic_colmap import Project
 
@@ -39,7 +39,8 @@ def words(command: str, action: argparse.Action | None, value: str) -> list[str]
     for other in parser._actions:
         needed = other in parser.needed and other.dest != action.dest
         if needed and other.option_strings:
-            line += [other.option_strings[0], next(iter(other.choices or ()), "x=y")]
+            usual = "0,0,0" if isinstance(other.type, Place) else "x=y"
+            line += [other.option_strings[0], next(iter(other.choices or ()), usual)]
         elif not other.option_strings and other.dest == action.dest:
             line.append(value)
         elif needed:

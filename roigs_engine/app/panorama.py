@@ -1,0 +1,130 @@
+"""Panoramas of a scene's light, in linear light, for the world of another program."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..context import QUIET, Context
+from ..errors import ConfigError, RoiError
+from ..formats import run_files
+from ..formats.events import StageStarted
+from ..formats.files import read_record
+from ..formats.gravity import gravity_alignment
+from ..model.roi import OrientedBox, roi_from_dict
+from ..requests.models import Panorama
+from .inputs import on_device, use_threads
+from .instances import LIST, InstanceRecord, drawable_model, read_list
+from .outputs import Result, refuse_inputs, refuse_run_files
+from .run_scene import poses_of_run
+
+if TYPE_CHECKING:
+    from ..lighting.panorama import Panorama as Light
+    from ..model.scene import Float64
+
+STAGE = "panorama"
+ENDING = ".hdr"
+
+
+def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
+    """Draw the light that comes to each point; the text says how bright its highlights are.
+
+    EngineError: an input cannot be used, or nothing is seen from a point.
+    """
+    files = _files(request)
+    refuse_run_files(request.out)
+    folder = request.run or _folder_of(request.model)
+    boxes = _boxes(folder, request.without)
+    records, to_upright = _models(request, folder, context)
+    inputs = [request.options_file, request.model, *(Path(each.file) for each in records)]
+    refuse_inputs(files, inputs)
+    use_threads(request.threads)
+    context = on_device(context, request.device)
+
+    from ..lighting.panorama import left_out, panorama
+    from ..rasterize.image_files import save_light
+
+    read = {
+        name: drawable_model(Path(name), context.warn, context.check_cancelled)
+        for name in dict.fromkeys(each.file for each in records)
+    }
+    models = [each.of(*read[each.file]) for each in records]
+    context.emit(StageStarted(stage=STAGE, total=len(files)))
+    lines, started = [], time.monotonic()
+    for step, (at, file) in enumerate(zip(request.at, files, strict=True), start=1):
+        place = to_upright[:3, :3] @ at + to_upright[:3, 3]
+        seen = [left_out(model, boxes, place, request.near) for model in models]
+        light = panorama(seen, place, request.width // 2, context)
+        factor, how = _highlights(request, light)
+        save_light(file, light.brightened(factor))
+        lines.append(_line(at, light, factor, how))
+        context.info(lines[-1])
+        context.progress(STAGE, step, len(files), started)
+    names = [STAGE] if len(files) == 1 else [f"{STAGE}-{k + 1}" for k in range(len(files))]
+    return Result(files=dict(zip(names, files, strict=True))).with_places(*lines)
+
+
+def _files(request: Panorama) -> list[Path]:
+    """The files to write, one for each point."""
+    out = request.out
+    if out.suffix.lower() != ENDING:
+        raise ConfigError(f"{out} is no {ENDING} file.", f"Use {out.with_suffix(ENDING)}.")
+    if len(request.at) == 1:
+        return [out]
+    return [out.with_name(f"{out.stem}-{k + 1}{out.suffix}") for k in range(len(request.at))]
+
+
+def _folder_of(model: Path) -> Path:
+    """The run folder that a model is in."""
+    folder = model.absolute().parent
+    return folder.parent if folder.name in (run_files.FINE, run_files.COARSE) else folder
+
+
+def _boxes(folder: Path, names: tuple[str, ...]) -> list[OrientedBox]:
+    """The boxes of a run folder of these names; RoiError: it has none of that name."""
+    if not names:
+        return []
+    record = read_record(folder / run_files.MANIFEST).get("rois")
+    known = [roi_from_dict(each) for each in record] if isinstance(record, list) else []
+    found = {roi.name: roi for roi in known}
+    for name in names:
+        if name not in found:
+            there = f"The boxes are: {', '.join(found)}." if found else "Give its run with --run."
+            raise RoiError(f"{folder} has no box '{name}'.", there)
+    return [found[name] for name in dict.fromkeys(names)]
+
+
+def _models(
+    request: Panorama, folder: Path, context: Context
+) -> tuple[list[InstanceRecord], Float64]:
+    """The models, in a world in which z is up, and (4, 4) from the frame of the points to it."""
+    upright = np.eye(4)
+    if request.model.suffix.lower() == LIST:
+        return read_list(request.model, context)[0], upright
+    poses = poses_of_run(folder)
+    if poses is None:
+        context.warn(f"No photos tell which way is up in {request.model.name}: its z axis is.")
+    else:
+        upright[:3, :3] = gravity_alignment(poses)
+    return [InstanceRecord(str(request.model), upright)], upright
+
+
+def _highlights(request: Panorama, light: Light) -> tuple[float, str]:
+    """What the clipped part is multiplied by, and why."""
+    from ..lighting.highlights import usual_factor
+
+    if request.highlights is not None:
+        return request.highlights, "as asked for"
+    return usual_factor(light), "as in a usual place"
+
+
+def _line(at: tuple[float, ...], light: Light, factor: float, how: str) -> str:
+    share = float(light.clipped.mean())
+    place = ", ".join(f"{value:.4g}" for value in at)
+    bright = f"highlights ({share:.2%} of the picture) x {factor:.3g}, {how}"
+    if not light.clipped.any():
+        bright = "no highlights are clipped"
+    return f"Light at {place}: {light.seen:.0%} of all directions are seen; {bright}."

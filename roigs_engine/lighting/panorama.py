@@ -1,0 +1,163 @@
+"""The light that comes to a point of a scene: an equirectangular picture in linear light.
+
+The picture is laid out as Blender's environment textures (docs/conventions.md): its middle looks
+along the world's +x, its left quarter along +y, its top along +z.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..context import QUIET, Context
+from ..errors import ConfigError
+from ..model.roi import OrientedBox
+from ..model.scene import Float64
+from ..rasterize.instances import Instance
+from ..rasterize.light import to_linear
+from ..rasterize.panorama import render_panorama
+
+CLIPPED = 250 / 255  # sRGB value from which photos may have lost light, in all channels
+THERE = 0.5  # alpha of a pixel that shows a surface
+
+Float32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Panorama:
+    """The light from all around.
+
+    Attributes:
+        light: (H, 2 H, 3) linear, 1 for what is white in the photos; without holes.
+        clipped: (H, 2 H) where photos cannot show how bright it is.
+        seen: share of the directions, by solid angle, that Gaussians show.
+    """
+
+    light: Float32
+    clipped: Mask
+    seen: float
+
+    def brightened(self, factor: float) -> Float32:
+        """(H, 2 H, 3) the light, with that of what is clipped multiplied by a factor."""
+        return np.where(self.clipped[..., None], np.float32(factor), np.float32(1)) * self.light
+
+
+def directions(height: int) -> Float64:
+    """(H, 2 H, 3) unit vectors in the world of the pixels of a panorama."""
+    around = np.pi - (np.arange(2 * height) + 0.5) / height * np.pi
+    up = np.pi / 2 - (np.arange(height)[:, None] + 0.5) / height * np.pi
+    parts = np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)
+    return np.stack(np.broadcast_arrays(*parts), axis=-1)
+
+
+def solid_angles(height: int) -> Float64:
+    """(H, 1) of the pixels of a panorama, steradians."""
+    edges = np.sin(np.pi / 2 - np.arange(height + 1) / height * np.pi)
+    return np.asarray((edges[:-1] - edges[1:])[:, None] * np.pi / height)
+
+
+def panorama(
+    models: Sequence[Instance], place: Float64, height: int, context: Context = QUIET
+) -> Panorama:
+    """The light that comes to a place.
+
+    Args:
+        models: on the CPU; z is up in their world.
+        place: (3,) in that world.
+        height: of the picture, pixels; it is twice as wide.
+
+    Raises:
+        ConfigError: nothing is seen from there.
+    """
+    pose = np.eye(4)
+    pose[:3, 3] = -place
+    rays = torch.from_numpy(directions(height).astype(np.float32))
+    device = torch.device(context.device)
+    context.check_cancelled()
+    layer = render_panorama(models, rays, height / math.pi, pose, device)
+    image, alpha = layer.image, layer.alpha.numpy()
+    if not alpha.max() > THERE:
+        raise ConfigError(
+            "Nothing is seen from there: the panorama would be empty.",
+            "Move the point, or leave out less around it.",
+        )
+    clipped = (image >= CLIPPED).all(dim=-1).numpy() & (alpha > THERE)
+    light = filled(to_linear(image).numpy(), alpha)
+    seen = float((alpha * solid_angles(height)).sum() / (4 * np.pi))
+    return Panorama(light=light, clipped=clipped, seen=seen)
+
+
+def filled(light: Float32, alpha: Float32) -> Float32:
+    """A picture without holes: what is around them, farther off where they are wider.
+
+    By pyramids (pull and push, Gortler et al. 1996). The left and right edges meet.
+
+    Args:
+        light: (H, W, 3); H and W are powers of 2, or odd at some level of the pyramid.
+        alpha: (H, W) from 0 to 1: how much of a pixel is there.
+    """
+    height, width = alpha.shape
+    if min(height, width) < 2:
+        mean = (light * alpha[..., None]).sum(axis=(0, 1)) / max(float(alpha.sum()), 1e-6)
+        smaller = np.broadcast_to(mean, light.shape)
+    else:
+        parts = np.concatenate([light * alpha[..., None], alpha[..., None]], axis=-1)
+        half = _halved(parts)
+        share = half[..., 3]
+        below = filled(half[..., :3] / np.maximum(share, 1e-6)[..., None], np.clip(share, 0, 1))
+        smaller = _doubled(below, height, width)
+    return np.asarray(alpha[..., None] * light + (1 - alpha[..., None]) * smaller, np.float32)
+
+
+def _halved(picture: Float32) -> Float32:
+    """The means of 2 x 2 pixels; a last odd row or column counts twice."""
+    height, width = picture.shape[:2]
+    padded = np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+    rows, columns = padded.shape[0] // 2, padded.shape[1] // 2
+    return np.asarray(padded.reshape(rows, 2, columns, 2, -1).mean(axis=(1, 3)), np.float32)
+
+
+def _doubled(picture: Float32, height: int, width: int) -> Float32:
+    """Twice as large, between pixels, cut to a size."""
+    across = np.concatenate([picture[:, -1:], picture, picture[:, :1]], axis=1)
+    both = np.concatenate([across[:1], across, across[-1:]], axis=0)
+    for axis in (0, 1):
+        before, at, after = (
+            np.take(both, range(start, both.shape[axis] - 2 + start), axis) for start in range(3)
+        )
+        pair = np.stack([0.75 * at + 0.25 * before, 0.75 * at + 0.25 * after], axis=axis + 1)
+        shape = list(pair.shape)
+        shape[axis : axis + 2] = [2 * shape[axis]]
+        both = pair.reshape(shape)
+    return np.asarray(both[:height, :width], np.float32)
+
+
+def left_out(
+    model: Instance, boxes: Sequence[OrientedBox], place: Float64, near: float
+) -> Instance:
+    """A model without what is in boxes, and without what is near a place.
+
+    Args:
+        model: its own world is that of the boxes.
+        place: (3,) in the world.
+        near: distance of the centres of Gaussians from there, world units.
+    """
+    centres = model.gaussians.means.double().numpy()
+    kept = np.ones(len(centres), bool)
+    if boxes:
+        own = centres / model.frame.scale + model.frame.origin
+        for roi in boxes:
+            kept &= ~roi.contains(own)
+    if near > 0:
+        matrix = model.from_frame
+        away = centres @ matrix[:3, :3].T + matrix[:3, 3] - place
+        kept &= np.linalg.norm(away, axis=1) >= near
+    if kept.all():
+        return model
+    return replace(model, gaussians=model.gaussians.rows(torch.from_numpy(kept)))

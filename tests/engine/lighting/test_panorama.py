@@ -1,0 +1,133 @@
+"""Panoramas of light: directions, values, holes, and what is left out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roigs_engine.cli import main
+from roigs_engine.errors import ConfigError
+from roigs_engine.formats.rois import rois_document
+from roigs_engine.lighting.panorama import (
+    directions,
+    filled,
+    left_out,
+    panorama,
+    solid_angles,
+)
+from roigs_engine.model.roi import OrientedBox
+from tests.engine.clouds import affine, placed
+from tests.engine.commands.command_line import refused
+from tests.engine.lighting.room import GREY, RADIUS, room
+
+cv2 = pytest.importorskip("cv2")
+HEIGHT = 64
+LINEAR = ((GREY + 0.055) / 1.055) ** 2.4
+RED = (0.9, 0.1, 0.1)
+# Where Blender's environment texture has it: row from the top, column from the left, of 1.
+PLACES = {
+    (1.0, 0.0, 0.0): (0.5, 0.5),
+    (0.0, 1.0, 0.0): (0.5, 0.25),
+    (0.0, -1.0, 0.0): (0.5, 0.75),
+    (0.6, 0.0, 0.8): (0.5 - np.arcsin(0.8) / np.pi, 0.5),
+}
+
+
+@pytest.mark.parametrize("way", PLACES)
+def test_a_patch_is_in_its_pixel_in_linear_light(way: tuple[float, float, float]) -> None:
+    light = panorama([placed(room({way: RED}))], np.zeros(3), HEIGHT).light
+    row, column = (int(share * size) for share, size in zip(PLACES[way], light.shape, strict=False))
+    assert light[row, column] == pytest.approx([0.787, 0.01, 0.01], abs=0.02)
+    opposite = light[HEIGHT - 1 - row, (column + HEIGHT) % (2 * HEIGHT)]
+    assert opposite == pytest.approx([LINEAR] * 3, rel=0.03)
+
+
+def test_directions_are_of_all_the_sphere() -> None:
+    assert solid_angles(HEIGHT).sum() * 2 * HEIGHT == pytest.approx(4 * np.pi)
+    mean = (directions(HEIGHT) * solid_angles(HEIGHT)[..., None]).sum(axis=(0, 1))
+    assert mean == pytest.approx(np.zeros(3), abs=1e-9)
+
+
+def test_white_is_clipped_and_brightened() -> None:
+    found = panorama([placed(room({(0, 0, 1): (1.0, 1.0, 1.0)}))], np.zeros(3), HEIGHT)
+    assert found.clipped[0].all() and not found.clipped[HEIGHT // 2 :].any()
+    bright = found.brightened(7.0)
+    assert bright[0] == pytest.approx(7.0 * found.light[0])
+    assert (bright[HEIGHT // 2 :] == found.light[HEIGHT // 2 :]).all()
+
+
+def test_holes_get_what_is_around_them() -> None:
+    found = panorama([placed(room(hole=(0, 0, 1)))], np.zeros(3), HEIGHT)
+    assert 0.85 < found.seen < 0.97
+    assert found.light == pytest.approx(np.full(found.light.shape, LINEAR), rel=0.05)
+
+
+def test_the_left_and_the_right_edge_meet() -> None:
+    light, alpha = np.zeros((8, 16, 3), np.float32), np.zeros((8, 16), np.float32)
+    light[:, 15], alpha[:, 15] = 1.0, 1.0
+    light[:, 8], alpha[:, 8] = 0.0, 1.0
+    whole = filled(light, alpha)
+    assert (whole[:, 0] > whole[:, 7]).all()
+
+
+def test_boxes_and_what_is_near_are_left_out() -> None:
+    model = placed(room(), affine(2 * np.eye(3), (0.0, 0.0, 10.0)))
+    above = OrientedBox.between("above", [-5.0, -5, 0], [5.0, 5, 5])
+    lower = left_out(model, [above], np.zeros(3), 0.0).gaussians.means
+    assert lower[:, 2].max() < 0 and len(lower) > 1000
+    place = np.array([0.0, 0, 10 + 2 * RADIUS])  # on the sphere, in the world
+    far = left_out(model, [], place, RADIUS).gaussians.means.numpy()
+    away = np.linalg.norm(2 * far + [0, 0, 10] - place, axis=1)
+    assert away.min() >= RADIUS and len(far) < len(model.gaussians)
+
+
+def test_an_empty_picture_is_refused() -> None:
+    lonely = room().rows(room().means[:, 2] > 3.99)
+    faint = lonely.with_tensors({"logit_opacities": lonely.logit_opacities * 0 - 5})
+    with pytest.raises(ConfigError, match="Nothing is seen"):
+        panorama([placed(faint)], np.zeros(3), HEIGHT)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A run folder with a room, a red box in it, and nothing else."""
+    room({(1, 0, 0): RED}).save_ply(tmp_path / "result.ply")
+    box = OrientedBox.between("red", [3.0, -2, -2], [5.0, 2, 2])
+    (tmp_path / "manifest.json").write_text(rois_document([box]))
+    return tmp_path
+
+
+def test_the_command_writes_a_file_for_each_point(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["panorama", str(run / "result.ply"), "--width", "128", "--device", "cpu"]
+    assert main([*words, "--at", "0,0,0", "--out", str(run / "one.hdr")]) == 0
+    one = cv2.imread(str(run / "one.hdr"), cv2.IMREAD_UNCHANGED)
+    assert one.shape == (64, 128, 3)
+    assert one[32, 64] == pytest.approx([0.01, 0.01, 0.787], abs=0.02)  # OpenCV has blue first
+    more = ["--at", "0,0,0", "--at=-1,0,0", "--without", "red", "--out", str(run / "two.hdr")]
+    assert main([*words, *more]) == 0
+    assert capsys.readouterr().out.count("Light at ") == 3
+    for k in (1, 2):
+        grey = cv2.imread(str(run / f"two-{k}.hdr"), cv2.IMREAD_UNCHANGED)
+        assert grey[32, 64] == pytest.approx([LINEAR] * 3, rel=0.05)
+
+
+WRONG = {
+    "box": (["--without", "blue"], "has no box 'blue'"),
+    "place": (["--at", "0,0"], "is not a place"),
+    "ending": (["--out", "light.png"], "is no .hdr file"),
+    "factor": (["--highlights", "0.5"], "is not a number from 1"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_what_is_wrong_is_said_in_a_line(
+    run: Path, capsys: pytest.CaptureFixture[str], what: str
+) -> None:
+    options, message = WRONG[what]
+    out = [] if "--out" in options else ["--out", str(run / "one.hdr")]
+    place = [] if "--at" in options else ["--at", "0,0,0"]
+    assert message in refused(capsys, "panorama", run / "result.ply", *place, *out, *options)
