@@ -114,7 +114,7 @@ def _models(
 
 def _highlights(request: Panorama, light: Light) -> tuple[float, str]:
     """What the clipped part is multiplied by, and why."""
-    from ..lighting.highlights import usual_factor
+    from ..lighting.panorama import usual_factor
 
     if request.highlights is not None:
         return request.highlights, "as asked for"

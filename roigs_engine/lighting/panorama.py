@@ -24,6 +24,9 @@ from ..rasterize.panorama import render_panorama
 
 CLIPPED = 250 / 255  # sRGB value from which photos may have lost light, in all channels
 THERE = 0.5  # alpha of a pixel that shows a surface
+ALBEDO = 0.5  # share of the light that surfaces of a usual place give back
+MOST = 100.0  # times brighter than white, at most, unless a person says so
+FEWEST = 1e-5  # share of the directions that is clipped, at least
 
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -136,6 +139,21 @@ def _doubled(picture: Float32, height: int, width: int) -> Float32:
         shape[axis : axis + 2] = [2 * shape[axis]]
         both = pair.reshape(shape)
     return np.asarray(both[:height, :width], np.float32)
+
+
+def usual_factor(panorama: Panorama) -> float:
+    """What makes the clipped part as bright as it usually is, times what photos show.
+
+    What surfaces give back is `ALBEDO` of what comes to them. So of all light, all but that share
+    comes from lamps, windows and the sky. 1 if nothing is clipped.
+    """
+    weights = np.broadcast_to(solid_angles(len(panorama.light)), panorama.clipped.shape)
+    bright = panorama.light.mean(axis=-1)
+    lamps = float((weights * bright)[panorama.clipped].sum())
+    surfaces = float((weights * bright)[~panorama.clipped].sum())
+    if weights[panorama.clipped].sum() < FEWEST * 4 * np.pi or not lamps > 0:
+        return 1.0
+    return float(np.clip(surfaces * (1 / ALBEDO - 1) / lamps, 1.0, MOST))
 
 
 def left_out(
