@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from .app.scenes import refine_cameras as refine_cameras
     from .app.scenes import select as select
     from .app.scenes import show_photo as show_photo
+    from .app.suggest import suggest as suggest
     from .app.surface import make_surfaces as make_surfaces
     from .app.train import plan_training as plan_training
     from .app.train import train as train
@@ -77,6 +78,7 @@ if TYPE_CHECKING:
     from .requests.projects import RefineCameras as RefineCameras
     from .requests.projects import Select as Select
     from .requests.projects import ShowPhoto as ShowPhoto
+    from .requests.projects import Suggest as Suggest
     from .requests.runs import Batch as Batch
     from .requests.runs import CheckGpu as CheckGpu
     from .requests.runs import Clean as Clean
@@ -111,11 +113,12 @@ _MODULES = {
     "app.panorama": "draw_panorama",
     "app.render": "render render_frames",
     "app.scenes": "export inspect reconstruct refine_cameras select show_photo",
+    "app.suggest": "suggest",
     "app.surface": "make_surfaces",
     "app.train": "plan_training train train_parts",
     "app.upkeep": "check_gpu clean make_levels",
     "requests.models": "Adapt Compose Convert Cut Floaters Masks Panorama Render RenderFrames",
-    "requests.projects": "Export Inspect Reconstruct RefineCameras Select ShowPhoto",
+    "requests.projects": "Export Inspect Reconstruct RefineCameras Select ShowPhoto Suggest",
     "requests.runs": "Batch CheckGpu Clean Evaluate Levels MakeSurface Train TrainAndEvaluate",
     "colmap.project": "load_colmap",
     "context": "Context",

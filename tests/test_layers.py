@@ -26,6 +26,7 @@ PACKAGES = (
     "colmap",
     "reconstruction",
     "selection",
+    "guidance",
     "kernels",
     "cuda",
     "rasterize",
@@ -59,7 +60,7 @@ TORCH_FREE = (
         "kernels.library",
         "photos",
     ),
-    *("reconstruction", "run.config", "run.presets", "selection"),
+    *("guidance", "reconstruction", "run.config", "run.presets", "selection"),
 )
 # Where pycolmap may be imported.
 PYCOLMAP = {"colmap.library"}

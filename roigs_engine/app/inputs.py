@@ -174,7 +174,7 @@ def boxes_of(request: Boxes, *, required: bool = True) -> list[OrientedBox]:
     """
     if AUTO in request.roi:
         raise ConfigError(
-            f"--roi {AUTO} is an option of select, train and run.",
+            f"--roi {AUTO} is an option of select, suggest, train and run.",
             "Give --rois the rois.json that these write.",
         )
     rois = load_rois(request.rois) if request.rois else []

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ..formats import run_files
 from ..formats.files import read_bytes, read_record, write_text
+from ..formats.web_page import html_text
 
 LEAST = 0.005  # share of a surface: smaller holes are not listed
 RECORD, PICTURE = ".surface.json", ".surface.png"
@@ -77,7 +78,6 @@ def read_surface(path: Path) -> SurfaceRecord | None:
 def add_to_reports(folder: Path) -> None:
     """Put a run's surfaces at the end of its reports, in place of what these say of them."""
     from ..evaluation.report import markdown_text
-    from ..evaluation.report_html import html_text
 
     files = sorted((folder / run_files.FINE).glob(f"*{RECORD}"))
     found = [(file, record) for file in files if (record := read_surface(file)) is not None]

@@ -12,10 +12,10 @@ from typing import Any
 from urllib.parse import quote
 
 from ..errors import EngineError
-from ..evaluation.report_html import html_text, whole_page
 from ..formats.files import matching, read_json, write_text
 from ..formats.run_files import CROPS, FINE, REPORT_DATA, REPORT_PAGE, RESULT
 from ..formats.text import counted, duration
+from ..formats.web_page import html_text, whole_page
 from .engine_process import DONE, FAILED
 from .schedule import SceneState
 

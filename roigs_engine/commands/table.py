@@ -112,6 +112,16 @@ COMMANDS: dict[str, Command] = {
         ),
         torch=False,
     ),
+    "suggest": Command(
+        request=projects.Suggest,
+        does="suggest:suggest",
+        help="say which photos to take next: those that tell most of each box",
+        examples=(
+            "garden --rois garden/rois.json --out next",
+            "garden --rois garden/rois.json --count 4 --model runs/garden/result.ply --out next",
+        ),
+        torch=False,
+    ),
     "train": Command(
         request=runs.Train,
         does=_training,

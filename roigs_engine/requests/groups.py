@@ -125,8 +125,8 @@ class Boxes(Request, heading="boxes"):
     rois: Path | None = option(FILE, "rois.json with the boxes")
     roi: tuple[str, ...] = option(
         Name("NAME=x0,y0,z0,x1,y1,z1"),
-        "one box by its corners in the COLMAP frame; repeatable. auto (select, train, run):"
-        " a box around what most photos show, written to rois.json",
+        "one box by its corners in the COLMAP frame; repeatable. auto (select, suggest, train,"
+        " run): a box around what most photos show, written to rois.json",
         repeat=True,
     )
     only: tuple[str, ...] = option(

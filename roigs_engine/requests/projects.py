@@ -7,10 +7,11 @@ from pathlib import Path
 
 from . import choices
 from .declare import Request, argument, option
-from .groups import MODEL, Boxes, ObjectMasks, PhotoMasks, Scene, Selection, Threads
+from .groups import MODEL, Boxes, Device, ObjectMasks, PhotoMasks, Scene, Selection, Threads
 from .values import DIR, FILE, FLAG, PATH, Choice, Name, PathName, integer
 
 MOST_FEATURES, LARGEST_SIDE, MOST_NEIGHBOURS, MOST_FRAMES = 32_768, 8_192, 1_000, 10_000
+MOST_SUGGESTED = 100
 FEW_PHOTOS, MANY, USUAL = 40, 8192, 2048  # photos, and their features; more photos have the usual
 
 
@@ -132,3 +133,27 @@ class Select(Scene, ObjectMasks, Boxes, Selection):
     """The photos that show each box best, in order."""
 
     out: Path | None = option(DIR, "write ROI.json files there")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suggest(Scene, ObjectMasks, Boxes, Device):
+    """The next photos of each box, those that help most first."""
+
+    count: int = option(
+        integer(1, MOST_SUGGESTED),
+        "photos to suggest for each box (default: {default})",
+        8,
+        label="Photos",
+        tooltip="How many photos to suggest for each box",
+    )
+    model: Path | None = option(
+        FILE,
+        "PLY of the trained scene in the COLMAP frame: draws what each photo should show"
+        " (default: the sparse points do)",
+    )
+    no_look: bool = option(FLAG, "do not look at the photos: faster, and all count as sharp", False)
+    out: Path = option(
+        DIR,
+        "folder to write to: suggestions.json (a camera path), suggestions.html and pictures",
+        required=True,
+    )

@@ -51,7 +51,7 @@ class Coverage:
     def __init__(self, candidates: Candidates, context: Context = QUIET) -> None:
         self._starts = candidates.row_starts()
         point = candidates.obs_point
-        normals, known = _normals(candidates, context)
+        normals, known = surface_normals(candidates, context)
         directions = fibonacci_directions(DIRECTIONS)
         density = _pixel_density(candidates)
         slot = np.empty(len(point), dtype=np.int64)
@@ -144,7 +144,7 @@ def _rays(candidates: Candidates) -> Iterator[tuple[slice, Float64]]:
         yield part, rays
 
 
-def _normals(candidates: Candidates, context: Context) -> tuple[Float64, NDArray[np.bool_]]:
+def surface_normals(candidates: Candidates, context: Context) -> tuple[Float64, NDArray[np.bool_]]:
     """(P, 3) unit normals by PCA, towards the observers; (P,) whether each is known."""
     points = candidates.points
     total = len(points)

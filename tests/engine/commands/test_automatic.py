@@ -76,7 +76,7 @@ def test_what_does_not_go_with_auto_is_one_line(
 ) -> None:
     auto = (project.folder, "--roi", "auto")
     assert "stands for all boxes" in refused(capsys, "select", *auto, "--roi", BOX)
-    assert "option of select, train and run" in refused(capsys, "inspect", *auto)
+    assert "option of select, suggest, train and run" in refused(capsys, "inspect", *auto)
     assert "There is no box 'vase'" in refused(capsys, "select", *auto, "--only", "vase")
     few = write_project(tmp_path / "few", points=np.eye(3))
     assert "finds no object" in refused(capsys, "select", few.folder, "--roi", "auto")

@@ -1,0 +1,61 @@
+"""The map of a box from a scene alone: its surface, its photos, the places around it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..context import QUIET, Context
+from ..model.roi import OrientedBox
+from ..model.scene import SfmScene
+from ..model.visibility import find_candidates
+from .box_map import BoxMap, box_map, usual_camera
+from .patches import surface_patches
+from .photo_quality import PhotoQuality, measured
+from .places import Places, standing_places
+from .space import Space
+
+ELSEWHERE = 2000  # points outside the box that tell how sharp photos are as a whole
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KnownBox:
+    """What is known of a box.
+
+    Attributes:
+        map: by patch and direction.
+        places: from where it can be photographed.
+        quality: of the map's photos, in their order; None: the photos were not looked at.
+    """
+
+    map: BoxMap
+    places: Places
+    quality: PhotoQuality | None
+
+
+def known_box(
+    scene: SfmScene, roi: OrientedBox, context: Context = QUIET, *, look: bool = True
+) -> KnownBox:
+    """The map of a box; with `look`, the photos' sharpness counts, which is measured.
+
+    RoiError: no point lies in the box, or no photo sees one that does.
+    """
+    candidates = find_candidates(scene, roi, context)
+    space = Space.of(scene, roi, context)
+    patches = surface_patches(candidates, space, context)
+    places = standing_places(scene, candidates.images, roi, space, usual_camera(candidates.images))
+    ways = places.centres - roi.centre
+    ways /= np.maximum(np.linalg.norm(ways, axis=1), 1e-300)[:, None]
+    found = box_map(candidates, patches, space, ways, scene=scene, context=context)
+    if not look:
+        return KnownBox(map=found, places=places, quality=None)
+    outside = scene.points[np.isfinite(scene.points).all(axis=1)]
+    outside = outside[~roi.contains(outside)]
+    others = outside[:: max(1, len(outside) // ELSEWHERE)]
+    quality = measured(found.images, patches, found.seen, others, context)
+    known = dict(zip([image.name for image in found.images], quality.sharpness, strict=True))
+    sharp = np.array([known.get(image.name, 1.0) for image in scene.images])
+    sharp = np.where(np.isfinite(sharp), sharp, 1.0)
+    found = box_map(candidates, patches, space, ways, scene=scene, sharpness=sharp, context=context)
+    return KnownBox(map=found, places=places, quality=quality)

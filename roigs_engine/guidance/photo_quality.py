@@ -1,0 +1,169 @@
+"""How sharp each photo is at a box, and how it is exposed, by its pixels around the patches.
+
+Of each patch p in each photo v that sees it: the energy L of the Laplacian, and the light Y. A
+patch has its texture, and a nearer photo shows finer parts of it, so photos are compared by a model
+with two effects, fitted by medians, which few odd patches do not move:
+
+    log L(p, v) = texture_p + k log rho(p, v) + sharp_v
+    log Y(p, v) = light_p + exposure_v
+
+Photos have a spectrum near 1/f, so L grows with the fourth power of the finest frequency that is
+left: a photo's resolution is reduced by the fourth root of its L over that of sharp photos.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..context import QUIET, Context
+from ..model.scene import Float64, PosedImage, project
+from ..photos.decode import load_photo
+from ..photos.headers import PhotoError
+from ..photos.parallel import decoding_bytes, in_parallel
+from ..photos.profiles import srgb_curve
+from .patches import Patches
+
+SIDE = 1600  # longest side of the photos that are looked at, pixels
+WINDOW = 9  # pixels around a patch
+ROUNDS = 10  # of fitting; the medians settle in fewer
+SHARP = 75.0  # percentile of photos that are called sharp
+FEWEST = 5  # patches that tell how sharp a photo is
+LEAST = 1e-8  # of energies and light, which are of values from 0 to 1
+"""Below the noise of 8 bits."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PhotoQuality:
+    """Measures of V photos at a box; NaN of those that show too little of it or cannot be read.
+
+    Attributes:
+        sharpness: (V,) resolution over that of the sharp photos, 0 to 1.
+        overall: (V,) the same over the whole photo, by the scene's points elsewhere.
+        exposure: (V,) in stops (EV) over the usual one of the same patches.
+        texture: (P,) log energy of each patch's detail at the usual distance; NaN if not seen.
+        unreadable: names of photos that cannot be read.
+    """
+
+    sharpness: Float64
+    overall: Float64
+    exposure: Float64
+    texture: Float64
+    unreadable: tuple[str, ...]
+
+
+def measured(
+    images: Sequence[PosedImage],
+    patches: Patches,
+    seen: NDArray[np.bool_],
+    others: Float64,
+    context: Context = QUIET,
+) -> PhotoQuality:
+    """Measure photos at the patches (P, V) that they see, and at points elsewhere (N, 3)."""
+    places = np.concatenate([patches.places, others])
+    energy = np.full((len(places), len(images)), np.nan)
+    light, density = energy.copy(), energy.copy()
+    small = [_small(image) for image in images]
+    columns = {image.name: column for column, image in enumerate(small)}
+    memory = max((_bytes(image) for image in small), default=1)
+    failed = []
+    with in_parallel(lambda image: _look(image, places), small, memory, context) as found:
+        for image, job in found:
+            column = columns[image.name]
+            try:
+                energy[:, column], light[:, column], density[:, column] = job.result()
+            except PhotoError:
+                failed.append(image.name)
+    energy[: len(patches)][~seen] = np.nan
+    light[: len(patches)][~seen] = np.nan
+    with np.errstate(all="ignore"):
+        detail, brightness = np.log(energy + LEAST), np.log2(light + LEAST)
+        rho = np.log(density)
+    here, elsewhere = slice(len(patches)), slice(len(patches), None)
+    texture, sharp = _effects(detail[here], rho[here])
+    _, over = _effects(detail[elsewhere], rho[elsewhere])
+    _, exposure = _effects(brightness[here], None)
+    return PhotoQuality(
+        sharpness=_resolution(sharp),
+        overall=_resolution(over),
+        exposure=exposure,
+        texture=texture,
+        unreadable=tuple(failed),
+    )
+
+
+def _small(image: PosedImage) -> PosedImage:
+    return replace(image, camera=image.camera.thumbnail(SIDE))
+
+
+def _bytes(image: PosedImage) -> int:
+    size = image.camera.width, image.camera.height
+    return decoding_bytes(image.path, size) + 40 * size[0] * size[1]
+
+
+def _look(image: PosedImage, places: Float64) -> tuple[Float64, Float64, Float64]:
+    """Of each place (P, 3): energy of the Laplacian, light, pixels per unit; NaN out of sight."""
+    from scipy.ndimage import laplace, uniform_filter
+
+    pixels = load_photo(image).astype(np.float32) / 255
+    grey = pixels @ np.array([0.2126, 0.7152, 0.0722], np.float32)
+    at, depth, inside = project(places, image.camera, image.world_to_camera)
+    rows = np.flatnonzero(inside)
+    x, y = at[rows].astype(int).T
+    found = np.full((3, len(places)), np.nan)
+    found[0, rows] = uniform_filter(laplace(grey) ** 2, WINDOW)[y, x]
+    found[1, rows] = srgb_curve(uniform_filter(grey, WINDOW)[y, x].astype(np.float64))
+    found[2, rows] = np.sqrt(image.camera.fx * image.camera.fy) / depth[rows]
+    return found[0], found[1], found[2]
+
+
+def _effects(values: Float64, slope_of: Float64 | None) -> tuple[Float64, Float64]:
+    """Effects of patches (P,) and of photos (V,) on values (P, V), by medians; NaN: too few."""
+    values = values.copy()
+    counts = np.isfinite(values).sum(axis=0)
+    values[:, counts < FEWEST] = np.nan
+    of_photo = np.zeros(values.shape[1])
+    of_patch = _medians(values, axis=1)
+    for _ in range(ROUNDS):
+        if slope_of is not None:
+            residual = values - of_photo - of_patch[:, None]
+            centred = (
+                slope_of - _medians(np.where(np.isfinite(values), slope_of, np.nan), 1)[:, None]
+            )
+            values = values - _slope(centred, residual) * centred
+        of_photo = np.nan_to_num(_medians(values - of_patch[:, None], axis=0))
+        of_patch = _medians(values - of_photo, axis=1)
+    of_photo = (
+        of_photo - np.median(of_photo[counts >= FEWEST]) if (counts >= FEWEST).any() else of_photo
+    )
+    return of_patch, np.where(counts >= FEWEST, of_photo, np.nan)
+
+
+def _slope(x: Float64, y: Float64) -> float:
+    """Of y over x, both (P, V), through zero: the median of ratios, weighted by |x|."""
+    use = np.isfinite(x) & np.isfinite(y) & (np.abs(x) > 1e-3)
+    if use.sum() < FEWEST:
+        return 0.0
+    ratios, weights = y[use] / x[use], np.abs(x[use])
+    order = np.argsort(ratios)
+    total = np.cumsum(weights[order])
+    return float(ratios[order][np.searchsorted(total, total[-1] / 2)])
+
+
+def _medians(values: Float64, axis: int) -> Float64:
+    """Medians of the numbers; NaN where there are none."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of rows without a number
+        return np.asarray(np.nanmedian(values, axis=axis), dtype=np.float64)
+
+
+def _resolution(effects: Float64) -> Float64:
+    """(V,) effects on log energy -> resolution over that of sharp photos, at most 1."""
+    good = effects[np.isfinite(effects)]
+    if not len(good):
+        return effects
+    return np.asarray(np.exp(np.minimum(effects - np.percentile(good, SHARP), 0) / 4))

@@ -1,0 +1,118 @@
+"""Places from which a person can photograph a box: where photos were taken, or could have been."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..formats.gravity import gravity_alignment
+from ..model.roi import OrientedBox
+from ..model.scene import Camera, Float64, PosedImage, SfmScene
+from ..selection.coverage import fibonacci_directions
+from .box_map import filling_distance
+from .space import Space
+
+AROUND = 512  # directions on the sphere around the box
+RINGS = 4  # distances at most
+STEP = float(np.sqrt(2))  # ratio of the distances of neighbouring rings
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Places:
+    """Poses of cameras that look at a box's centre, upright.
+
+    Attributes:
+        poses: (N, 4, 4) world_to_camera.
+        up: (3,) unit vector, world.
+    """
+
+    poses: Float64
+    up: Float64
+
+    @property
+    def centres(self) -> Float64:
+        """(N, 3) world positions."""
+        turns, moves = self.poses[:, :3, :3], self.poses[:, :3, 3]
+        return np.asarray(-np.einsum("nji,nj->ni", turns, moves))
+
+
+def up_of(images: Sequence[PosedImage]) -> Float64:
+    """(3,) up in the world, by the photos."""
+    poses = np.array([image.world_to_camera for image in images]).reshape(-1, 4, 4)
+    return np.asarray(gravity_alignment(poses)[2])
+
+
+def looking_at(eye: Float64, target: Float64, up: Float64) -> Float64:
+    """(4, 4) world_to_camera of an upright camera at `eye` that looks at `target`."""
+    forward = (target - eye) / max(float(np.linalg.norm(target - eye)), 1e-300)
+    right = np.cross(forward, up)
+    if np.linalg.norm(right) < 1e-6:  # straight down: any side may be the right one
+        right = np.cross(forward, np.eye(3)[int(np.abs(forward).argmin())])
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = right, np.cross(forward, right), forward
+    pose[:3, 3] = -pose[:3, :3] @ eye
+    return pose
+
+
+def standing_places(
+    scene: SfmScene, seeing: Sequence[PosedImage], roi: OrientedBox, space: Space, lens: Camera
+) -> Places:
+    """Where a person can stand and see the box: on rings around it, in air that photos passed.
+
+    The nearest ring is where the box fills the picture, the farthest at the usual distance of its
+    photos. Heights are those at which the camera was held, and nothing is nearer to the camera
+    than to one of the photos.
+
+    Args:
+        seeing: the photos that see the box.
+    """
+    up = up_of(scene.images)
+    nearest = filling_distance(roi, lens)
+    usual = float(np.median([np.linalg.norm(image.centre - roi.centre) for image in seeing]))
+    rings = 1 + int(np.clip(np.floor(np.log(max(usual / nearest, 1)) / np.log(STEP)), 0, RINGS - 1))
+    ways = fibonacci_directions(AROUND)
+    eyes = np.concatenate([roi.centre + ways * nearest * STEP**ring for ring in range(rings)])
+    heights = scene.centres() @ up
+    eyes = eyes[(eyes @ up >= heights.min()) & (eyes @ up <= heights.max())]
+    eyes = eyes[space.is_air(eyes) & (_room(scene, eyes) >= _room(scene, scene.centres()).min())]
+    poses = [looking_at(eye, roi.centre, up) for eye in eyes]
+    return Places(poses=np.array(poses).reshape(-1, 4, 4), up=up)
+
+
+def _room(scene: SfmScene, eyes: Float64) -> Float64:
+    """(N, 3) places -> (N,) distance of each from the nearest point."""
+    from scipy.spatial import cKDTree
+
+    points = scene.points[np.isfinite(scene.points).all(axis=1)]
+    if not len(points) or not len(eyes):
+        return np.zeros(len(eyes))
+    return np.asarray(cKDTree(points).query(eyes)[0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Offset:
+    """Where a place is, as seen from a photo: world units along its right, up and forward."""
+
+    photo: str
+    right: float
+    up: float
+    forward: float
+
+
+def offset_from(eye: Float64, image: PosedImage, up: Float64) -> Offset:
+    """The place `eye` (3,) from where a photo was taken; forward is level."""
+    forward = image.forward - up * (image.forward @ up)
+    if np.linalg.norm(forward) < 1e-6:
+        forward = -image.world_to_camera[1, :3]
+        forward = forward - up * (forward @ up)
+    forward = forward / max(float(np.linalg.norm(forward)), 1e-300)
+    away = eye - image.centre
+    return Offset(
+        photo=image.name,
+        right=float(away @ np.cross(forward, up)),
+        up=float(away @ up),
+        forward=float(away @ forward),
+    )

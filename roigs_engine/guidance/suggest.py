@@ -1,0 +1,111 @@
+"""The next photos of a box: each adds most to its map, given those before (greedy).
+
+The map's value is monotone and submodular, so the photos reach at least 1 - 1/e of the best gain of
+so many (Nemhauser, Wolsey and Fisher 1978), and an earlier gain is an upper bound of a later one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..context import QUIET, Context
+from ..errors import RoiError
+from ..model.scene import Camera, Float64
+from ..selection.greedy import lazy_greedy
+from .box_map import BoxMap, information, sees
+from .known import KnownBox
+from .places import Offset, offset_from
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Suggestion:
+    """A photo to take.
+
+    Attributes:
+        camera: its lens.
+        world_to_camera: (4, 4) its pose.
+        gain: what it adds to the map's value, 0 to 1, after the ones before.
+        value: the map's value with it.
+        distance: to the box's centre, world units.
+        height: of the camera over the box's centre, world units.
+        near: where it is as seen from the nearest photo of the box.
+    """
+
+    camera: Camera
+    world_to_camera: Float64
+    gain: float
+    value: float
+    distance: float
+    height: float
+    near: Offset
+
+    @property
+    def centre(self) -> Float64:
+        """(3,) where the camera is."""
+        pose = self.world_to_camera
+        return np.asarray(-pose[:3, :3].T @ pose[:3, 3])
+
+
+class _Greedy:
+    """The map with the photos suggested so far."""
+
+    def __init__(self, known: KnownBox, context: Context) -> None:
+        self._map, self._poses = known.map, known.places.poses
+        self._information = known.map.information.copy()
+        self._seen = []
+        for pose in self._poses:
+            context.check_cancelled()
+            _, density, ways = sees(self._map.patches, self._map.space, self._map.lens, pose)
+            self._seen.append((density / self._map.reference, ways))
+        self.values = [known.map.value]
+
+    def _with(self, view: int) -> Float64:
+        density, ways = self._seen[view]
+        more = information(self._map.patches, self._map.directions, density, ways)
+        return np.asarray(self._information + more)
+
+    def gain(self, view: int) -> float:
+        """What a photo adds to the value."""
+        total = self._with(view)
+        return float((self._map.weights * total / (1 + total)).sum()) - self.values[-1]
+
+    def add(self, view: int) -> None:
+        """Take a photo."""
+        self.values.append(self.values[-1] + self.gain(view))
+        self._information = self._with(view)
+
+
+def suggested(known: KnownBox, count: int, context: Context = QUIET) -> list[Suggestion]:
+    """The next photos of a box, best first; fewer if no other place adds anything.
+
+    RoiError: there is no place from which the box can be photographed.
+    """
+    found, places = known.map, known.places
+    if not len(places.poses):
+        raise RoiError(
+            f"There is no free place around box '{found.roi.name}' to photograph it from.",
+            "Enlarge the box if it cuts the object off, or take a few photos from farther away.",
+        )
+    greedy = _Greedy(known, context)
+    views = list(range(len(places.poses)))
+    order = lazy_greedy(views, greedy.gain, greedy.add, count, context)
+    return [
+        _suggestion(found, places.poses[view], places.up, greedy.values[rank : rank + 2])
+        for rank, view in enumerate(order)
+    ]
+
+
+def _suggestion(found: BoxMap, pose: Float64, up: Float64, values: list[float]) -> Suggestion:
+    eye = -pose[:3, :3].T @ pose[:3, 3]
+    away = [float(np.linalg.norm(image.centre - eye)) for image in found.images]
+    return Suggestion(
+        camera=found.lens,
+        world_to_camera=pose,
+        gain=values[1] - values[0],
+        value=values[1],
+        distance=float(np.linalg.norm(eye - found.roi.centre)),
+        height=float((eye - found.roi.centre) @ up),
+        near=offset_from(eye, found.images[int(np.argmin(away))], up),
+    )
