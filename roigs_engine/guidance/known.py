@@ -44,7 +44,8 @@ def known_box(
     candidates = find_candidates(scene, roi, context)
     space = Space.of(scene, roi, context)
     patches = surface_patches(candidates, space, context)
-    places = standing_places(scene, candidates.images, roi, space, usual_camera(candidates.images))
+    lens = usual_camera(candidates.images)
+    places = standing_places(scene, candidates.images, roi, space, lens, context)
     ways = places.centres - roi.centre
     ways /= np.maximum(np.linalg.norm(ways, axis=1), 1e-300)[:, None]
     found = box_map(candidates, patches, space, ways, scene=scene, context=context)

@@ -1,8 +1,9 @@
 """How sharp each photo is at a box, and how it is exposed, by its pixels around the patches.
 
-Of each patch p in each photo v that sees it: the energy L of the Laplacian, and the light Y. A
-patch has its texture, and a nearer photo shows finer parts of it, so photos are compared by a model
-with two effects, fitted by medians, which few odd patches do not move:
+Of each patch p in each photo v that sees it: the energy L of the Laplacian over the squared
+brightness, so that a dark photo is not called blurred, and the light Y. A patch has its texture,
+and a nearer photo shows finer parts of it, so photos are compared by a model with two effects,
+fitted by medians, which few odd patches do not move:
 
     log L(p, v) = texture_p + k log rho(p, v) + sharp_v
     log Y(p, v) = light_p + exposure_v
@@ -115,8 +116,9 @@ def _look(image: PosedImage, places: Float64) -> tuple[Float64, Float64, Float64
     rows = np.flatnonzero(inside)
     x, y = at[rows].astype(int).T
     found = np.full((3, len(places)), np.nan)
-    found[0, rows] = uniform_filter(laplace(grey) ** 2, WINDOW)[y, x]
-    found[1, rows] = srgb_curve(uniform_filter(grey, WINDOW)[y, x].astype(np.float64))
+    bright = uniform_filter(grey, WINDOW)[y, x].astype(np.float64)
+    found[0, rows] = uniform_filter(laplace(grey) ** 2, WINDOW)[y, x] / (bright**2 + LEAST)
+    found[1, rows] = srgb_curve(bright)
     found[2, rows] = np.sqrt(image.camera.fx * image.camera.fy) / depth[rows]
     return found[0], found[1], found[2]
 

@@ -14,7 +14,7 @@ from ..selection.coverage import nearest_neighbours
 
 NEIGHBOURS = 5  # points, itself included: a point is as large as the way to the farthest of them
 BACKGROUND = 40
-LARGEST = 0.04  # of the picture's width: half the side of a point
+LARGEST = 0.012  # of the picture's width: half the side of a point
 LINE = (255, 160, 0)
 Pixels = NDArray[np.uint8]
 

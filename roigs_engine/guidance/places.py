@@ -6,17 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..formats.gravity import gravity_alignment
+from ..context import QUIET, Context
+from ..formats.gravity import gravity_alignment, rotation_between
 from ..model.roi import OrientedBox
-from ..model.scene import Camera, Float64, PosedImage, SfmScene
-from ..selection.coverage import fibonacci_directions
+from ..model.scene import Camera, Float64, PosedImage, SfmScene, project
 from .box_map import filling_distance
 from .space import Space
 
-AROUND = 512  # directions on the sphere around the box
-RINGS = 4  # distances at most
-STEP = float(np.sqrt(2))  # ratio of the distances of neighbouring rings
+SPACING = np.radians(8)  # between neighbouring places, as seen from the box
+SHELLS = 4  # distances at most
+STEEPEST = np.radians(80)  # straight down, a picture has no upright
+STEP = float(np.sqrt(2))  # ratio of the distances of neighbouring shells
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,11 +60,16 @@ def looking_at(eye: Float64, target: Float64, up: Float64) -> Float64:
 
 
 def standing_places(
-    scene: SfmScene, seeing: Sequence[PosedImage], roi: OrientedBox, space: Space, lens: Camera
+    scene: SfmScene,
+    seeing: Sequence[PosedImage],
+    roi: OrientedBox,
+    space: Space,
+    lens: Camera,
+    context: Context = QUIET,
 ) -> Places:
-    """Where a person can stand and see the box: on rings around it, in air that photos passed.
+    """Where a person can stand and see the box: on shells around it, in air that photos passed.
 
-    The nearest ring is where the box fills the picture, the farthest at the usual distance of its
+    The nearest shell is where the box fills the picture, the farthest at the usual distance of its
     photos. Heights are those at which the camera was held, and nothing is nearer to the camera
     than to one of the photos.
 
@@ -72,14 +79,46 @@ def standing_places(
     up = up_of(scene.images)
     nearest = filling_distance(roi, lens)
     usual = float(np.median([np.linalg.norm(image.centre - roi.centre) for image in seeing]))
-    rings = 1 + int(np.clip(np.floor(np.log(max(usual / nearest, 1)) / np.log(STEP)), 0, RINGS - 1))
-    ways = fibonacci_directions(AROUND)
-    eyes = np.concatenate([roi.centre + ways * nearest * STEP**ring for ring in range(rings)])
-    heights = scene.centres() @ up
-    eyes = eyes[(eyes @ up >= heights.min()) & (eyes @ up <= heights.max())]
-    eyes = eyes[space.is_air(eyes) & (_room(scene, eyes) >= _room(scene, scene.centres()).min())]
+    shells = 1 + int(min(SHELLS - 1, np.log(max(usual / nearest, 1)) // np.log(STEP)))
+    heights = (scene.centres() - roi.centre) @ up
+    eyes = np.concatenate(
+        [
+            _shell(nearest * STEP**shell, (float(heights.min()), float(heights.max())))
+            for shell in range(shells)
+        ]
+    )
+    eyes = roi.centre + eyes @ rotation_between(up, np.array([0.0, 0.0, 1.0]))
+    eyes = eyes[space.is_free(eyes) & (_room(scene, eyes) >= _room(scene, scene.centres()).min())]
+    eyes = eyes[_looked_through(scene, eyes, Space.of(scene, roi, context, coarse=True))]
     poses = [looking_at(eye, roi.centre, up) for eye in eyes]
     return Places(poses=np.array(poses).reshape(-1, 4, 4), up=up)
+
+
+def _shell(radius: float, heights: tuple[float, float]) -> Float64:
+    """(N, 3) even places on a sphere around the origin, in a range of heights; z is up."""
+    low, high = np.arcsin(np.clip(np.array(heights) / radius, -1, 1))
+    rows: list[Float64] = []
+    for rise in np.linspace(low, high, 1 + int(np.ceil((high - low) / SPACING))):
+        if abs(rise) > STEEPEST and low < high:
+            continue
+        count = max(1, round(2 * np.pi * np.cos(rise) / SPACING))
+        turn = 2 * np.pi * (np.arange(count) + 0.5 * (len(rows) % 2)) / count
+        flat = np.cos(rise) * np.stack([np.cos(turn), np.sin(turn)])
+        rows.append(radius * np.column_stack([*flat, np.full(count, np.sin(rise))]))
+    return np.concatenate([np.zeros((0, 3)), *rows])
+
+
+def _looked_through(scene: SfmScene, eyes: Float64, space: Space) -> NDArray[np.bool_]:
+    """(N, 3) places -> (N,) whether each is in air that photos have looked through.
+
+    Most of the photos in whose picture a place is must have nothing solid before it.
+    """
+    shown, free = np.zeros(len(eyes), dtype=int), np.zeros(len(eyes), dtype=int)
+    for image in scene.images:
+        rows = np.flatnonzero(project(eyes, image.camera, image.world_to_camera)[2])
+        shown[rows] += 1
+        free[rows] += ~space.hidden(eyes[rows], image.centre, skipped=0)
+    return np.asarray(2 * free > shown)
 
 
 def _room(scene: SfmScene, eyes: Float64) -> Float64:

@@ -16,12 +16,14 @@ from ..context import QUIET, Context
 from ..model.roi import OrientedBox
 from ..model.scene import Float64, Int64, SfmScene
 from ..model.visibility import observed_points
+from ..selection.coverage import nearest_neighbours
 
 Bools = NDArray[np.bool_]
 
 CELLS_ALONG_DIAGONAL = 12  # of the box: objects that hide a part of it are larger than a cell
 MOST_CELLS = 1 << 22
 MOST_RAYS = 1 << 17
+NEIGHBOURS, MOST = 5, 75.0  # points, the point included; percent of the points
 SKIPPED = 1.75  # cells at the start of a ray, about the diagonal of one: the surface's own
 
 
@@ -41,10 +43,20 @@ class Space:
     air: Bools
 
     @classmethod
-    def of(cls, scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> Space:
-        """By the tracks, or by projection if there are none."""
-        corners = np.concatenate([scene.centres(), roi.corners()])
+    def of(
+        cls, scene: SfmScene, roi: OrientedBox, context: Context = QUIET, *, coarse: bool = False
+    ) -> Space:
+        """By the tracks, or by projection if there are none.
+
+        Args:
+            coarse: cells as large as the gaps between points, in which walls have no holes.
+        """
+        centres = scene.centres()
+        usual = float(np.median(np.linalg.norm(centres - roi.centre, axis=1)))
+        around = roi.centre + usual * np.array([[-1.0], [1.0]])  # where photos may be taken
+        corners = np.concatenate([centres, roi.corners(), around])
         cell = roi.diagonal / CELLS_ALONG_DIAGONAL
+        cell = max(cell, _gap(scene.points, context)) if coarse else cell
         low, high = corners.min(axis=0), corners.max(axis=0)
         span = np.maximum(high - low, cell)
         cell = max(cell, float(np.cbrt(span.prod() / MOST_CELLS)))
@@ -65,8 +77,8 @@ class Space:
         points = points[np.isfinite(points).all(axis=1)]
         ways = points - eye
         lengths = np.linalg.norm(ways, axis=1)
-        # One look in each cell's length; the last before the point's own cell.
-        counts = np.floor(lengths / self.cell - 1).clip(0).astype(int)
+        # One look in each cell's length; the last before the cells of the surface around the point.
+        counts = np.floor(lengths / self.cell - SKIPPED).clip(0).astype(int)
         most = int(counts.max(initial=0))
         most = min(most, int(np.ceil(np.linalg.norm(np.array(self.solid.shape)))))
         steps = np.arange(most)
@@ -89,29 +101,42 @@ class Space:
         flat = (index[..., 0] * shape[1] + index[..., 1]) * shape[2] + index[..., 2]
         return np.asarray(flat), np.asarray(inside)
 
-    def is_air(self, places: Float64) -> Bools:
-        """(N, 3) -> whether each is in or beside air that photos looked through; not solid."""
+    def is_free(self, places: Float64) -> Bools:
+        """(N, 3) -> whether nothing solid is in the cell of each, or beside it."""
         cells, inside = self._cells(places)
-        near = _grown(self.air) & ~_grown(self.solid)
-        return np.asarray(inside & near.reshape(-1)[cells])
+        return np.asarray(inside & ~_grown(self.solid).reshape(-1)[cells])
 
     def passed(self, places: Float64) -> Bools:
         """(N, 3) -> whether each is in a cell of air."""
         cells, inside = self._cells(places)
         return np.asarray(inside & self.air.reshape(-1)[cells])
 
-    def hidden(self, places: Float64, eye: Float64) -> Bools:
-        """(P, 3) places -> (P,) whether something solid is between each and the eye (3,)."""
+    def hidden(self, places: Float64, eye: Float64, skipped: float = SKIPPED) -> Bools:
+        """(P, 3) places -> (P,) whether something solid is between each and the eye (3,).
+
+        `skipped` cells at the places do not count: those of the surface that they are on.
+        """
         ways = eye - places
         lengths = np.linalg.norm(ways, axis=1)
         counts = np.floor(lengths / self.cell - 1).clip(0).astype(int)
-        steps = np.arange(SKIPPED, max(SKIPPED + 1, int(counts.max(initial=0)) + 1))
+        steps = np.arange(skipped, max(skipped + 1, int(counts.max(initial=0)) + 1))
         unit = ways / np.maximum(lengths, 1e-300)[:, None]
         cells, inside = self._cells(
             places[:, None] + unit[:, None] * steps[None, :, None] * self.cell
         )
         use = inside & (steps[None] < counts[:, None])
         return np.asarray((self.solid.reshape(-1)[cells] & use).any(axis=1))
+
+
+def _gap(points: Float64, context: Context) -> float:
+    """Diameter of the ball around a point that has a few others, of most points."""
+    points = points[np.isfinite(points).all(axis=1)]
+    count = min(NEIGHBOURS, len(points))
+    if count < 2:
+        return 0.0
+    near = points[nearest_neighbours(points, count, context)]
+    away = np.linalg.norm(near - points[:, None], axis=2).max(axis=1)
+    return float(2 * np.percentile(away, MOST))
 
 
 def _grown(cells: Bools) -> Bools:
