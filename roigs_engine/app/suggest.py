@@ -22,12 +22,13 @@ from .outputs import Result, refuse_inputs, refuse_run_files
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from ..guidance.box_map import BoxMap
     from ..guidance.page import Shots
     from ..guidance.suggest import Suggestion
     from ..guidance.words import Units
     from ..model.scene import Camera, Float64, SfmScene
 
-    Draw = Callable[[Camera, Float64], NDArray[np.uint8]]
+    Draw = Callable[[Camera, Float64, BoxMap], NDArray[np.uint8]]
 
 LIST, PAGE, PICTURES = "suggestions.json", "suggestions.html", "pictures"
 STAGE = "suggest"
@@ -100,11 +101,19 @@ def _units(folder: Path, scene: SfmScene, context: Context) -> Units:
 
 
 def _painter(request: Suggest, scene: SfmScene, context: Context) -> Draw:
-    """What draws the expected pictures: the model, or the points."""
-    from ..guidance.pictures import PointPictures
+    """What draws the expected pictures: the model, or points and photos."""
+    from ..guidance.pictures import PointPictures, from_photos
 
     if request.model is None:
-        return PointPictures(scene, context).draw
+        points = PointPictures(scene, context)
+
+        def draw(camera: Camera, pose: Float64, found: BoxMap) -> NDArray[np.uint8]:
+            image = points.draw(camera, pose)
+            if request.no_look:
+                return image
+            return from_photos(image, found, camera, pose)
+
+        return draw
     context = on_device(context, request.device)
     from ..model.local_frame import LocalFrame
     from ..rasterize.image_files import to_uint8
@@ -112,7 +121,7 @@ def _painter(request: Suggest, scene: SfmScene, context: Context) -> Draw:
 
     frame = LocalFrame.of_scene(scene)
     model = load_model(request.model, frame, context)
-    return lambda camera, pose: to_uint8(render_view(model, camera, frame.transform(pose)).image)
+    return lambda camera, pose, _: to_uint8(render_view(model, camera, frame.transform(pose)).image)
 
 
 def _shots(known: Any, shots: Sequence[Suggestion], units: Units, draw: Draw) -> Shots:
@@ -123,7 +132,7 @@ def _shots(known: Any, shots: Sequence[Suggestion], units: Units, draw: Draw) ->
     roi, up = known.map.roi, known.places.up
     small = known.map.lens.thumbnail(SIDE)
     poses = [shot.world_to_camera for shot in shots]
-    images = [with_box(draw(small, pose), roi, small, pose) for pose in poses]
+    images = [with_box(draw(small, pose, known.map), roi, small, pose) for pose in poses]
     return Shots(
         known=known,
         shots=shots,

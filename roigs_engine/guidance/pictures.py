@@ -1,21 +1,26 @@
-"""What a photo should show: a small picture drawn from the sparse points."""
+"""What a photo should show: a small picture drawn from the nearest photo, and sparse points."""
 
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..context import QUIET, Context
 from ..model.roi import EDGES, OrientedBox
-from ..model.scene import Camera, Float64, SfmScene, project
+from ..model.scene import Camera, Float64, PosedImage, SfmScene, project
+from ..photos.decode import load_photo
+from ..photos.headers import PhotoError
 from ..selection.coverage import nearest_neighbours
+from .box_map import BoxMap
 
 NEIGHBOURS = 5  # points, itself included: a point is as large as the way to the farthest of them
 BACKGROUND = 40
 LARGEST = 0.012  # of the picture's width: half the side of a point
 LINE = (255, 160, 0)
+ALIKE = np.cos(np.radians(40))  # of the angle at the box up to which a photo looks like another
 Pixels = NDArray[np.uint8]
 
 
@@ -45,6 +50,49 @@ class PointPictures:
             x, y = pixels[row].astype(int)
             image[max(0, y - size) : y + size, max(0, x - size) : x + size] = self._colors[row]
         return image
+
+
+def from_photos(image: Pixels, found: BoxMap, camera: Camera, world_to_camera: Float64) -> Pixels:
+    """The picture (H, W, 3), with the photo over it that shows the box most alike.
+
+    All that the photo shows is taken to be on a plane that faces the camera, as far away as the
+    box's surface: so it is right near the middle. No photo is used if none looks alike.
+    """
+    centre = found.roi.centre
+    photos = [photo for photo in found.images if _shows(photo, centre)]
+    eye = -world_to_camera[:3, :3].T @ world_to_camera[:3, 3]
+    ways = np.array([photo.centre for photo in photos] + [eye]) - centre
+    ways /= np.maximum(np.linalg.norm(ways, axis=1), 1e-300)[:, None]
+    alike = ways[:-1] @ ways[-1]
+    if alike.max(initial=-1.0) < ALIKE:
+        return image
+    photo = photos[int(alike.argmax())]
+    photo = replace(photo, camera=photo.camera.thumbnail(2 * max(camera.width, camera.height)))
+    try:
+        pixels = load_photo(photo)
+    except PhotoError:
+        return image
+    y, x = np.mgrid[: camera.height, : camera.width] + 0.5
+    rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], -1)
+    depth = _surface_depth(found, eye, world_to_camera)
+    places = (rays.reshape(-1, 3) * depth - world_to_camera[:3, 3]) @ world_to_camera[:3, :3]
+    at, _, shown = project(places, photo.camera, photo.world_to_camera)
+    column, row = at[shown].astype(int).T
+    result = image.copy()
+    result.reshape(-1, 3)[shown] = pixels[row, column]
+    return result
+
+
+def _shows(photo: PosedImage, place: Float64) -> bool:
+    return bool(project(place[None], photo.camera, photo.world_to_camera)[2][0])
+
+
+def _surface_depth(found: BoxMap, eye: Float64, world_to_camera: Float64) -> float:
+    """Median depth of the patches that face the eye; of the box's centre, if none does."""
+    places = found.patches.places
+    facing = ((eye - places) * found.patches.normals).sum(axis=1) > 0
+    places = places[facing] if facing.any() else found.roi.centre[None]
+    return float(np.median(places @ world_to_camera[2, :3] + world_to_camera[2, 3]))
 
 
 def with_box(image: Pixels, roi: OrientedBox, camera: Camera, world_to_camera: Float64) -> Pixels:

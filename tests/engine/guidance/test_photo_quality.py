@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from PIL import Image, ImageFilter
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import map_coordinates, uniform_filter
 
 from roigs_engine.guidance.known import KnownBox, known_box
+from roigs_engine.guidance.pictures import from_photos
 from roigs_engine.model.scene import SfmScene
-from tests.engine.guidance.ball import BOX, CAMERA, RADIUS, ball_scene
+from tests.engine.guidance.ball import BOX, CAMERA, RADIUS, VIEWS, ball_scene, pose_at
 
 BLURRED, DARK, MISSING = 3, 8, 14
 
@@ -77,3 +78,17 @@ def test_a_photo_that_cannot_be_read_is_named_and_counts_as_sharp(known: KnownBo
 
 def test_a_blurred_photo_tells_less(scene: SfmScene, known: KnownBox) -> None:
     assert known.map.value < known_box(scene, BOX, look=False).map.value
+
+
+def test_an_expected_picture_is_the_nearest_photo_from_the_new_place(known: KnownBox) -> None:
+    blank = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
+    there = known.map.images[5]
+    same = from_photos(blank, known.map, CAMERA, there.world_to_camera)
+    photo = np.asarray(Image.open(there.path).convert("RGB"))
+    assert np.abs(same.astype(int) - photo).mean() < 1
+    middle = slice(37, 53), slice(52, 68)
+    between = pose_at(2 * np.pi * 5.4 / VIEWS)
+    found = uniform_filter(from_photos(blank, known.map, CAMERA, between)[..., 0] / 255, 3)[middle]
+    truth = uniform_filter(picture(between), 3)[middle]
+    assert np.corrcoef(found.ravel(), truth.ravel())[0, 1] > 0.5
+    assert not from_photos(blank, known.map, CAMERA, pose_at(0.0, 0.01, 3.0)).any()
