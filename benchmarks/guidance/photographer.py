@@ -30,8 +30,8 @@ MOST_HIDDEN = 0.25  # share of a test view's object
 def room() -> Any:
     """The demo's room in Blender; returns its camera."""
     sys.path.insert(0, str(DEMO))
-    make_scene, library = import_module("make_scene"), import_module("materials").Library()
-    camera = make_scene.prepare(SAMPLES, QUALITY, 0)
+    camera = import_module("make_scene").prepare(SAMPLES, QUALITY, 0)
+    library = import_module("materials").Library()
     render = bpy.data.scenes[0].render
     render.resolution_x, render.resolution_y = WIDTH, HEIGHT
     import_module("room").build_room(library)
