@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from .profiles import srgb_curve, srgb_values
 
 LEAST_SPREAD = 0.1  # stops; where exposures differ by less, photos stay as they are
-CLIPPED = 250  # of 255: of a brighter photo, a channel above this may have been any brighter
+CLIPPED = 235  # of 255: above, tone curves compress what they do not clip
 EXIF_IFD, TIME, APERTURE, ISO = 0x8769, 0x829A, 0x829D, 0x8827  # EXIF 3.0, 4.6.5
 BASE_ISO = 100
 MOST_STOPS = 40  # of any camera, between a night and the sun

@@ -78,6 +78,6 @@ def test_levelling_undoes_an_exposure_in_linear_light() -> None:
 
 
 def test_clipped_pixels_of_brighter_photos_do_not_count() -> None:
-    pixels = np.array([[[255, 10, 10], [249, 249, 249]]], np.uint8)
+    pixels = np.array([[[255, 10, 10], [230, 230, 230]]], np.uint8)
     assert not_clipped(pixels, 1.0).tolist() == [[False, True]]
     assert not_clipped(pixels, -1.0).all()  # white of a darker photo is whiter than the middle's
