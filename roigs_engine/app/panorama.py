@@ -22,11 +22,14 @@ from .outputs import Result, refuse_inputs, refuse_run_files
 from .run_scene import poses_of_run
 
 if TYPE_CHECKING:
+    from ..lighting.highlights import Brightness, Surfaces
     from ..lighting.panorama import Panorama as Light
     from ..model.scene import Float64
 
 STAGE = "panorama"
 ENDING = ".hdr"
+FIT_ROWS = 64  # of a panorama that brightness is fitted in
+MOST_PLACES = 40_000  # on the background mesh
 
 
 def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
@@ -44,6 +47,7 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
     use_threads(request.threads)
     context = on_device(context, request.device)
 
+    from ..lighting.highlights import brightness
     from ..lighting.panorama import left_out, panorama
     from ..rasterize.image_files import save_light
 
@@ -52,15 +56,17 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
         for name in dict.fromkeys(each.file for each in records)
     }
     models = [each.of(*read[each.file]) for each in records]
+    surfaces = _surfaces(folder, records)
     context.emit(StageStarted(stage=STAGE, total=len(files)))
     lines, started = [], time.monotonic()
     for step, (at, file) in enumerate(zip(request.at, files, strict=True), start=1):
         place = to_upright[:3, :3] @ at + to_upright[:3, 3]
         seen = [left_out(model, boxes, place, request.near) for model in models]
         light = panorama(seen, place, request.width // 2, context)
-        factor, how = _highlights(request, light)
-        save_light(file, light.brightened(factor))
-        lines.append(_line(at, light, factor, how))
+        given = request.highlights, request.unseen
+        factors = brightness(light.smaller(FIT_ROWS), place, surfaces, *given)
+        save_light(file, light.brightened(factors.highlights, factors.unseen))
+        lines.append(_line(at, light, factors, given))
         context.info(lines[-1])
         context.progress(STAGE, step, len(files), started)
     names = [STAGE] if len(files) == 1 else [f"{STAGE}-{k + 1}" for k in range(len(files))]
@@ -112,19 +118,46 @@ def _models(
     return [InstanceRecord(str(request.model), upright)], upright
 
 
-def _highlights(request: Panorama, light: Light) -> tuple[float, str]:
-    """What the clipped part is multiplied by, and why."""
-    from ..lighting.panorama import usual_factor
+def _surfaces(folder: Path, records: list[InstanceRecord]) -> Surfaces | None:
+    """Places on the run's background mesh, in the world of the models; None: there is no mesh."""
+    import torch
 
-    if request.highlights is not None:
-        return request.highlights, "as asked for"
-    return usual_factor(light), "as in a usual place"
+    from ..lighting.highlights import Surfaces
+    from ..rasterize.light import to_linear
+    from ..surface.files import sampled_surface
+
+    path = folder / run_files.FINE / f"{run_files.SURROUNDINGS}.glb"
+    if not path.is_file():
+        return None
+    own = [each for each in records if _folder_of(Path(each.file)) == folder.absolute()]
+    matrix = (own or records)[0].matrix
+    places, normals, colours = sampled_surface(path, MOST_PLACES)
+    turned = normals @ np.linalg.inv(matrix[:3, :3])
+    turned /= np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-30)
+    return Surfaces(
+        places=places @ matrix[:3, :3].T + matrix[:3, 3],
+        normals=turned,
+        colours=to_linear(torch.from_numpy(colours)).numpy(),
+    )
 
 
-def _line(at: tuple[float, ...], light: Light, factor: float, how: str) -> str:
-    share = float(light.clipped.mean())
+def _line(
+    at: tuple[float, ...],
+    light: Light,
+    factors: Brightness,
+    given: tuple[float | None, float | None],
+) -> str:
+    """What was found at a point, and how bright what photos cannot show is made."""
     place = ", ".join(f"{value:.4g}" for value in at)
-    bright = f"highlights ({share:.2%} of the picture) x {factor:.3g}, {how}"
-    if not light.clipped.any():
-        bright = "no highlights are clipped"
+    how = "as the scene's shading tells" if factors.told else "as in a usual place"
+    parts = (
+        (f"what photos clip ({light.clipped.mean():.2%})", factors.highlights, given[0]),
+        ("what no photo shows above", factors.unseen, given[1]),
+    )
+    said = [
+        f"{what} is made {factor:.3g} times brighter, {how if asked is None else 'as asked'}"
+        for what, factor, asked in parts
+        if asked is not None or factor != 1
+    ]
+    bright = "; ".join(said) or "no light is added"
     return f"Light at {place}: {light.seen:.0%} of all directions are seen; {bright}."

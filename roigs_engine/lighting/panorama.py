@@ -24,9 +24,6 @@ from ..rasterize.panorama import render_panorama
 
 CLIPPED = 250 / 255  # sRGB value from which photos may have lost light, in all channels
 THERE = 0.5  # alpha of a pixel that shows a surface
-ALBEDO = 0.5  # share of the light that surfaces of a usual place give back
-MOST = 100.0  # times brighter than white, at most, unless a person says so
-FEWEST = 1e-5  # share of the directions that is clipped, at least
 
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -34,21 +31,59 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Panorama:
-    """The light from all around.
+    """The light from all around, linear: 1 for what is white in the photos.
 
     Attributes:
-        light: (H, 2 H, 3) linear, 1 for what is white in the photos; without holes.
+        shown: (H, 2 H, 3) what Gaussians show, times their alpha.
+        guessed: (H, 2 H, 3) the rest, so that the sum has no holes.
         clipped: (H, 2 H) where photos cannot show how bright it is.
         seen: share of the directions, by solid angle, that Gaussians show.
+        distance: (H, 2 H) of what is shown; `NOTHING` where nothing is.
     """
 
-    light: Float32
+    shown: Float32
+    guessed: Float32
     clipped: Mask
     seen: float
+    distance: Float32
 
-    def brightened(self, factor: float) -> Float32:
-        """(H, 2 H, 3) the light, with that of what is clipped multiplied by a factor."""
-        return np.where(self.clipped[..., None], np.float32(factor), np.float32(1)) * self.light
+    @property
+    def light(self) -> Float32:
+        """(H, 2 H, 3) as the photos show it."""
+        return self.shown + self.guessed
+
+    def brightened(self, highlights: float, unseen: float = 1.0) -> Float32:
+        """(H, 2 H, 3) the light, with two parts of it multiplied.
+
+        Args:
+            highlights: factor of what is clipped.
+            unseen: factor of what is not shown, above the horizon: there, lamps and the sky are.
+        """
+        bright = np.where(self.clipped[..., None], np.float32(highlights), np.float32(1))
+        above = np.ones((len(self.shown), 1, 1), np.float32)
+        above[: len(above) // 2] = unseen
+        return np.asarray(bright * self.shown + above * self.guessed, np.float32)
+
+    def parts(self) -> Float64:
+        """(3, H, 2 H) brightness: of what is shown, of what is clipped, of what is not shown above.
+
+        What is not shown below is in the first.
+        """
+        shown, guessed = (light.mean(axis=-1).astype(float) for light in (self.shown, self.guessed))
+        above = guessed.copy()
+        above[len(above) // 2 :] = 0
+        usual = np.where(self.clipped, 0, shown) + guessed - above
+        return np.stack([usual, np.where(self.clipped, shown, 0), above])
+
+    def smaller(self, height: int) -> Panorama:
+        """The same with about so many rows, at least; every second pixel goes, again and again."""
+        step = max(1, len(self.shown) // height)
+        every = slice(step // 2, None, step)
+        arrays = (self.shown, self.guessed, self.clipped, self.distance)
+        shown, guessed, clipped, distance = (a[every, every] for a in arrays)
+        return Panorama(
+            shown=shown, guessed=guessed, clipped=clipped, seen=self.seen, distance=distance
+        )
 
 
 def directions(height: int) -> Float64:
@@ -90,10 +125,15 @@ def panorama(
             "Nothing is seen from there: the panorama would be empty.",
             "Move the point, or leave out less around it.",
         )
-    clipped = (image >= CLIPPED).all(dim=-1).numpy() & (alpha > THERE)
-    light = filled(to_linear(image).numpy(), alpha)
-    seen = float((alpha * solid_angles(height)).sum() / (4 * np.pi))
-    return Panorama(light=light, clipped=clipped, seen=seen)
+    light = to_linear(image).numpy()
+    shown = light * alpha[..., None]
+    return Panorama(
+        shown=shown,
+        guessed=filled(light, alpha) - shown,
+        clipped=(image >= CLIPPED).all(dim=-1).numpy() & (alpha > THERE),
+        seen=float((alpha * solid_angles(height)).sum() / (4 * np.pi)),
+        distance=layer.depth.numpy(),
+    )
 
 
 def filled(light: Float32, alpha: Float32) -> Float32:
@@ -139,21 +179,6 @@ def _doubled(picture: Float32, height: int, width: int) -> Float32:
         shape[axis : axis + 2] = [2 * shape[axis]]
         both = pair.reshape(shape)
     return np.asarray(both[:height, :width], np.float32)
-
-
-def usual_factor(panorama: Panorama) -> float:
-    """What makes the clipped part as bright as it usually is, times what photos show.
-
-    What surfaces give back is `ALBEDO` of what comes to them. So of all light, all but that share
-    comes from lamps, windows and the sky. 1 if nothing is clipped.
-    """
-    weights = np.broadcast_to(solid_angles(len(panorama.light)), panorama.clipped.shape)
-    bright = panorama.light.mean(axis=-1)
-    lamps = float((weights * bright)[panorama.clipped].sum())
-    surfaces = float((weights * bright)[~panorama.clipped].sum())
-    if weights[panorama.clipped].sum() < FEWEST * 4 * np.pi or not lamps > 0:
-        return 1.0
-    return float(np.clip(surfaces * (1 / ALBEDO - 1) / lamps, 1.0, MOST))
 
 
 def left_out(

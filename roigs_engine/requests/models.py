@@ -98,6 +98,12 @@ class Panorama(Threads, Device):
         label="Highlights",
         tooltip="How many times brighter lamps and windows are than the photos show",
     )
+    unseen: float | None = option(
+        Number(low=1, high=MOST_HIGHLIGHTS, metavar="K"),
+        "the same of what no photo shows above the horizon, where lamps and the sky are",
+        label="Unseen Light",
+        tooltip="How many times brighter it is where no photo shows anything, above the horizon",
+    )
     run: Path | None = option(
         DIR,
         "run folder of MODEL, with its boxes, and the background that `surface --background` made,"

@@ -91,6 +91,34 @@ def read_points(path: Path, frame: LocalFrame) -> tuple[Float64, Float64]:
     return frame.points(np.concatenate(points)), np.concatenate(normals)
 
 
+def sampled_surface(path: Path, count: int) -> tuple[Float64, Float64, Float64]:
+    """Places on a surface's .glb that a photo has shown, evenly chosen.
+
+    Args:
+        count: how many are tried; what no photo has shown is left out.
+
+    Returns:
+        (N, 3) in the world; their normals; the texture's sRGB values there, 0 to 1.
+
+    Raises as `read_points`.
+    """
+    trimesh: Any = package("trimesh", PURPOSE)
+    with reading(path, "glTF"):
+        content = io.BytesIO(read_bytes(path, most=None))
+        (mesh,) = trimesh.load_scene(content, file_type="glb", process=False).geometry.values()
+        picture = np.asarray(mesh.visual.material.baseColorTexture.convert("RGB")) / 255
+        columns = mesh.vertices, mesh.vertex_normals, mesh.visual.uv
+        values = np.concatenate([np.asarray(column, float) for column in columns], axis=1)
+        filled = np.asarray(mesh.vertex_attributes[FILLED]).ravel()
+        rng, areas = np.random.default_rng(0), np.asarray(mesh.area_faces)
+        corners = np.asarray(mesh.faces)[rng.choice(len(areas), count, p=areas / areas.sum())]
+    shares = rng.dirichlet((1.0, 1.0, 1.0), count)
+    found = np.einsum("nk,nkd->nd", shares, values[corners])[filled[corners].max(axis=1) == 0]
+    side = np.array(picture.shape[1::-1])
+    x, y = (found[:, 6:] * (1, -1) * side + (0, side[1])).astype(int).clip(0, side - 1).T
+    return found[:, :3], found[:, 3:6], picture[y, x]
+
+
 def page_meshes(path: Path, matrix: Float64) -> list[PageMesh]:
     """The textured meshes of a surface's .glb for a web page.
 

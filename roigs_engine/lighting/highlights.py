@@ -1,0 +1,183 @@
+"""How bright lamps, windows and the sky are: photos show them white, or do not show them at all.
+
+Two factors are sought: that of what is clipped, and that of what no photo shows above the horizon,
+where lamps and the sky are. Surfaces of the scene tell them, as light probes whose albedo is not
+known: surfaces of one colour that face different ways have the same albedo, in the usual case, so
+the ratio of their brightness is that of the light on them. A light from far away is assumed, as of
+an environment map (Debevec 1998). Two things that are known of albedos pin the scale: hardly any
+surface gives back more than it gets, and most give back about half.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..model.scene import Float64
+from .panorama import Panorama, directions, solid_angles
+
+MOST = 100.0  # times brighter than white, or than around what is not seen
+STEPS = 33  # factors that are tried, from 1 to that
+ALBEDO, SPREAD = 0.45, 0.5  # of a usual place: middle, and standard deviation of its logarithm
+WHITE, STRICT = 0.95, 0.1  # hardly any albedo is above; by so much in its logarithm
+SHARE = 95  # percentile of the surfaces' albedos that is held to that
+LEAST = 1e-4  # share of all directions that is clipped, or not seen: with less, there is no factor
+SAMPLES, NEIGHBOURS = 3000, 40
+COLOUR = 0.06  # logarithms of ratios of channels: surfaces of one colour differ by less
+TURNED = 0.5  # cosine between their normals, at most
+NOISE = 0.35  # of the logarithm of a ratio of brightness: shadows, other materials (Cauchy)
+INDEPENDENT = 50  # surfaces of a scene that tell something of their own
+FEWEST = 500  # pairs
+SECTORS = 8  # around the point: a factor that hangs on one of them is not told
+SURE = np.log(2.0)  # standard error of its logarithm, at most
+DARKEST, BRIGHTEST = 0.01, 0.85  # linear light of surfaces: else it is noise, or clipped
+BEHIND = 1.1  # of the distance that is seen: what is farther is hidden
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surfaces:
+    """Places on surfaces of the scene (N, 3), their unit normals, and linear colours."""
+
+    places: Float64
+    normals: Float64
+    colours: Float64
+
+
+@dataclass(frozen=True, kw_only=True)
+class Brightness:
+    """What a panorama's light is multiplied by.
+
+    Attributes:
+        highlights: where photos are clipped.
+        unseen: where no photo shows anything, above the horizon.
+        told: whether the scene's shading tells it; else it is as in a usual place.
+    """
+
+    highlights: float = 1.0
+    unseen: float = 1.0
+    told: bool = False
+
+
+def brightness(
+    panorama: Panorama,
+    place: Float64,
+    surfaces: Surfaces | None = None,
+    highlights: float | None = None,
+    unseen: float | None = None,
+) -> Brightness:
+    """The factors of a panorama.
+
+    Args:
+        place: (3,) where it was drawn, in the world of the surfaces.
+        surfaces: of the scene; None: not known.
+        highlights, unseen: factors that are given.
+    """
+    parts = panorama.parts()
+    grids = [
+        np.geomspace(1, MOST, STEPS) if given is None and _share(part) > LEAST else np.array([at])
+        for part, given, at in (
+            (parts[1], highlights, 1.0 if highlights is None else highlights),
+            (parts[2], unseen, 1.0 if unseen is None else unseen),
+        )
+    ]
+    if len(grids[0]) * len(grids[1]) == 1:
+        return Brightness(highlights=float(grids[0][0]), unseen=float(grids[1][0]))
+    tried = np.stack(np.meshgrid(*grids, indexing="ij"), axis=-1).reshape(-1, 2)
+    told = None if surfaces is None else _told(panorama, place, surfaces, tried)
+    found = _usual(parts, tried) if told is None else told
+    return Brightness(highlights=float(found[0]), unseen=float(found[1]), told=told is not None)
+
+
+def _share(light: Float64) -> float:
+    """Of the directions, in which there is a light (H, 2 H)."""
+    return float(((light > 0) * solid_angles(len(light))).sum() / (4 * np.pi))
+
+
+def _usual(parts: Float64, tried: Float64) -> Float64:
+    """The factors with which surfaces give back the usual share of the light.
+
+    What they give back is what is seen and not clipped. Both factors are alike where both are
+    sought, as they are of one kind of light.
+    """
+    flux = (parts * solid_angles(parts.shape[1])).sum(axis=(1, 2))
+    total = flux[0] + tried @ flux[1:]
+    off = np.abs(np.log(np.maximum(flux[0], 1e-12) / (ALBEDO * total)))
+    apart = np.abs(np.log(tried[:, 0] / tried[:, 1])) * ((np.ptp(tried, axis=0) > 0).all())
+    return np.asarray(tried[np.argmin(off + 1e-3 * apart)])
+
+
+def _told(panorama: Panorama, place: Float64, surfaces: Surfaces, tried: Float64) -> Float64 | None:
+    """The factors that the surfaces tell; None: they do not."""
+    rows = _usable(panorama, place, surfaces)
+    if len(rows) < NEIGHBOURS:
+        return None
+    places, normals, colours = (
+        values[rows] for values in (surfaces.places, surfaces.normals, surfaces.colours)
+    )
+    bright = np.log(colours.mean(axis=1))
+    a, b = _pairs(normals, colours)
+    if len(a) < FEWEST:
+        return None
+    light = _irradiance(panorama, normals)
+    around = np.arctan2(*(places - place).T[1::-1])
+    sector = ((around / (2 * np.pi) + 0.5) * SECTORS).astype(int).clip(0, SECTORS - 1)
+    losses = np.zeros((len(tried), SECTORS))
+    known = np.zeros(len(tried))
+    for k, (highlights, unseen) in enumerate(tried):
+        given = np.log(light @ (1, highlights, unseen))
+        off = (bright[a] - bright[b]) - (given[a] - given[b])
+        losses[k] = np.bincount(sector[a], np.log1p((off / NOISE) ** 2), SECTORS)
+        albedos = np.log(np.pi) + bright - given
+        known[k] = 0.5 * ((np.median(albedos) - np.log(ALBEDO)) / SPREAD) ** 2
+        over = max(0.0, float(np.percentile(albedos, SHARE)) - np.log(WHITE))
+        known[k] += 0.5 * (over / STRICT) ** 2
+    counts = np.bincount(sector[a], minlength=SECTORS)
+    without = [
+        tried[np.argmin((losses.sum(axis=1) - losses[:, k]) / max(len(a) - counts[k], 1))]
+        for k in range(SECTORS)
+    ]
+    error = np.log(without).std(axis=0) * np.sqrt(SECTORS - 1)
+    if (error > SURE).any():
+        return None
+    return np.asarray(tried[np.argmin(INDEPENDENT * losses.sum(axis=1) / len(a) + known)])
+
+
+def _usable(panorama: Panorama, place: Float64, surfaces: Surfaces) -> Float64:
+    """Rows of surfaces that are seen from the place, and neither dark nor clipped."""
+    height = len(panorama.distance)
+    away = surfaces.places - place
+    distance = np.maximum(np.linalg.norm(away, axis=1), 1e-12)
+    x = (0.5 - np.arctan2(away[:, 1], away[:, 0]) / (2 * np.pi)) * 2 * height
+    y = (0.5 - np.arcsin(np.clip(away[:, 2] / distance, -1, 1)) / np.pi) * height
+    seen = panorama.distance[
+        y.astype(int).clip(0, height - 1), x.astype(int).clip(0, 2 * height - 1)
+    ]
+    usable = (distance < BEHIND * seen) & (surfaces.colours.mean(axis=1) > DARKEST)
+    usable &= (surfaces.colours.max(axis=1) < BRIGHTEST) & (surfaces.colours.min(axis=1) > 0)
+    rows = np.flatnonzero(usable)
+    return np.random.default_rng(0).permutation(rows)[:SAMPLES]
+
+
+def _pairs(normals: Float64, colours: Float64) -> tuple[Float64, Float64]:
+    """Rows of pairs of surfaces of one colour that face different ways."""
+    tints = np.log(colours[:, (0, 2)] / colours[:, 1:2])
+    away, near = cKDTree(tints).query(tints, k=min(NEIGHBOURS, len(tints)), p=np.inf)
+    a = np.repeat(np.arange(len(tints)), near.shape[1])
+    b = near.ravel()
+    kept = (a < b) & (away.ravel() < COLOUR) & ((normals[a] * normals[b]).sum(axis=1) < TURNED)
+    return a[kept], b[kept]
+
+
+def _irradiance(panorama: Panorama, normals: Float64) -> Float64:
+    """(N, 3) on surfaces with these normals, of the three parts of the light."""
+    parts = panorama.parts() * solid_angles(len(panorama.distance))
+    ways = directions(len(panorama.distance)).reshape(-1, 3)
+    flux = parts.reshape(3, -1).T
+    step = 500  # normals at once: 130 MB for a picture of 256 x 128
+    found = [
+        np.clip(normals[first : first + step] @ ways.T, 0, None) @ flux
+        for first in range(0, len(normals), step)
+    ]
+    return np.maximum(np.concatenate(found), 1e-12)
