@@ -23,7 +23,7 @@ STEPS = 33  # factors that are tried, from 1 to that
 ALBEDO, SPREAD = 0.45, 0.5  # of a usual place: middle, and standard deviation of its logarithm
 WHITE, STRICT = 0.95, 0.1  # hardly any albedo is above; by so much in its logarithm
 SHARE = 95  # percentile of the surfaces' albedos that is held to that
-LEAST = 1e-4  # share of all directions that is clipped, or not seen: with less, there is no factor
+LEAST_CLIPPED, LEAST_UNSEEN = 1e-4, 1e-2  # share of all directions: less has no factor
 SAMPLES, NEIGHBOURS = 3000, 40
 COLOUR = 0.06  # logarithms of ratios of channels: surfaces of one colour differ by less
 TURNED = 0.5  # cosine between their normals, at most
@@ -76,10 +76,10 @@ def brightness(
     """
     parts = panorama.parts()
     grids = [
-        np.geomspace(1, MOST, STEPS) if given is None and _share(part) > LEAST else np.array([at])
-        for part, given, at in (
-            (parts[1], highlights, 1.0 if highlights is None else highlights),
-            (parts[2], unseen, 1.0 if unseen is None else unseen),
+        _grid(given, enough=_share(part) > least)
+        for part, given, least in (
+            (parts[1], highlights, LEAST_CLIPPED),
+            (parts[2], unseen, LEAST_UNSEEN),
         )
     ]
     if len(grids[0]) * len(grids[1]) == 1:
@@ -88,6 +88,13 @@ def brightness(
     told = None if surfaces is None else _told(panorama, place, surfaces, tried)
     found = _usual(parts, tried) if told is None else told
     return Brightness(highlights=float(found[0]), unseen=float(found[1]), told=told is not None)
+
+
+def _grid(given: float | None, *, enough: bool) -> Float64:
+    """The factors to try: many, or the one that is given."""
+    if given is None and enough:
+        return np.geomspace(1, MOST, STEPS)
+    return np.array([1.0 if given is None else given])
 
 
 def _share(light: Float64) -> float:
@@ -157,7 +164,7 @@ def _usable(panorama: Panorama, place: Float64, surfaces: Surfaces) -> Float64:
     usable = (distance < BEHIND * seen) & (surfaces.colours.mean(axis=1) > DARKEST)
     usable &= (surfaces.colours.max(axis=1) < BRIGHTEST) & (surfaces.colours.min(axis=1) > 0)
     rows = np.flatnonzero(usable)
-    return np.random.default_rng(0).permutation(rows)[:SAMPLES]
+    return np.asarray(np.random.default_rng(0).permutation(rows)[:SAMPLES])
 
 
 def _pairs(normals: Float64, colours: Float64) -> tuple[Float64, Float64]:
@@ -180,4 +187,4 @@ def _irradiance(panorama: Panorama, normals: Float64) -> Float64:
         np.clip(normals[first : first + step] @ ways.T, 0, None) @ flux
         for first in range(0, len(normals), step)
     ]
-    return np.maximum(np.concatenate(found), 1e-12)
+    return np.asarray(np.maximum(np.concatenate(found), 1e-12))

@@ -34,8 +34,8 @@ class Panorama:
     """The light from all around, linear: 1 for what is white in the photos.
 
     Attributes:
-        shown: (H, 2 H, 3) what Gaussians show, times their alpha.
-        guessed: (H, 2 H, 3) the rest, so that the sum has no holes.
+        shown: (H, 2 H, 3) what Gaussians show.
+        guessed: (H, 2 H, 3) what fills the holes: the sum of both has none.
         clipped: (H, 2 H) where photos cannot show how bright it is.
         seen: share of the directions, by solid angle, that Gaussians show.
         distance: (H, 2 H) of what is shown; `NOTHING` where nothing is.
@@ -79,10 +79,12 @@ class Panorama:
         """The same with about so many rows, at least; every second pixel goes, again and again."""
         step = max(1, len(self.shown) // height)
         every = slice(step // 2, None, step)
-        arrays = (self.shown, self.guessed, self.clipped, self.distance)
-        shown, guessed, clipped, distance = (a[every, every] for a in arrays)
         return Panorama(
-            shown=shown, guessed=guessed, clipped=clipped, seen=self.seen, distance=distance
+            shown=self.shown[every, every],
+            guessed=self.guessed[every, every],
+            clipped=self.clipped[every, every],
+            seen=self.seen,
+            distance=self.distance[every, every],
         )
 
 
@@ -126,10 +128,11 @@ def panorama(
             "Move the point, or leave out less around it.",
         )
     light = to_linear(image).numpy()
-    shown = light * alpha[..., None]
+    whole, there = filled(light, alpha), alpha[..., None]
+    shown = np.where(there > THERE, whole, there * light)
     return Panorama(
         shown=shown,
-        guessed=filled(light, alpha) - shown,
+        guessed=whole - shown,
         clipped=(image >= CLIPPED).all(dim=-1).numpy() & (alpha > THERE),
         seen=float((alpha * solid_angles(height)).sum() / (4 * np.pi)),
         distance=layer.depth.numpy(),

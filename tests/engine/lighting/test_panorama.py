@@ -53,7 +53,7 @@ def test_directions_are_of_all_the_sphere() -> None:
 def test_white_is_clipped_and_brightened() -> None:
     found = panorama([placed(room({(0, 0, 1): (1.0, 1.0, 1.0)}))], np.zeros(3), HEIGHT)
     assert found.clipped[0].all() and not found.clipped[HEIGHT // 2 :].any()
-    bright = found.brightened(7.0)
+    bright = found.brightened(7.0, 1.0)
     assert bright[0] == pytest.approx(7.0 * found.light[0])
     assert (bright[HEIGHT // 2 :] == found.light[HEIGHT // 2 :]).all()
 
@@ -62,6 +62,9 @@ def test_holes_get_what_is_around_them() -> None:
     found = panorama([placed(room(hole=(0, 0, 1)))], np.zeros(3), HEIGHT)
     assert 0.85 < found.seen < 0.97
     assert found.light == pytest.approx(np.full(found.light.shape, LINEAR), rel=0.05)
+    bright = found.brightened(1.0, 5.0)  # the hole alone, as it is above
+    assert bright[0] == pytest.approx(5 * found.light[0], rel=0.05)
+    assert bright[HEIGHT // 2 :] == pytest.approx(found.light[HEIGHT // 2 :])
 
 
 def test_the_left_and_the_right_edge_meet() -> None:
