@@ -52,6 +52,7 @@ MODULES = (
     "operators.click",
     "operators.levels",
     "operators.surface",
+    "operators.stage",
     "operators.adapt",
     "operators.run_folder",
     "operators.export",
@@ -78,6 +79,7 @@ MODULES = (
     "ui.look",
     "ui.clean_up",
     "ui.surface",
+    "ui.stage",
     "ui.levels",
 )
 

@@ -28,6 +28,7 @@ KINDS = (
     ("ROI", "Box", "A box (ROI, region of interest) around something to sharpen"),
     ("SPLATS", "Gaussians", "Trained Gaussians"),
     ("SURFACE", "Mesh", "The surface of a box, as a mesh with the photos' texture"),
+    ("PROXY", "Proxy", "Stands for a captured surface where meshes meet it in renders"),
 )
 RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
 """For a path that may begin with `//`; earlier Blenders need no such option."""
@@ -201,8 +202,68 @@ def _other_photos(settings: RoigsScene, _: bpy.types.Context) -> None:
     settings.project = settings.masks = ""
 
 
+def _proxies(stage: RoigsStage) -> list[Any]:
+    collection = stage.collection
+    return list(collection.objects) if collection is not None else []
+
+
+RAYS = ("diffuse", "glossy", "transmission", "volume_scatter", "shadow")
+"""Of Cycles, besides the camera's: `visible_` of an object."""
+
+
+def _catches(stage: RoigsStage) -> bool:
+    return any(item.visible_camera for item in _proxies(stage))
+
+
+def _set_catches(stage: RoigsStage, on: bool) -> None:
+    for item in _proxies(stage):
+        item.visible_camera = on
+
+
+def _reflects(stage: RoigsStage) -> bool:
+    return any(item.visible_glossy for item in _proxies(stage))
+
+
+def _set_reflects(stage: RoigsStage, on: bool) -> None:
+    for item in _proxies(stage):
+        for name in RAYS:
+            setattr(item, f"visible_{name}", on)
+
+
+class RoigsStage(bpy.types.PropertyGroup):
+    """What makes the user's own objects look as if they stood in the captured scene."""
+
+    before: StringProperty(description="Settings of the scene before, as JSON; empty: none changed")
+    collection: PointerProperty(
+        type=bpy.types.Collection, description="The proxies of captured surfaces"
+    )
+    turn: PointerProperty(
+        type=bpy.types.Object, description="Empty that turns the light with the captured scene"
+    )
+    here: PointerProperty(
+        type=bpy.types.Object, description="Empty where the light's picture was taken"
+    )
+    world: PointerProperty(type=bpy.types.World, description="The world that shines")
+    world_before: PointerProperty(type=bpy.types.World, description="The user's world")
+    catches: BoolProperty(
+        name="Catch Shadows",
+        get=_catches,
+        set=_set_catches,
+        description="Captured surfaces receive the shadows and the light of your objects (Cycles)",
+    )
+    reflects: BoolProperty(
+        name="Reflections and Bounce",
+        get=_reflects,
+        set=_set_reflects,
+        description="Captured surfaces are seen in your objects, light them, and block the light of"
+        " the world (Cycles)",
+    )
+
+
 class RoigsScene(bpy.types.PropertyGroup):
     """What a scene is trained on, and how."""
+
+    stage: PointerProperty(type=RoigsStage)
 
     photos: StringProperty(
         name="Photos",
@@ -360,6 +421,12 @@ def scene_props(scene: bpy.types.Scene) -> RoigsScene:
     return group
 
 
+def stage_props(scene: bpy.types.Scene) -> RoigsStage:
+    """What the add-on has added to a scene for the user's own objects."""
+    stage: RoigsStage = scene_props(scene).stage
+    return stage
+
+
 def object_props(item: bpy.types.Object) -> RoigsObject:
     """What an object is to the add-on."""
     described: Any = item
@@ -376,6 +443,7 @@ CLASSES = (
     RoigsExcludedPhoto,
     RoigsEditedMesh,
     RoigsObject,
+    RoigsStage,
     RoigsScene,
 )
 

@@ -13,6 +13,7 @@ IMPORTING_GAUSSIANS, FLOATERS = "Importing Gaussians", "Finding Floaters"
 MASKING = "Making Masks"
 LEVELS, ADAPTING = "Making Levels", "Adapting"
 SURFACES = "Making Surfaces"
+STAGING = "Preparing Light and Shadows"
 """Titles of jobs: each step of the panel shows the progress and the error of its own."""
 
 RESUMED = {

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..blender import camera_of
 from ..geometry.aperture import Aperture
-from . import display, frame_request, lookup, surfaces
+from . import display, frame_request, lookup, shadow_pass, surfaces
 
 MOMENTS = 16
 NEAREST_FOCUS = 1e-5
@@ -82,7 +82,7 @@ def remark(
         return NOT_MOVED
     if scene.render.film_transparent:
         return ""
-    if surfaces.have_catcher(depsgraph):
+    if _hides(scene, depsgraph):
         return "Shadow catchers show no shadow on Gaussians: switch on Render ▸ Film ▸ Transparent."
     blurred = len(moments) > 1 or any(each.aperture for each in moments)
     if blurred and any(len(each.surfaces) for each in moments):
@@ -97,9 +97,13 @@ def _is_needed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
     camera = scene.camera
     if camera is None or camera.type != "CAMERA":
         return False
-    # With an opaque film, Blender's picture has the world's background where a catcher is.
-    catches = not scene.render.film_transparent and surfaces.have_catcher(depsgraph)
+    catches = not scene.render.film_transparent and _hides(scene, depsgraph)
     return catches or camera_of(camera).type == "ORTHO" or _aperture(camera, depsgraph) is not None
+
+
+def _hides(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Whether an opaque picture of Blender's has the world's background where a catcher is."""
+    return surfaces.have_catcher(depsgraph) and not shadow_pass.multiplies(scene)
 
 
 def _is_panoramic(scene: bpy.types.Scene) -> bool:

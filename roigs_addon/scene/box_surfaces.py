@@ -23,7 +23,7 @@ from ..geometry.frames import Matrix
 from ..geometry.glb import TexturedMesh, read_glb
 from ..properties import object_props, scene_props
 from ..shared import EngineError, files
-from . import clouds, detail, edits, lookup, splats, visibility
+from . import clouds, detail, edits, lookup, splats, textured_meshes, visibility
 from .splat_attributes import PLACE, imported_frame, move_to_frame, values
 
 GAUSSIANS, MESH, BOTH = "GAUSSIANS", "MESH", "BOTH"
@@ -271,20 +271,9 @@ def _new(
 
 def _data(name: str, read: TexturedMesh, frame: Matrix) -> bpy.types.Mesh:
     """A mesh in a frame of its own, with one UV map."""
-    mesh = bpy.data.meshes.new(name)
-    count = len(read.corners)
-    mesh.vertices.add(len(read.vertices))
-    mesh.loops.add(3 * count)
-    mesh.polygons.add(count)
-    mesh.vertices.foreach_set("co", read.vertices.ravel())
-    mesh.loops.foreach_set("vertex_index", read.corners.ravel())
-    mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
+    mesh = textured_meshes.new_mesh(name, read)
     clouds.set_attribute(mesh, PLACE, "FLOAT_VECTOR", read.vertices)
-    layer: Any = mesh.uv_layers.new(name="UVMap")
-    layer.uv.foreach_set("vector", read.uv.ravel())
-    mesh.update(calc_edges=True)
     move_to_frame(mesh, frame)
-    mesh.shade_smooth()
     mesh[edits.MARK] = _state(mesh)
     return mesh
 
@@ -313,9 +302,7 @@ def _state(mesh: bpy.types.Mesh) -> str:
 
 def _picture(roi: str, data: bytes) -> bpy.types.Image:
     """A picture that the .blend contains."""
-    image = bpy.data.images.new(f"{roi} Texture", 1, 1)
-    image.pack(data=data, data_len=len(data))
-    image.source = "FILE"
+    image = textured_meshes.packed_picture(f"{roi} Texture", data)
     image[SIZE] = len(data)
     return image
 
@@ -342,12 +329,7 @@ def _material(name: str, image: bpy.types.Image) -> bpy.types.Material:
 
 def _nodes(mesh: bpy.types.Mesh) -> list[Any]:
     """The nodes with a picture in a mesh's materials."""
-    return [node for material in mesh.materials for node in _nodes_of(material)]
-
-
-def _nodes_of(material: Any) -> list[Any]:
-    nodes = material.node_tree.nodes if material is not None and material.node_tree else ()
-    return [n for n in nodes if n.bl_idname == "ShaderNodeTexImage" and n.image is not None]
+    return [node for material in mesh.materials for node in textured_meshes.image_nodes(material)]
 
 
 def _images(mesh: bpy.types.Mesh) -> list[bpy.types.Image]:
@@ -361,10 +343,10 @@ def _take_materials(fresh: bpy.types.Mesh, old: bpy.types.Mesh, roi: str, data: 
     gone = set(_images(old))
     material: Any
     for material in old.materials:
-        nodes = _nodes_of(material)
+        nodes = textured_meshes.image_nodes(material)
         if any(node.image in gone for node in nodes) and material.users > 1:
             material = material.copy()  # copies of the mesh keep their picture
-            nodes = _nodes_of(material)
+            nodes = textured_meshes.image_nodes(material)
         for node in nodes:
             if node.image in gone:
                 node.image = image

@@ -194,14 +194,14 @@ def _group() -> Any:
 
 
 def _math_node(group: Any, operation: str) -> Any:
-    node = _either(group, "ShaderNodeMath", "CompositorNodeMath")
+    node = either(group, "ShaderNodeMath", "CompositorNodeMath")
     node.operation = operation
     return node
 
 
 def _choice_node(group: Any) -> tuple[Any, tuple[Any, Any, Any], Any]:
     """A node that takes one of two colours; its factor, the colours for 0 and 1, its output."""
-    node = _either(group, "ShaderNodeMix", "CompositorNodeMixRGB")
+    node = either(group, "ShaderNodeMix", "CompositorNodeMixRGB")
     if node.bl_idname == "ShaderNodeMix":
         node.data_type = "RGBA"
     factor, if_not, if_so = [socket for socket in node.inputs if socket.enabled][:3]
@@ -214,7 +214,8 @@ def _colours(over: Any) -> tuple[Any, Any]:
     return below, above
 
 
-def _either(group: Any, new: str, old: str) -> Any:
+def either(group: Any, new: str, old: str) -> Any:
+    """A node of the kind that this Blender has."""
     return group.nodes.new(old if hasattr(bpy.types, old) else new)
 
 

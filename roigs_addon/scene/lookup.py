@@ -22,6 +22,7 @@ TYPES = {
     "ROI": {"EMPTY"},
     "SPLATS": {"MESH"},
     "SURFACE": {"MESH"},
+    "PROXY": {"MESH"},
 }
 """Blender's types of the objects of each kind; checked first, which is three times as fast."""
 

@@ -1,0 +1,151 @@
+"""What the engine makes for the user's own objects: a picture all around, a mesh of the background.
+
+A job makes what is asked for and missing, one command after the other; then the scene gets all at
+once, so that one undo takes all back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from ..engine import own_files
+from ..engine.writing import writing
+from ..errors import AddonError
+from ..properties import scene_props
+from ..scene import compared, lookup, proxies, stage, stage_world
+from ..shared import run_files
+from ..windows import redraw
+from . import options_files, run_folders
+from .spec import STAGING, JobSpec
+
+PANORAMA = "panorama.exr"
+WIDTH = 1024
+BACKGROUND_MESH = Path(run_files.FINE, "background.glb")
+NO_RESULT = "There is no result. Train first."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wanted:
+    """What a scene is to get.
+
+    Attributes:
+        light: where the picture is taken, in the world; None: no light.
+        shadows: whether captured surfaces catch shadows, and are reflected.
+        then: called when all is there.
+    """
+
+    light: Vector | None = None
+    shadows: bool = False
+    then: Callable[[bpy.types.Scene], None] | None = None
+
+
+def background_mesh(folder: Path) -> Path | None:
+    """The mesh of what is outside the boxes of a run folder; None if there is none yet."""
+    path = folder / BACKGROUND_MESH
+    return path if path.is_file() else None
+
+
+def spec(scene: bpy.types.Scene, wanted: Wanted) -> JobSpec:
+    """The job that makes it; the light's picture comes last.
+
+    Raises:
+        AddonError: there is no result, or the run folder cannot be written to.
+    """
+    folder, find = run_folders.settle(scene), run_folders.finder(scene)
+    source = compared.shown_result(scene) or folder
+    if not (source / run_files.RESULT).is_file():
+        raise AddonError(NO_RESULT)
+    picture = options_files.own_folder(scene) / PANORAMA
+    with writing(picture.parent, "Run Folder"):
+        picture.unlink(missing_ok=True)
+
+    def show() -> str | None:
+        now = find()
+        if now is None:
+            return None
+        said = apply(now, folder, wanted, picture)
+        redraw()
+        return said
+
+    commands = []
+    if wanted.shadows and background_mesh(folder) is None:
+        commands.append(["surface", str(folder), "--background"])
+    if wanted.light is not None:
+        commands.append(["panorama", str(source), *_around(scene, wanted.light, picture)])
+    return _chain(commands, folder, show)
+
+
+def is_needed(scene: bpy.types.Scene, wanted: Wanted) -> bool:
+    """Whether the engine has to make anything for it."""
+    missing = background_mesh(run_folders.run_folder(scene)) is None
+    return wanted.light is not None or (wanted.shadows and missing)
+
+
+def _around(scene: bpy.types.Scene, at: Vector, picture: Path) -> list[str]:
+    """Where the picture is taken, in the frame of the COLMAP model, and its file."""
+    root = lookup.matrix_world(scene_props(scene).root)
+    place = np.linalg.inv(root) @ np.array([*at, 1.0])
+    numbers = ",".join(f"{number:.9g}" for number in place[:3])
+    return [f"--at={numbers}", f"--out={picture}", f"--width={WIDTH}"]
+
+
+def _chain(commands: list[list[str]], folder: Path, show: Callable[[], str | None]) -> JobSpec:
+    """One job of several commands; after the last one, `show` is called."""
+    arguments = [*commands[0], *options_files.machine_options()]
+    spec = JobSpec(
+        title=STAGING,
+        arguments=arguments,
+        log=own_files.log_file(folder),
+        folder=folder,
+        on_done=show,
+        done_text="Light and shadows are set",
+    )
+    if len(commands) == 1:
+        return spec
+
+    def go_on(_: Mapping[str, str]) -> JobSpec | None:
+        return _chain(commands[1:], folder, show)
+
+    return replace(spec, then=go_on)
+
+
+def apply(scene: bpy.types.Scene, folder: Path, wanted: Wanted, picture: Path | None) -> str:
+    """Give the scene what is wanted and made. Returns what was done, in words.
+
+    Raises:
+        AddonError: a file is damaged.
+    """
+    said = []
+    if wanted.shadows:
+        made = proxies.bring(scene, background_mesh(folder))
+        stage.multiply(scene)
+        said.append(f"{len(made)} captured surfaces catch shadows")
+    if wanted.light is not None and picture is not None:
+        image = _image(picture)
+        stage_world.shine(scene, image, scene_props(scene).root, wanted.light)
+        said.append("the world shines as the scene does")
+    if wanted.then is not None:
+        wanted.then(scene)
+    text = ", ".join(said)
+    return text[:1].upper() + text[1:]
+
+
+def _image(path: Path) -> bpy.types.Image:
+    """The picture, contained in the .blend.
+
+    Raises:
+        AddonError: it cannot be read.
+    """
+    try:
+        image = bpy.data.images.load(str(path))
+        image.pack()
+    except RuntimeError as error:
+        raise AddonError(f"{path} cannot be read. Click Light From Scene again.") from error
+    image.name = stage_world.NAME
+    return image

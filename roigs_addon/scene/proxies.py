@@ -1,0 +1,258 @@
+"""Proxies: meshes that stand for captured surfaces where the user's objects meet them in renders.
+
+To the camera, a proxy is a shadow catcher of Cycles: it shows nothing itself. All other rays find a
+surface that shines as the photos saw it, and that hides the world behind it. So nothing is counted
+twice: near things shine themselves, with the right parallax; beyond `REACH` proxies let the world's
+light through, which shows those things from where its picture was taken, lamps included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from ..blender import mesh_of
+from ..errors import AddonError
+from ..geometry.glb import read_glb
+from ..properties import object_props, scene_props, stage_props
+from ..shared import files
+from . import box_surfaces, lookup, stage, textured_meshes
+
+BACKGROUND = "Background"
+GROUP = "ROI-GS Captured Surface"
+"""Node group of the proxies' materials."""
+REACH = "Reach"
+FILE = "roigs_glb"
+"""Custom property of a mesh: SHA-256 of its file."""
+WHITE = (0.8, 0.8, 0.8, 1.0)
+"""Albedo of what catches; the ratio of light does not depend on it."""
+
+
+def of_scene(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The proxies of a scene."""
+    collection = stage_props(scene).collection
+    items = collection.objects if collection is not None else ()
+    return [item for item in items if object_props(item).kind == "PROXY"]
+
+
+def lacking(scene: bpy.types.Scene) -> list[str]:
+    """Names of the boxes with Gaussians in renders and without a mesh to make a proxy of."""
+    names = {object_props(i).roi for i in lookup.splats(scene) if object_props(i).roi}
+    made = {object_props(item).roi for item in box_surfaces.surfaces(scene)}
+    return sorted(names - made)
+
+
+def bring(scene: bpy.types.Scene, background: Path | None) -> list[bpy.types.Object]:
+    """Make the proxies of all meshes that there are; older ones are replaced.
+
+    Args:
+        scene: that they stand in.
+        background: the mesh of what is outside the boxes; None: there is none.
+
+    Raises:
+        AddonError: the file is damaged.
+    """
+    stage.keep(scene, "proxies", "")
+    old = [item for item in of_scene(scene) if object_props(item).level != "IMPORTED"]
+    catches, reflects = _ways(scene)
+    made = [_of_box(scene, item) for item in _unseen(scene)]
+    if background is not None:
+        made.append(_of_file(scene, background))
+    for item in old:
+        stage.delete_with_materials(item)
+    for item in made:
+        _link(scene, item)
+    stage_props(scene).catches, stage_props(scene).reflects = catches, reflects
+    return made
+
+
+def _ways(scene: bpy.types.Scene) -> tuple[bool, bool]:
+    """Whether proxies catch and reflect: as before, else both."""
+    group = stage_props(scene)
+    return (group.catches, group.reflects) if of_scene(scene) else (True, True)
+
+
+def _unseen(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The boxes' meshes that renders do not show: those that they show are lit themselves."""
+    found = []
+    for item in box_surfaces.surfaces(scene):
+        gaussians = box_surfaces.gaussians_of(scene, object_props(item).roi)
+        if item.hide_render and gaussians is not None and not gaussians.hide_render:
+            found.append(item)
+    return found
+
+
+def _of_box(scene: bpy.types.Scene, source: bpy.types.Object) -> bpy.types.Object:
+    """A proxy with the mesh of a box, wherever that is moved."""
+    name = f"{object_props(source).roi} Proxy"
+    item = bpy.data.objects.new(name, mesh_of(source))
+    item.parent = source
+    nodes = textured_meshes.image_nodes(next(iter(mesh_of(source).materials), None))
+    _dress(scene, item, nodes[0].image if nodes else None)
+    object_props(item).roi = object_props(source).roi
+    return item
+
+
+def _of_file(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
+    """A proxy of the engine's mesh in the COLMAP frame."""
+    try:
+        read, digest = read_glb(path), files.sha256(path)
+    except (OSError, ValueError) as error:
+        raise AddonError(f"{error} Make the surface again.") from error
+    mesh = textured_meshes.new_mesh(f"{BACKGROUND} Proxy", read)
+    mesh[FILE] = digest
+    item = bpy.data.objects.new(mesh.name, mesh)
+    item.parent = scene_props(scene).root
+    image = textured_meshes.packed_picture(f"{BACKGROUND} Texture", read.picture)
+    mesh.materials.append(None)
+    _dress(scene, item, image)
+    return item
+
+
+def plane(scene: bpy.types.Scene, at: Vector, normal: Vector, size: float) -> bpy.types.Object:
+    """A square proxy where there is no mesh; it shines as the world does from there."""
+    stage.keep(scene, "proxies", "")
+    catches, reflects = _ways(scene)
+    mesh = bpy.data.meshes.new("Plane Proxy")
+    corners = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]) * size / 2
+    mesh.from_pydata(corners.tolist(), [], [(0, 1, 2, 3)])
+    mesh.materials.append(None)
+    item = bpy.data.objects.new(mesh.name, mesh)
+    item.matrix_world = _standing(at, normal)
+    _dress(scene, item, None)
+    object_props(item).level = "IMPORTED"
+    _link(scene, item)
+    stage_props(scene).catches, stage_props(scene).reflects = catches, reflects
+    return item
+
+
+def _standing(at: Vector, normal: Vector) -> Any:
+    """The matrix of something whose z axis is a normal."""
+    matrix = normal.to_track_quat("Z", "Y").to_matrix().to_4x4()
+    matrix.translation = at
+    return matrix
+
+
+def _link(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
+    stage.collection_of(scene).objects.link(item)
+
+
+def _dress(scene: bpy.types.Scene, item: bpy.types.Object, picture: bpy.types.Image | None) -> None:
+    """Make an object a proxy: its kind, its visibility, its material."""
+    object_props(item).kind = "PROXY"
+    item.is_shadow_catcher = True
+    item.hide_viewport = item.hide_select = True
+    item.display_type = "WIRE"
+    material = _material(item.name, picture, stage.empty_of(scene, "here"))
+    for slot in item.material_slots:
+        slot.link = "OBJECT"
+        slot.material = material
+
+
+def set_reach(scene: bpy.types.Scene, reach: float) -> None:
+    """Have proxies shine, and hide the world, as far as that from the place of its picture.
+
+    Args:
+        scene: of the proxies.
+        reach: in units of the frame that the picture has; 0: however far.
+    """
+    for nodes in _trees(scene):
+        for node in (n for n in nodes if getattr(n, "node_tree", None) == _group()):
+            node.inputs[REACH].default_value = reach
+
+
+def use_light(scene: bpy.types.Scene, image: bpy.types.Image) -> None:
+    """Have proxies without a picture of their own shine with that of the light."""
+    for nodes in _trees(scene):
+        for node in (n for n in nodes if n.bl_idname == "ShaderNodeTexEnvironment"):
+            node.image = image
+
+
+def _trees(scene: bpy.types.Scene) -> Iterator[Any]:
+    """The nodes of each proxy's materials."""
+    for item in of_scene(scene):
+        for slot in item.material_slots:
+            if slot.material is not None:
+                yield slot.material.node_tree.nodes
+
+
+def _material(
+    name: str, picture: bpy.types.Image | None, here: bpy.types.Object
+) -> bpy.types.Material:
+    """What a proxy is made of."""
+    material: Any = bpy.data.materials.new(name)
+    if material.node_tree is None:  # before Blender 5
+        material.use_nodes = True
+    nodes, link = material.node_tree.nodes, material.node_tree.links.new
+    nodes.clear()
+    surface, output = nodes.new("ShaderNodeGroup"), nodes.new("ShaderNodeOutputMaterial")
+    place, away = nodes.new("ShaderNodeTexCoord"), nodes.new("ShaderNodeVectorMath")
+    surface.node_tree, place.object, away.operation = _group(), here, "LENGTH"
+    kind = "ShaderNodeTexImage" if picture is not None else "ShaderNodeTexEnvironment"
+    texture = nodes.new(kind)
+    texture.location = -300, 0
+    link(texture.outputs["Color"], surface.inputs["Color"])
+    if picture is not None:
+        texture.image = picture
+    else:
+        link(place.outputs["Object"], texture.inputs["Vector"])
+    link(place.outputs["Object"], away.inputs[0])
+    link(away.outputs["Value"], surface.inputs["Distance"])
+    link(surface.outputs[0], output.inputs["Surface"])
+    place.location, away.location, output.location = (-500, -300), (-300, -300), (250, 0)
+    made: bpy.types.Material = material
+    return made
+
+
+def _group() -> Any:
+    """Catches for the camera; shines for other rays, or lets them through beyond its reach."""
+    known = bpy.data.node_groups.get(GROUP)
+    if known is not None:
+        return known
+    group: Any = bpy.data.node_groups.new(GROUP, "ShaderNodeTree")
+    for name, kind in (("Color", "Color"), ("Distance", "Float"), (REACH, "Float")):
+        group.interface.new_socket(name, in_out="INPUT", socket_type=f"NodeSocket{kind}")
+    group.interface.new_socket("Surface", in_out="OUTPUT", socket_type="NodeSocketShader")
+    new, link = group.nodes.new, group.links.new
+    start, end, rays = new("NodeGroupInput"), new("NodeGroupOutput"), new("ShaderNodeLightPath")
+    catches, shines, clear = (
+        new(f"ShaderNode{kind}") for kind in ("BsdfDiffuse", "Emission", "BsdfTransparent")
+    )
+    far, some, beyond = (new("ShaderNodeMath") for _ in range(3))
+    far.operation, some.operation, beyond.operation = "GREATER_THAN", "GREATER_THAN", "MULTIPLY"
+    others, whole = new("ShaderNodeMixShader"), new("ShaderNodeMixShader")
+    catches.inputs["Color"].default_value = WHITE
+    some.inputs[1].default_value = 0.0
+    for source, target in (
+        (start.outputs["Color"], shines.inputs["Color"]),
+        (start.outputs["Distance"], far.inputs[0]),
+        (start.outputs[REACH], far.inputs[1]),
+        (start.outputs[REACH], some.inputs[0]),
+        (far.outputs[0], beyond.inputs[0]),
+        (some.outputs[0], beyond.inputs[1]),
+        (beyond.outputs[0], others.inputs[0]),
+        (shines.outputs[0], others.inputs[1]),
+        (clear.outputs[0], others.inputs[2]),
+        (rays.outputs["Is Camera Ray"], whole.inputs[0]),
+        (others.outputs[0], whole.inputs[1]),
+        (catches.outputs[0], whole.inputs[2]),
+        (whole.outputs[0], end.inputs[0]),
+    ):
+        link(source, target)
+    columns = (
+        (start, rays),
+        (far, some, beyond),
+        (catches, shines, clear),
+        (others,),
+        (whole,),
+        (end,),
+    )
+    for x, column in enumerate(columns):
+        for y, node in enumerate(column):
+            node.location = 220 * x, -220 * y
+    return group

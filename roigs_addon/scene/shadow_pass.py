@@ -1,0 +1,123 @@
+"""Cycles' pass of the shadows that catchers receive, and how the Gaussians are multiplied by it.
+
+The pass is the ratio of the light that a catcher receives with the objects and without: coloured,
+above 1 where a lamp of the user's shines, and 1 where there is no catcher. As long as it is
+rendered, Blender's picture itself is empty where a catcher is, whatever the film.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from . import compositor
+
+SOCKET = "Shadows"
+"""Input of the group that merges Gaussians with Blender's picture."""
+PASS = "Shadow Catcher"
+"""Output of a render layer's node."""
+NODE = "ROI-GS Shadows"
+"""Name of the node in the group that multiplies."""
+
+
+def is_on(layer: bpy.types.ViewLayer) -> bool:
+    """Whether a view layer renders the pass."""
+    of_cycles: Any = getattr(layer, "cycles", None)
+    return bool(of_cycles is not None and of_cycles.use_pass_shadow_catcher)
+
+
+def switch(layer: bpy.types.ViewLayer, *, on: bool) -> None:
+    """Render the pass, or do not; nothing without Cycles."""
+    of_cycles: Any = getattr(layer, "cycles", None)
+    if of_cycles is not None and of_cycles.use_pass_shadow_catcher != on:
+        of_cycles.use_pass_shadow_catcher = on
+
+
+def multiplies(scene: bpy.types.Scene) -> bool:
+    """Whether renders multiply the Gaussians by the pass."""
+    group = compositor.find(scene)
+    return group is not None and NODE in group.nodes
+
+
+def connect(scene: bpy.types.Scene) -> None:
+    """Render the pass, and multiply the Gaussians by it. Does nothing twice."""
+    group = compositor.find(scene)
+    for tree, node in _nodes(scene):
+        layers = _layers(scene, tree, node)
+        if layers is None:
+            continue
+        layer = scene.view_layers.get(layers.layer) or scene.view_layers[0]
+        switch(layer, on=True)
+        if NODE not in group.nodes:
+            _insert(group)
+        if not node.inputs[SOCKET].is_linked:
+            tree.links.new(layers.outputs[PASS], node.inputs[SOCKET])
+
+
+def disconnect(scene: bpy.types.Scene) -> None:
+    """Multiply no longer; the view layers' passes stay."""
+    group: Any = compositor.find(scene)
+    if group is None or NODE not in group.nodes:
+        return
+    product = group.nodes[NODE]
+    source = product.inputs[_colours(product)[0]].links[0].from_socket
+    for link in list(product.outputs[_result(product)].links):
+        group.links.new(source, link.to_socket)
+    group.nodes.remove(product)
+    for item in [i for i in group.interface.items_tree if i.name == SOCKET]:
+        group.interface.remove(item)
+
+
+def _nodes(scene: bpy.types.Scene) -> list[tuple[Any, Any]]:
+    """The nodes of the scene's compositor that merge, with their tree."""
+    group = compositor.find(scene)
+    return [
+        (tree, node)
+        for tree in compositor.trees(scene, used=True)
+        for node in tree.nodes
+        if group is not None and getattr(node, "node_tree", None) == group
+    ]
+
+
+def _layers(scene: bpy.types.Scene, tree: Any, node: Any) -> Any | None:
+    """The render layer whose picture a node merges; what lies between does not matter."""
+    found = [n for n in tree.nodes if n.type == "R_LAYERS" and n.scene in (scene, None)]
+    links = node.inputs[1].links  # its depth, which users leave alone
+    straight = [link.from_node for link in links if link.from_node in found]
+    return next(iter(straight or found), None)
+
+
+def _insert(group: Any) -> None:
+    """Multiply the Gaussians' colours by an input, right where they are read."""
+    socket = group.interface.new_socket(SOCKET, in_out="INPUT", socket_type="NodeSocketColor")
+    socket.default_value = (1.0, 1.0, 1.0, 1.0)
+    colour = next(
+        n for n in group.nodes if n.type == "IMAGE" and n.image[compositor.MARK] == "colour"
+    )
+    start = next(n for n in group.nodes if n.type == "GROUP_INPUT")
+    product = compositor.either(group, "ShaderNodeMix", "CompositorNodeMixRGB")
+    product.name = product.label = NODE
+    if product.bl_idname == "ShaderNodeMix":
+        product.data_type = "RGBA"
+    product.blend_type = "MULTIPLY"
+    product.inputs[0].default_value = 1.0
+    product.location = colour.location.x + 150, colour.location.y + 250
+    first, second = _colours(product)
+    followers = [link.to_socket for link in colour.outputs["Image"].links]
+    group.links.new(colour.outputs["Image"], product.inputs[first])
+    group.links.new(start.outputs[SOCKET], product.inputs[second])
+    for follower in followers:
+        group.links.new(product.outputs[_result(product)], follower)
+
+
+def _colours(product: Any) -> tuple[int, int]:
+    """Which inputs of the node are its colours."""
+    found = [
+        i for i, socket in enumerate(product.inputs) if socket.enabled and socket.type == "RGBA"
+    ]
+    return found[0], found[1]
+
+
+def _result(product: Any) -> int:
+    return next(i for i, socket in enumerate(product.outputs) if socket.enabled)

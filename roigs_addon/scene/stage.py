@@ -1,0 +1,156 @@
+"""What a scene gets for the user's own objects: a light, proxies, passes; and the way back.
+
+All of it is in a collection and a world of their own. What else changes is remembered in the .blend
+before it does, so that `remove` brings all back.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import bpy
+from mathutils import Vector
+
+from ..blender import delete
+from ..properties import stage_props
+from . import compositor, shadow_pass
+
+COLLECTION, TURN, HERE = "ROI-GS Stage", "ROI-GS Light", "ROI-GS Here"
+
+
+def is_set(scene: bpy.types.Scene) -> bool:
+    """Whether there is anything to remove."""
+    stage = stage_props(scene)
+    return bool(stage.before or stage.world or stage.collection)
+
+
+def collection_of(scene: bpy.types.Scene) -> bpy.types.Collection:
+    """The collection of all that is added; created if there is none."""
+    stage = stage_props(scene)
+    if stage.collection is None:
+        stage.collection = bpy.data.collections.new(COLLECTION)
+    collection: bpy.types.Collection = stage.collection
+    if collection.name not in scene.collection.children:
+        scene.collection.children.link(collection)
+    return collection
+
+
+def empty_of(scene: bpy.types.Scene, which: str) -> bpy.types.Object:
+    """The empty that turns the light (`turn`), or that is where its picture was taken (`here`)."""
+    stage = stage_props(scene)
+    item: bpy.types.Object | None = getattr(stage, which)
+    if item is None:
+        item = bpy.data.objects.new(TURN if which == "turn" else HERE, None)
+        item.empty_display_size = 0.0
+        item.hide_viewport = item.hide_select = True
+        setattr(stage, which, item)
+    if item.name not in collection_of(scene).objects:
+        collection_of(scene).objects.link(item)
+    return item
+
+
+def follow(scene: bpy.types.Scene, frame: bpy.types.Object | None, at: Vector) -> None:
+    """Have the light turn with an object, and remember where its picture was taken.
+
+    Args:
+        scene: that is lit.
+        frame: whose frame the picture has; None: the world's.
+        at: in the world. The place moves with the frame.
+    """
+    turn, here = empty_of(scene, "turn"), empty_of(scene, "here")
+    turn.constraints.clear()
+    here.parent, here.location = frame, at
+    if frame is not None:
+        constraint: Any = turn.constraints.new("COPY_ROTATION")
+        constraint.target = frame
+        here.location = frame.matrix_world.inverted() @ at
+
+
+def keep(scene: bpy.types.Scene, name: str, value: Any) -> None:
+    """Remember how a setting was, unless that is known already."""
+    stage = stage_props(scene)
+    known = _before(scene)
+    if name not in known:
+        stage.before = json.dumps(known | {name: value})
+
+
+def _before(scene: bpy.types.Scene) -> dict[str, Any]:
+    try:
+        known = json.loads(stage_props(scene).before or "{}")
+    except ValueError:
+        return {}
+    return known if isinstance(known, dict) else {}
+
+
+def clear_film(scene: bpy.types.Scene) -> None:
+    """Make the film transparent: the Gaussians are the background, not the world."""
+    keep(scene, "film", scene.render.film_transparent)
+    scene.render.film_transparent = True
+
+
+def multiply(scene: bpy.types.Scene) -> None:
+    """Have renders multiply the Gaussians by the shadows that proxies catch."""
+    keep(scene, "compositing", scene.render.use_compositing)
+    scene.render.use_compositing = True
+    compositor.link(scene)
+    for layer in scene.view_layers:
+        keep(scene, f"pass {layer.name}", shadow_pass.is_on(layer))
+    shadow_pass.connect(scene)
+
+
+def remove(scene: bpy.types.Scene) -> None:
+    """Take all back: what was added is gone, and settings are as they were."""
+    stage, before = stage_props(scene), _before(scene)
+    shadow_pass.disconnect(scene)
+    ways: dict[str, Callable[[Any], None]] = {
+        "film": lambda value: setattr(scene.render, "film_transparent", value),
+        "compositing": lambda value: setattr(scene.render, "use_compositing", value),
+    }
+    for layer in scene.view_layers:
+        ways[f"pass {layer.name}"] = lambda value, layer=layer: shadow_pass.switch(layer, on=value)
+    for name, value in before.items():
+        if name in ways:
+            ways[name](value)
+    _remove_world(scene)
+    if stage.collection is not None:
+        for item in list(stage.collection.objects):
+            delete_with_materials(item)
+        bpy.data.collections.remove(stage.collection)
+    for name in ("before", "collection", "turn", "here", "world", "world_before"):
+        stage.property_unset(name)
+
+
+def _remove_world(scene: bpy.types.Scene) -> None:
+    stage = stage_props(scene)
+    own, users = stage.world, stage.world_before
+    if own is None:
+        return
+    if scene.world == own:  # else the user has chosen another one since
+        scene.world = users
+    stage.world = stage.world_before = None
+    remove_world(own)
+
+
+def remove_world(own: bpy.types.World) -> None:
+    """Delete a world of ours, with the picture that only it uses."""
+    tree: Any = own.node_tree
+    images = {n.image for n in tree.nodes if n.type == "TEX_ENVIRONMENT" and n.image}
+    bpy.data.worlds.remove(own)
+    bpy.data.batch_remove([image for image in images if not image.users])
+
+
+def delete_with_materials(item: bpy.types.Object) -> None:
+    """Delete an object with its own materials and their pictures, if nothing else uses them."""
+    materials = {slot.material for slot in item.material_slots if slot.material is not None}
+    delete(item)
+    pictures = set()
+    for material in materials:
+        if not material.users:
+            tree: Any = material.node_tree
+            pictures |= {node.image for node in tree.nodes if getattr(node, "image", None)}
+            bpy.data.materials.remove(material)
+    with suppress(ReferenceError):
+        bpy.data.batch_remove([each for each in pictures if not each.users])

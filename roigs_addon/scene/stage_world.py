@@ -1,0 +1,133 @@
+"""A world that shines as the captured scene does around a point, and that the camera does not see.
+
+It is a copy of the user's world, which the camera goes on seeing; all other rays meet the picture.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+from mathutils import Vector
+
+from ..properties import stage_props
+from . import proxies, stage
+
+NAME = "ROI-GS Light"
+STRENGTH, HIGHLIGHTS = "Strength", "Highlights"
+"""Nodes with a value for the user."""
+PHOTO_WHITE = (1.0, 1.0, 1.0)
+"""The brightest that photos show: what is above it was recovered."""
+
+
+def light(scene: bpy.types.Scene) -> bpy.types.World | None:
+    """The world that shines, while it is the scene's; None if there is none."""
+    own = stage_props(scene).world
+    return own if own is not None and scene.world == own else None
+
+
+def value(world: Any, name: str) -> Any | None:
+    """The socket with a value for the user, which may be animated; None if its node is gone."""
+    node = world.node_tree.nodes.get(name) if world.node_tree is not None else None
+    return node.outputs[0] if node is not None else None
+
+
+def shine(
+    scene: bpy.types.Scene, image: bpy.types.Image, frame: bpy.types.Object | None, at: Vector
+) -> None:
+    """Have the world shine with a picture; one that shone before is replaced.
+
+    Args:
+        scene: that is lit.
+        image: equirectangular, in linear light, as an Environment Texture shows it.
+        frame: whose frame the picture has; None: the world's.
+        at: in the world, where it was taken.
+    """
+    group = stage_props(scene)
+    old, kept = group.world, {}
+    if old is not None:
+        for name in (STRENGTH, HIGHLIGHTS):
+            if (socket := value(old, name)) is not None:
+                kept[name] = socket.default_value
+    if old is None or scene.world != old:
+        group.world_before = scene.world
+    stage.keep(scene, "world", "")
+    stage.follow(scene, frame, at)
+    own = _copied(group.world_before)
+    _build(own, image, group.turn, kept)
+    scene.world = group.world = own
+    proxies.use_light(scene, image)
+    if old is not None:
+        stage.remove_world(old)
+
+
+def _copied(users: bpy.types.World | None) -> Any:
+    """A world with nodes that looks like the user's: its copy, or a black one."""
+    if users is not None and users.node_tree is not None and getattr(users, "use_nodes", True):
+        own: Any = users.copy()
+        own.name = NAME
+        return own
+    own = bpy.data.worlds.new(NAME)
+    if own.node_tree is None:  # before Blender 5
+        own.use_nodes = True
+    own.node_tree.nodes.clear()
+    shown = own.node_tree.nodes.new("ShaderNodeBackground")
+    output = own.node_tree.nodes.new("ShaderNodeOutputWorld")
+    output.location.x = 300
+    colour = users.color if users is not None else (0.0, 0.0, 0.0)
+    shown.inputs["Color"].default_value = *colour, 1.0
+    own.node_tree.links.new(shown.outputs[0], output.inputs["Surface"])
+    return own
+
+
+def _build(own: Any, image: bpy.types.Image, turn: Any, kept: dict[str, float]) -> None:
+    """Put the picture between the user's nodes and the outputs, for all rays but the camera's."""
+    nodes, link = own.node_tree.nodes, own.node_tree.links.new
+    outputs = [node for node in nodes if node.type == "OUTPUT_WORLD"]
+    for node in outputs or [nodes.new("ShaderNodeOutputWorld")]:
+        users = [each.from_socket for each in node.inputs["Surface"].links]
+        rays, choice = nodes.new("ShaderNodeLightPath"), nodes.new("ShaderNodeMixShader")
+        link(rays.outputs["Is Camera Ray"], choice.inputs[0])
+        link(_shine(own, image, turn, kept), choice.inputs[1])
+        for socket in users:
+            link(socket, choice.inputs[2])
+        link(choice.outputs[0], node.inputs["Surface"])
+        x, y = node.location
+        node.location.x = x + 300
+        choice.location, rays.location = (x + 50, y), (x - 150, y + 350)
+
+
+def _shine(own: Any, image: bpy.types.Image, turn: Any, kept: dict[str, float]) -> Any:
+    """The shader of the picture: what is brighter than the photos' white has its own factor."""
+    nodes, link = own.node_tree.nodes, own.node_tree.links.new
+    place, picture = nodes.new("ShaderNodeTexCoord"), nodes.new("ShaderNodeTexEnvironment")
+    place.object, picture.image = turn, image
+    white, excess, total = (nodes.new("ShaderNodeVectorMath") for _ in range(3))
+    white.operation, excess.operation, total.operation = "MINIMUM", "SUBTRACT", "MULTIPLY_ADD"
+    white.inputs[1].default_value = PHOTO_WHITE
+    strength, highlights = (_value(own, name, kept) for name in (STRENGTH, HIGHLIGHTS))
+    shader = nodes.new("ShaderNodeBackground")
+    for source, target in (
+        (place.outputs["Object"], picture.inputs["Vector"]),
+        (picture.outputs["Color"], white.inputs[0]),
+        (picture.outputs["Color"], excess.inputs[0]),
+        (white.outputs[0], excess.inputs[1]),
+        (excess.outputs[0], total.inputs[0]),
+        (highlights, total.inputs[1]),
+        (white.outputs[0], total.inputs[2]),
+        (total.outputs[0], shader.inputs["Color"]),
+        (strength, shader.inputs["Strength"]),
+    ):
+        link(source, target)
+    rows = (place, picture, white, excess, total, shader)
+    for number, node in enumerate((*rows, strength.node, highlights.node)):
+        node.location = 220 * (number - len(rows)), -300 if node in rows else -650
+    return shader.outputs[0]
+
+
+def _value(own: Any, name: str, kept: dict[str, float]) -> Any:
+    """A node with a number for the user."""
+    node = own.node_tree.nodes.get(name) or own.node_tree.nodes.new("ShaderNodeValue")
+    node.name = node.label = name
+    node.outputs[0].default_value = kept.get(name, 1.0)
+    return node.outputs[0]

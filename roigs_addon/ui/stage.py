@@ -1,0 +1,67 @@
+"""Step 5, Result: the user's own objects in the captured scene."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..blender import layout_of, registration, scene_of
+from ..facts import run_facts
+from ..jobs import current
+from ..jobs.spec import STAGING
+from ..operators.stage import PLACES, CatchShadows, LightFromScene, RemoveStage
+from ..properties import stage_props
+from ..scene import proxies, stage, stage_world
+from . import layout as show
+from .layout import SidebarPanel
+from .result import ResultPanel
+
+CYCLES = "CYCLES"
+
+
+class StagePanel(SidebarPanel):
+    """Light, shadows and reflections, and what they lack."""
+
+    bl_idname = "ROIGS_PT_stage"
+    bl_parent_id = ResultPanel.bl_idname
+    bl_label = "Your Own Objects"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There must be a result."""
+        scene = scene_of(context)
+        return bool(run_facts.run(scene).result or stage.is_set(scene))
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """The buttons, and the settings of what is there."""
+        layout, scene = layout_of(self), scene_of(context)
+        group = stage_props(scene)
+        column = layout.column(align=True)
+        column.label(text=f"{LightFromScene.bl_label}:")
+        row = column.row(align=True)
+        for where, label, _ in PLACES:
+            row.operator(LightFromScene.bl_idname, text=label).where = where
+        if (world := stage_world.light(scene)) is not None:
+            settings = show.setting_column(layout)
+            for name in (stage_world.STRENGTH, stage_world.HIGHLIGHTS):
+                if (socket := stage_world.value(world, name)) is not None:
+                    settings.prop(socket, "default_value", text=name)
+        elif group.world is not None:
+            show.todo(layout, "The scene has another world now: its light is yours")
+        layout.operator(CatchShadows.bl_idname, icon="MESH_PLANE")
+        if proxies.of_scene(scene):
+            column = layout.column(align=True)
+            column.prop(group, "catches")
+            column.prop(group, "reflects")
+            if names := proxies.lacking(scene):
+                show.todo(layout, f"No mesh of {', '.join(names)}: Make Surface, then click again")
+        if stage.is_set(scene):
+            if scene.render.engine != CYCLES:
+                show.wrong(layout, "Shadows on captured things need Cycles")
+            layout.operator(RemoveStage.bl_idname, icon="X")
+        elif not current.busy():
+            show.todo(layout, "Add a mesh, and let the captured scene light it")
+        show.job(layout, STAGING)
+
+
+register, unregister = registration(StagePanel)
