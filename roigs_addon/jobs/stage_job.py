@@ -90,7 +90,7 @@ def is_needed(scene: bpy.types.Scene, wanted: Wanted) -> bool:
 def _around(scene: bpy.types.Scene, at: Vector, picture: Path) -> list[str]:
     """Where the picture is taken, in the frame of the COLMAP model, and its file."""
     root = lookup.matrix_world(scene_props(scene).root)
-    place = np.linalg.inv(root) @ np.array([*at, 1.0])
+    place = np.linalg.inv(root) @ np.array((at.x, at.y, at.z, 1.0))
     numbers = ",".join(f"{number:.9g}" for number in place[:3])
     return [f"--at={numbers}", f"--out={picture}", f"--width={WIDTH}"]
 

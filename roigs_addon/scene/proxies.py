@@ -176,9 +176,9 @@ def use_light(scene: bpy.types.Scene, image: bpy.types.Image) -> None:
 def _trees(scene: bpy.types.Scene) -> Iterator[Any]:
     """The nodes of each proxy's materials."""
     for item in of_scene(scene):
-        for slot in item.material_slots:
-            if slot.material is not None:
-                yield slot.material.node_tree.nodes
+        material: Any
+        for material in [slot.material for slot in item.material_slots if slot.material]:
+            yield material.node_tree.nodes
 
 
 def _material(

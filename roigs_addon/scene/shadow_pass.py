@@ -42,7 +42,7 @@ def multiplies(scene: bpy.types.Scene) -> bool:
 
 def connect(scene: bpy.types.Scene) -> None:
     """Render the pass, and multiply the Gaussians by it. Does nothing twice."""
-    group = compositor.find(scene)
+    group: Any = compositor.find(scene)
     for tree, node in _nodes(scene):
         layers = _layers(scene, tree, node)
         if layers is None:

@@ -7,7 +7,6 @@ before it does, so that `remove` brings all back.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -105,15 +104,12 @@ def remove(scene: bpy.types.Scene) -> None:
     """Take all back: what was added is gone, and settings are as they were."""
     stage, before = stage_props(scene), _before(scene)
     shadow_pass.disconnect(scene)
-    ways: dict[str, Callable[[Any], None]] = {
-        "film": lambda value: setattr(scene.render, "film_transparent", value),
-        "compositing": lambda value: setattr(scene.render, "use_compositing", value),
-    }
+    for name, setting in (("film", "film_transparent"), ("compositing", "use_compositing")):
+        if name in before:
+            setattr(scene.render, setting, before[name])
     for layer in scene.view_layers:
-        ways[f"pass {layer.name}"] = lambda value, layer=layer: shadow_pass.switch(layer, on=value)
-    for name, value in before.items():
-        if name in ways:
-            ways[name](value)
+        if (name := f"pass {layer.name}") in before:
+            shadow_pass.switch(layer, on=bool(before[name]))
     _remove_world(scene)
     if stage.collection is not None:
         for item in list(stage.collection.objects):
