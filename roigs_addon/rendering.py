@@ -24,7 +24,7 @@ from .engine.frame_engine import FrameEngine
 from .engine.python import FOR_TRAINING
 from .errors import AddonError
 from .jobs import options_files
-from .scene import blur, compositor, edits
+from .scene import blur, compositor, edits, shadow_pass
 from .scene.frame_request import frame_request, picture, rays, shown
 from .shared import EngineError, frame_requests
 
@@ -46,6 +46,8 @@ def before_frame(scene: bpy.types.Scene, *_: object) -> None:
     """A frame will be rendered; its objects are not in their places yet."""
     global _waiting
     _waiting = compositor.find(scene) is not None
+    if shadow_pass.multiplies(scene):  # the engine may be another one than when that was set
+        shadow_pass.connect(scene)
 
 
 @persistent

@@ -127,7 +127,7 @@ def apply(scene: bpy.types.Scene, folder: Path, wanted: Wanted, picture: Path | 
         stage.multiply(scene)
         said.append(f"{len(made)} captured surfaces catch shadows")
     if wanted.light is not None and picture is not None:
-        image = _image(picture)
+        image = read_picture(picture)
         stage_world.shine(scene, image, scene_props(scene).root, wanted.light)
         said.append("the world shines as the scene does")
     if wanted.then is not None:
@@ -136,7 +136,7 @@ def apply(scene: bpy.types.Scene, folder: Path, wanted: Wanted, picture: Path | 
     return text[:1].upper() + text[1:]
 
 
-def _image(path: Path) -> bpy.types.Image:
+def read_picture(path: Path) -> bpy.types.Image:
     """The picture, contained in the .blend.
 
     Raises:

@@ -41,7 +41,10 @@ def multiplies(scene: bpy.types.Scene) -> bool:
 
 
 def connect(scene: bpy.types.Scene) -> None:
-    """Render the pass, and multiply the Gaussians by it. Does nothing twice."""
+    """Render the pass, and multiply the Gaussians by it. Does nothing twice.
+
+    Render engines without the pass do not have it at their nodes; `connect` again in Cycles.
+    """
     group: Any = compositor.find(scene)
     for tree, node in _nodes(scene):
         layers = _layers(scene, tree, node)
@@ -51,8 +54,9 @@ def connect(scene: bpy.types.Scene) -> None:
         switch(layer, on=True)
         if NODE not in group.nodes:
             _insert(group)
-        if not node.inputs[SOCKET].is_linked:
-            tree.links.new(layers.outputs[PASS], node.inputs[SOCKET])
+        source = layers.outputs.get(PASS)
+        if source is not None and not node.inputs[SOCKET].is_linked:
+            tree.links.new(source, node.inputs[SOCKET])
 
 
 def disconnect(scene: bpy.types.Scene) -> None:

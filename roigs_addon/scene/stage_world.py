@@ -74,7 +74,7 @@ def _copied(users: bpy.types.World | None) -> Any:
     shown = own.node_tree.nodes.new("ShaderNodeBackground")
     output = own.node_tree.nodes.new("ShaderNodeOutputWorld")
     output.location.x = 300
-    colour = tuple(users.color) if users is not None else (0.0, 0.0, 0.0)
+    colour: Any = users.color if users is not None else (0.0, 0.0, 0.0)
     shown.inputs["Color"].default_value = (*colour, 1.0)
     own.node_tree.links.new(shown.outputs[0], output.inputs["Surface"])
     return own

@@ -1,0 +1,201 @@
+"""Light From Scene, Catch Shadows, Remove: what the engine is asked for, what the scene gets."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from tests.addon.fake_engine import LISTEN, fake, until, use
+from tests.addon.panels import said
+from tests.addon.stage_cases import own_things, state, write_panorama
+from tests.addon.surface_cases import write_ball
+
+pytestmark = [pytest.mark.blender, pytest.mark.exact_look]
+
+CODE = """
+import shutil
+from pathlib import Path
+with Path("ARGUMENTS").open("a") as file:
+    file.write(json.dumps(sys.argv[1:]) + "\\n")
+say(event="stagestarted", stage="fusion", total=9)
+given = dict(part[2:].partition("=")[::2] for part in sys.argv if part.startswith("--"))
+if sys.argv[1] == "surface":
+    shutil.copy("MADE/background.glb", "RUN/rois/background.glb")
+else:
+    shutil.copy("MADE/panorama.exr", given["out"])
+say(event="done", outputs={})
+"""
+
+
+@pytest.fixture
+def made(blender: ModuleType, run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A scene with results and things of its own, its run folder, and the commands given."""
+    from roigs_addon import settings
+
+    scene, folder = run
+    blender.ops.roigs.load_results()
+    scene.render.engine = "CYCLES"
+    own_things(blender, scene)
+    write_ball(tmp_path / "made" / "background.glb", radius=2.0)
+    write_panorama(blender, tmp_path / "made" / "panorama.exr", high=3.0)
+    code, arguments = CODE, tmp_path / "arguments"
+    for name, path in (("ARGUMENTS", arguments), ("MADE", tmp_path / "made"), ("RUN", folder)):
+        code = code.replace(f'"{name}', f'"{path}')
+    engine = fake(tmp_path, code)
+    monkeypatch.setattr(settings, "engine", lambda packages: engine)
+    return (
+        scene,
+        folder,
+        lambda: [json.loads(line) for line in arguments.read_text().splitlines()],
+    )
+
+
+def panel(bpy: ModuleType) -> str:
+    from roigs_addon.ui import stage
+
+    return " ".join(said(bpy, stage.StagePanel))
+
+
+def looked_at(socket):
+    """The node that a socket is linked from."""
+    return socket.links[0].from_node
+
+
+def test_light_is_asked_for_in_the_models_frame(blender: ModuleType, made) -> None:
+    scene, folder, given = made
+    root = scene.roigs.root
+    root.scale, root.location = (2, 2, 2), (1, 2, 3)
+    blender.context.view_layer.update()
+    scene.cursor.location = (3, 4, 7)
+    assert blender.ops.roigs.light_from_scene(where="CURSOR") == {"FINISHED"}
+    (command,) = given()
+    assert command[:2] == ["panorama", str(folder)]
+    at = next(part for part in command if part.startswith("--at=")).removeprefix("--at=")
+    expected = np.linalg.inv(np.array(root.matrix_world)) @ (3, 4, 7, 1)
+    assert [float(number) for number in at.split(",")] == pytest.approx(expected[:3].tolist())
+    assert {"--width=1024", "--device"} <= set(command)
+    assert scene.roigs.stage.here.parent == root
+    blender.context.view_layer.update()
+    assert list(scene.roigs.stage.here.matrix_world.translation) == pytest.approx([3, 4, 7])
+    assert "The world shines" in panel(blender)
+
+
+def test_the_camera_sees_the_users_world(blender: ModuleType, made) -> None:
+    scene, folder, _ = made
+    blender.ops.roigs.light_from_scene(where="CURSOR")
+    output = next(n for n in scene.world.node_tree.nodes if n.type == "OUTPUT_WORLD")
+    choice = looked_at(output.inputs["Surface"])
+    assert looked_at(choice.inputs[0]).type == "LIGHT_PATH"
+    assert tuple(looked_at(choice.inputs[2]).inputs[0].default_value)[:3] == pytest.approx(
+        (0.2, 0.4, 0.8)
+    )
+    shining = [n for n in scene.world.node_tree.nodes if n.type == "TEX_ENVIRONMENT"]
+    (picture,) = shining
+    assert picture.image.packed_file is not None
+    assert scene.roigs.stage.world_before.name == "Mine"
+
+
+def test_lit_again_keeps_the_users_settings(blender: ModuleType, made) -> None:
+    from roigs_addon.scene import stage_world
+
+    scene, _, _ = made
+    blender.ops.roigs.light_from_scene(where="CURSOR")
+    stage_world.value(scene.world, "Highlights").default_value = 2.5
+    blender.ops.roigs.light_from_scene(where="CURSOR")
+    assert stage_world.value(scene.world, "Highlights").default_value == 2.5
+    assert scene.roigs.stage.world_before.name == "Mine"
+    assert len([w for w in blender.data.worlds if w.name.startswith("ROI-GS")]) == 1
+
+
+def test_shadows_need_the_engine_once(blender: ModuleType, made) -> None:
+    from roigs_addon.scene import proxies, shadow_pass
+
+    scene, folder, given = made
+    write_ball(folder / "rois" / "thing.glb")
+    blender.ops.roigs.load_results()
+    assert blender.ops.roigs.catch_shadows() == {"FINISHED"}
+    (command,) = given()
+    assert command[:3] == ["surface", str(folder), "--background"]
+    names = sorted(item.name for item in proxies.of_scene(scene))
+    assert names == ["Background Proxy", "thing Proxy"]
+    assert all(item.is_shadow_catcher and item.hide_viewport for item in proxies.of_scene(scene))
+    assert shadow_pass.multiplies(scene) and scene.roigs.stage.catches
+    assert blender.ops.roigs.catch_shadows() == {"FINISHED"}
+    assert len(given()) == 1 and len(proxies.of_scene(scene)) == 2
+    scene.roigs.stage.reflects = False
+    assert not any(item.visible_glossy or item.visible_shadow for item in proxies.of_scene(scene))
+    blender.ops.roigs.catch_shadows()
+    assert scene.roigs.stage.catches and not scene.roigs.stage.reflects
+
+
+def test_a_box_without_a_mesh_is_named(blender: ModuleType, made) -> None:
+    blender.ops.roigs.catch_shadows()
+    assert "No mesh of thing" in panel(blender)
+
+
+def test_remove_brings_all_back(blender: ModuleType, made) -> None:
+    scene, folder, _ = made
+    write_ball(folder / "rois" / "thing.glb")
+    blender.ops.roigs.load_results()
+    before = state(blender, scene)
+    blender.ops.roigs.light_from_scene(where="CURSOR")
+    blender.ops.roigs.catch_shadows()
+    assert state(blender, scene) != before
+    assert blender.ops.roigs.remove_stage() == {"FINISHED"}
+    assert state(blender, scene) == before
+    with pytest.raises(RuntimeError, match="There is none"):
+        blender.ops.roigs.remove_stage()
+
+
+def test_what_the_user_changed_since_stays(blender: ModuleType, made) -> None:
+    scene, _, _ = made
+    blender.ops.roigs.light_from_scene(where="CURSOR")
+    blender.ops.roigs.catch_shadows()
+    scene.world = blender.data.worlds.new("Later")
+    assert "another world" in panel(blender)
+    blender.ops.roigs.remove_stage()
+    assert scene.world.name == "Later" and "Mine" in blender.data.worlds
+
+
+def test_it_is_in_the_file(blender: ModuleType, made, tmp_path: Path) -> None:
+    from roigs_addon.scene import proxies, shadow_pass
+
+    scene, folder, _ = made
+    before = state(blender, scene)
+    blender.ops.roigs.light_from_scene(where="CURSOR")
+    blender.ops.roigs.catch_shadows()
+    path = tmp_path / "elsewhere" / "scene.blend"
+    path.parent.mkdir()
+    blender.ops.wm.save_as_mainfile(filepath=str(path))
+    shutil.rmtree(folder / "blender")
+    blender.ops.wm.open_mainfile(filepath=str(path))
+    scene = blender.context.scene
+    picture = next(n for n in scene.world.node_tree.nodes if n.type == "TEX_ENVIRONMENT").image
+    assert picture.packed_file is not None and picture.pixels[4 * 32 * 15] == pytest.approx(3.0)
+    assert len(proxies.of_scene(scene)) == 1 and shadow_pass.multiplies(scene)
+    blender.ops.roigs.remove_stage()
+    assert state(blender, scene) == before
+
+
+def test_it_stops_without_a_trace(
+    blender: ModuleType, made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from mathutils import Vector
+
+    from roigs_addon import settings
+    from roigs_addon.jobs import current, stage_job
+
+    scene, _, _ = made
+    before = state(blender, scene)
+    use(monkeypatch, tmp_path / "slow", LISTEN)
+    wanted = stage_job.Wanted(light=Vector(), shadows=True)
+    job = current.start(settings.engine(()), stage_job.spec(scene, wanted))
+    assert until(lambda: job.poll() and job.state.stage == "scene")
+    job.stop()
+    assert until(lambda: not job.poll())
+    assert job.result.stopped and state(blender, scene) == before

@@ -1,0 +1,124 @@
+"""Shadows on captured things, and captured things in mirrors: small renders with Cycles."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from tests.addon.pictures import linear, load_rgba
+from tests.addon.scenes import through_a_photo
+from tests.addon.stage_cases import write_panorama
+from tests.addon.surface_cases import write_ball
+
+pytestmark = pytest.mark.exact_look
+SIDE = 64
+
+
+@pytest.fixture
+def shot(blender: ModuleType, run, engine, tmp_path: Path):
+    """Gaussians seen from above, a light above them, a plane that catches; and what renders."""
+    from mathutils import Vector
+
+    from roigs_addon.jobs import stage_job
+    from roigs_addon.scene import proxies, stage, stage_world
+
+    bpy, (scene, _) = blender, run
+    render = through_a_photo(bpy, scene)
+    camera = bpy.data.objects.new("above", bpy.data.cameras.new("above"))
+    scene.collection.objects.link(camera)
+    camera.location, camera.rotation_euler = (0, -2.2, 2.2), (np.pi / 4, 0, 0)
+    scene.camera = camera
+    render.resolution_x = render.resolution_y = SIDE
+    scene.cycles.samples, scene.cycles.seed = 32, 1
+    picture = tmp_path / "panorama.exr"
+    write_panorama(bpy, picture)
+    image = stage_job.read_picture(picture)
+    stage_world.shine(scene, image, scene.roigs.root, Vector((0, 0, 0.5)))
+    proxies.plane(scene, Vector((0, 0, 0)), Vector((0, 0, 1)), 6.0)
+    proxies.use_light(scene, image)
+    stage.multiply(scene)
+
+    def f12(name: str) -> np.ndarray:
+        """(H, W, 4) in linear light."""
+        render.filepath = str(tmp_path / f"{name}.png")
+        bpy.ops.render.render(write_still=True)
+        found = load_rgba(Path(render.filepath))
+        return np.concatenate([linear(found[..., :3]), found[..., 3:]], axis=-1)
+
+    return scene, f12
+
+
+def ball(bpy: ModuleType, height: float, colour: tuple[float, float, float], *, mirror: bool):
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=0.4, location=(0, 0, height))
+    item = bpy.context.object
+    bpy.ops.object.shade_smooth()
+    material = bpy.data.materials.new("ball")
+    if material.node_tree is None:
+        material.use_nodes = True
+    made = next(n for n in material.node_tree.nodes if n.type == "BSDF_PRINCIPLED")
+    made.inputs["Base Color"].default_value = (*colour, 1.0)
+    made.inputs["Metallic"].default_value = float(mirror)
+    made.inputs["Roughness"].default_value = 0.0 if mirror else 1.0
+    item.data.materials.append(material)
+    return item
+
+
+@pytest.mark.parametrize("transparent", [True, False])
+def test_a_ball_darkens_what_is_below_it(blender: ModuleType, shot, transparent: bool) -> None:
+    scene, f12 = shot
+    scene.render.film_transparent = transparent
+    item = ball(blender, 0.4, (0.1, 0.1, 0.1), mirror=False)
+    item.hide_render = True
+    without = f12("without")
+    item.hide_render = False
+    with_it = f12("with")
+    from bpy_extras.object_utils import world_to_camera_view
+    from mathutils import Vector
+
+    def ratio(x: float, y: float) -> float:
+        """Of the picture at a place on the plane, with the ball and without."""
+        place = world_to_camera_view(scene, scene.camera, Vector((x, y, 0.0)))
+        column, row = int(place.x * SIDE), int((1 - place.y) * SIDE)
+        part = np.s_[row - 1 : row + 2, column - 1 : column + 2, :3]
+        return float(with_it[part].mean() / without[part].mean())
+
+    assert ratio(0.0, -0.22) < 0.6, "beside the contact"
+    assert ratio(0.0, -1.2) == pytest.approx(1.0, abs=0.12), "far from it"
+    place = world_to_camera_view(scene, scene.camera, Vector((0, 0, 0.8)))
+    seen = with_it[int((1 - place.y) * SIDE) + 4, int(place.x * SIDE)]
+    assert seen[3] == 1 and 0.02 < seen[:3].mean() < 0.4, "the world lights it"
+
+
+def test_a_lamp_brightens_captured_things(blender: ModuleType, shot) -> None:
+    scene, f12 = shot
+    dark = f12("dark")
+    lamp = blender.data.lights.new("lamp", "POINT")
+    lamp.energy = 100.0
+    item = blender.data.objects.new("lamp", lamp)
+    scene.collection.objects.link(item)
+    item.location = (0, 0, 1)
+    lit = f12("lit")
+    middle = np.s_[SIDE // 2 - 4 : SIDE // 2 + 4, SIDE // 2 - 4 : SIDE // 2 + 4, :3]
+    assert lit[middle].mean() > 1.3 * dark[middle].mean()
+
+
+def test_a_mirror_shows_the_captured_room(blender: ModuleType, shot, tmp_path: Path) -> None:
+    from roigs_addon.scene import proxies
+
+    scene, f12 = shot
+    path = tmp_path / "background.glb"
+    write_ball(path, radius=4.0, colour=(220, 20, 20))
+    item = ball(blender, 0.6, (1, 1, 1), mirror=True)
+    blue = f12("without the room")
+    proxies.bring(scene, path)
+    red = f12("with the room")
+    middle = np.s_[SIDE // 2 - 10 : SIDE // 2 - 4, SIDE // 2 - 4 : SIDE // 2 + 4]
+    assert item.name in scene.objects and red[middle][..., 3].min() == 1
+    seen = red[middle].mean(axis=(0, 1))
+    assert seen[0] > 5 * seen[1] and blue[middle][..., 0].mean() < 2 * blue[middle][..., 1].mean()
+    scene.roigs.stage.reflects = False
+    grey = f12("not reflected")[middle].mean(axis=(0, 1))
+    assert grey[0] < 2 * grey[1]
