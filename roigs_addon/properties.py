@@ -243,6 +243,7 @@ class RoigsStage(bpy.types.PropertyGroup):
     here: PointerProperty(
         type=bpy.types.Object, description="Empty where the light's picture was taken"
     )
+    radius: FloatProperty(description="Of the user's object there, in units of the world")
     world: PointerProperty(type=bpy.types.World, description="The world that shines")
     world_before: PointerProperty(type=bpy.types.World, description="The user's world")
     catches: BoolProperty(

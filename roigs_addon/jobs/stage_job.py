@@ -18,16 +18,17 @@ from ..engine import own_files
 from ..engine.writing import writing
 from ..errors import AddonError
 from ..properties import scene_props
-from ..scene import compared, lookup, proxies, stage, stage_world
-from ..shared import run_files
+from ..scene import instances, lookup, proxies, stage, stage_world
+from ..scene.frame_request import models_of, shown
+from ..shared import files, run_files, transforms
 from ..windows import redraw
 from . import options_files, run_folders
 from .spec import STAGING, JobSpec
 
-PANORAMA = "panorama.exr"
+PANORAMA, MODELS = "panorama.hdr", "panorama.json"
 WIDTH = 1024
-BACKGROUND_MESH = Path(run_files.FINE, "background.glb")
-NO_RESULT = "There is no result. Train first."
+BACKGROUND_MESH = Path(run_files.FINE, f"{run_files.SURROUNDINGS}.glb")
+NOTHING_SEEN = "No Gaussians are shown in renders. Load results, or show them."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,11 +37,13 @@ class Wanted:
 
     Attributes:
         light: where the picture is taken, in the world; None: no light.
+        radius: of the object there, in units of the world; 0: there is none.
         shadows: whether captured surfaces catch shadows, and are reflected.
         then: called when all is there.
     """
 
     light: Vector | None = None
+    radius: float = 0.0
     shadows: bool = False
     then: Callable[[bpy.types.Scene], None] | None = None
 
@@ -55,12 +58,9 @@ def spec(scene: bpy.types.Scene, wanted: Wanted) -> JobSpec:
     """The job that makes it; the light's picture comes last.
 
     Raises:
-        AddonError: there is no result, or the run folder cannot be written to.
+        AddonError: no Gaussians are shown, or the run folder cannot be written to.
     """
     folder, find = run_folders.settle(scene), run_folders.finder(scene)
-    source = compared.shown_result(scene) or folder
-    if not (source / run_files.RESULT).is_file():
-        raise AddonError(NO_RESULT)
     picture = options_files.own_folder(scene) / PANORAMA
     with writing(picture.parent, "Run Folder"):
         picture.unlink(missing_ok=True)
@@ -77,7 +77,7 @@ def spec(scene: bpy.types.Scene, wanted: Wanted) -> JobSpec:
     if wanted.shadows and background_mesh(folder) is None:
         commands.append(["surface", str(folder), "--background"])
     if wanted.light is not None:
-        commands.append(["panorama", str(source), *_around(scene, wanted.light, picture)])
+        commands.append(_panorama(scene, wanted, folder, picture))
     return _chain(commands, folder, show)
 
 
@@ -87,12 +87,28 @@ def is_needed(scene: bpy.types.Scene, wanted: Wanted) -> bool:
     return wanted.light is not None or (wanted.shadows and missing)
 
 
-def _around(scene: bpy.types.Scene, at: Vector, picture: Path) -> list[str]:
-    """Where the picture is taken, in the frame of the COLMAP model, and its file."""
+def _panorama(scene: bpy.types.Scene, wanted: Wanted, folder: Path, picture: Path) -> list[str]:
+    """The command that draws what renders show of the Gaussians, in the frame of the COLMAP model.
+
+    Gaussians in the place of the user's object are left out.
+    """
+    assert wanted.light is not None
     root = lookup.matrix_world(scene_props(scene).root)
-    place = np.linalg.inv(root) @ np.array((at.x, at.y, at.z, 1.0))
-    numbers = ",".join(f"{number:.9g}" for number in place[:3])
-    return [f"--at={numbers}", f"--out={picture}", f"--width={WIDTH}"]
+    back, scale = np.linalg.inv(root), transforms.scale_of(root) or 1.0
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    models = models_of(shown(scene), instances.instances(depsgraph), depsgraph)
+    if not models:
+        raise AddonError(NOTHING_SEEN)
+    placed = [{**model, "matrix": (back @ model["matrix"]).tolist()} for model in models]
+    listed = picture.with_name(MODELS)
+    with writing(picture.parent, "Run Folder"):
+        files.write_json(listed, {"models": placed})
+    place = back @ np.array((*wanted.light.to_tuple(), 1.0))
+    return [
+        *("panorama", str(listed), f"--run={folder}"),
+        f"--at={','.join(f'{number:.9g}' for number in place[:3])}",
+        *(f"--near={wanted.radius / scale:.6g}", f"--out={picture}", f"--width={WIDTH}"),
+    ]
 
 
 def _chain(commands: list[list[str]], folder: Path, show: Callable[[], str | None]) -> JobSpec:
@@ -129,6 +145,7 @@ def apply(scene: bpy.types.Scene, folder: Path, wanted: Wanted, picture: Path | 
     if wanted.light is not None and picture is not None:
         image = read_picture(picture)
         stage_world.shine(scene, image, scene_props(scene).root, wanted.light)
+        proxies.set_reach(scene, wanted.radius or proxies.usual_radius(scene))
         said.append("the world shines as the scene does")
     if wanted.then is not None:
         wanted.then(scene)

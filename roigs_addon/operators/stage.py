@@ -9,7 +9,7 @@ from bpy.props import EnumProperty
 from mathutils import Vector
 
 from ..blender import registration, scene_of, view_layer_of
-from ..engine.python import FOR_SURFACES, FOR_TRAINING
+from ..engine.python import FOR_MASKS, FOR_SURFACES
 from ..errors import AddonError
 from ..facts import run_facts
 from ..jobs import current, run_folders, stage_job, undo
@@ -53,12 +53,15 @@ seeing your own world"""
         return available(cls, problem(context))
 
     def packages(self, context: bpy.types.Context) -> tuple[str, ...]:
-        """Those that draw."""
-        return FOR_TRAINING
+        """Those that draw, and write the picture."""
+        return FOR_MASKS
 
     def spec(self, context: bpy.types.Context) -> JobSpec:
         """Take the picture all around."""
-        return stage_job.spec(scene_of(context), stage_job.Wanted(light=self._at(context)))
+        item = view_layer_of(context).objects.active
+        radius = radius_of(item) if self.where == ACTIVE and item is not None else 0.0
+        wanted = stage_job.Wanted(light=self._at(context), radius=radius)
+        return stage_job.spec(scene_of(context), wanted)
 
     def _at(self, context: bpy.types.Context) -> Vector:
         if self.where == CURSOR:
@@ -142,6 +145,11 @@ def middle(item: bpy.types.Object) -> Vector:
     tops = [(item.matrix_world @ Vector(corner)).z for corner in item.bound_box]
     foot.z = (foot.z + max(tops)) / 2
     return foot
+
+
+def radius_of(item: bpy.types.Object) -> float:
+    """Half of an object's largest side, in the world; 0 if it has no size."""
+    return float(max(item.dimensions.to_tuple())) / 2
 
 
 register, unregister = registration(LightFromScene, CatchShadows, RemoveStage)

@@ -43,7 +43,7 @@ def empty_of(scene: bpy.types.Scene, which: str) -> bpy.types.Object:
     item: bpy.types.Object | None = getattr(stage, which)
     if item is None:
         item = bpy.data.objects.new(TURN if which == "turn" else HERE, None)
-        item.empty_display_size = 0.0
+        item.empty_display_type = "SPHERE"
         item.hide_viewport = item.hide_select = True
         setattr(stage, which, item)
     if item.name not in collection_of(scene).objects:
@@ -115,7 +115,7 @@ def remove(scene: bpy.types.Scene) -> None:
         for item in list(stage.collection.objects):
             delete_with_materials(item)
         bpy.data.collections.remove(stage.collection)
-    for name in ("before", "collection", "turn", "here", "world", "world_before"):
+    for name in ("before", "collection", "turn", "here", "radius", "world", "world_before"):
         stage.property_unset(name)
 
 

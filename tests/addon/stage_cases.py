@@ -16,7 +16,7 @@ def write_panorama(bpy: ModuleType, path: Path, *, high: float = 1.0, low: float
     pixels[8:], pixels[..., 3] = high, 1.0
     image.pixels.foreach_set(pixels.ravel())
     path.parent.mkdir(parents=True, exist_ok=True)
-    image.filepath_raw, image.file_format = str(path), "OPEN_EXR"
+    image.filepath_raw, image.file_format = str(path), "HDR"
     image.save()
     bpy.data.images.remove(image)
 

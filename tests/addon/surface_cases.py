@@ -14,7 +14,13 @@ ROUND, TALL = 24, 12
 CENTRE, RADIUS = np.array([0.1, -0.05, 0.15]), 0.2
 
 
-def write_ball(path: Path, *, radius: float = RADIUS, colour: int | tuple[int, int, int] = 200, result: str = "") -> None:
+def write_ball(
+    path: Path,
+    *,
+    radius: float = RADIUS,
+    colour: int | tuple[int, int, int] = 200,
+    result: str = "",
+) -> None:
     """A ball's .glb, and its record; `result` is the SHA-256 of what it was made of."""
     v, u = np.mgrid[0 : TALL + 1, 0 : ROUND + 1]
     tilt, turn = np.pi * v / TALL, 2 * np.pi * (u % ROUND) / ROUND

@@ -27,7 +27,7 @@ given = dict(part[2:].partition("=")[::2] for part in sys.argv if part.startswit
 if sys.argv[1] == "surface":
     shutil.copy("MADE/background.glb", "RUN/rois/background.glb")
 else:
-    shutil.copy("MADE/panorama.exr", given["out"])
+    shutil.copy("MADE/panorama.hdr", given["out"])
 say(event="done", outputs={})
 """
 
@@ -42,7 +42,7 @@ def made(blender: ModuleType, run, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     scene.render.engine = "CYCLES"
     own_things(blender, scene)
     write_ball(tmp_path / "made" / "background.glb", radius=2.0)
-    write_panorama(blender, tmp_path / "made" / "panorama.exr", high=3.0)
+    write_panorama(blender, tmp_path / "made" / "panorama.hdr", high=3.0)
     code, arguments = CODE, tmp_path / "arguments"
     for name, path in (("ARGUMENTS", arguments), ("MADE", tmp_path / "made"), ("RUN", folder)):
         code = code.replace(f'"{name}', f'"{path}')
@@ -74,7 +74,9 @@ def test_light_is_asked_for_in_the_models_frame(blender: ModuleType, made) -> No
     scene.cursor.location = (3, 4, 7)
     assert blender.ops.roigs.light_from_scene(where="CURSOR") == {"FINISHED"}
     (command,) = given()
-    assert command[:2] == ["panorama", str(folder)]
+    assert command[:3] == ["panorama", str(folder / "blender/panorama.json"), f"--run={folder}"]
+    models = json.loads((folder / "blender/panorama.json").read_text())["models"]
+    assert len(models) == 2 and np.array(models[0]["matrix"]) == pytest.approx(np.eye(4), abs=1e-6)
     at = next(part for part in command if part.startswith("--at=")).removeprefix("--at=")
     expected = np.linalg.inv(np.array(root.matrix_world)) @ (3, 4, 7, 1)
     assert [float(number) for number in at.split(",")] == pytest.approx(expected[:3].tolist())
@@ -86,7 +88,7 @@ def test_light_is_asked_for_in_the_models_frame(blender: ModuleType, made) -> No
 
 
 def test_the_camera_sees_the_users_world(blender: ModuleType, made) -> None:
-    scene, folder, _ = made
+    scene, _, _ = made
     blender.ops.roigs.light_from_scene(where="CURSOR")
     output = next(n for n in scene.world.node_tree.nodes if n.type == "OUTPUT_WORLD")
     choice = looked_at(output.inputs["Surface"])

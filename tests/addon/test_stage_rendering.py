@@ -33,7 +33,7 @@ def shot(blender: ModuleType, run, engine, tmp_path: Path):
     scene.camera = camera
     render.resolution_x = render.resolution_y = SIDE
     scene.cycles.samples, scene.cycles.seed = 32, 1
-    picture = tmp_path / "panorama.exr"
+    picture = tmp_path / "panorama.hdr"
     write_panorama(bpy, picture)
     image = stage_job.read_picture(picture)
     stage_world.shine(scene, image, scene.roigs.root, Vector((0, 0, 0.5)))
