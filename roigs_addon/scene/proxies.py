@@ -178,7 +178,7 @@ def set_reach(scene: bpy.types.Scene, radius: float) -> None:
 
 def usual_radius(scene: bpy.types.Scene) -> float:
     """That of the smallest box, as of what users put beside it; 1 if there is none."""
-    sizes = [max(abs(side) for side in box.matrix_world.to_scale()) for box in lookup.rois(scene)]
+    sizes = [max(map(abs, box.matrix_world.to_scale().to_tuple())) for box in lookup.rois(scene)]
     return min(sizes, default=1.0)
 
 

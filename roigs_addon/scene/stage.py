@@ -17,6 +17,8 @@ from ..blender import delete
 from ..properties import stage_props
 from . import compositor, shadow_pass
 
+LAMP = "roigs_lamp"
+"""Custom property of a lamp: whether it was part of what was captured."""
 COLLECTION, TURN, HERE = "ROI-GS Stage", "ROI-GS Light", "ROI-GS Here"
 
 
@@ -90,6 +92,19 @@ def clear_film(scene: bpy.types.Scene) -> None:
     scene.render.film_transparent = True
 
 
+def free_lamps(scene: bpy.types.Scene) -> None:
+    """Have the user's lamps shine on captured surfaces, too.
+
+    To Blender, a lamp is part of what was captured, unless its **Shadow Catcher** is off. A lamp is
+    changed only once, so that the user may change it back.
+    """
+    item: Any
+    for item in scene.objects:
+        if item.type == "LIGHT" and item.is_editable and LAMP not in item:
+            item[LAMP] = item.is_shadow_catcher
+            item.is_shadow_catcher = False
+
+
 def multiply(scene: bpy.types.Scene) -> None:
     """Have renders multiply the Gaussians by the shadows that proxies catch."""
     keep(scene, "compositing", scene.render.use_compositing)
@@ -98,6 +113,7 @@ def multiply(scene: bpy.types.Scene) -> None:
     for layer in scene.view_layers:
         keep(scene, f"pass {layer.name}", shadow_pass.is_on(layer))
     shadow_pass.connect(scene)
+    free_lamps(scene)
 
 
 def remove(scene: bpy.types.Scene) -> None:
@@ -110,6 +126,11 @@ def remove(scene: bpy.types.Scene) -> None:
     for layer in scene.view_layers:
         if (name := f"pass {layer.name}") in before:
             shadow_pass.switch(layer, on=bool(before[name]))
+    item: Any
+    for item in scene.objects:
+        if LAMP in item:
+            item.is_shadow_catcher = bool(item[LAMP])
+            del item[LAMP]
     _remove_world(scene)
     if stage.collection is not None:
         for item in list(stage.collection.objects):

@@ -154,6 +154,23 @@ def test_remove_brings_all_back(blender: ModuleType, made) -> None:
         blender.ops.roigs.remove_stage()
 
 
+def test_lamps_shine_on_captured_things(blender: ModuleType, made) -> None:
+    from roigs_addon.scene import stage
+
+    scene, _, _ = made
+    lamp = blender.data.objects.new("lamp", blender.data.lights.new("lamp", "POINT"))
+    scene.collection.objects.link(lamp)
+    assert lamp.is_shadow_catcher
+    blender.ops.roigs.catch_shadows()
+    assert not lamp.is_shadow_catcher
+    lamp.is_shadow_catcher = True
+    stage.free_lamps(scene)
+    assert lamp.is_shadow_catcher, "the user's choice"
+    lamp.is_shadow_catcher = False
+    blender.ops.roigs.remove_stage()
+    assert lamp.is_shadow_catcher and not lamp.keys()
+
+
 def test_what_the_user_changed_since_stays(blender: ModuleType, made) -> None:
     scene, _, _ = made
     blender.ops.roigs.light_from_scene(where="CURSOR")
