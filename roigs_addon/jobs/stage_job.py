@@ -73,12 +73,12 @@ def spec(scene: bpy.types.Scene, wanted: Wanted) -> JobSpec:
         redraw()
         return said
 
-    commands = []
+    parts = []
     if wanted.shadows and background_mesh(folder) is None:
-        commands.append(["surface", str(folder), "--background"])
+        parts.append(["surface", str(folder), "--background"])
     if wanted.light is not None:
-        commands.append(_panorama(scene, wanted, folder, picture))
-    return _chain(commands, folder, show)
+        parts.append(_panorama(scene, wanted, folder, picture))
+    return _chain(parts, folder, show)
 
 
 def is_needed(scene: bpy.types.Scene, wanted: Wanted) -> bool:
@@ -111,9 +111,9 @@ def _panorama(scene: bpy.types.Scene, wanted: Wanted, folder: Path, picture: Pat
     ]
 
 
-def _chain(commands: list[list[str]], folder: Path, show: Callable[[], str | None]) -> JobSpec:
+def _chain(parts: list[list[str]], folder: Path, show: Callable[[], str | None]) -> JobSpec:
     """One job of several commands; after the last one, `show` is called."""
-    arguments = [*commands[0], *options_files.machine_options()]
+    arguments = [*parts[0], *options_files.machine_options()]
     spec = JobSpec(
         title=STAGING,
         arguments=arguments,
@@ -122,11 +122,11 @@ def _chain(commands: list[list[str]], folder: Path, show: Callable[[], str | Non
         on_done=show,
         done_text="Light and shadows are set",
     )
-    if len(commands) == 1:
+    if len(parts) == 1:
         return spec
 
     def go_on(_: Mapping[str, str]) -> JobSpec | None:
-        return _chain(commands[1:], folder, show)
+        return _chain(parts[1:], folder, show)
 
     return replace(spec, then=go_on)
 
