@@ -53,6 +53,7 @@ MODULES = (
     "operators.levels",
     "operators.surface",
     "operators.stage",
+    "operators.stand_here",
     "operators.adapt",
     "operators.run_folder",
     "operators.export",

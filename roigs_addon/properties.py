@@ -156,6 +156,9 @@ class RoigsObject(bpy.types.PropertyGroup):
         description="Gaussians: not in the result that is shown; how they were seen before"
     )
     off: BoolProperty(description="Gaussians: the other of Result and First pass is shown")
+    stands_on: FloatVectorProperty(
+        default=(0.0, 0.0, 1.0), description="User's objects: normal of what they were put on last"
+    )
     whole: BoolProperty(description="Gaussians: all are drawn, whatever the levels of detail")
     pair: StringProperty(description="Gaussians: the same as of its other, Result or First pass")
     waits: BoolProperty(description="Gaussians: hidden while a preview is shown")

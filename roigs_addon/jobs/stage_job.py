@@ -20,7 +20,7 @@ from ..errors import AddonError
 from ..properties import scene_props
 from ..scene import instances, lookup, proxies, stage, stage_world
 from ..scene.frame_request import models_of, shown
-from ..shared import files, run_files, transforms
+from ..shared import files, run_files, text, transforms
 from ..windows import redraw
 from . import options_files, run_folders
 from .spec import STAGING, JobSpec
@@ -74,7 +74,7 @@ def spec(scene: bpy.types.Scene, wanted: Wanted) -> JobSpec:
         return said
 
     parts = []
-    if wanted.shadows and background_mesh(folder) is None:
+    if _lacks_mesh(folder, wanted):
         parts.append(["surface", str(folder), "--background"])
     if wanted.light is not None:
         parts.append(_panorama(scene, wanted, folder, picture))
@@ -83,8 +83,13 @@ def spec(scene: bpy.types.Scene, wanted: Wanted) -> JobSpec:
 
 def is_needed(scene: bpy.types.Scene, wanted: Wanted) -> bool:
     """Whether the engine has to make anything for it."""
-    missing = background_mesh(run_folders.run_folder(scene)) is None
-    return wanted.light is not None or (wanted.shadows and missing)
+    return wanted.light is not None or _lacks_mesh(run_folders.run_folder(scene), wanted)
+
+
+def _lacks_mesh(folder: Path, wanted: Wanted) -> bool:
+    """Whether the background's mesh is to be made; of Gaussians without a run there is none."""
+    trained = (folder / run_files.RESULT).is_file()
+    return wanted.shadows and trained and background_mesh(folder) is None
 
 
 def _panorama(scene: bpy.types.Scene, wanted: Wanted, folder: Path, picture: Path) -> list[str]:
@@ -105,10 +110,15 @@ def _panorama(scene: bpy.types.Scene, wanted: Wanted, folder: Path, picture: Pat
         files.write_json(listed, {"models": placed})
     place = back @ np.array((*wanted.light.to_tuple(), 1.0))
     return [
-        *("panorama", str(listed), f"--run={folder}"),
+        *("panorama", str(listed)),
+        *([f"--run={folder}"] if (folder / run_files.MANIFEST).is_file() else []),
         f"--at={','.join(f'{number:.9g}' for number in place[:3])}",
         *(f"--near={wanted.radius / scale:.6g}", f"--out={picture}", f"--width={WIDTH}"),
     ]
+
+
+def keep_standing() -> None:
+    """After a stop: an object that was put on a surface stays there, as a step of undo."""
 
 
 def _chain(parts: list[list[str]], folder: Path, show: Callable[[], str | None]) -> JobSpec:
@@ -120,6 +130,7 @@ def _chain(parts: list[list[str]], folder: Path, show: Callable[[], str | None])
         log=own_files.log_file(folder),
         folder=folder,
         on_done=show,
+        on_stop=keep_standing,
         done_text="Light and shadows are set",
     )
     if len(parts) == 1:
@@ -141,7 +152,7 @@ def apply(scene: bpy.types.Scene, folder: Path, wanted: Wanted, picture: Path | 
     if wanted.shadows:
         made = proxies.bring(scene, background_mesh(folder))
         stage.multiply(scene)
-        said.append(f"{len(made)} captured surfaces catch shadows")
+        said.append(f"{text.counted(len(made), 'captured surface')} made to catch shadows")
     if wanted.light is not None and picture is not None:
         image = read_picture(picture)
         stage_world.shine(scene, image, scene_props(scene).root, wanted.light)
@@ -149,8 +160,8 @@ def apply(scene: bpy.types.Scene, folder: Path, wanted: Wanted, picture: Path | 
         said.append("the world shines as the scene does")
     if wanted.then is not None:
         wanted.then(scene)
-    text = ", ".join(said)
-    return text[:1].upper() + text[1:]
+    whole = ", ".join(said)
+    return whole[:1].upper() + whole[1:]
 
 
 def read_picture(path: Path) -> bpy.types.Image:

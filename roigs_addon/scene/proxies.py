@@ -33,6 +33,8 @@ REACH, SHADES = 8.0, 2.0
 the light's picture are wrong by 7 degrees; the object covers a fifteenth of the light at 2."""
 FILE = "roigs_glb"
 """Custom property of a mesh: SHA-256 of its file."""
+SAME_WAY, SAME_PLANE = 0.97, 0.05
+"""Two planes are one: the cosine between their normals, and their distance as a share of a side."""
 SHADE_SAMPLES = 4
 WHITE = (0.8, 0.8, 0.8, 1.0)
 """Albedo of what catches; the ratio of light does not depend on it."""
@@ -121,9 +123,13 @@ def _of_file(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
 
 
 def plane(scene: bpy.types.Scene, at: Vector, normal: Vector, size: float) -> bpy.types.Object:
-    """A square proxy where there is no mesh; it shines as the world does from there."""
+    """A square proxy where there is no mesh; it shines as the world does from there.
+
+    One that is there already in the same plane gives way, and the new one covers both.
+    """
     stage.keep(scene, "proxies", "")
     catches, reflects = _ways(scene)
+    size = drop_planes(scene, at, normal, size)
     mesh = bpy.data.meshes.new("Plane Proxy")
     corners = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]) * size / 2
     mesh.from_pydata(corners.tolist(), [], [(0, 1, 2, 3)])
@@ -135,6 +141,17 @@ def plane(scene: bpy.types.Scene, at: Vector, normal: Vector, size: float) -> bp
     _link(scene, item)
     stage_props(scene).catches, stage_props(scene).reflects = catches, reflects
     return item
+
+
+def drop_planes(scene: bpy.types.Scene, at: Vector, normal: Vector, size: float) -> float:
+    """Remove planes where another surface catches now. Returns the side of a square over all."""
+    for item in [i for i in of_scene(scene) if object_props(i).level == "IMPORTED"]:
+        middle, side = item.matrix_world.translation, max(item.dimensions.to_tuple())
+        away, up = at - middle, item.matrix_world.col[2].to_3d().normalized()
+        if up @ normal > SAME_WAY and abs(away @ normal) < SAME_PLANE * max(size, side):
+            size = max(size, side + 2 * away.length)
+            stage.delete_with_materials(item)
+    return size
 
 
 def _standing(at: Vector, normal: Vector) -> Any:

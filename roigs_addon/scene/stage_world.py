@@ -26,6 +26,18 @@ def light(scene: bpy.types.Scene) -> bpy.types.World | None:
     return own if own is not None and scene.world == own else None
 
 
+def picture(scene: bpy.types.Scene) -> bpy.types.Image | None:
+    """What the light was taken as; None if there is no light."""
+    own: Any = stage_props(scene).world
+    nodes = own.node_tree.nodes if own is not None else ()
+    turn = stage_props(scene).turn
+    for node in (n for n in nodes if n.type == "TEX_ENVIRONMENT"):
+        if any(link.from_node.object == turn for link in node.inputs["Vector"].links):
+            image: bpy.types.Image | None = node.image
+            return image
+    return None
+
+
 def value(world: Any, name: str) -> Any | None:
     """The socket with a value for the user, which may be animated; None if its node is gone."""
     node = world.node_tree.nodes.get(name) if world.node_tree is not None else None

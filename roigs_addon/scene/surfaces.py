@@ -33,6 +33,13 @@ def triangles(depsgraph: bpy.types.Depsgraph) -> NDArray[np.float32]:
     return kept
 
 
+def corners(item: bpy.types.Object) -> NDArray[np.float64]:
+    """(N, 3) corners of the triangles of an evaluated object, in the world."""
+    matrix = np.array(item.matrix_world, dtype=np.float64)
+    found: NDArray[np.float64] = _of(item).reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]
+    return found
+
+
 def _of(item: bpy.types.Object) -> NDArray[np.float64]:
     """(T, 3, 3) corners of an object's surface, in its own frame."""
     mesh = item.to_mesh()

@@ -5,12 +5,12 @@ from __future__ import annotations
 import bpy
 
 from ..blender import layout_of, registration, scene_of
-from ..facts import run_facts
 from ..jobs import current
 from ..jobs.spec import STAGING
 from ..operators.stage import PLACES, CatchShadows, LightFromScene, RemoveStage
+from ..operators.stand_here import StandHere
 from ..properties import stage_props
-from ..scene import proxies, stage, stage_world
+from ..scene import lookup, proxies, stage, stage_world
 from . import layout as show
 from .layout import SidebarPanel
 from .result import ResultPanel
@@ -28,14 +28,15 @@ class StagePanel(SidebarPanel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """There must be a result."""
+        """There must be Gaussians."""
         scene = scene_of(context)
-        return bool(run_facts.run(scene).result or stage.is_set(scene))
+        return bool(lookup.splats(scene) or stage.is_set(scene))
 
     def draw(self, context: bpy.types.Context) -> None:
         """The buttons, and the settings of what is there."""
         layout, scene = layout_of(self), scene_of(context)
         group = stage_props(scene)
+        layout.operator(StandHere.bl_idname, icon="TRACKER")
         column = layout.column(align=True)
         column.label(text=f"{LightFromScene.bl_label}:")
         row = column.row(align=True)
@@ -60,7 +61,7 @@ class StagePanel(SidebarPanel):
                 show.wrong(layout, "Shadows on captured things need Cycles")
             layout.operator(RemoveStage.bl_idname, icon="X")
         elif not current.busy():
-            show.todo(layout, "Add a mesh, and let the captured scene light it")
+            show.todo(layout, "Add a mesh, then click Stand Here, and where it is to stand")
         show.job(layout, STAGING)
 
 

@@ -7,6 +7,36 @@ from types import ModuleType
 
 import numpy as np
 
+CODE = """
+import shutil
+from pathlib import Path
+with Path("ARGUMENTS").open("a") as file:
+    file.write(json.dumps(sys.argv[1:]) + "\\n")
+say(event="stagestarted", stage="fusion", total=9)
+given = dict(part[2:].partition("=")[::2] for part in sys.argv if part.startswith("--"))
+if sys.argv[1] == "surface":
+    shutil.copy("MADE/background.glb", "RUN/rois/background.glb")
+else:
+    shutil.copy("MADE/panorama.hdr", given["out"])
+say(event="done", outputs={})
+"""
+"""A fake engine: writes down its commands, and copies what is made."""
+
+
+def flat_floor() -> dict[str, np.ndarray]:
+    """Grey, opaque Gaussians at z = 0."""
+    x, y = (part.ravel() for part in np.meshgrid(*2 * [np.linspace(-3, 3, 61)]))
+    count = len(x)
+    flat = np.log(np.array([0.08, 0.08, 0.001]))
+    arrays = {
+        "means": np.stack([x, y, 0 * x], axis=1),
+        "quats": np.tile([1.0, 0, 0, 0], (count, 1)),
+        "log_scales": np.tile(flat, (count, 1)),
+        "logit_opacities": np.full(count, 4.0),
+        "sh": np.zeros((count, 1, 3)),
+    }
+    return {name: values.astype(np.float32) for name, values in arrays.items()}
+
 
 def write_panorama(bpy: ModuleType, path: Path, *, high: float = 1.0, low: float = 0.1) -> None:
     """A picture all around that is `high` above the horizon and `low` below it."""

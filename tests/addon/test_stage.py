@@ -12,24 +12,10 @@ import pytest
 
 from tests.addon.fake_engine import LISTEN, fake, until, use
 from tests.addon.panels import said
-from tests.addon.stage_cases import own_things, state, write_panorama
+from tests.addon.stage_cases import CODE, own_things, state, write_panorama
 from tests.addon.surface_cases import write_ball
 
 pytestmark = [pytest.mark.blender, pytest.mark.exact_look]
-
-CODE = """
-import shutil
-from pathlib import Path
-with Path("ARGUMENTS").open("a") as file:
-    file.write(json.dumps(sys.argv[1:]) + "\\n")
-say(event="stagestarted", stage="fusion", total=9)
-given = dict(part[2:].partition("=")[::2] for part in sys.argv if part.startswith("--"))
-if sys.argv[1] == "surface":
-    shutil.copy("MADE/background.glb", "RUN/rois/background.glb")
-else:
-    shutil.copy("MADE/panorama.hdr", given["out"])
-say(event="done", outputs={})
-"""
 
 
 @pytest.fixture
@@ -74,7 +60,7 @@ def test_light_is_asked_for_in_the_models_frame(blender: ModuleType, made) -> No
     scene.cursor.location = (3, 4, 7)
     assert blender.ops.roigs.light_from_scene(where="CURSOR") == {"FINISHED"}
     (command,) = given()
-    assert command[:3] == ["panorama", str(folder / "blender/panorama.json"), f"--run={folder}"]
+    assert command[:2] == ["panorama", str(folder / "blender/panorama.json")]
     models = json.loads((folder / "blender/panorama.json").read_text())["models"]
     assert len(models) == 2 and np.array(models[0]["matrix"]) == pytest.approx(np.eye(4), abs=1e-6)
     at = next(part for part in command if part.startswith("--at=")).removeprefix("--at=")

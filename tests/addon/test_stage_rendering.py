@@ -12,26 +12,11 @@ from roigs_engine.formats.splat_ply import write_ply
 from roigs_engine.formats.targets import VIEWERS
 from tests.addon.pictures import linear, load_rgba
 from tests.addon.scenes import through_a_photo
-from tests.addon.stage_cases import write_panorama
+from tests.addon.stage_cases import flat_floor, write_panorama
 from tests.addon.surface_cases import write_ball
 
 pytestmark = pytest.mark.exact_look
 SIDE = 64
-
-
-def floor() -> dict[str, np.ndarray]:
-    """Grey, opaque Gaussians at z = 0."""
-    x, y = (part.ravel() for part in np.meshgrid(*2 * [np.linspace(-3, 3, 61)]))
-    count = len(x)
-    flat = np.log(np.array([0.08, 0.08, 0.001]))
-    arrays = {
-        "means": np.stack([x, y, 0 * x], axis=1),
-        "quats": np.tile([1.0, 0, 0, 0], (count, 1)),
-        "log_scales": np.tile(flat, (count, 1)),
-        "logit_opacities": np.full(count, 4.0),
-        "sh": np.zeros((count, 1, 3)),
-    }
-    return {name: values.astype(np.float32) for name, values in arrays.items()}
 
 
 @pytest.fixture
@@ -43,7 +28,7 @@ def shot(blender: ModuleType, run, engine, tmp_path: Path):
     from roigs_addon.scene import proxies, stage, stage_world
 
     bpy, (scene, folder) = blender, run
-    write_ply(folder / "background.ply", floor(), target=VIEWERS)
+    write_ply(folder / "background.ply", flat_floor(), target=VIEWERS)
     render = through_a_photo(bpy, scene)
     camera = bpy.data.objects.new("above", bpy.data.cameras.new("above"))
     scene.collection.objects.link(camera)
