@@ -1,0 +1,66 @@
+"""The light that falls on surfaces, from a picture all around. Numpy only, no bpy.
+
+A picture is equirectangular, as Blender's Environment Texture shows it: z up, its middle column
+looks along x, its left quarter along y.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32 = NDArray[np.float32]
+
+ROWS = 32
+"""Of the picture that is summed: light from a cone of 6 degrees is that of its middle."""
+AT_ONCE = 4096
+"""Normals; so many fit into memory with all directions."""
+
+
+def smaller(picture: Float32, rows: int = ROWS) -> Float32:
+    """The picture (H, W, 3) with fewer rows; each pixel is the mean of those that it covers."""
+    step = max(1, len(picture) // rows)
+    height, width = len(picture) // step, picture.shape[1] // step
+    cut = picture[: height * step, : width * step]
+    blocks = cut.reshape(height, step, width, step, 3)
+    return np.asarray(blocks.mean(axis=(1, 3)), np.float32)
+
+
+def directions(height: int, width: int) -> tuple[Float32, Float32]:
+    """Where each pixel's centre looks (H, W, 3), and its solid angle (H, 1)."""
+    up = np.pi * (0.5 - (np.arange(height) + 0.5) / height)
+    turn = 2 * np.pi * (0.5 - (np.arange(width) + 0.5) / width)
+    flat, high = np.cos(up)[:, None], np.sin(up)[:, None]
+    parts = flat * np.cos(turn), flat * np.sin(turn), np.broadcast_to(high, (height, width))
+    size = flat * (np.pi / height) * (2 * np.pi / width)
+    return np.stack(parts, axis=-1).astype(np.float32), size.astype(np.float32)
+
+
+def on_normals(picture: Float32, normals: Float32) -> Float32:
+    """What a white matt surface with each normal would show (N, 3): irradiance over pi.
+
+    Args:
+        picture: (H, W, 3) linear light.
+        normals: (N, 3) of length 1, in the picture's axes.
+    """
+    light = smaller(picture)
+    ways, size = directions(*light.shape[:2])
+    rays, weighted = ways.reshape(-1, 3), (light * size[..., None]).reshape(-1, 3) / np.pi
+    parts = np.split(normals, range(AT_ONCE, len(normals), AT_ONCE))
+    return np.concatenate([np.maximum(part @ rays.T, 0) @ weighted for part in parts])
+
+
+def hemisphere(count: int) -> Float32:
+    """Directions (count, 3) around z, as dense as a matt surface is sensitive to them."""
+    k = np.arange(count) + 0.5
+    radius, turn = np.sqrt(k / count), np.pi * (1 + np.sqrt(5)) * k
+    parts = radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1 - k / count)
+    return np.stack(parts, axis=-1).astype(np.float32)
+
+
+def frames(normals: Float32) -> Float32:
+    """Rotations (N, 3, 3) whose last column is each normal."""
+    least = np.abs(normals).argmin(axis=1)
+    across = np.cross(normals, np.eye(3, dtype=np.float32)[least])
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+    return np.stack([across, np.cross(normals, across), normals], axis=-1).astype(np.float32)

@@ -1,0 +1,148 @@
+"""A captured object under other light: its mesh, of what is left of its texture without the light.
+
+A photo's colour is the colour of the surface times the light that fell on it. The mesh knows the
+light at each vertex (`captured_light`), so the texture divided by it is the surface's own colour,
+which lamps, worlds and shadows then light like anything else. Light that the object's own material
+mirrors, and shadows of single lamps, stay in the texture.
+
+It is a material of the object's slots: the mesh keeps its own, which comes back with `remove`. All
+that it needs is in the .blend, also where the add-on is not installed.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..blender import mesh_of
+from ..errors import AddonError
+from . import captured_light, clouds
+
+SLIDER = "Relit"
+"""Custom property of the object, which may be animated: 0 as captured, 1 relit."""
+TEXT = (
+    "0: as captured. 1: lit by your lamps and world. Highlights and hard shadows of the photos stay"
+    " in the texture"
+)
+WHITEST = 0.95
+"""No surface reflects more of the light."""
+LEAST_LIGHT = 0.01
+"""Of linear light: so that black corners do not become bright."""
+NO_PICTURE = "The material of '{}' has no picture. Make its surface again."
+
+
+def is_on(item: bpy.types.Object) -> bool:
+    """Whether an object is relit."""
+    return SLIDER in item and any(slot.link == "OBJECT" for slot in item.material_slots)
+
+
+def is_lacking(item: bpy.types.Object) -> bool:
+    """Whether a relit object's mesh does not know its captured light: it was made again since."""
+    return is_on(item) and not captured_light.is_stored(mesh_of(item))
+
+
+def apply(item: bpy.types.Object, picture: NDArray[np.float32]) -> None:
+    """Have lamps and world light an object.
+
+    Args:
+        item: of a mesh with a texture.
+        picture: (H, W, 3) linear light all around it, in the axes of the COLMAP frame.
+
+    Raises:
+        AddonError: it has no texture.
+    """
+    mesh = mesh_of(item)
+    image = _image(mesh)
+    if image is None:
+        raise AddonError(NO_PICTURE.format(item.name))
+    captured_light.store(mesh, picture, _mean(image))
+    material = _material(f"{item.name} Relit", image)
+    remove(item)
+    for slot in item.material_slots:
+        slot.link = "OBJECT"
+        slot.material = material
+    add_slider(item)
+
+
+def add_slider(item: bpy.types.Object, value: float = 1.0) -> None:
+    """Give an object the slider."""
+    item[SLIDER] = value
+    ui: Any = item.id_properties_ui(SLIDER)
+    ui.update(min=0.0, max=1.0, soft_min=0.0, soft_max=1.0, default=1.0, description=TEXT)
+
+
+def remove(item: bpy.types.Object) -> None:
+    """Give an object the material of its mesh again."""
+    for slot in item.material_slots:
+        if slot.link == "OBJECT":
+            made = slot.material
+            slot.material = None
+            slot.link = "DATA"
+            if made is not None and not made.users:
+                bpy.data.materials.remove(made)
+    if SLIDER in item:
+        del item[SLIDER]
+
+
+def _image(mesh: bpy.types.Mesh) -> bpy.types.Image | None:
+    """The picture of a mesh's own material."""
+    for material in mesh.materials:
+        nodes: Any = material.node_tree.nodes if material and material.node_tree else ()
+        for node in nodes:
+            if node.bl_idname == "ShaderNodeTexImage" and node.image is not None:
+                found: bpy.types.Image = node.image
+                return found
+    return None
+
+
+def _mean(image: bpy.types.Image) -> NDArray[np.float32]:
+    """(3,) mean colour of what a picture shows, in linear light."""
+    pixels = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(pixels)
+    values = pixels.reshape(-1, image.channels)[:, :3]
+    used = values[values.any(axis=1)]  # the rest of the texture is black
+    return clouds.to_linear(used).mean(axis=0) if len(used) else np.zeros(3, np.float32)
+
+
+def _material(name: str, image: bpy.types.Image) -> bpy.types.Material:
+    """Shines as captured, or is lit; the slider mixes them."""
+    material: Any = bpy.data.materials.new(name)
+    if material.node_tree is None:  # before Blender 5
+        material.use_nodes = True
+    nodes, link = material.node_tree.nodes, material.node_tree.links.new
+    nodes.clear()
+    new = nodes.new
+    texture, light, slider = new("ShaderNodeTexImage"), *(new("ShaderNodeAttribute") for _ in "ab")
+    least, own, most = (new("ShaderNodeVectorMath") for _ in range(3))
+    shines, lit = new("ShaderNodeEmission"), new("ShaderNodeBsdfPrincipled")
+    mix, output = new("ShaderNodeMixShader"), new("ShaderNodeOutputMaterial")
+    texture.image = image
+    light.attribute_name = captured_light.ATTRIBUTE
+    slider.attribute_name, slider.attribute_type = SLIDER, "INSTANCER"  # else the object's
+    least.operation, own.operation, most.operation = "MAXIMUM", "DIVIDE", "MINIMUM"
+    least.inputs[1].default_value = (LEAST_LIGHT,) * 3
+    most.inputs[1].default_value = (WHITEST,) * 3
+    lit.inputs["Roughness"].default_value = 1.0
+    lit.inputs["Specular IOR Level"].default_value = 0.0  # photos have the highlights
+    for source, target in (
+        (light.outputs["Color"], least.inputs[0]),
+        (texture.outputs["Color"], own.inputs[0]),
+        (least.outputs[0], own.inputs[1]),
+        (own.outputs[0], most.inputs[0]),
+        (most.outputs[0], lit.inputs["Base Color"]),
+        (texture.outputs["Color"], shines.inputs["Color"]),
+        (slider.outputs["Fac"], mix.inputs[0]),
+        (shines.outputs[0], mix.inputs[1]),
+        (lit.outputs[0], mix.inputs[2]),
+        (mix.outputs[0], output.inputs["Surface"]),
+    ):
+        link(source, target)
+    columns = (light, texture), (least,), (own,), (most,), (slider, shines, lit), (mix,), (output,)
+    for x, column in enumerate(columns):
+        for y, node in enumerate(column):
+            node.location = 220 * x, -280 * y
+    made: bpy.types.Material = material
+    return made
