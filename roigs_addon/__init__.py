@@ -54,6 +54,7 @@ MODULES = (
     "operators.surface",
     "operators.stage",
     "operators.stand_here",
+    "operators.relight",
     "operators.adapt",
     "operators.run_folder",
     "operators.export",
@@ -81,6 +82,7 @@ MODULES = (
     "ui.clean_up",
     "ui.surface",
     "ui.stage",
+    "ui.relight",
     "ui.levels",
 )
 

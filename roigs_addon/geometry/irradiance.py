@@ -47,7 +47,8 @@ def on_normals(picture: Float32, normals: Float32) -> Float32:
     ways, size = directions(*light.shape[:2])
     rays, weighted = ways.reshape(-1, 3), (light * size[..., None]).reshape(-1, 3) / np.pi
     parts = np.split(normals, range(AT_ONCE, len(normals), AT_ONCE))
-    return np.concatenate([np.maximum(part @ rays.T, 0) @ weighted for part in parts])
+    found: Float32 = np.concatenate([np.maximum(p @ rays.T, 0) @ weighted for p in parts])
+    return found
 
 
 def hemisphere(count: int) -> Float32:
@@ -55,7 +56,8 @@ def hemisphere(count: int) -> Float32:
     k = np.arange(count) + 0.5
     radius, turn = np.sqrt(k / count), np.pi * (1 + np.sqrt(5)) * k
     parts = radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1 - k / count)
-    return np.stack(parts, axis=-1).astype(np.float32)
+    found: Float32 = np.stack(parts, axis=-1).astype(np.float32)
+    return found
 
 
 def frames(normals: Float32) -> Float32:
@@ -63,4 +65,6 @@ def frames(normals: Float32) -> Float32:
     least = np.abs(normals).argmin(axis=1)
     across = np.cross(normals, np.eye(3, dtype=np.float32)[least])
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
-    return np.stack([across, np.cross(normals, across), normals], axis=-1).astype(np.float32)
+    columns = [across, np.cross(normals, across), normals]
+    found: Float32 = np.stack(columns, axis=-1).astype(np.float32)
+    return found

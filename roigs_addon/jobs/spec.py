@@ -14,6 +14,7 @@ MASKING = "Making Masks"
 LEVELS, ADAPTING = "Making Levels", "Adapting"
 SURFACES = "Making Surfaces"
 STAGING = "Preparing Light and Shadows"
+RELIGHTING = "Relighting"
 """Titles of jobs: each step of the panel shows the progress and the error of its own."""
 
 RESUMED = {

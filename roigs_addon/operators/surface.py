@@ -82,7 +82,7 @@ class ShowSurface(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Hide and show."""
-        scene, item = scene_of(context), _mesh(context, self.name)
+        scene, item = scene_of(context), mesh_named(context, self.name)
         if item is None:
             return failed(self, NO_MESH.format(self.name))
         if box_surfaces.alone(scene):
@@ -105,7 +105,7 @@ that you add is right below it. Clicked again, it shows all as before"""
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Hide all else, or show it again."""
-        scene, item = scene_of(context), _mesh(context, self.name)
+        scene, item = scene_of(context), mesh_named(context, self.name)
         if item is None:
             return failed(self, NO_MESH.format(self.name))
         if box_surfaces.alone(scene) and not object_props(item).beside:
@@ -139,7 +139,7 @@ class ExportSurface(bpy.types.Operator):
         return self._export(context, "EXEC_DEFAULT", self.filepath)
 
     def _export(self, context: bpy.types.Context, way: Any, path: str) -> OperatorResult:
-        item = _mesh(context, self.name)
+        item = mesh_named(context, self.name)
         if item is None:
             return failed(self, NO_MESH.format(self.name))
         if not item.visible_get():
@@ -157,7 +157,7 @@ class ExportSurface(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def _mesh(context: bpy.types.Context, name: str) -> bpy.types.Object | None:
+def mesh_named(context: bpy.types.Context, name: str) -> bpy.types.Object | None:
     """The mesh of a box with this object's name."""
     found = (item for item in box_surfaces.surfaces(scene_of(context)) if item.name == name)
     return next(found, None)

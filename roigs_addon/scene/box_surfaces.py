@@ -14,6 +14,7 @@ from typing import Any
 
 import bpy
 import numpy as np
+from mathutils import Matrix as BlenderMatrix
 from mathutils import Vector
 
 from ..blender import following, leave_edit_mode, mesh_of, persistent
@@ -24,7 +25,7 @@ from ..geometry.glb import TexturedMesh, read_glb
 from ..properties import object_props, scene_props
 from ..shared import EngineError, files
 from . import clouds, detail, edits, lookup, splats, textured_meshes, visibility
-from .splat_attributes import PLACE, imported_frame, move_to_frame, values
+from .splat_attributes import FRAME, PLACE, imported_frame, move_to_frame, values
 
 GAUSSIANS, MESH, BOTH = "GAUSSIANS", "MESH", "BOTH"
 WAYS = (
@@ -189,6 +190,16 @@ def foot(item: bpy.types.Object) -> Vector:
     middle: Vector = sum(corners, Vector()) / len(corners)
     middle.z = min(corner.z for corner in corners)
     return middle
+
+
+def shift(item: bpy.types.Object, by: Vector) -> None:
+    """Move all vertices of a mesh in its own frame, which moves its origin: that is no edit."""
+    mesh, known = mesh_of(item), not is_edited(item)
+    mesh.transform(BlenderMatrix.Translation(by))
+    mesh[FRAME] = (np.array(BlenderMatrix.Translation(by)) @ imported_frame(mesh)).ravel().tolist()
+    if known:
+        mesh[edits.MARK] = _state(mesh)
+    _edited.pop(mesh.session_uid, None)
 
 
 def show_all(scene: bpy.types.Scene) -> None:

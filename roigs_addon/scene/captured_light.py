@@ -7,6 +7,8 @@ unknown.
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 import numpy as np
 from mathutils import Vector
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..blender import mesh_of
 from ..geometry import irradiance
+from ..geometry.frames import Matrix
 from . import clouds
 from .splat_attributes import PLACE, values
 
@@ -46,18 +49,20 @@ def middle_of(item: bpy.types.Object) -> tuple[float, float, float]:
     return x, y, z
 
 
-def store(mesh: bpy.types.Mesh, picture: Float32, own: Float32) -> None:
+def store(mesh: bpy.types.Mesh, picture: Float32, turn: Matrix, own: Float32) -> None:
     """Give a mesh's vertices the attribute `ATTRIBUTE`.
 
     Args:
         mesh: of the object.
-        picture: (H, W, 3) linear light all around it, in the axes of the COLMAP frame.
+        picture: (H, W, 3) linear light all around it.
+        turn: (3, 3) from the axes of the COLMAP frame to the picture's.
         own: (3,) the object's mean colour, linear.
     """
     places, triangles = places_of(mesh), _triangles(mesh)
     normals = _normals(places, triangles)
     seen = _open(places, triangles, normals)[:, None]
-    light = seen * irradiance.on_normals(picture, normals) + (1 - seen) * own
+    turned = (normals @ turn.T).astype(np.float32)
+    light = seen * irradiance.on_normals(picture, turned) + (1 - seen) * own
     if (old := mesh.attributes.get(ATTRIBUTE)) is not None:
         mesh.attributes.remove(old)
     full = np.ones((len(light), 4), np.float32)
@@ -81,18 +86,19 @@ def _triangles(mesh: bpy.types.Mesh) -> NDArray[np.int32]:
 def _normals(places: Float32, triangles: NDArray[np.int32]) -> Float32:
     """(V, 3) normals of vertices, weighted by the areas of their triangles."""
     a, b, c = (places[triangles[:, k]] for k in range(3))
-    crosses = np.cross(b - a, c - a)
-    normals = np.zeros_like(places)
-    for k in range(3):
-        np.add.at(normals, triangles[:, k], crosses)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    crosses = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    corners, count = triangles.ravel(), len(places)
+    sums = [np.bincount(corners, crosses[:, axis], count) for axis in range(3)]
+    normals = np.stack(sums, axis=-1).astype(np.float32)
+    lengths: Float32 = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return normals / lengths
 
 
 def _open(places: Float32, triangles: NDArray[np.int32], normals: Float32) -> Float32:
     """(V,) share of the surroundings that the object itself does not hide, as light counts."""
     count = len(places)
     chosen = np.random.default_rng(SEED).permutation(count)[:SAMPLES]
-    tree = BVHTree.FromPolygons(places.tolist(), triangles.tolist(), all_triangles=True)
+    tree: Any = BVHTree.FromPolygons(places.tolist(), triangles.tolist(), all_triangles=True)
     turned = irradiance.frames(normals[chosen]) @ irradiance.hemisphere(RAYS).T
     apart = APART * float(np.ptp(places, axis=0).max())
     nodes, shares = KDTree(len(chosen)), np.empty(len(chosen), np.float32)

@@ -20,6 +20,8 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from mathutils import Matrix as BlenderMatrix
+from mathutils import Vector
 
 from ..blender import following, mesh_of, persistent
 from ..errors import AddonError
@@ -29,6 +31,7 @@ from ..properties import object_props
 from ..shared import EngineError
 from . import clouds
 from .splat_attributes import (
+    FRAME,
     SHAPE,
     applied_map,
     cloud_of,
@@ -163,6 +166,17 @@ def place(mesh: bpy.types.Mesh, frame: Matrix) -> None:
     mesh[FILE] = mesh[MARK]
     move_to_frame(mesh, frame)
     mark_imported(mesh)
+
+
+def shift(item: bpy.types.Object, by: Vector) -> None:
+    """Move all points of an object in its own frame, which moves its origin: that is no edit."""
+    mesh, edited = mesh_of(item), is_edited(item)
+    move = BlenderMatrix.Translation(by)
+    mesh.transform(move)
+    mesh[FRAME] = (np.array(move) @ imported_frame(mesh)).ravel().tolist()
+    if not edited:
+        mesh[FILE] = mesh.get(FILE, mesh.get(MARK, ""))
+        mark_imported(mesh)
 
 
 def problem(items: Iterable[bpy.types.Object]) -> str:

@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 
 from ..blender import mesh_of
 from ..errors import AddonError
-from . import captured_light, clouds
+from ..geometry.frames import Matrix
+from . import captured_light, clouds, textured_meshes
+from .image_pixels import pixels_of
 
 SLIDER = "Relit"
 """Custom property of the object, which may be animated: 0 as captured, 1 relit."""
@@ -36,7 +38,8 @@ NO_PICTURE = "The material of '{}' has no picture. Make its surface again."
 
 def is_on(item: bpy.types.Object) -> bool:
     """Whether an object is relit."""
-    return SLIDER in item and any(slot.link == "OBJECT" for slot in item.material_slots)
+    own = any(slot.link == "OBJECT" for slot in item.material_slots)
+    return own and item.get(SLIDER) is not None
 
 
 def is_lacking(item: bpy.types.Object) -> bool:
@@ -44,21 +47,22 @@ def is_lacking(item: bpy.types.Object) -> bool:
     return is_on(item) and not captured_light.is_stored(mesh_of(item))
 
 
-def apply(item: bpy.types.Object, picture: NDArray[np.float32]) -> None:
+def apply(item: bpy.types.Object, picture: NDArray[np.float32], turn: Matrix) -> None:
     """Have lamps and world light an object.
 
     Args:
         item: of a mesh with a texture.
-        picture: (H, W, 3) linear light all around it, in the axes of the COLMAP frame.
+        picture: (H, W, 3) linear light all around it, where it was captured.
+        turn: (3, 3) from the axes of the COLMAP frame to the picture's.
 
     Raises:
         AddonError: it has no texture.
     """
     mesh = mesh_of(item)
-    image = _image(mesh)
+    image = image_of(mesh)
     if image is None:
         raise AddonError(NO_PICTURE.format(item.name))
-    captured_light.store(mesh, picture, _mean(image))
+    captured_light.store(mesh, picture, turn, _mean(image))
     material = _material(f"{item.name} Relit", image)
     remove(item)
     for slot in item.material_slots:
@@ -70,8 +74,9 @@ def apply(item: bpy.types.Object, picture: NDArray[np.float32]) -> None:
 def add_slider(item: bpy.types.Object, value: float = 1.0) -> None:
     """Give an object the slider."""
     item[SLIDER] = value
-    ui: Any = item.id_properties_ui(SLIDER)
-    ui.update(min=0.0, max=1.0, soft_min=0.0, soft_max=1.0, default=1.0, description=TEXT)
+    described: Any = item.id_properties_ui
+    ends = {"min": 0.0, "max": 1.0, "soft_min": 0.0, "soft_max": 1.0}
+    described(SLIDER).update(**ends, default=1.0, description=TEXT)
 
 
 def remove(item: bpy.types.Object) -> None:
@@ -83,26 +88,19 @@ def remove(item: bpy.types.Object) -> None:
             slot.link = "DATA"
             if made is not None and not made.users:
                 bpy.data.materials.remove(made)
-    if SLIDER in item:
+    if item.get(SLIDER) is not None:
         del item[SLIDER]
 
 
-def _image(mesh: bpy.types.Mesh) -> bpy.types.Image | None:
+def image_of(mesh: bpy.types.Mesh) -> bpy.types.Image | None:
     """The picture of a mesh's own material."""
-    for material in mesh.materials:
-        nodes: Any = material.node_tree.nodes if material and material.node_tree else ()
-        for node in nodes:
-            if node.bl_idname == "ShaderNodeTexImage" and node.image is not None:
-                found: bpy.types.Image = node.image
-                return found
-    return None
+    nodes = (node for each in mesh.materials for node in textured_meshes.image_nodes(each))
+    return next((node.image for node in nodes), None)
 
 
 def _mean(image: bpy.types.Image) -> NDArray[np.float32]:
     """(3,) mean colour of what a picture shows, in linear light."""
-    pixels = np.empty(len(image.pixels), np.float32)
-    image.pixels.foreach_get(pixels)
-    values = pixels.reshape(-1, image.channels)[:, :3]
+    values = pixels_of(image)[..., :3].reshape(-1, 3)
     used = values[values.any(axis=1)]  # the rest of the texture is black
     return clouds.to_linear(used).mean(axis=0) if len(used) else np.zeros(3, np.float32)
 

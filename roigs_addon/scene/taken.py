@@ -1,0 +1,172 @@
+"""A captured object as an asset: a collection with its mesh and its Gaussians.
+
+Both are copies, without their parent, that stand on the origin: the collection's, and their own.
+The mesh's texture, the light that it was captured in and the Gaussians' attributes are in the
+.blend. What the object stood on is cut off, if its box holds a plate of it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bmesh
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+from numpy.typing import NDArray
+
+from ..blender import leave_edit_mode, mesh_of
+from ..errors import AddonError
+from ..geometry import little_picture, support
+from ..properties import object_props
+from . import box_surfaces, clouds, edits, lookup, point_edits, relight, visibility
+from .image_pixels import pixels_of
+
+MARK = "roigs_taken"
+"""Custom property of the collections."""
+SIDE, POINTS = 256, 400_000
+"""Of the preview: pixels, and points of the surface that are drawn."""
+TEXT = "Captured object: its mesh and its Gaussians. Made with ROI-GS"
+EMPTY = "'{}' has no faces. Make its surface again."
+
+
+def names() -> list[str]:
+    """The assets of this file that were taken."""
+    return sorted(each.name for each in bpy.data.collections if each.get(MARK) and each.asset_data)
+
+
+def take(scene: bpy.types.Scene, item: bpy.types.Object) -> bpy.types.Collection:
+    """Make an asset of a box's mesh and of its Gaussians, which stay as they are.
+
+    Raises:
+        AddonError: the mesh is empty.
+    """
+    if not len(mesh_of(item).polygons):
+        raise AddonError(EMPTY.format(item.name))
+    roi = object_props(item).roi
+    gaussians = box_surfaces.gaussians_of(scene, roi)
+    leave_edit_mode([each for each in (item, gaussians) if each is not None])
+    collection = bpy.data.collections.new(roi)
+    collection[MARK] = True
+    mesh = _copied(item, collection)
+    top = support.top_of(_corners(mesh))
+    if top is not None:
+        _cut(mesh, top)
+    cloud = _copied(gaussians, collection) if gaussians is not None else None
+    if cloud is not None and top is not None:
+        point_edits.remove(cloud, point_edits.places(cloud)[:, 2] < top)
+    foot = box_surfaces.foot(mesh)
+    for copy in filter(None, (mesh, cloud)):
+        _stand(copy, foot)
+    way = box_surfaces.way_of(scene, item)
+    if way == box_surfaces.GAUSSIANS and cloud is not None:
+        visibility.disable(mesh)
+    elif way != box_surfaces.BOTH and cloud is not None:
+        visibility.disable(cloud)
+    _mark_as_asset(collection, mesh)
+    return collection
+
+
+def _copied(item: bpy.types.Object, collection: bpy.types.Collection) -> bpy.types.Object:
+    """An object's copy with data of its own, in its place in the world, of no parent."""
+    world = Matrix(lookup.matrix_world(item).tolist())
+    copy = item.copy()
+    copy.data = mesh_of(item).copy()
+    copy.name = item.name
+    copy.parent = None
+    copy.matrix_parent_inverse = Matrix()
+    copy.constraints.clear()
+    copy.hide_viewport = copy.hide_render = False
+    props = object_props(copy)
+    props.aside.clear()
+    props.property_unset("parked")
+    props.property_unset("beside")
+    _follow_itself(copy, item)
+    collection.objects.link(copy)
+    copy.matrix_basis = world
+    copy.matrix_world = world  # until an update, Blender does not know it
+    if relight.is_on(item):
+        relight.add_slider(copy, item[relight.SLIDER])
+    return copy
+
+
+def _follow_itself(copy: bpy.types.Object, item: bpy.types.Object) -> None:
+    """Have a copy's drivers read the copy, and not the object that it was made of."""
+    drivers: Any = copy.animation_data.drivers if copy.animation_data is not None else ()
+    for curve in drivers:
+        for variable in curve.driver.variables:
+            for target in variable.targets:
+                if target.id == item:
+                    target.id = copy
+
+
+def _stand(item: bpy.types.Object, foot: Vector) -> None:
+    """Put an object's origin at the foot, and the foot at the world's origin."""
+    world = item.matrix_world
+    by = -(world.inverted() @ foot)
+    box_surfaces.shift(item, by) if object_props(item).kind == "SURFACE" else edits.shift(item, by)
+    world = world.copy()
+    world.translation = (0.0, 0.0, 0.0)
+    item.matrix_basis = world
+    item.matrix_world = world
+
+
+def _corners(item: bpy.types.Object) -> NDArray[np.float32]:
+    """(T, 3, 3) corners of a mesh's triangles in the world."""
+    mesh = mesh_of(item)
+    mesh.calc_loop_triangles()
+    rows = np.empty(3 * len(mesh.loop_triangles), np.int32)
+    mesh.loop_triangles.foreach_get("vertices", rows)
+    matrix = np.array(item.matrix_world)
+    places = clouds.positions(item) @ matrix[:3, :3].T + matrix[:3, 3]
+    found: NDArray[np.float32] = places[rows.reshape(-1, 3)].astype(np.float32)
+    return found
+
+
+def _cut(item: bpy.types.Object, top: float) -> None:
+    """Remove a mesh's faces below a height in the world."""
+    mesh, world = mesh_of(item), item.matrix_world
+    edited = bmesh.new()
+    try:
+        edited.from_mesh(mesh)
+        low: Any = [v for v in edited.verts if (world @ v.co).z < top]
+        bmesh.ops.delete(edited, geom=low, context="VERTS")
+        edited.to_mesh(mesh)
+    finally:
+        edited.free()
+    mesh.update()
+
+
+def _mark_as_asset(collection: bpy.types.Collection, item: bpy.types.Object) -> None:
+    collection.asset_mark()
+    data: Any = collection.asset_data
+    data.description = TEXT
+    data.tags.new("captured", skip_if_exists=True)
+    preview: Any = collection.preview_ensure()
+    preview.image_size = (SIDE, SIDE)
+    preview.image_pixels_float.foreach_set(_preview(item)[::-1].ravel())
+
+
+def _preview(item: bpy.types.Object) -> NDArray[np.float32]:
+    """(SIDE, SIDE, 4) an object's mesh in the colours of its texture, from the upper row."""
+    mesh, corners = mesh_of(item), _corners(item)
+    faces, weights = little_picture.points_on(corners, POINTS)
+    places = (corners[faces] * weights[..., None]).sum(axis=1)
+    colours = np.full((len(places), 3), 0.5, np.float32)
+    image, layer = relight.image_of(mesh), mesh.uv_layers.active
+    if image is not None and layer is not None and min(image.size) > 0:
+        loops = np.empty(3 * len(mesh.loop_triangles), np.int32)
+        mesh.loop_triangles.foreach_get("loops", loops)
+        uv = np.empty(2 * len(mesh.loops), np.float32)
+        layer.uv.foreach_get("vector", uv)
+        at = (uv.reshape(-1, 2)[loops.reshape(-1, 3)[faces]] * weights[..., None]).sum(axis=1)
+        colours = _looked_up(image, at)
+    return little_picture.picture(places, colours, SIDE)
+
+
+def _looked_up(image: bpy.types.Image, at: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(N, 3) a picture's pixels at places (N, 2) from its lower left corner, from 0 to 1."""
+    pixels = pixels_of(image)
+    height, width = pixels.shape[:2]
+    x, y = (np.clip(at[:, k] * n, 0, n - 1).astype(int) for k, n in enumerate((width, height)))
+    return pixels[y, x, :3]
