@@ -17,13 +17,14 @@ AT_ONCE = 4096
 """Normals; so many fit into memory with all directions."""
 
 
-def smaller(picture: Float32, rows: int = ROWS) -> Float32:
-    """The picture (H, W, 3) with fewer rows; each pixel is the mean of those that it covers."""
-    step = max(1, len(picture) // rows)
-    height, width = len(picture) // step, picture.shape[1] // step
-    cut = picture[: height * step, : width * step]
-    blocks = cut.reshape(height, step, width, step, 3)
-    return np.asarray(blocks.mean(axis=(1, 3)), np.float32)
+def flux(picture: Float32, rows: int = ROWS) -> Float32:
+    """The light (h, w, 3) from each of fewer, larger pixels of a picture (H, W, 3): times angle."""
+    height, width = picture.shape[:2]
+    step = max(1, height // rows)
+    weighted = picture * directions(height, width)[1][..., None]
+    high, wide = height // step, width // step
+    cut = weighted[: high * step, : wide * step].reshape(high, step, wide, step, 3)
+    return np.asarray(cut.sum(axis=(1, 3)), np.float32)
 
 
 def directions(height: int, width: int) -> tuple[Float32, Float32]:
@@ -43,9 +44,8 @@ def on_normals(picture: Float32, normals: Float32) -> Float32:
         picture: (H, W, 3) linear light.
         normals: (N, 3) of length 1, in the picture's axes.
     """
-    light = smaller(picture)
-    ways, size = directions(*light.shape[:2])
-    rays, weighted = ways.reshape(-1, 3), (light * size[..., None]).reshape(-1, 3) / np.pi
+    light = flux(picture)
+    rays, weighted = directions(*light.shape[:2])[0].reshape(-1, 3), light.reshape(-1, 3) / np.pi
     parts = np.split(normals, range(AT_ONCE, len(normals), AT_ONCE))
     found: Float32 = np.concatenate([np.maximum(p @ rays.T, 0) @ weighted for p in parts])
     return found
