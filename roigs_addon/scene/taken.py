@@ -55,7 +55,7 @@ def take(scene: bpy.types.Scene, item: bpy.types.Object) -> bpy.types.Collection
     cloud = _copied(gaussians, collection) if gaussians is not None else None
     if cloud is not None and top is not None:
         point_edits.remove(cloud, point_edits.places(cloud)[:, 2] < top)
-    foot = box_surfaces.foot(mesh)
+    foot = _foot(mesh)
     for copy in filter(None, (mesh, cloud)):
         _stand(copy, foot)
     way = box_surfaces.way_of(scene, item)
@@ -65,6 +65,13 @@ def take(scene: bpy.types.Scene, item: bpy.types.Object) -> bpy.types.Collection
         visibility.disable(cloud)
     _mark_as_asset(collection, mesh)
     return collection
+
+
+def _foot(item: bpy.types.Object) -> Vector:
+    """The middle of a mesh's bottom in the world; Blender does not know yet what was cut off."""
+    places = _corners(item).reshape(-1, 3)
+    low, high = places.min(axis=0), places.max(axis=0)
+    return Vector((*((low + high) / 2)[:2].tolist(), float(low[2])))
 
 
 def _copied(item: bpy.types.Object, collection: bpy.types.Collection) -> bpy.types.Object:

@@ -253,4 +253,6 @@ def test_what_an_object_stood_on_stays(blender: ModuleType, ball) -> None:
     blender.ops.roigs.take_object(name=item.name)
     taken = next(each for each in blender.data.collections["thing"].objects if "Mesh" in each.name)
     assert len(item.data.vertices) == count
-    assert len(taken.data.vertices) < count - 4 and max(taken.dimensions) < 2.1 * RADIUS
+    places = np.array([taken.matrix_world @ vertex.co for vertex in taken.data.vertices])
+    assert len(places) < count - 4 and np.ptp(places, axis=0).max() < 2.1 * RADIUS
+    assert places[:, 2].min() == pytest.approx(0, abs=1e-6)
