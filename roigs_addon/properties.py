@@ -29,6 +29,7 @@ KINDS = (
     ("SPLATS", "Gaussians", "Trained Gaussians"),
     ("SURFACE", "Mesh", "The surface of a box, as a mesh with the photos' texture"),
     ("PROXY", "Proxy", "Stands for a captured surface where meshes meet it in renders"),
+    ("SHOT", "Suggested Photo", "Where a photo should be taken"),
 )
 RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
 """For a path that may begin with `//`; earlier Blenders need no such option."""
@@ -133,6 +134,7 @@ class RoigsObject(bpy.types.PropertyGroup):
 
     kind: EnumProperty(items=KINDS, default="NONE")
     photo: StringProperty(description="Photo: its record, see geometry/photo.py")
+    suggestion: StringProperty(description="Suggested photo: its number and gain, as JSON")
     selection: CollectionProperty(type=RoigsPhotoItem, description="Box: its photos, best first")
     selection_index: IntProperty(description="Box: the photo that is active in the list")
     scribbles: CollectionProperty(type=RoigsScribble, description="Box: strokes on photos")
@@ -324,6 +326,7 @@ class RoigsScene(bpy.types.PropertyGroup):
         name="As many as help",
         description="Select photos until more do not help. Switch off to choose their number",
     )
+    suggested: setting(IntProperty, "count", project_requests.Suggest, default=8)
     seed: setting(IntProperty, "seed", default=0)
     preset: setting(EnumProperty, "preset", items=PRESETS, update=_follow_preset)
     is_paper: BoolProperty(description="Whether the settings followed the paper's preset last")

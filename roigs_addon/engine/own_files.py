@@ -13,6 +13,7 @@ CHECK, UNDISTORT, CAMERAS = "photos", "undistort", "refine cameras"
 POINTS = "match points"
 MASKING = "masks"
 ADAPT, EVALUATE = "adapt", "evaluate"
+SUGGEST = "suggest"
 DEPTH, FUSION, TEXTURE = "depth", "fusion", "texture"
 LOOK, FEATURES, COMPARE = "look at photos", "features", "compare photos"
 MATCHING, MAPPING = "matching", "mapping"
@@ -20,6 +21,7 @@ UNITS = {
     CHECK: "Photo",
     LOOK: "Photo",
     MASKING: "Photo",
+    SUGGEST: "Box",
     FEATURES: "Photo",
     COMPARE: "Photo",
     DEPTH: "Photo",
@@ -32,6 +34,7 @@ OWN = "blender"
 LOG = f"{OWN}/engine.log"
 TRAIN_OPTIONS, SELECT_OPTIONS, ROIS = "train.json", "select.json", "rois.json"
 MASKS_OPTIONS, SCRIBBLES = "masks.json", "scribbles.json"
+SUGGEST_OPTIONS, SUGGESTED = "suggest.json", "suggested"
 IMPORTED = "imported"
 """Folder with the Gaussians that were imported."""
 MANUAL_SELECTION, SELECTED = "selection", "selected"
@@ -55,6 +58,7 @@ def stage_in_words(stage: str) -> str:
         CAMERAS: "cameras",
         POINTS: "matching points",
         LOOK: "looking at photos",
+        SUGGEST: "finding places",
         FEATURES: "finding features",
         COMPARE: "comparing photos",
         MATCHING: "matching photos",

@@ -115,6 +115,25 @@ def write_select_options(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) 
     return _write(scene, own_files.SELECT_OPTIONS, boxes, values)
 
 
+def write_suggest_options(
+    scene: bpy.types.Scene, boxes: list[bpy.types.Object], *, model: Path | None
+) -> Path:
+    """Write what `suggest` needs; returns the path of the options file.
+
+    Args:
+        model: draws the pictures; None: photos and points do.
+    """
+    known = common_options(scene, boxes)
+    unused = ("method", "count", "seed", "test_every")
+    values = {key: value for key, value in known.items() if key not in unused}
+    values["count"] = scene_props(scene).suggested
+    if model is not None:
+        values |= {"model": str(model), "device": settings.get().device}
+    if folder := masks.in_run(run_folders.run_folder(scene)):
+        values["object_masks"] = str(folder)
+    return _write(scene, own_files.SUGGEST_OPTIONS, boxes, values)
+
+
 def write_train_options(
     scene: bpy.types.Scene, boxes: list[bpy.types.Object], preview_seconds: float
 ) -> Path:

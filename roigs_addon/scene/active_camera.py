@@ -20,7 +20,9 @@ def follow(scene: bpy.types.Scene, *_: object) -> None:
     name = camera.name if camera else ""
     before = _active.get(scene.name)
     _active[scene.name] = name
-    if before is None or before == name or not camera or not lookup.is_photo_camera(camera):
+    if before is None or before == name or not camera:
+        return
+    if not lookup.is_photo_camera(camera) and not lookup.is_suggested(camera):
         return
     if not is_rendering():  # cameras change with markers, the size must not
         cameras.activate(scene, camera)

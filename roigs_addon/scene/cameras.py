@@ -45,7 +45,7 @@ def new_camera(photo: Photo, size: float) -> bpy.types.Object:
 
 def fit_clips(scene: bpy.types.Scene, scale: float) -> None:
     """Have all photos' cameras clip as at a root of that scale; Blender scales all but that."""
-    for item in lookup.of_kind(scene, "CAMERA"):
+    for item in (*lookup.of_kind(scene, "CAMERA"), *lookup.of_kind(scene, "SHOT")):
         _fit_clip(camera_of(item), scale)
 
 

@@ -18,7 +18,7 @@ from ..geometry.rounding import rounding
 from ..properties import object_props, scene_props
 from ..shared import gravity, text
 from ..windows import frame_views
-from . import backgrounds, cameras, clouds, lookup, placement, start_cube
+from . import backgrounds, cameras, clouds, lookup, placement, start_cube, suggestions
 
 ROOT_NAME = "COLMAP"
 # In units of the cameras' extent.
@@ -68,6 +68,7 @@ def import_folder(
     stays = same_frame and known is not None and known.name in scene.objects
     if not same_frame:
         scene_props(scene).excluded.clear()  # another model's photos may have the same names
+        suggestions.remove(scene)
     root = _root(scene, name, record, same_frame=same_frame)
     root.empty_display_size = extent * 0.25
     parent = root.users_collection[0]

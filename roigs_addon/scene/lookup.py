@@ -23,6 +23,7 @@ TYPES = {
     "SPLATS": {"MESH"},
     "SURFACE": {"MESH"},
     "PROXY": {"MESH"},
+    "SHOT": {"CAMERA"},
 }
 """Blender's types of the objects of each kind; checked first, which is three times as fast."""
 
@@ -73,6 +74,11 @@ def camera_at_hand(context: bpy.types.Context) -> bpy.types.Object | None:
 def is_photo_camera(item: bpy.types.Object) -> bool:
     """Whether an object is the camera of a photo."""
     return bool(object_props(item).kind == "CAMERA")
+
+
+def is_suggested(item: bpy.types.Object) -> bool:
+    """Whether an object is the camera of a suggested photo."""
+    return bool(object_props(item).kind == "SHOT")
 
 
 def named_cameras(scene: bpy.types.Scene, photos: set[str]) -> list[bpy.types.Object]:

@@ -17,6 +17,7 @@ from .space import Space
 
 SPACING = np.radians(8)  # between neighbouring places, as seen from the box
 SHELLS = 4  # distances at most
+NEAR = 0.5  # of the way to the box: so far a person steps aside from where a photo was taken
 STEEPEST = np.radians(80)  # straight down, a picture has no upright
 STEP = float(np.sqrt(2))  # ratio of the distances of neighbouring shells
 
@@ -70,8 +71,8 @@ def standing_places(
     """Where a person can stand and see the box: on shells around it, in air that photos passed.
 
     The nearest shell is where the box fills the picture, the farthest at the usual distance of its
-    photos. Heights are those at which the camera was held, and nothing is nearer to the camera
-    than to one of the photos.
+    photos. Heights are those at which the camera was held. Nothing is nearer to the camera than to
+    one of the photos, or than half of the way to the box from the nearest shell.
 
     Args:
         seeing: the photos that see the box.
@@ -88,8 +89,11 @@ def standing_places(
         ]
     )
     eyes = roi.centre + eyes @ rotation_between(up, np.array([0.0, 0.0, 1.0]))
-    eyes = eyes[space.is_free(eyes) & (_room(scene, eyes) >= _room(scene, scene.centres()).min())]
-    eyes = eyes[_looked_through(scene, eyes, Space.of(scene, roi, context, coarse=True))]
+    room = min(float(_room(scene, scene.centres()).min()), NEAR * nearest)
+    eyes = eyes[space.is_free(eyes) & (_room(scene, eyes) >= room)]
+    coarse = Space.of(scene, roi, context, coarse=True)
+    reach = NEAR * np.linalg.norm(eyes - roi.centre, axis=1)
+    eyes = eyes[_looked_through(scene, eyes, coarse) | _beside(scene, eyes, reach, coarse)]
     poses = [looking_at(eye, roi.centre, up) for eye in eyes]
     return Places(poses=np.array(poses).reshape(-1, 4, 4), up=up)
 
@@ -119,6 +123,16 @@ def _looked_through(scene: SfmScene, eyes: Float64, space: Space) -> NDArray[np.
         shown[rows] += 1
         free[rows] += ~space.hidden(eyes[rows], image.centre, skipped=0)
     return np.asarray(2 * free > shown)
+
+
+def _beside(scene: SfmScene, eyes: Float64, reach: Float64, space: Space) -> NDArray[np.bool_]:
+    """(N, 3) places -> (N,) whether each is so near to a camera, with nothing solid between."""
+    beside = np.zeros(len(eyes), dtype=bool)
+    for image in scene.images:
+        near = np.linalg.norm(eyes - image.centre, axis=1) <= reach
+        rows = np.flatnonzero(near & ~beside)
+        beside[rows] = ~space.hidden(eyes[rows], image.centre, skipped=0)
+    return beside
 
 
 def _room(scene: SfmScene, eyes: Float64) -> Float64:

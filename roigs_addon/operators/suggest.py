@@ -1,0 +1,108 @@
+"""Step 3, Cameras: the photos to take next."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import bpy
+from bpy.props import StringProperty
+
+from ..blender import registration, scene_of, view_3d_of, view_layer_of
+from ..jobs import suggest_job
+from ..jobs.spec import JobSpec
+from ..scene import cameras, lookup, suggestions
+from .base import FRESH, EngineOperator, available, engine_problem, failed
+
+if TYPE_CHECKING:
+    from ..blender import OperatorResult
+
+NONE = "Click Suggest Photos first"
+
+
+class SuggestPhotos(EngineOperator):
+    """Show where to take the next photos: those that tell most of each box, from places where a \
+person can stand"""
+
+    bl_idname = "roigs.suggest_photos"
+    bl_label = "Suggest Photos"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There must be a model, a box, and an idle engine."""
+        return available(cls, engine_problem(context))
+
+    def packages(self, context: bpy.types.Context) -> tuple[str, ...]:
+        """A trained model needs more than points."""
+        return suggest_job.packages(scene_of(context))
+
+    def spec(self, context: bpy.types.Context) -> JobSpec:
+        """For all boxes."""
+        scene = scene_of(context)
+        return suggest_job.spec(scene, lookup.rois(scene))
+
+
+class RemoveSuggestions(bpy.types.Operator):
+    """Remove the suggested photos' cameras from the scene"""
+
+    bl_idname = "roigs.remove_suggestions"
+    bl_label = "Remove Suggestions"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There must be some."""
+        return available(cls, "" if suggestions.are_there(scene_of(context)) else NONE)
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Remove them all."""
+        suggestions.remove(scene_of(context))
+        return {"FINISHED"}
+
+
+class OpenSuggestions(bpy.types.Operator):
+    """Open the suggestions in the browser: a plan, pictures and words, to print or for the phone"""
+
+    bl_idname = "roigs.open_suggestions"
+    bl_label = "Open Page"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """The page must be there."""
+        return available(cls, "" if suggest_job.page(scene_of(context)) else NONE)
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Open it."""
+        page = suggest_job.page(scene_of(context))
+        if page is None:
+            return failed(self, f"{NONE}.")
+        bpy.ops.wm.url_open(url=page.resolve().as_uri())
+        return {"FINISHED"}
+
+
+class LookThroughSuggestion(bpy.types.Operator):
+    """Look through the suggested photo's camera, with what it should show behind the view"""
+
+    bl_idname = "roigs.look_through_suggestion"
+    bl_label = "Look Through Suggestion"
+    bl_options = {"REGISTER", "UNDO"}
+
+    camera: StringProperty(description="Name of the camera's object", options=FRESH)
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Make the camera active and look through it."""
+        scene = scene_of(context)
+        item = next((s for s in lookup.of_kind(scene, "SHOT") if s.name == self.camera), None)
+        if item is None:
+            return failed(self, f"There is no such suggestion. {NONE}.")
+        cameras.activate(scene, item)
+        if item.name in view_layer_of(context).objects:
+            view_layer_of(context).objects.active = item
+        view = view_3d_of(context)
+        if view is not None and view.region_3d is not None:
+            view.region_3d.view_perspective = "CAMERA"
+        return {"FINISHED"}
+
+
+register, unregister = registration(
+    SuggestPhotos, RemoveSuggestions, OpenSuggestions, LookThroughSuggestion
+)
