@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from ..context import QUIET, Context
 from ..errors import ConfigError
@@ -24,6 +25,7 @@ from ..rasterize.panorama import render_panorama
 
 CLIPPED = 250 / 255  # sRGB value from which photos may have lost light, in all channels
 THERE = 0.5  # alpha of a pixel that shows a surface
+RAMP = 12  # degrees from the rim of a hole to where it is wholly unseen
 
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -36,6 +38,8 @@ class Panorama:
     Attributes:
         shown: (H, 2 H, 3) what Gaussians show.
         guessed: (H, 2 H, 3) what fills the holes: the sum of both has none.
+        unseen: (H, 2 H) how far a pixel is in a hole above the horizon, where lamps and the sky
+            are: from 0, at its rim and at the horizon, to 1.
         clipped: (H, 2 H) where photos cannot show how bright it is.
         seen: share of the directions, by solid angle, that Gaussians show.
         distance: (H, 2 H) of what is shown; `NOTHING` where nothing is.
@@ -43,6 +47,7 @@ class Panorama:
 
     shown: Float32
     guessed: Float32
+    unseen: Float32
     clipped: Mask
     seen: float
     distance: Float32
@@ -57,23 +62,18 @@ class Panorama:
 
         Args:
             highlights: factor of what is clipped.
-            unseen: factor of what is not shown, above the horizon: there, lamps and the sky are.
+            unseen: factor of what is not shown, above the horizon.
         """
         bright = np.where(self.clipped[..., None], np.float32(highlights), np.float32(1))
-        above = np.ones((len(self.shown), 1, 1), np.float32)
-        above[: len(above) // 2] = unseen
-        return np.asarray(bright * self.shown + above * self.guessed, np.float32)
+        more = 1 + (unseen - 1) * self.unseen[..., None]
+        return np.asarray(bright * self.shown + more * self.guessed, np.float32)
 
     def parts(self) -> Float64:
-        """(3, H, 2 H) brightness: of what is shown, of what is clipped, of what is not shown above.
-
-        What is not shown below is in the first.
-        """
+        """(3, H, 2 H) brightness: of what is shown, of what is clipped, of what is unseen."""
         shown, guessed = (light.mean(axis=-1).astype(float) for light in (self.shown, self.guessed))
-        above = guessed.copy()
-        above[len(above) // 2 :] = 0
-        usual = np.where(self.clipped, 0, shown) + guessed - above
-        return np.stack([usual, np.where(self.clipped, shown, 0), above])
+        unseen = self.unseen * guessed
+        usual = np.where(self.clipped, 0, shown) + guessed - unseen
+        return np.stack([usual, np.where(self.clipped, shown, 0), unseen])
 
     def smaller(self, height: int) -> Panorama:
         """The same with about so many rows, at least; every second pixel goes, again and again."""
@@ -82,6 +82,7 @@ class Panorama:
         return Panorama(
             shown=self.shown[every, every],
             guessed=self.guessed[every, every],
+            unseen=self.unseen[every, every],
             clipped=self.clipped[every, every],
             seen=self.seen,
             distance=self.distance[every, every],
@@ -133,10 +134,22 @@ def panorama(
     return Panorama(
         shown=shown,
         guessed=whole - shown,
+        unseen=_unseen(alpha),
         clipped=(image >= CLIPPED).all(dim=-1).numpy() & (alpha > THERE),
         seen=float((alpha * solid_angles(height)).sum() / (4 * np.pi)),
         distance=layer.depth.numpy(),
     )
+
+
+def _unseen(alpha: Float32) -> Float32:
+    """(H, 2 H) `Panorama.unseen`; it rises slowly, so that no edge is seen."""
+    height, width = alpha.shape
+    hole = np.concatenate([alpha, alpha, alpha], axis=1) <= THERE  # left and right edges meet
+    hole = np.pad(hole, ((height, 0), (0, 0)), mode="reflect")  # nothing ends at the zenith
+    inside = ndimage.distance_transform_edt(hole)[height:, width : 2 * width]
+    ramp = RAMP / 180 * height
+    above = (height / 2 - 0.5 - np.arange(height)[:, None]) / ramp
+    return np.asarray(np.clip(inside / ramp, 0, 1) * np.clip(above, 0, 1), np.float32)
 
 
 def filled(light: Float32, alpha: Float32) -> Float32:

@@ -40,6 +40,7 @@ VOXELS = 1 << 23  # of the coarse grid, and ..
 NEAR_VOXELS = 1 << 22  # .. of all fine ones, at most
 AROUND = 0.5  # of its diagonal: so far around a box the grid is fine
 FINEST = 4  # voxels of a fine grid in one of the coarse grid's, along a side
+WALL = 4.0  # voxels: height of what holds a rim while the mesh is simplified
 SMALLEST = 10  # voxels along a side: parts of a smaller area fly about
 DOUBLE = 2.5  # voxels: so near a box's own mesh, and facing alike, ..
 ALIKE = 0.3  # .. by the cosine of the normals, it is the same surface
@@ -167,7 +168,8 @@ def make_background(
     coarse = _without_doubles(coarse, rois, own, voxel)
     share = options.faces // 2
     room = share if len(near.faces) > share else options.faces - len(near.faces)
-    mesh = _joined([decimated(coarse, room), decimated(near, options.faces - room)])
+    meshes = ((coarse, room, voxel), (near, options.faces - room, voxel / finer))
+    mesh = _joined([_simplified(*each) for each in meshes])
     mesh = replace(mesh, filled=views(mesh, maps, voxel, context) == 0)
     mesh = _seen(_large(mesh, voxel))
     if not len(mesh.faces):
@@ -257,6 +259,31 @@ def _cut(field: Field, box: OrientedBox, voxel: float, context: Context) -> Mesh
         return _large(cut_out(field, box, context=context), voxel)
     except SceneError:
         return _joined([])
+
+
+def _simplified(mesh: Mesh, faces: int, voxel: float) -> Mesh:
+    """The mesh with about so many faces at most; its rims stay where they are.
+
+    Merging edges would cut the corners off a flat part, and leave gaps between two grids. So each
+    rim gets a wall at right angles to the mesh for the time.
+    """
+    if len(mesh.faces) <= faces:
+        return mesh
+    n = len(mesh.vertices)
+    a, b = mesh.faces[:, (0, 1, 2)].ravel(), mesh.faces[:, (1, 2, 0)].ravel()
+    rim = ~np.isin(a * n + b, b * n + a)
+    a, b = a[rim], b[rim]
+    places, ends = np.unique(np.concatenate([a, b]), return_inverse=True)
+    above = n + ends.reshape(2, -1)
+    walls = np.concatenate([np.stack([b, a, above[0]], 1), np.stack([b, above[0], above[1]], 1)])
+    tops = mesh.vertices[places] + WALL * voxel * mesh.normals()[places]
+    walled = Mesh(
+        vertices=np.concatenate([mesh.vertices, tops]),
+        faces=np.concatenate([mesh.faces, walls]),
+        filled=np.arange(len(mesh.faces) + len(walls)) >= len(mesh.faces),
+    )
+    found = decimated(walled, faces)
+    return found.kept(~found.filled)
 
 
 def _coarser(maps: Sequence[DepthMap], mesh: Mesh, side: int) -> list[DepthMap]:

@@ -64,6 +64,7 @@ def test_holes_get_what_is_around_them() -> None:
     assert found.light == pytest.approx(np.full(found.light.shape, LINEAR), rel=0.05)
     bright = found.brightened(1.0, 5.0)  # the hole alone, as it is above
     assert bright[0] == pytest.approx(5 * found.light[0], rel=0.05)
+    assert np.abs(np.diff(bright[..., 0], axis=0)).max() < 2 * LINEAR  # without an edge
     assert bright[HEIGHT // 2 :] == pytest.approx(found.light[HEIGHT // 2 :])
 
 
