@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 STAGE = "panorama"
 ENDING = ".hdr"
-FIT_ROWS = 64  # of a panorama that brightness is fitted in
 MOST_PLACES = 40_000  # on the background mesh
 
 
@@ -64,7 +63,7 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
         seen = [left_out(model, boxes, place, request.near) for model in models]
         light = panorama(seen, place, request.width // 2, context)
         given = request.highlights, request.unseen
-        factors = brightness(light.smaller(FIT_ROWS), place, surfaces, *given)
+        factors = brightness(light, place, surfaces, *given)
         save_light(file, light.brightened(factors.highlights, factors.unseen))
         lines.append(_line(at, light, factors, given))
         context.info(lines[-1])

@@ -11,8 +11,10 @@ surface gives back more than it gets, and most give back about half.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..model.scene import Float64
@@ -21,9 +23,11 @@ from .panorama import Panorama, directions, solid_angles
 MOST = 100.0  # times brighter than white, or than around what is not seen
 STEPS = 33  # factors that are tried, from 1 to that
 ALBEDO, SPREAD = 0.45, 0.5  # of a usual place: middle, and standard deviation of its logarithm
+ALIKE = 0.05  # what a difference of the two factors costs, in one of the whole light
 WHITE, STRICT = 0.95, 0.1  # hardly any albedo is above; by so much in its logarithm
 SHARE = 95  # percentile of the surfaces' albedos that is held to that
 LEAST_CLIPPED, LEAST_UNSEEN = 1e-4, 1e-2  # share of all directions: less has no factor
+ROWS = 64  # of the panorama, at most, that light is summed over
 SAMPLES, NEIGHBOURS = 3000, 40
 COLOUR = 0.06  # logarithms of ratios of channels: surfaces of one colour differ by less
 TURNED = 0.5  # cosine between their normals, at most
@@ -74,17 +78,17 @@ def brightness(
         surfaces: of the scene; None: not known.
         highlights, unseen: factors that are given.
     """
-    parts = panorama.parts()
     grids = [
-        _grid(given, enough=_share(part) > least)
-        for part, given, least in (
-            (parts[1], highlights, LEAST_CLIPPED),
-            (parts[2], unseen, LEAST_UNSEEN),
+        _grid(given, enough=_share(where) > least)
+        for where, given, least in (
+            (panorama.clipped, highlights, LEAST_CLIPPED),
+            (panorama.unseen, unseen, LEAST_UNSEEN),
         )
     ]
     if len(grids[0]) * len(grids[1]) == 1:
         return Brightness(highlights=float(grids[0][0]), unseen=float(grids[1][0]))
     tried = np.stack(np.meshgrid(*grids, indexing="ij"), axis=-1).reshape(-1, 2)
+    parts = panorama.parts(ROWS)
     told = None if surfaces is None else _told(panorama, place, surfaces, tried)
     found = _usual(parts, tried) if told is None else told
     return Brightness(highlights=float(found[0]), unseen=float(found[1]), told=told is not None)
@@ -97,9 +101,9 @@ def _grid(given: float | None, *, enough: bool) -> Float64:
     return np.array([1.0 if given is None else given])
 
 
-def _share(light: Float64) -> float:
-    """Of the directions, in which there is a light (H, 2 H)."""
-    return float(((light > 0) * solid_angles(len(light))).sum() / (4 * np.pi))
+def _share(where: NDArray[Any]) -> float:
+    """Of all directions, of a part of a panorama (H, 2 H), 0 to 1 in each pixel."""
+    return float((where * solid_angles(len(where))).sum() / (4 * np.pi))
 
 
 def _usual(parts: Float64, tried: Float64) -> Float64:
@@ -112,7 +116,7 @@ def _usual(parts: Float64, tried: Float64) -> Float64:
     total = flux[0] + tried @ flux[1:]
     off = np.abs(np.log(np.maximum(flux[0], 1e-12) / (ALBEDO * total)))
     apart = np.abs(np.log(tried[:, 0] / tried[:, 1])) * ((np.ptp(tried, axis=0) > 0).all())
-    return np.asarray(tried[np.argmin(off + 1e-3 * apart)])
+    return np.asarray(tried[np.argmin(off + ALIKE * apart)])
 
 
 def _told(panorama: Panorama, place: Float64, surfaces: Surfaces, tried: Float64) -> Float64 | None:
@@ -146,9 +150,9 @@ def _told(panorama: Panorama, place: Float64, surfaces: Surfaces, tried: Float64
         for k in range(SECTORS)
     ]
     error = np.log(without).std(axis=0) * np.sqrt(SECTORS - 1)
-    if (error > SURE).any():
-        return None
-    return np.asarray(tried[np.argmin(INDEPENDENT * losses.sum(axis=1) / len(a) + known)])
+    found = np.asarray(tried[np.argmin(INDEPENDENT * losses.sum(axis=1) / len(a) + known)])
+    ends = (found == MOST) & (np.ptp(tried, axis=0) > 0)  # then it hardly matters
+    return None if ends.any() or (error > SURE).any() else found
 
 
 def _usable(panorama: Panorama, place: Float64, surfaces: Surfaces) -> Float64:
@@ -179,10 +183,11 @@ def _pairs(normals: Float64, colours: Float64) -> tuple[Float64, Float64]:
 
 def _irradiance(panorama: Panorama, normals: Float64) -> Float64:
     """(N, 3) on surfaces with these normals, of the three parts of the light."""
-    parts = panorama.parts() * solid_angles(len(panorama.distance))
-    ways = directions(len(panorama.distance)).reshape(-1, 3)
+    parts = panorama.parts(ROWS)
+    parts = parts * solid_angles(parts.shape[1])
+    ways = directions(parts.shape[1]).reshape(-1, 3)
     flux = parts.reshape(3, -1).T
-    step = 500  # normals at once: 130 MB for a picture of 256 x 128
+    step = 500  # normals at once: 33 MB
     found = [
         np.clip(normals[first : first + step] @ ways.T, 0, None) @ flux
         for first in range(0, len(normals), step)

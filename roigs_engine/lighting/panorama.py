@@ -25,6 +25,7 @@ from ..rasterize.panorama import render_panorama
 
 CLIPPED = 250 / 255  # sRGB value from which photos may have lost light, in all channels
 THERE = 0.5  # alpha of a pixel that shows a surface
+LAMP = 1.0  # degrees across, at least, is what is clipped and counts
 RAMP = 12  # degrees from the rim of a hole to where it is wholly unseen
 
 Float32 = NDArray[np.float32]
@@ -68,25 +69,20 @@ class Panorama:
         more = 1 + (unseen - 1) * self.unseen[..., None]
         return np.asarray(bright * self.shown + more * self.guessed, np.float32)
 
-    def parts(self) -> Float64:
-        """(3, H, 2 H) brightness: of what is shown, of what is clipped, of what is unseen."""
+    def parts(self, rows: int) -> Float64:
+        """(3, h, 2 h) brightness: of what is shown, of what is clipped, of what is unseen.
+
+        Args:
+            rows: h is about so many, if there are more.
+        """
         shown, guessed = (light.mean(axis=-1).astype(float) for light in (self.shown, self.guessed))
         unseen = self.unseen * guessed
         usual = np.where(self.clipped, 0, shown) + guessed - unseen
-        return np.stack([usual, np.where(self.clipped, shown, 0), unseen])
-
-    def smaller(self, height: int) -> Panorama:
-        """The same with about so many rows, at least; every second pixel goes, again and again."""
-        step = max(1, len(self.shown) // height)
-        every = slice(step // 2, None, step)
-        return Panorama(
-            shown=self.shown[every, every],
-            guessed=self.guessed[every, every],
-            unseen=self.unseen[every, every],
-            clipped=self.clipped[every, every],
-            seen=self.seen,
-            distance=self.distance[every, every],
-        )
+        parts = np.stack([usual, np.where(self.clipped, shown, 0), unseen])
+        step = max(1, len(shown) // rows)
+        height = len(shown) // step
+        parts = parts[:, : height * step, : 2 * height * step]
+        return np.asarray(parts.reshape(3, height, step, 2 * height, step).mean(axis=(2, 4)))
 
 
 def directions(height: int) -> Float64:
@@ -135,10 +131,16 @@ def panorama(
         shown=shown,
         guessed=whole - shown,
         unseen=_unseen(alpha),
-        clipped=(image >= CLIPPED).all(dim=-1).numpy() & (alpha > THERE),
+        clipped=_lamps((image >= CLIPPED).all(dim=-1).numpy() & (alpha > THERE)),
         seen=float((alpha * solid_angles(height)).sum() / (4 * np.pi)),
         distance=layer.depth.numpy(),
     )
+
+
+def _lamps(white: Mask) -> Mask:
+    """What is white without thin lines and dots: these are bright edges, and no lamps."""
+    side = math.ceil(LAMP / 180 * len(white))
+    return np.asarray(ndimage.binary_opening(white, np.ones((side, side))))
 
 
 def _unseen(alpha: Float32) -> Float32:
