@@ -14,9 +14,11 @@ import bpy
 from mathutils import Vector
 
 from ..blender import delete
-from ..properties import stage_props
-from . import compositor, shadow_pass
+from ..properties import object_props, stage_props
+from . import compositor, display, lookup, shadow_pass
 
+NATIVE = "shown "
+"""Before a name of Gaussians, in what is remembered: how they were shown."""
 LAMP = "roigs_lamp"
 """Custom property of a lamp: whether it was part of what was captured."""
 COLLECTION, TURN, HERE = "ROI-GS Stage", "ROI-GS Light", "ROI-GS Here"
@@ -105,10 +107,23 @@ def free_lamps(scene: bpy.types.Scene) -> None:
             item.is_shadow_catcher = False
 
 
+def show_exactly(scene: bpy.types.Scene) -> None:
+    """Have the engine draw what Blender shows as its own splats (5.3).
+
+    Blender's splats take no shadow. A catcher in front of them would hide them, one behind them
+    would catch nothing. They would also shine on what proxies light already.
+    """
+    for item in lookup.splats(scene):
+        if display.is_native(item) and item.is_editable:
+            keep(scene, f"{NATIVE}{item.name}", object_props(item).shown_as)
+            display.show_as(item, "EXACT")
+
+
 def multiply(scene: bpy.types.Scene) -> None:
     """Have renders multiply the Gaussians by the shadows that proxies catch."""
     keep(scene, "compositing", scene.render.use_compositing)
     scene.render.use_compositing = True
+    show_exactly(scene)
     compositor.link(scene)
     for layer in scene.view_layers:
         keep(scene, f"pass {layer.name}", shadow_pass.is_on(layer))
@@ -126,6 +141,10 @@ def remove(scene: bpy.types.Scene) -> None:
     for layer in scene.view_layers:
         if (name := f"pass {layer.name}") in before:
             shadow_pass.switch(layer, on=bool(before[name]))
+    for shown in lookup.splats(scene):
+        way = before.get(f"{NATIVE}{shown.name}")
+        if way is not None and object_props(shown).shown_as == "EXACT":
+            display.show_as(shown, str(way))
     item: Any
     for item in scene.objects:
         if LAMP in item:

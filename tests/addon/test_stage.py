@@ -204,3 +204,19 @@ def test_it_stops_without_a_trace(
     job.stop()
     assert until(lambda: not job.poll())
     assert job.result.stopped and state(blender, scene) == before
+
+
+def test_blenders_own_splats_become_exact_meanwhile(
+    blender: ModuleType, made, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roigs_addon.scene import display
+
+    scene, _, _ = made
+    monkeypatch.setattr(display, "is_native", lambda item, **_: item.roigs.shown_as == "GAUSSIANS")
+    items = [item for item in scene.objects if item.roigs.kind == "SPLATS"]
+    assert {item.roigs.shown_as for item in items} == {"GAUSSIANS"}
+    monkeypatch.setattr(display, "refresh", lambda item: None)
+    blender.ops.roigs.catch_shadows()
+    assert {item.roigs.shown_as for item in items} == {"EXACT"}
+    blender.ops.roigs.remove_stage()
+    assert {item.roigs.shown_as for item in items} == {"GAUSSIANS"}
