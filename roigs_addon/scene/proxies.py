@@ -67,11 +67,12 @@ def bring(scene: bpy.types.Scene, background: Path | None) -> list[bpy.types.Obj
     stage.keep(scene, "proxies", "")
     old = [item for item in of_scene(scene) if object_props(item).level != "IMPORTED"]
     catches, reflects = _ways(scene)
-    made = [_of_box(scene, item) for item in _unseen(scene)]
-    if background is not None:
-        made.append(_of_file(scene, background))
+    mesh, picture = _read(background) if background is not None else (None, b"")
     for item in old:
         stage.delete_with_materials(item)
+    made = [_of_box(scene, item) for item in _unseen(scene)]
+    if mesh is not None:
+        made.append(_of_mesh(scene, mesh, picture))
     for item in made:
         _link(scene, item)
     stage_props(scene).catches, stage_props(scene).reflects = catches, reflects
@@ -106,17 +107,23 @@ def _of_box(scene: bpy.types.Scene, source: bpy.types.Object) -> bpy.types.Objec
     return item
 
 
-def _of_file(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
-    """A proxy of the engine's mesh in the COLMAP frame."""
+def _read(path: Path) -> tuple[bpy.types.Mesh, bytes]:
+    """The engine's mesh in the COLMAP frame, and its picture."""
     try:
         read, digest = read_glb(path), files.sha256(path)
     except (OSError, ValueError) as error:
         raise AddonError(f"{error} Make the surface again.") from error
     mesh = textured_meshes.new_mesh(f"{BACKGROUND} Proxy", read)
     mesh[FILE] = digest
+    return mesh, read.picture
+
+
+def _of_mesh(scene: bpy.types.Scene, mesh: bpy.types.Mesh, picture: bytes) -> bpy.types.Object:
+    """A proxy of the mesh of the background."""
+    mesh.name = f"{BACKGROUND} Proxy"
     item = bpy.data.objects.new(mesh.name, mesh)
     item.parent = scene_props(scene).root
-    image = textured_meshes.packed_picture(f"{BACKGROUND} Texture", read.picture)
+    image = textured_meshes.packed_picture(f"{BACKGROUND} Texture", picture)
     mesh.materials.append(None)
     _dress(scene, item, image)
     return item

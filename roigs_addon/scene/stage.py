@@ -89,7 +89,10 @@ def _before(scene: bpy.types.Scene) -> dict[str, Any]:
 
 
 def clear_film(scene: bpy.types.Scene) -> None:
-    """Make the film transparent: the Gaussians are the background, not the world."""
+    """Make the film transparent: the Gaussians are the background, not the world.
+
+    With an opaque film, the world shows in pixels that a catcher or an object covers in part.
+    """
     keep(scene, "film", scene.render.film_transparent)
     scene.render.film_transparent = True
 
@@ -123,6 +126,7 @@ def multiply(scene: bpy.types.Scene) -> None:
     """Have renders multiply the Gaussians by the shadows that proxies catch."""
     keep(scene, "compositing", scene.render.use_compositing)
     scene.render.use_compositing = True
+    clear_film(scene)
     show_exactly(scene)
     compositor.link(scene)
     for layer in scene.view_layers:
