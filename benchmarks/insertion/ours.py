@@ -58,7 +58,7 @@ def captured(run: Path, photos: list[str], width: int) -> tuple[Any, dict[str, A
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene: Any = bpy.context.scene
     engine = Engine(python=Path(sys.executable), source=ROOT)
-    settings.engine = lambda packages: engine  # type: ignore[assignment]
+    settings.engine = lambda packages: engine
     props = scene_props(scene)
     props.run_dir = str(run)
     known = cameras_of_run(run, None, QUIET)
@@ -99,7 +99,7 @@ def set_up(scene: Any, samples: int) -> None:
 
 def stage(scene: Any, row: str) -> None:
     """What the row has of the add-on."""
-    operators: Any = bpy.ops.roigs
+    operators: Any = getattr(bpy.ops, "roigs")  # noqa: B009
     world: Any = bpy.data.worlds.new("grey")
     if world.node_tree is None:
         world.use_nodes = True
@@ -156,7 +156,7 @@ def main() -> None:
         if args.lamp:
             lamp, vase = things.put_lamp(), box_surfaces.surface_of(scene, "vase")
             assert vase is not None
-            operators: Any = bpy.ops.roigs
+            operators: Any = getattr(bpy.ops, "roigs")  # noqa: B009
             operators.relight(name=vase.name)
             assert relight.is_on(vase)
             made, states = [lamp], ("without", "lamp")

@@ -63,7 +63,8 @@ def spec(scene: bpy.types.Scene, wanted: Wanted) -> JobSpec:
     folder, find = run_folders.settle(scene), run_folders.finder(scene)
     picture = options_files.own_folder(scene) / PANORAMA
     with writing(picture.parent, "Run Folder"):
-        picture.unlink(missing_ok=True)
+        for file in (picture, run_files.mirrored(picture)):
+            file.unlink(missing_ok=True)
 
     def show() -> str | None:
         now = find()
@@ -155,7 +156,9 @@ def apply(scene: bpy.types.Scene, folder: Path, wanted: Wanted, picture: Path | 
         said.append(f"{text.counted(len(made), 'captured surface')} made to catch shadows")
     if wanted.light is not None and picture is not None:
         image = read_picture(picture)
-        stage_world.shine(scene, image, scene_props(scene).root, wanted.light)
+        seen = run_files.mirrored(picture)
+        mirror = read_picture(seen) if seen.is_file() else None
+        stage_world.shine(scene, image, scene_props(scene).root, wanted.light, mirror)
         proxies.set_reach(scene, wanted.radius or proxies.usual_radius(scene))
         said.append("the world shines as the scene does")
     if wanted.then is not None:

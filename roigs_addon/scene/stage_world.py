@@ -45,7 +45,11 @@ def value(world: Any, name: str) -> Any | None:
 
 
 def shine(
-    scene: bpy.types.Scene, image: bpy.types.Image, frame: bpy.types.Object | None, at: Vector
+    scene: bpy.types.Scene,
+    image: bpy.types.Image,
+    frame: bpy.types.Object | None,
+    at: Vector,
+    mirror: bpy.types.Image | None = None,
 ) -> None:
     """Have the world shine with a picture; one that shone before is replaced.
 
@@ -54,6 +58,7 @@ def shine(
         image: equirectangular, in linear light, as an Environment Texture shows it.
         frame: whose frame the picture has; None: the world's.
         at: in the world, where it was taken.
+        mirror: what mirrors and glass see; None: the picture.
     """
     group = stage_props(scene)
     old, kept = group.world, {}
@@ -66,7 +71,7 @@ def shine(
     stage.keep(scene, "world", "")
     stage.follow(scene, frame, at)
     own = _copied(group.world_before)
-    _build(own, image, group.turn, kept)
+    _build(own, (image, mirror), group.turn, kept)
     scene.world = group.world = own
     proxies.use_light(scene, image)
     if old is not None:
@@ -92,7 +97,11 @@ def _copied(users: bpy.types.World | None) -> Any:
     return own
 
 
-def _build(own: Any, image: bpy.types.Image, turn: Any, kept: dict[str, float]) -> None:
+Pictures = tuple[bpy.types.Image, bpy.types.Image | None]
+"""Of the light, and what mirrors and glass see if that differs."""
+
+
+def _build(own: Any, images: Pictures, turn: Any, kept: dict[str, float]) -> None:
     """Put the picture between the user's nodes and the outputs, for all rays but the camera's."""
     nodes, link = own.node_tree.nodes, own.node_tree.links.new
     outputs = [node for node in nodes if node.type == "OUTPUT_WORLD"]
@@ -100,7 +109,7 @@ def _build(own: Any, image: bpy.types.Image, turn: Any, kept: dict[str, float]) 
         users = [each.from_socket for each in node.inputs["Surface"].links]
         rays, choice = nodes.new("ShaderNodeLightPath"), nodes.new("ShaderNodeMixShader")
         link(rays.outputs["Is Camera Ray"], choice.inputs[0])
-        link(_shine(own, image, turn, kept), choice.inputs[1])
+        link(_shine(own, images, turn, kept), choice.inputs[1])
         for socket in users:
             link(socket, choice.inputs[2])
         link(choice.outputs[0], node.inputs["Surface"])
@@ -109,11 +118,14 @@ def _build(own: Any, image: bpy.types.Image, turn: Any, kept: dict[str, float]) 
         choice.location, rays.location = (x + 50, y), (x - 150, y + 350)
 
 
-def _shine(own: Any, image: bpy.types.Image, turn: Any, kept: dict[str, float]) -> Any:
+def _shine(own: Any, images: Pictures, turn: Any, kept: dict[str, float]) -> Any:
     """The shader of the picture: what is brighter than the photos' white has its own factor."""
     nodes, link = own.node_tree.nodes, own.node_tree.links.new
     place, picture = nodes.new("ShaderNodeTexCoord"), nodes.new("ShaderNodeTexEnvironment")
-    place.object, picture.image = turn, image
+    place.object, picture.image = turn, images[0]
+    colour = picture.outputs["Color"]
+    if images[1] is not None:
+        colour = _mirrored(own, place.outputs["Object"], colour, images[1])
     white, excess, total = (nodes.new("ShaderNodeVectorMath") for _ in range(3))
     white.operation, excess.operation, total.operation = "MINIMUM", "SUBTRACT", "MULTIPLY_ADD"
     white.inputs[1].default_value = PHOTO_WHITE
@@ -121,8 +133,8 @@ def _shine(own: Any, image: bpy.types.Image, turn: Any, kept: dict[str, float]) 
     shader = nodes.new("ShaderNodeBackground")
     for source, target in (
         (place.outputs["Object"], picture.inputs["Vector"]),
-        (picture.outputs["Color"], white.inputs[0]),
-        (picture.outputs["Color"], excess.inputs[0]),
+        (colour, white.inputs[0]),
+        (colour, excess.inputs[0]),
         (white.outputs[0], excess.inputs[1]),
         (excess.outputs[0], total.inputs[0]),
         (highlights, total.inputs[1]),
@@ -135,6 +147,27 @@ def _shine(own: Any, image: bpy.types.Image, turn: Any, kept: dict[str, float]) 
     for number, node in enumerate((*rows, strength.node, highlights.node)):
         node.location = 220 * (number - len(rows)), -300 if node in rows else -650
     return shader.outputs[0]
+
+
+def _mirrored(own: Any, way: Any, colour: Any, image: bpy.types.Image) -> Any:
+    """The colour, but another picture's for rays from mirrors and through glass."""
+    nodes, link = own.node_tree.nodes, own.node_tree.links.new
+    rays, either = nodes.new("ShaderNodeLightPath"), nodes.new("ShaderNodeMath")
+    picture, choice = nodes.new("ShaderNodeTexEnvironment"), nodes.new("ShaderNodeMix")
+    picture.image, either.operation, choice.data_type = image, "MAXIMUM", "RGBA"
+    factor, matt, clear = [socket for socket in choice.inputs if socket.enabled][:3]
+    for source, target in (
+        (way, picture.inputs["Vector"]),
+        (rays.outputs["Is Glossy Ray"], either.inputs[0]),
+        (rays.outputs["Is Transmission Ray"], either.inputs[1]),
+        (either.outputs[0], factor),
+        (colour, matt),
+        (picture.outputs["Color"], clear),
+    ):
+        link(source, target)
+    for number, node in enumerate((rays, either, picture, choice)):
+        node.location = 220 * (number - 10), -900
+    return next(socket for socket in choice.outputs if socket.enabled)
 
 
 def _value(own: Any, name: str, kept: dict[str, float]) -> Any:

@@ -42,7 +42,7 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
     boxes = _boxes(folder, request.without)
     records, to_upright = _models(request, folder, context)
     inputs = [request.options_file, request.model, *(Path(each.file) for each in records)]
-    refuse_inputs(files, inputs)
+    refuse_inputs([*files, *map(run_files.mirrored, files)], inputs)
     use_threads(request.threads)
     context = on_device(context, request.device)
 
@@ -65,6 +65,8 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
         given = request.highlights, request.unseen
         factors = brightness(light, place, surfaces, *given)
         save_light(file, light.brightened(factors.highlights, factors.unseen))
+        # A mirror would show light from where no photo looked as a bright cap.
+        save_light(run_files.mirrored(file), light.brightened(factors.highlights))
         lines.append(_line(at, light, factors, given))
         context.info(lines[-1])
         context.progress(STAGE, step, len(files), started)

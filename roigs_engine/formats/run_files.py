@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 MANIFEST = "manifest.json"  # what the run was made for: boxes, photos, settings
 SETTINGS = "settings.json"  # the options that it was asked for with: an options file
 PROVENANCE = "provenance.json"
@@ -77,3 +79,8 @@ def is_of_batch(name: str) -> bool:
 def is_own(name: str) -> bool:
     """Whether a run writes a file or folder of that name; case does not count."""
     return name.casefold() in _NAMES
+
+
+def mirrored(panorama: Path) -> Path:
+    """Beside the file of a panorama: the same for mirrors, without a guess of lamps out of view."""
+    return panorama.with_stem(f"{panorama.stem}-mirror")

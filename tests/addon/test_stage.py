@@ -73,6 +73,27 @@ def test_light_is_asked_for_in_the_models_frame(blender: ModuleType, made) -> No
     assert "The world shines" in panel(blender)
 
 
+def test_mirrors_and_glass_see_a_picture_of_their_own(blender: ModuleType, made) -> None:
+    scene, _, _ = made
+    image, mirror = (blender.data.images.new(name, 8, 4) for name in ("light", "mirror"))
+    from mathutils import Vector
+
+    from roigs_addon.scene import stage_world
+
+    stage_world.shine(scene, image, None, Vector(), mirror)
+    nodes = scene.world.node_tree.nodes
+    choice = next(n for n in nodes if n.type == "MIX")
+    factor, matt, clear = [socket for socket in choice.inputs if socket.enabled][:3]
+    assert looked_at(matt).image == image and looked_at(clear).image == mirror
+    sockets = {
+        link.from_socket.name for socket in looked_at(factor).inputs for link in socket.links
+    }
+    assert sockets == {"Is Glossy Ray", "Is Transmission Ray"}
+    assert looked_at(looked_at(clear).inputs["Vector"]) == looked_at(
+        looked_at(matt).inputs["Vector"]
+    )
+
+
 def test_the_camera_sees_the_users_world(blender: ModuleType, made) -> None:
     scene, _, _ = made
     blender.ops.roigs.light_from_scene(where="CURSOR")

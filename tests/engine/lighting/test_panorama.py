@@ -111,9 +111,16 @@ def test_the_command_writes_a_file_for_each_point(
     one = cv2.imread(str(run / "one.hdr"), cv2.IMREAD_UNCHANGED)
     assert one.shape == (64, 128, 3)
     assert one[32, 64] == pytest.approx([0.01, 0.01, 0.787], abs=0.02)  # OpenCV has blue first
+    brighter = [*words, "--at", "0,0,0", "--unseen", "5", "--out", str(run / "five.hdr")]
+    assert main(brighter) == 0
+    five, mirror = (
+        cv2.imread(str(run / f"five{end}.hdr"), cv2.IMREAD_UNCHANGED).sum()
+        for end in ("", "-mirror")
+    )
+    assert five > 1.5 * mirror  # what is only guessed is not mirrored brighter
     more = ["--at", "0,0,0", "--at=-1,0,0", "--without", "red", "--out", str(run / "two.hdr")]
     assert main([*words, *more]) == 0
-    assert capsys.readouterr().out.count("Light at ") == 3
+    assert capsys.readouterr().out.count("Light at ") == 4
     for k in (1, 2):
         grey = cv2.imread(str(run / f"two-{k}.hdr"), cv2.IMREAD_UNCHANGED)
         assert grey[32, 64] == pytest.approx([LINEAR] * 3, rel=0.05)
