@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from roigs_engine.cli import main
 from roigs_engine.errors import ConfigError
@@ -111,8 +112,10 @@ def test_the_command_writes_a_file_for_each_point(
     one = cv2.imread(str(run / "one.hdr"), cv2.IMREAD_UNCHANGED)
     assert one.shape == (64, 128, 3)
     assert one[32, 64] == pytest.approx([0.01, 0.01, 0.787], abs=0.02)  # OpenCV has blue first
-    brighter = [*words, "--at", "0,0,0", "--unseen", "5", "--out", str(run / "five.hdr")]
-    assert main(brighter) == 0
+    whole = room({})
+    whole.rows(torch.nonzero(whole.means[:, 2] < 0)[:, 0]).save_ply(run / "low.ply")
+    brighter = ["--at", "0,0,0", "--unseen", "5", "--out", str(run / "five.hdr")]
+    assert main(["panorama", str(run / "low.ply"), *words[2:], *brighter]) == 0
     five, mirror = (
         cv2.imread(str(run / f"five{end}.hdr"), cv2.IMREAD_UNCHANGED).sum()
         for end in ("", "-mirror")
