@@ -164,8 +164,14 @@ def plane(J: Tensor, U: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
     Orthogonal to the normal m are the steps in the plane from pixel to pixel, and m . r = -1 for
     the ray r = (x / z, y / z, 1) through the centre.
     """
-    blurred = U @ U.mT + PLANE_BLUR * torch.eye(2).to(U)
-    slope = torch.linalg.solve(blurred, (U @ w[:, :, None])[..., 0])
+    # Solve (U U^T + b I) slope = U w; the determinant as in `drawn_share`, else needles have none.
+    first, second = U[:, 0], U[:, 1]
+    x, y = (U @ w[:, :, None])[..., 0].unbind(-1)
+    xx, yy = (row.square().sum(-1) + PLANE_BLUR for row in (first, second))
+    xy = (first * second).sum(-1)
+    det = torch.linalg.cross(first, second).square().sum(-1)
+    det = det + PLANE_BLUR * (xx + yy) - PLANE_BLUR**2
+    slope = torch.stack([yy * x - xy * y, xx * y - xy * x], dim=-1) / det[:, None]
     per_depth = J.diagonal(dim1=-2, dim2=-1)  # focal / z
     m, ray = per_depth * slope, -J[:, :, 2] / per_depth
     normal = torch.cat([m, -1 - (m * ray).sum(-1, keepdim=True)], dim=-1)

@@ -316,7 +316,11 @@ def test_no_undo_step_comes_before_the_results(addon: ModuleType) -> None:
         masks,
         photos,
         reconstruct,
+        relight,
         scene,
+        stage,
+        stand_here,
+        suggest,
         surface,
         train,
     )
@@ -327,7 +331,8 @@ def test_no_undo_step_comes_before_the_results(addon: ModuleType) -> None:
         *(photos.SelectCameras, reconstruct.Reconstruct, scene.ImportColmap),
         *(scene.RefineCameras, train.EstimateTime, train.TrainRoi, export.ExportGaussians),
         *(imports.ImportGaussians, floaters.FindFloaters, levels.MakeLevels, masks.MakeMasks),
-        *(adapt.AdaptResult, surface.MakeSurface),
+        *(adapt.AdaptResult, surface.MakeSurface, suggest.SuggestPhotos, relight.Relight),
+        *(stage.LightFromScene, stage.CatchShadows, stand_here.StandHere),
     )
     found = {*EngineOperator.__subclasses__(), *BrowsingOperator.__subclasses__()}
     assert found - {BrowsingOperator} == set(running)
