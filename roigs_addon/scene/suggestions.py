@@ -37,7 +37,7 @@ class Suggestion:
 
     Attributes:
         number: of its box, from 1, the best first.
-        gain: what it adds to what is known of the box, 0 to 1.
+        gain: how much lower the error is expected to be with it, dB.
         known: what is known then, 0 to 1.
     """
 

@@ -52,7 +52,7 @@ class SuggestionsPanel(SidebarPanel):
                 continue
             row = column.row(align=True)
             row.label(text=f"{known.number}")
-            gain = f"+{known.gain:.1%} → {known.known:.0%} known"
+            gain = f"+{known.gain:.2f} dB, {known.known:.0%} known"
             row.progress(factor=min(max(known.known, 0.0), 1.0), text=gain)
             look = LookThroughSuggestion.bl_idname
             row.operator(look, text="", icon="HIDE_OFF").camera = item.name

@@ -166,5 +166,5 @@ def _text(boxes: Sequence[Shots]) -> list[str]:
         found = box.known.map
         lines.append(f"Box '{found.roi.name}': {found.value:.0%} known from its photos.")
         for number, (shot, words) in enumerate(zip(box.shots, box.words, strict=True), start=1):
-            lines.append(f"{number:3}  {100 * shot.gain:+5.1f} %  {words}")
+            lines.append(f"{number:3}  {shot.gain:+.2f} dB  {words}")
     return lines

@@ -56,8 +56,8 @@ def _box(box: Shots, units: Units) -> Iterator[str]:
     after = box.shots[-1].value if box.shots else found.value
     yield (
         f"<p>Known now: {found.value:.0%} of its surface and directions, from"
-        f" {len(found.images)} photos. With these {len(box.shots)}: {after:.0%}. The order is that"
-        " of their gain: if time is short, take the first ones.</p>"
+        f" {len(found.images)} photos. With these {len(box.shots)}: {after:.0%}. The best are"
+        " first; each number is by how much the error is expected to fall.</p>"
     )
     yield from _plan(box, units)
     yield '<div class="shots">'
@@ -66,7 +66,7 @@ def _box(box: Shots, units: Units) -> Iterator[str]:
     ):
         yield (
             f'<div class="shot"><h3><span class="number">{number}</span>'
-            f" +{100 * shot.gain:.1f} %</h3>"
+            f" +{shot.gain:.2f} dB</h3>"
             f"{picture(jpeg, 'jpeg', f'What photo {number} should show')}"
             f"<p>{html_text(words)}</p></div>"
         )

@@ -1,7 +1,8 @@
-"""The next photos of a box: each adds most to its map, given those before (greedy).
+"""The next photos of a box: each lowers the expected error most, given those before (greedy).
 
-The map's value is monotone and submodular, so the photos reach at least 1 - 1/e of the best gain of
-so many (Nemhauser, Wolsey and Fisher 1978), and an earlier gain is an upper bound of a later one.
+The expected error in dB is monotone and submodular, so the photos reach at least 1 - 1/e of the best
+gain of so many (Nemhauser, Wolsey and Fisher 1978), and an earlier gain is an upper bound of a
+later one.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from ..context import QUIET, Context
 from ..errors import RoiError
 from ..model.scene import Camera, Float64
 from ..selection.greedy import lazy_greedy
-from .box_map import BoxMap, information, sees
+from .box_map import information, sees
 from .known import KnownBox
 from .places import Offset, offset_from
 
@@ -26,8 +27,8 @@ class Suggestion:
     Attributes:
         camera: its lens.
         world_to_camera: (4, 4) its pose.
-        gain: what it adds to the map's value, 0 to 1, after the ones before.
-        value: the map's value with it.
+        gain: how much lower the error is expected to be with it, after those before, dB.
+        value: what is known of the box with it, 0 to 1.
         distance: to the box's centre, world units.
         height: of the camera over the box's centre, world units.
         near: where it is as seen from the nearest photo of the box.
@@ -59,7 +60,8 @@ class _Greedy:
             context.check_cancelled()
             _, density, ways = sees(self._map.patches, self._map.space, self._map.lens, pose)
             self._seen.append((density / self._map.reference, ways))
-        self.values = [known.map.value]
+        self.decibels = [known.map.decibels(self._information)]
+        self.values: list[float] = []
 
     def _with(self, view: int) -> Float64:
         density, ways = self._seen[view]
@@ -67,14 +69,14 @@ class _Greedy:
         return np.asarray(self._information + more)
 
     def gain(self, view: int) -> float:
-        """What a photo adds to the value."""
-        total = self._with(view)
-        return float((self._map.weights * total / (1 + total)).sum()) - self.values[-1]
+        """By how much a photo lowers the error, dB."""
+        return self._map.decibels(self._with(view)) - self.decibels[-1]
 
     def add(self, view: int) -> None:
         """Take a photo."""
-        self.values.append(self.values[-1] + self.gain(view))
-        self._information = self._with(view)
+        self._information = total = self._with(view)
+        self.decibels.append(self._map.decibels(total))
+        self.values.append(float((self._map.weights * total / (1 + total)).sum()))
 
 
 def suggested(known: KnownBox, count: int, context: Context = QUIET) -> list[Suggestion]:
@@ -92,19 +94,20 @@ def suggested(known: KnownBox, count: int, context: Context = QUIET) -> list[Sug
     views = list(range(len(places.poses)))
     order = lazy_greedy(views, greedy.gain, greedy.add, count, context)
     return [
-        _suggestion(found, places.poses[view], places.up, greedy.values[rank : rank + 2])
-        for rank, view in enumerate(order)
+        _suggestion(known, view, greedy.decibels[rank + 1] - greedy.decibels[rank], value)
+        for rank, (view, value) in enumerate(zip(order, greedy.values, strict=True))
     ]
 
 
-def _suggestion(found: BoxMap, pose: Float64, up: Float64, values: list[float]) -> Suggestion:
+def _suggestion(known: KnownBox, view: int, gain: float, value: float) -> Suggestion:
+    found, pose, up = known.map, known.places.poses[view], known.places.up
     eye = -pose[:3, :3].T @ pose[:3, 3]
     away = [float(np.linalg.norm(image.centre - eye)) for image in found.images]
     return Suggestion(
         camera=found.lens,
         world_to_camera=pose,
-        gain=values[1] - values[0],
-        value=values[1],
+        gain=gain,
+        value=value,
         distance=float(np.linalg.norm(eye - found.roi.centre)),
         height=float((eye - found.roi.centre) @ up),
         near=offset_from(eye, found.images[int(np.argmin(away))], up),
