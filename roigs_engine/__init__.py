@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from .app.adapt import adapt as adapt
     from .app.batch import run_batch as run_batch
+    from .app.certify import certify as certify
     from .app.cluster import train_on_cluster as train_on_cluster
     from .app.convert import convert as convert
     from .app.evaluate import evaluate as evaluate
@@ -72,6 +73,7 @@ if TYPE_CHECKING:
     from .requests.models import Panorama as Panorama
     from .requests.models import Render as Render
     from .requests.models import RenderFrames as RenderFrames
+    from .requests.projects import Certify as Certify
     from .requests.projects import Export as Export
     from .requests.projects import Inspect as Inspect
     from .requests.projects import Reconstruct as Reconstruct
@@ -105,6 +107,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "app.adapt": "adapt",
     "app.batch": "run_batch",
+    "app.certify": "certify",
     "app.cluster": "train_on_cluster",
     "app.convert": "convert",
     "app.evaluate": "evaluate",
@@ -118,7 +121,8 @@ _MODULES = {
     "app.train": "plan_training train train_parts",
     "app.upkeep": "check_gpu clean make_levels",
     "requests.models": "Adapt Compose Convert Cut Floaters Masks Panorama Render RenderFrames",
-    "requests.projects": "Export Inspect Reconstruct RefineCameras Select ShowPhoto Suggest",
+    "requests.projects": "Certify Export Inspect Reconstruct RefineCameras Select ShowPhoto"
+    " Suggest",
     "requests.runs": "Batch CheckGpu Clean Evaluate Levels MakeSurface Train TrainAndEvaluate",
     "colmap.project": "load_colmap",
     "context": "Context",

@@ -60,7 +60,7 @@ def suggest(request: Suggest, context: Context = QUIET) -> Suggested:
     rois = source.boxes(scene)
     scene = with_useful_masks(scene, rois, context)
     source.keep(rois, context)
-    units, draw = _units(request.scene, scene, context), _painter(request, scene, context)
+    units, draw = units_of(request.scene, scene, context), _painter(request, scene, context)
     boxes, started = [], time.monotonic()
     for step, roi in enumerate(rois, start=1):
         known = known_box(scene, roi, context, look=not request.no_look)
@@ -85,7 +85,7 @@ def suggest(request: Suggest, context: Context = QUIET) -> Suggested:
     return done.with_places(*_text(boxes))
 
 
-def _units(folder: Path, scene: SfmScene, context: Context) -> Units:
+def units_of(folder: Path, scene: SfmScene, context: Context) -> Units:
     """Metres, if the scene was placed in Blender; else the model's units."""
     from ..guidance.words import Units
 

@@ -13,8 +13,6 @@ from ..formats.web_page import html_text
 
 LEAST = 0.005  # share of a surface: smaller holes are not listed
 RECORD, PICTURE = ".surface.json", ".surface.png"
-START, END = "<!-- surfaces -->\n", "<!-- end of surfaces -->\n"
-"""In reports, around what these say of surfaces."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +81,7 @@ def add_to_reports(folder: Path) -> None:
     found = [(file, record) for file in files if (record := read_surface(file)) is not None]
     title, caption = "Surfaces", "In clay, from four sides; what no photo shows is orange."
     lines = [f"- {markdown_text(record.text)}" for _, record in found]
-    _replace(folder / run_files.REPORT, [f"## {title}", "", *lines, ""] if found else [])
+    put_section(folder / run_files.REPORT, title, [f"## {title}", "", *lines, ""] if found else [])
     parts = [f"<h2>{title}</h2>", f"<p>{caption}</p>"] if found else []
     for file, record in found:
         with suppress(OSError):
@@ -91,18 +89,22 @@ def add_to_reports(folder: Path) -> None:
             source = f"data:image/png;base64,{data}"
             parts.append(f'<p><img alt="" style="max-width: 100%" src="{source}"></p>')
         parts.append(f"<p>{html_text(record.text)}</p>")
-    _replace(folder / run_files.REPORT_PAGE, parts, before="<script>")
+    put_section(folder / run_files.REPORT_PAGE, title, parts, before="<script>")
 
 
-def _replace(report: Path, lines: list[str], before: str = "") -> None:
-    """Write these lines between `START` and `END`; if it has none, before the last `before`."""
+def put_section(report: Path, title: str, lines: list[str], before: str = "") -> None:
+    """Write a section into a report in place of its earlier lines; no lines remove it.
+
+    A new one goes before the last `before`. Comments mark where it begins and ends.
+    """
+    start, end = f"<!-- {title.lower()} -->\n", f"<!-- end of {title.lower()} -->\n"
     try:
         text = read_bytes(report, most=None).decode()
     except (OSError, UnicodeError):
         return  # there is no report
-    head, _, rest = text.partition(START)
-    text = head + rest.partition(END)[2]
+    head, _, rest = text.partition(start)
+    text = head + rest.partition(end)[2]
     place = text.rfind(before) if before in text else len(text)
     part = "".join(f"{line}\n" for line in lines)
-    whole = f"{START}{part}{END}" if lines else ""
+    whole = f"{start}{part}{end}" if lines else ""
     write_text(report, text[:place] + whole + text[place:])

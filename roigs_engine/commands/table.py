@@ -122,6 +122,14 @@ COMMANDS: dict[str, Command] = {
         ),
         torch=False,
     ),
+    "certify": Command(
+        request=projects.Certify,
+        does="certify:certify",
+        help="write a certificate of each boxed object: its size, how finely and from where it was"
+        " photographed, how well its model does",
+        examples=("garden --rois garden/rois.json --run-dir runs/garden --out certificates",),
+        torch=False,
+    ),
     "train": Command(
         request=runs.Train,
         does=_training,

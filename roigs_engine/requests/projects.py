@@ -157,3 +157,17 @@ class Suggest(Scene, ObjectMasks, Boxes, Device):
         "folder to write to: suggestions.json (a camera path), suggestions.html and pictures",
         required=True,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certify(Scene, ObjectMasks, Boxes):
+    """A certificate of each boxed object: size, resolution, directions covered, scores."""
+
+    run_dir: Path | None = option(
+        DIR,
+        "folder of a finished run of these boxes: its scores, software, settings and hashes are"
+        " certified, too, its test photos do not count, and its reports get a section",
+    )
+    out: Path = option(
+        DIR, "folder to write to: a page for each box, and certificates.json", required=True
+    )

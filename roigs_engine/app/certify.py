@@ -1,0 +1,135 @@
+"""Certificates of boxed objects: a page each, and a section in the reports of their run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..context import QUIET, Context
+from ..errors import RunFolderError
+from ..formats import run_files
+from ..formats.files import read_record, sha256, write_json, write_text
+from ..requests.projects import Certify
+from .inputs import boxes_of, load_scene, mask_options
+from .outputs import Result, refuse_inputs, refuse_run_files
+from .suggest import units_of
+from .surface_record import put_section
+
+if TYPE_CHECKING:
+    from ..guidance.certificate import Certificate
+
+RECORD = "certificates.json"
+TITLE = "Certificates"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certified(Result):
+    """The certificates of the boxes, in their order."""
+
+    certificates: tuple[Certificate, ...]
+
+
+def certify(request: Certify, context: Context = QUIET) -> Certified:
+    """Write a certificate of each box; EngineError if the scene, a box or the run is unusable."""
+    from ..guidance.certificate import certificate, certificate_page
+    from ..guidance.known import known_box
+    from ..model.mask_coverage import with_useful_masks
+
+    refuse_run_files(request.out)
+    rois = boxes_of(request)
+    pages = {roi.name: request.out / f"{roi.name}.html" for roi in rois}
+    refuse_inputs([*pages.values(), request.out / RECORD], [request.options_file, request.rois])
+    run = _Run.of(request.run_dir)
+    masks = mask_options(request, [roi.name for roi in rois])
+    scene = load_scene(request, context, masks=masks)
+    scene = with_useful_masks(scene.without(run.tests), rois, context)
+    units = units_of(request.scene, scene, context)
+    made = []
+    for roi in rois:
+        context.check_cancelled()
+        known = known_box(scene, roi, context)
+        found = certificate(known, units, run.scores(roi.name), run.facts(roi.name))
+        write_text(pages[roi.name], certificate_page(found))
+        made.append(found)
+    write_json(request.out / RECORD, {"certificates": [each.to_dict() for each in made]})
+    if request.run_dir is not None:
+        _add_to_reports(request.run_dir, made)
+    done = Certified(certificates=tuple(made), files={**pages, "record": request.out / RECORD})
+    return done.with_places(*(each.text for each in made))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Run:
+    """What a run folder tells of its objects; all is empty without one."""
+
+    folder: Path | None
+    tests: tuple[str, ...]
+    report: dict[str, Any]
+    provenance: dict[str, Any]
+
+    @classmethod
+    def of(cls, folder: Path | None) -> _Run:
+        if folder is None:
+            return cls(folder=None, tests=(), report={}, provenance={})
+        if not (folder / run_files.RESULT).is_file():
+            raise RunFolderError(
+                f"{folder} is not the folder of a finished run.", "Give that of --run-dir."
+            )
+
+        def read(name: str) -> dict[str, Any]:
+            return read_record(folder / name) if (folder / name).is_file() else {}
+
+        tests = tuple(str(name) for name in read(run_files.SPLIT).get("test", ()))
+        return cls(
+            folder=folder,
+            tests=tests,
+            report=read(run_files.REPORT_DATA),
+            provenance=read("provenance.json"),
+        )
+
+    def scores(self, box: str) -> dict[str, float]:
+        """The numbers of the run's own model, the last row, on its test photos."""
+        from ..guidance.certificate import SCORES
+
+        for scores in self.report.get("rois", ()):
+            if scores.get("roi") == box and scores.get("rows"):
+                row = scores["rows"][-1]
+                return {k: float(row[k]) for k, _, _ in SCORES if row.get(k) is not None}
+        return {}
+
+    def facts(self, box: str) -> dict[str, str]:
+        """Software, settings, dates and hashes."""
+        if self.folder is None:
+            return {}
+        entries = self.provenance.get("entries", ())
+        last = entries[-1] if entries else {}
+        versions = last.get("versions", {})
+        settings = {}
+        if (self.folder / run_files.SETTINGS).is_file():
+            settings = read_record(self.folder / run_files.SETTINGS)
+        shown = {k: v for k, v in settings.items() if not isinstance(v, str) or "/" not in v}
+        facts = {
+            "Trained": str(last.get("started", "")),
+            "Software": ", ".join(f"{name} {number}" for name, number in versions.items()),
+            "Settings": ", ".join(f"{name} {value}" for name, value in shown.items()),
+            "Test photos": str(len(self.tests)),
+            "SHA-256 of the scene's result": sha256(self.folder / run_files.RESULT),
+        }
+        own = self.folder / run_files.FINE / f"{box}.ply"
+        if own.is_file():
+            facts["SHA-256 of the object's Gaussians"] = sha256(own)
+        return {name: text for name, text in facts.items() if text}
+
+
+def _add_to_reports(run: Path, made: Sequence[Certificate]) -> None:
+    """Put the certificates at the end of the run's reports, in place of earlier ones."""
+    from ..evaluation.report import markdown_text
+    from ..guidance.certificate import section
+
+    lines = [f"- {markdown_text(each.text)}" for each in made]
+    put_section(run / run_files.REPORT, TITLE, [f"## {TITLE}", "", *lines, ""])
+    parts = [part for each in made for part in section(each)]
+    page = run / run_files.REPORT_PAGE
+    put_section(page, TITLE, [f"<h2>{TITLE}</h2>", *parts], before="<script>")
