@@ -1,0 +1,103 @@
+"""From which side more light comes than a panorama shows: the shading of the boxed objects tells.
+
+A lamp out of view, or a window that photos show darker than it is, leaves no trace in a panorama. But
+it lights one side of what stands there. An object with a mesh is a light probe: of its surfaces
+that face one way, the bright ones are about as white as the bright ones that face another way, so
+their ratio is that of the light on them (a white patch for each direction, and for each object of
+its own). The light is multiplied by exp(a · d) of the direction d, the smoothest gain that has a
+side, with the `a` that explains these ratios best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from ..model.scene import Float64
+from .highlights import Surfaces
+from .panorama import Float32, directions, solid_angles
+
+NEAR = 0.5  # of the usual distance that is seen: objects that are nearer have the same light
+WAYS, CONE = 64, 0.85  # directions; cosine between a normal and the direction that it counts for
+BRIGHT = 95  # percentile of the brightness of surfaces that face one way
+FEWEST = 0.005  # share of an object's surface that faces a way, at least
+NOISE, INDEPENDENT = 0.25, 12  # of logarithms of ratios; of that many ways each says its own
+USUAL = 0.7  # standard deviation of `a`: usual places have no strong side
+ROWS = 32  # of the picture that is summed
+
+
+def gain(
+    light: Float32, distance: Float32, place: Float64, objects: Sequence[Surfaces]
+) -> tuple[Float32, Float64]:
+    """What a panorama's light (H, 2 H, 3) is multiplied by (H, 2 H), and the vector `a` (3,).
+
+    On the objects, the mean light stays as it is. All is 1 if no object is near.
+
+    Args:
+        light: drawn at the place, in the world of the objects.
+        distance: (H, 2 H) of what is seen.
+        place: (3,)
+        objects: places, normals and colours of each.
+    """
+    reach = NEAR * float(np.median(distance[np.isfinite(distance)]))
+    near = [
+        each
+        for each in objects
+        if len(each.places) and np.linalg.norm(np.median(each.places, axis=0) - place) < reach
+    ]
+    found = [_told(each) for each in near]
+    ways, flux = _coarse(light)
+    side = _fitted(found, ways, flux)
+    if not side.any():
+        return np.ones(light.shape[:2], np.float32), side
+    factors = np.exp(directions(len(light)) @ side)
+    facing = np.concatenate([normals for normals, _ in found])
+    seen = np.maximum(facing @ ways.T, 0)
+    before, after = seen @ flux, seen @ (flux * np.exp(ways @ side))
+    kept = np.exp(np.mean(np.log(before / after)))
+    return (kept * factors).astype(np.float32), side
+
+
+def _told(surfaces: Surfaces) -> tuple[Float64, Float64]:
+    """Ways (N, 3) that enough of an object faces, and the logarithms of its brightness there."""
+    k = np.arange(WAYS) + 0.5
+    z, turn = 1 - 2 * k / WAYS, np.pi * (1 + np.sqrt(5)) * k
+    flat = np.sqrt(1 - z**2)
+    ways = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=-1)
+    bright = surfaces.colours.mean(axis=1)
+    facing = surfaces.normals @ ways.T > CONE
+    kept = facing.mean(axis=0) > FEWEST
+    values = [np.percentile(bright[facing[:, k]], BRIGHT) for k in np.flatnonzero(kept)]
+    return ways[kept], np.log(np.maximum(values, 1e-3))
+
+
+def _coarse(light: Float32) -> tuple[Float64, Float64]:
+    """Ways (N, 3) of fewer pixels, and the brightness times the solid angle from there (N,)."""
+    step = max(1, len(light) // ROWS)
+    height, width = len(light) // step, light.shape[1] // step
+    flux = light.mean(axis=-1) * solid_angles(len(light))
+    cut = flux[: height * step, : width * step].reshape(height, step, width, step)
+    return directions(height).reshape(-1, 3), cut.sum(axis=(1, 3)).ravel().astype(float)
+
+
+def _fitted(
+    found: Sequence[tuple[Float64, Float64]], ways: Float64, flux: Float64
+) -> Float64:
+    """The vector `a` (3,); each object's brightness has a factor of its own: its white."""
+    seen = [np.maximum(normals @ ways.T, 0) for normals, _ in found if len(normals)]
+    values = [bright for normals, bright in found if len(normals)]
+    if not seen or not flux.sum() > 0:
+        return np.zeros(3)
+
+    def off(side: Float64) -> Float64:
+        lit = flux * np.exp(ways @ side)
+        parts = [side / USUAL]
+        for each, bright in zip(seen, values, strict=True):
+            rest = np.log(np.maximum(each @ lit, 1e-12)) - bright
+            weight = np.sqrt(min(1.0, INDEPENDENT / len(bright))) / NOISE
+            parts.append(weight * (rest - rest.mean()))
+        return np.concatenate(parts)
+
+    return np.asarray(least_squares(off, np.zeros(3)).x)
