@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..context import QUIET, Context
-from ..errors import ConfigError, RoiError
+from ..errors import ConfigError, EngineError, RoiError
 from ..formats import run_files
 from ..formats.events import StageStarted
 from ..formats.files import read_record
@@ -23,6 +23,7 @@ from .run_scene import poses_of_run
 
 if TYPE_CHECKING:
     from ..lighting.highlights import Brightness, Surfaces
+    from ..lighting.panorama import Float32
     from ..lighting.panorama import Panorama as Light
     from ..model.scene import Float64
 
@@ -48,6 +49,7 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
 
     from ..lighting.highlights import brightness
     from ..lighting.panorama import left_out, panorama
+    from ..lighting.sides import gain
     from ..rasterize.image_files import save_light
 
     read = {
@@ -55,7 +57,7 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
         for name in dict.fromkeys(each.file for each in records)
     }
     models = [each.of(*read[each.file]) for each in records]
-    surfaces = _surfaces(folder, records)
+    surfaces, objects = _background(folder, records), _objects(folder, records, context)
     context.emit(StageStarted(stage=STAGE, total=len(files)))
     lines, started = [], time.monotonic()
     for step, (at, file) in enumerate(zip(request.at, files, strict=True), start=1):
@@ -64,10 +66,12 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
         light = panorama(seen, place, request.width // 2, context)
         given = request.highlights, request.unseen
         factors = brightness(light, place, surfaces, *given)
-        save_light(file, light.brightened(factors.highlights, factors.unseen))
+        shining = light.brightened(factors.highlights, factors.unseen)
+        sides = gain(shining, light.distance, place, objects)
+        save_light(file, shining * sides[..., None])
         # A mirror would show light from where no photo looked as a bright cap.
         save_light(run_files.mirrored(file), light.brightened(factors.highlights))
-        lines.append(_line(at, light, factors, given))
+        lines.append(_line(at, light, factors, given, sides))
         context.info(lines[-1])
         context.progress(STAGE, step, len(files), started)
     names = [STAGE] if len(files) == 1 else [f"{STAGE}-{k + 1}" for k in range(len(files))]
@@ -119,17 +123,33 @@ def _models(
     return [InstanceRecord(str(request.model), upright)], upright
 
 
-def _surfaces(folder: Path, records: list[InstanceRecord]) -> Surfaces | None:
-    """Places on the run's background mesh, in the world of the models; None: there is no mesh."""
+def _background(folder: Path, records: list[InstanceRecord]) -> Surfaces | None:
+    """Places on the run's background mesh; None: there is no mesh."""
+    path = folder / run_files.FINE / f"{run_files.SURROUNDINGS}.glb"
+    return _surfaces(path, folder, records) if path.is_file() else None
+
+
+def _objects(folder: Path, records: list[InstanceRecord], context: Context) -> list[Surfaces]:
+    """Places on the meshes of the run's boxes; those of earlier versions are left out."""
+    found = []
+    for path in sorted((folder / run_files.FINE).glob("*.glb")):
+        if path.stem == run_files.SURROUNDINGS:
+            continue
+        try:
+            found.append(_surfaces(path, folder, records))
+        except EngineError as error:
+            context.warn(f"The shading of {path.stem} is not used: {error}")
+    return found
+
+
+def _surfaces(path: Path, folder: Path, records: list[InstanceRecord]) -> Surfaces:
+    """Places on a mesh of a run, in the world of the models."""
     import torch
 
     from ..lighting.highlights import Surfaces
     from ..rasterize.light import to_linear
     from ..surface.files import sampled_surface
 
-    path = folder / run_files.FINE / f"{run_files.SURROUNDINGS}.glb"
-    if not path.is_file():
-        return None
     own = [each for each in records if _folder_of(Path(each.file)) == folder.absolute()]
     matrix = (own or records)[0].matrix
     places, normals, colours = sampled_surface(path, MOST_PLACES)
@@ -147,6 +167,7 @@ def _line(
     light: Light,
     factors: Brightness,
     given: tuple[float | None, float | None],
+    sides: Float32,
 ) -> str:
     """What was found at a point, and how bright what photos cannot show is made."""
     place = ", ".join(f"{value:.4g}" for value in at)
@@ -160,5 +181,7 @@ def _line(
         for what, factor, asked in parts
         if asked is not None or factor != 1
     ]
+    if (most := float(sides.max() / sides.min())) > 1:
+        said.append(f"one side is made {most:.2g} times brighter than the other, as boxes tell")
     bright = "; ".join(said) or "no light is added"
     return f"Light at {place}: {light.seen:.0%} of all directions are seen; {bright}."

@@ -1,7 +1,7 @@
 """From which side more light comes than a panorama shows: the shading of the boxed objects tells.
 
-A lamp out of view, or a window that photos show darker than it is, leaves no trace in a panorama. But
-it lights one side of what stands there. An object with a mesh is a light probe: of its surfaces
+A lamp out of view, or a window that photos show darker than it is, leaves no trace in a panorama.
+But it lights one side of what stands there. An object with a mesh is a light probe: of its surfaces
 that face one way, the bright ones are about as white as the bright ones that face another way, so
 their ratio is that of the light on them (a white patch for each direction, and for each object of
 its own). The light is multiplied by exp(a · d) of the direction d, the smoothest gain that has a
@@ -16,10 +16,11 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from ..model.scene import Float64
+from ..rasterize.instances import NOTHING
 from .highlights import Surfaces
 from .panorama import Float32, directions, solid_angles
 
-NEAR = 0.5  # of the usual distance that is seen: objects that are nearer have the same light
+NEAR = 0.5  # of the usual distance above the horizon: nearer objects have the same light
 WAYS, CONE = 64, 0.85  # directions; cosine between a normal and the direction that it counts for
 BRIGHT = 95  # percentile of the brightness of surfaces that face one way
 FEWEST = 0.005  # share of an object's surface that faces a way, at least
@@ -28,10 +29,8 @@ USUAL = 0.7  # standard deviation of `a`: usual places have no strong side
 ROWS = 32  # of the picture that is summed
 
 
-def gain(
-    light: Float32, distance: Float32, place: Float64, objects: Sequence[Surfaces]
-) -> tuple[Float32, Float64]:
-    """What a panorama's light (H, 2 H, 3) is multiplied by (H, 2 H), and the vector `a` (3,).
+def gain(light: Float32, distance: Float32, place: Float64, objects: Sequence[Surfaces]) -> Float32:
+    """What a panorama's light (H, 2 H, 3) is multiplied by (H, 2 H).
 
     On the objects, the mean light stays as it is. All is 1 if no object is near.
 
@@ -41,7 +40,9 @@ def gain(
         place: (3,)
         objects: places, normals and colours of each.
     """
-    reach = NEAR * float(np.median(distance[np.isfinite(distance)]))
+    above = distance[: len(distance) // 2]  # the light's way; what stands on a table is near that
+    seen_at = above[above < NOTHING]
+    reach = NEAR * float(np.median(seen_at)) if len(seen_at) else 0.0
     near = [
         each
         for each in objects
@@ -51,13 +52,13 @@ def gain(
     ways, flux = _coarse(light)
     side = _fitted(found, ways, flux)
     if not side.any():
-        return np.ones(light.shape[:2], np.float32), side
+        return np.ones(light.shape[:2], np.float32)
     factors = np.exp(directions(len(light)) @ side)
     facing = np.concatenate([normals for normals, _ in found])
     seen = np.maximum(facing @ ways.T, 0)
     before, after = seen @ flux, seen @ (flux * np.exp(ways @ side))
     kept = np.exp(np.mean(np.log(before / after)))
-    return (kept * factors).astype(np.float32), side
+    return np.asarray(kept * factors, np.float32)
 
 
 def _told(surfaces: Surfaces) -> tuple[Float64, Float64]:
@@ -82,9 +83,7 @@ def _coarse(light: Float32) -> tuple[Float64, Float64]:
     return directions(height).reshape(-1, 3), cut.sum(axis=(1, 3)).ravel().astype(float)
 
 
-def _fitted(
-    found: Sequence[tuple[Float64, Float64]], ways: Float64, flux: Float64
-) -> Float64:
+def _fitted(found: Sequence[tuple[Float64, Float64]], ways: Float64, flux: Float64) -> Float64:
     """The vector `a` (3,); each object's brightness has a factor of its own: its white."""
     seen = [np.maximum(normals @ ways.T, 0) for normals, _ in found if len(normals)]
     values = [bright for normals, bright in found if len(normals)]

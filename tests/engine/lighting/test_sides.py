@@ -1,0 +1,56 @@
+"""The side from which more light comes than a panorama shows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from roigs_engine.lighting.highlights import Surfaces
+from roigs_engine.lighting.panorama import directions, solid_angles
+from roigs_engine.lighting.sides import gain
+
+HEIGHT = 32
+EVEN = np.ones((HEIGHT, 2 * HEIGHT, 3), np.float32)
+FAR = np.full((HEIGHT, 2 * HEIGHT), 4.0, np.float32)
+SIDE = np.array([0.2, -0.8, 0.5])
+HERE = np.zeros(3)
+
+
+def lit(normals: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """(N, 3) what white surfaces show."""
+    flux = (light * solid_angles(HEIGHT)[..., None]).reshape(-1, 3) / np.pi
+    return np.maximum(normals @ directions(HEIGHT).reshape(-1, 3).T, 0) @ flux
+
+
+def ball(light: np.ndarray, *, at: float = 0.5, white: float = 0.6) -> Surfaces:
+    """A ball with a pattern of three colours, as it is under a light."""
+    random = np.random.default_rng(4)
+    normals = random.normal(size=(8000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    albedos = white * random.choice([0.1, 0.5, 1.0], 8000)[:, None]
+    places = 0.1 * normals + (at, 0, 0)
+    return Surfaces(places=places, normals=normals, colours=albedos * lit(normals, light))
+
+
+def test_shading_tells_the_side_whatever_the_colours() -> None:
+    factors = np.exp(directions(HEIGHT) @ SIDE)
+    light = (EVEN * factors[..., None]).astype(np.float32)
+    found = gain(EVEN, FAR, HERE, [ball(light), ball(light, at=-0.5, white=0.2)])
+    likeness = np.corrcoef(np.log(found).ravel(), np.log(factors).ravel())[0, 1]
+    assert likeness > 0.98
+    ratio = np.log(found.max() / found.min()) / np.log(factors.max() / factors.min())
+    assert ratio == pytest.approx(0.85, abs=0.15)  # usual places have no side: it is held back
+    normals = ball(EVEN).normals
+    before, after = lit(normals, EVEN), lit(normals, EVEN * found[..., None])
+    assert np.log(after / before).mean() == pytest.approx(0, abs=0.02)  # it is not brighter
+
+
+def test_a_light_without_a_side_stays() -> None:
+    found = gain(EVEN, FAR, HERE, [ball(EVEN)])
+    assert found.max() / found.min() < 1.05
+
+
+def test_objects_that_are_far_away_tell_nothing() -> None:
+    light = (EVEN * np.exp(directions(HEIGHT) @ SIDE)[..., None]).astype(np.float32)
+    for objects in ([], [ball(light, at=3.0)]):
+        assert (gain(EVEN, FAR, HERE, objects) == 1).all()
