@@ -61,13 +61,15 @@ class Panorama:
     def brightened(self, highlights: float, unseen: float = 1.0) -> Float32:
         """(H, 2 H, 3) the light, with two parts of it multiplied.
 
+        Light that is added to what is not shown is neutral: cameras make the usual light white.
+
         Args:
             highlights: factor of what is clipped.
             unseen: factor of what is not shown, above the horizon.
         """
         bright = np.where(self.clipped[..., None], np.float32(highlights), np.float32(1))
-        more = 1 + (unseen - 1) * self.unseen[..., None]
-        return np.asarray(bright * self.shown + more * self.guessed, np.float32)
+        more = (unseen - 1) * (self.unseen * self.guessed.mean(axis=-1))[..., None]
+        return np.asarray(bright * self.shown + self.guessed + more, np.float32)
 
     def parts(self, rows: int) -> Float64:
         """(3, h, 2 h) brightness: of what is shown, of what is clipped, of what is unseen.
