@@ -45,6 +45,18 @@ def test_shadows_are_where_the_truth_gets_darker_but_not_on_things() -> None:
     assert scores.shadow_error((left + 1) / 2, left, shadow) == pytest.approx(0.5)
 
 
+def test_noise_on_textures_is_no_shadow() -> None:
+    random = np.random.default_rng(0)
+    before = grey(0.5) * random.uniform(0.2, 1, (*SHAPE, 1))
+    after = before * random.normal(1, 0.1, (*SHAPE, 3))
+    after[10:] *= 0.7
+    thing = part(slice(8, 12), slice(14, 16))
+    after[thing] = 100.0  # what shows a thing is not in the mean of its neighbours
+    left = scores.smooth_ratio(after, before, thing)
+    assert np.abs(left[:8] - 1).max() < 0.12 and np.abs(left[13:] - 0.7).max() < 0.1
+    assert np.abs(left[8:12][:, [13, 16]] - 0.85).max() < 0.25
+
+
 def test_a_change_of_light_has_a_side_and_a_colour() -> None:
     across = np.linspace(1, 2, SHAPE[1])[None, :, None]
     truth = across ** np.array([1.0, 0.6, 0.3]) * np.ones((*SHAPE, 1))

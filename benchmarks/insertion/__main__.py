@@ -11,7 +11,7 @@ from pathlib import Path
 from benchmarks.markdown import table
 from roigs_engine.formats import run_files
 
-from .views import MEASURES, means, measured, photos_that_show_most
+from .views import LAMP, MEASURES, ROWS, means, measured, photos_that_show_most
 
 TRUE_ROOM = Path(__file__).resolve().parents[2] / "demo/inserted.py"
 
@@ -23,6 +23,16 @@ def make_truth(given: argparse.Namespace) -> None:
     command += ["--width", str(given.width), "--samples", str(given.samples), "--photos"]
     subprocess.run([*command, *photos, "--states"], check=True)  # which things each photo shows
     subprocess.run([*command, *photos_that_show_most(given.out, photos)], check=True)
+
+
+def make_ours(given: argparse.Namespace) -> None:
+    """Render what is missing of the rows, each in a process of its own, which needs `bpy`."""
+    photos = photos_that_show_most(given.truth, _test_photos(given.run))[: given.views]
+    for row in given.rows or (*ROWS, LAMP):
+        command = [sys.executable, "-m", "benchmarks.insertion.ours", str(given.run.resolve())]
+        command += [str((given.out / row).resolve()), "--samples", str(given.samples)]
+        command += ["--row", ROWS[-1], "--lamp"] if row == LAMP else ["--row", row]
+        subprocess.run([*command, "--photos", *photos], check=True)
 
 
 def show_scores(given: argparse.Namespace) -> None:
@@ -60,6 +70,14 @@ def main() -> None:
     truth.add_argument("--width", type=int, default=320, help="pixels")
     truth.add_argument("--samples", type=int, default=64, help="of a pixel, before the denoiser")
     truth.set_defaults(function=make_truth)
+    ours = parts.add_parser("ours", help="render the captured scene with the things; needs bpy")
+    ours.add_argument("run", type=Path, help="the run; it gets a mesh of the background")
+    ours.add_argument("truth", type=Path, help="folder of the truth")
+    ours.add_argument("out", type=Path, help="folder of the rows; what they have is kept")
+    ours.add_argument("--rows", nargs="*", choices=(*ROWS, LAMP), help="default: all")
+    ours.add_argument("--views", type=int, help="so many photos; default: those of the truth")
+    ours.add_argument("--samples", type=int, default=32, help="of a pixel, before the denoiser")
+    ours.set_defaults(function=make_ours)
     score = parts.add_parser("score", help="compare folders of pictures with the truth")
     score.add_argument("run", type=Path, help="the run")
     score.add_argument("truth", type=Path, help="folder of the truth")

@@ -19,7 +19,7 @@ import numpy as np
 
 import roigs_addon
 from benchmarks.insertion import things
-from benchmarks.insertion.views import picture_file
+from benchmarks.insertion.views import ROWS, picture_file
 from roigs_addon import settings
 from roigs_addon.engine.command import Engine
 from roigs_addon.geometry.photo import Photo
@@ -32,10 +32,7 @@ from roigs_engine.context import QUIET
 ROOT = Path(__file__).resolve().parents[2]
 AT = (0.0, 0.0, 0.9)
 """Where the light's picture is taken: above the middle of the table."""
-NOTHING, MEAN, LIGHT, CATCH, ALL = "nothing", "mean", "light", "catch", "all"
-ROWS = (NOTHING, MEAN, LIGHT, CATCH, ALL)
-"""Blender's usual grey world; a world of the panorama's mean colour; light from the scene; with
-shadows on captured things; with reflections and bounce, too."""
+NOTHING, MEAN, LIGHT, CATCH, ALL = ROWS
 GREY = 0.05
 """Blender's own world, linear."""
 

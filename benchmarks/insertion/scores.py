@@ -17,6 +17,8 @@ DARKER = 0.03
 """A pixel is in shadow if the truth takes more than this share of its light."""
 FLOOR = 0.005
 """Linear light that is added before a ratio, so that black pixels have one."""
+AROUND = 2
+"""Pixels on each side that a shadow's ratio is the mean of."""
 LEAST = 24
 """Pixels that a view must show of a thing for its score."""
 
@@ -36,6 +38,24 @@ def psnr(ours: Picture, truth: Picture, mask: Mask) -> float:
 def ratio(after: Picture, before: Picture) -> Picture:
     """What is left of a picture's light, (H, W, 3)."""
     return (np.maximum(after, 0) + FLOOR) / (np.maximum(before, 0) + FLOOR)
+
+
+def smooth_ratio(after: Picture, before: Picture, things: Mask) -> Picture:
+    """What is left of the light around each pixel, (H, W, 3): textures keep a renderer's noise.
+
+    Both pictures are means of the pixels that are at most `AROUND` away and show no thing.
+    """
+    own = (~things).astype(np.float64)[..., None]
+    share = np.maximum(_summed(own), 1e-9)
+    return ratio(*(_summed(np.maximum(each, 0) * own) / share for each in (after, before)))
+
+
+def _summed(picture: Picture) -> Picture:
+    """The sums of the squares around pixels (H, W, C)."""
+    (height, width), side = picture.shape[:2], 2 * AROUND + 1
+    padded = np.pad(picture, ((AROUND, AROUND), (AROUND, AROUND), (0, 0)))
+    parts = [padded[i : i + height, j : j + width] for i in range(side) for j in range(side)]
+    return np.asarray(np.sum(parts, axis=0))
 
 
 def in_shadow(left: Picture, things: Mask) -> Mask:

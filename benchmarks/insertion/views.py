@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,11 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import scores
-from .scores import Picture
+from .scores import Mask, Picture
 
 THINGS = ("grey ball", "mirror ball", "glass", "monkey")
 """In the order of their numbers in the pictures of indices; the vase's follows."""
 VASE = len(THINGS) + 1
+ROWS = ("nothing", "mean", "light", "catch", "all")
+"""Blender's usual grey world; a world of the panorama's mean colour; light from the scene; with
+shadows on captured things; with reflections and bounce, too."""
+LAMP = "lamp"
+"""A row for itself: the relit vase beside the lamp, without the things on the table."""
 VIEWS = 12
 """So many of a run's test photos are compared: those that show most of the things."""
 MEASURES = (*(f"{name} (dB)" for name in THINGS), "shadow", "lamp", "its strength")
@@ -25,6 +31,7 @@ class View:
 
     photo: str
     found: dict[str, float]
+    changes: tuple[Picture, Picture] | None = None  # of the light on the vase's pixels (N, 3)
 
 
 def picture_file(folder: Path, photo: str, state: str) -> Path:
@@ -65,27 +72,41 @@ def measured(ours: Path, truth: Path, photo: str) -> View:
     if after is not None and true_after is not None:
         for name, mask in scores.things_masks(things, THINGS).items():
             found[f"{name} (dB)"] = scores.psnr(after, true_after, mask)
-    left, true_left = _ratio(ours, photo, "with"), _ratio(truth, photo, "with")
+    beside = scores.widened(things > 0)  # a rim's pixels show both the thing and what is behind
+    left, true_left = (_ratio(folder, photo, "with", beside) for folder in (ours, truth))
     if left is not None and true_left is not None:
-        # A rim's pixels show both the thing and what is behind it.
-        shadow = scores.in_shadow(true_left, scores.widened(things > 0))
+        shadow = scores.in_shadow(true_left, beside)
         if shadow.sum() >= scores.LEAST:
             found["shadow"] = scores.shadow_error(left, true_left, shadow)
-    lit, true_lit = _ratio(ours, photo, "lamp"), _ratio(truth, photo, "lamp")
     vase = np.asarray(index == VASE)
+    lit, true_lit = (_ratio(folder, photo, "lamp", ~vase) for folder in (ours, truth))
+    changes = None
     if lit is not None and true_lit is not None and vase.sum() >= scores.LEAST:
-        found["lamp"] = scores.likeness(lit, true_lit, vase)
-        found["its strength"] = scores.strength(lit, true_lit, vase)
-    return View(photo=photo, found=found)
+        changes = lit[vase], true_lit[vase]
+        found |= lamp([changes])
+    return View(photo=photo, found=found, changes=changes)
 
 
-def _ratio(folder: Path, photo: str, state: str) -> Picture | None:
-    """What a state leaves of the light (H, W, 3)."""
+def lamp(changes: Sequence[tuple[Picture, Picture]]) -> dict[str, float]:
+    """The measures of the lamp, over the vase's pixels of all views: some see its dark side."""
+    ours, truth = (np.concatenate(parts)[None] for parts in zip(*changes, strict=True))
+    every = np.ones(ours.shape[:2], bool)
+    names = MEASURES[-2:]
+    values = scores.likeness(ours, truth, every), scores.strength(ours, truth, every)
+    return dict(zip(names, values, strict=True))
+
+
+def _ratio(folder: Path, photo: str, state: str, without: Mask) -> Picture | None:
+    """What a state leaves of the light (H, W, 3), around each pixel, apart from some pixels."""
     after, before = load(folder, photo, state), load(folder, photo, "without")
-    return None if after is None or before is None else scores.ratio(after, before)
+    if after is None or before is None:
+        return None
+    return scores.smooth_ratio(after, before, without)
 
 
 def means(views: list[View]) -> dict[str, float]:
-    """The mean of each measure over the views that have it."""
+    """The mean of each measure over the views that have it; the lamp's, over all pixels."""
     every = {name: [view.found[name] for view in views if name in view.found] for name in MEASURES}
-    return {name: float(np.mean(values)) for name, values in every.items() if values}
+    found = {name: float(np.mean(values)) for name, values in every.items() if values}
+    changes = [view.changes for view in views if view.changes is not None]
+    return found | (lamp(changes) if changes else {})
