@@ -320,11 +320,8 @@ def _picture(roi: str, data: bytes) -> bpy.types.Image:
 
 def _material(name: str, image: bpy.types.Image) -> bpy.types.Material:
     """A matt material with a picture, that scene's lights light."""
-    material: Any = bpy.data.materials.new(name)
-    if material.node_tree is None:  # before Blender 5
-        material.use_nodes = True
+    material = textured_meshes.blank_material(name)
     nodes, link = material.node_tree.nodes, material.node_tree.links.new
-    nodes.clear()
     picture, matt = nodes.new("ShaderNodeTexImage"), nodes.new("ShaderNodeBsdfPrincipled")
     output = nodes.new("ShaderNodeOutputMaterial")
     picture.image = image

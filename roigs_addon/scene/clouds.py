@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..blender import mesh_of
+from . import textured_meshes
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import AttributeTypeItems
@@ -133,11 +134,8 @@ def colour_material(name: str, opacity: str = "") -> bpy.types.Material:
         name: of the material.
         opacity: name of an attribute from 0 to 1; empty: opaque.
     """
-    material: Any = bpy.data.materials.new(name)
-    if material.node_tree is None:  # before Blender 5
-        material.use_nodes = True
+    material = textured_meshes.blank_material(name)
     nodes, link = material.node_tree.nodes, material.node_tree.links.new
-    nodes.clear()
     colour = nodes.new("ShaderNodeAttribute")
     colour.attribute_name = COLOUR
     light = nodes.new("ShaderNodeEmission")

@@ -225,11 +225,8 @@ def _material(
     name: str, picture: bpy.types.Image | None, here: bpy.types.Object
 ) -> bpy.types.Material:
     """What a proxy is made of."""
-    material: Any = bpy.data.materials.new(name)
-    if material.node_tree is None:  # before Blender 5
-        material.use_nodes = True
+    material = textured_meshes.blank_material(name)
     nodes, link = material.node_tree.nodes, material.node_tree.links.new
-    nodes.clear()
     surface, output = nodes.new("ShaderNodeGroup"), nodes.new("ShaderNodeOutputMaterial")
     place, away = nodes.new("ShaderNodeTexCoord"), nodes.new("ShaderNodeVectorMath")
     surface.node_tree, place.object, away.operation = _group(), here, "LENGTH"

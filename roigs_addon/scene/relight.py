@@ -107,11 +107,8 @@ def _mean(image: bpy.types.Image) -> NDArray[np.float32]:
 
 def _material(name: str, image: bpy.types.Image) -> bpy.types.Material:
     """Shines as captured, or is lit; the slider mixes them."""
-    material: Any = bpy.data.materials.new(name)
-    if material.node_tree is None:  # before Blender 5
-        material.use_nodes = True
+    material = textured_meshes.blank_material(name)
     nodes, link = material.node_tree.nodes, material.node_tree.links.new
-    nodes.clear()
     new = nodes.new
     texture, light, slider = new("ShaderNodeTexImage"), *(new("ShaderNodeAttribute") for _ in "ab")
     least, own, most = (new("ShaderNodeVectorMath") for _ in range(3))

@@ -35,6 +35,15 @@ def packed_picture(name: str, data: bytes) -> bpy.types.Image:
     return image
 
 
+def blank_material(name: str) -> Any:
+    """A new material with a node tree that is empty."""
+    material: Any = bpy.data.materials.new(name)
+    if material.node_tree is None:  # before Blender 5
+        material.use_nodes = True
+    material.node_tree.nodes.clear()
+    return material
+
+
 def image_nodes(material: Any) -> list[Any]:
     """The nodes with a picture in a material."""
     nodes = material.node_tree.nodes if material is not None and material.node_tree else ()

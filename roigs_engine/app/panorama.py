@@ -19,7 +19,7 @@ from ..requests.models import Panorama
 from .inputs import on_device, use_threads
 from .instances import LIST, InstanceRecord, drawable_model, read_list
 from .outputs import Result, refuse_inputs, refuse_run_files
-from .run_scene import poses_of_run
+from .run_scene import folder_of_model, poses_of_run
 
 if TYPE_CHECKING:
     from ..lighting.highlights import Brightness, Surfaces
@@ -39,7 +39,7 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
     """
     files = _files(request)
     refuse_run_files(request.out)
-    folder = request.run or _folder_of(request.model)
+    folder = request.run or folder_of_model(request.model)
     boxes = _boxes(folder, request.without)
     records, to_upright = _models(request, folder, context)
     inputs = [request.options_file, request.model, *(Path(each.file) for each in records)]
@@ -86,12 +86,6 @@ def _files(request: Panorama) -> list[Path]:
     if len(request.at) == 1:
         return [out]
     return [out.with_name(f"{out.stem}-{k + 1}{out.suffix}") for k in range(len(request.at))]
-
-
-def _folder_of(model: Path) -> Path:
-    """The run folder that a model is in."""
-    folder = model.absolute().parent
-    return folder.parent if folder.name in (run_files.FINE, run_files.COARSE) else folder
 
 
 def _boxes(folder: Path, names: tuple[str, ...]) -> list[OrientedBox]:
@@ -150,7 +144,7 @@ def _surfaces(path: Path, folder: Path, records: list[InstanceRecord]) -> Surfac
     from ..rasterize.light import to_linear
     from ..surface.files import sampled_surface
 
-    own = [each for each in records if _folder_of(Path(each.file)) == folder.absolute()]
+    own = [each for each in records if folder_of_model(Path(each.file)) == folder.absolute()]
     matrix = (own or records)[0].matrix
     places, normals, colours = sampled_surface(path, MOST_PLACES)
     turned = normals @ np.linalg.inv(matrix[:3, :3])

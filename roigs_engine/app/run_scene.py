@@ -103,10 +103,15 @@ def cameras_of_result(path: Path, scene: Path | None = None) -> SfmScene | None:
 
 def _run_folder(path: Path) -> Path | None:
     """The run folder of a result, or of a part of one; None: the file is not called like one."""
+    folder = folder_of_model(path)
+    part = folder != path.absolute().parent
+    return folder if part or path.name in (run_files.RESULT, run_files.BACKGROUND) else None
+
+
+def folder_of_model(path: Path) -> Path:
+    """The folder that is a run's, if the model is a run's: that above the folders of parts."""
     folder = path.absolute().parent
-    if folder.name in (run_files.FINE, run_files.COARSE):
-        return folder.parent
-    return folder if path.name in (run_files.RESULT, run_files.BACKGROUND) else None
+    return folder.parent if folder.name in (run_files.FINE, run_files.COARSE) else folder
 
 
 def _longest_side(folder: Path) -> int | None:
