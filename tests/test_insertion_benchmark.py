@@ -111,3 +111,8 @@ def test_photos_that_show_most_of_the_things_are_compared(tmp_path: Path) -> Non
     photos = ["c.jpg", "b.jpg", "a.jpg"]
     assert views.photos_that_show_most(tmp_path, photos, 2) == ["c.jpg", "a.jpg"]
     assert views.photos_that_show_most(tmp_path, photos, 1) == ["c.jpg"]
+
+
+def test_a_truth_that_is_not_whole_is_scored_as_far_as_it_goes(tmp_path: Path) -> None:
+    np.save(views.picture_file(tmp_path, "wide/a.jpg", "index"), np.ones((4, 6), np.uint8))
+    assert views.photos_that_show_most(tmp_path, ["wide/a.jpg", "wide/b.jpg"]) == ["wide/a.jpg"]

@@ -57,9 +57,13 @@ def index_of(folder: Path, photo: str) -> NDArray[np.uint8]:
 
 
 def photos_that_show_most(folder: Path, photos: list[str], count: int = VIEWS) -> list[str]:
-    """The photos with most pixels of things and of the vase, in their given order."""
-    pixels = {photo: int((index_of(folder, photo) > 0).sum()) for photo in photos}
-    first = sorted(photos, key=lambda photo: -pixels[photo])[:count]
+    """The photos with most pixels of things and of the vase, in their given order.
+
+    Those without a picture of indices are left out: the truth is not rendered whole.
+    """
+    there = [photo for photo in photos if picture_file(folder, photo, "index").exists()]
+    pixels = {photo: int((index_of(folder, photo) > 0).sum()) for photo in there}
+    first = sorted(there, key=lambda photo: -pixels[photo])[:count]
     return [photo for photo in photos if photo in first]
 
 
