@@ -23,9 +23,10 @@ from benchmarks.insertion.views import ROWS, picture_file
 from roigs_addon import settings
 from roigs_addon.engine.command import Engine
 from roigs_addon.geometry.photo import Photo
-from roigs_addon.properties import scene_props, stage_props
+from roigs_addon.properties import scene_props
 from roigs_addon.scene import box_surfaces, cameras, importing, relight, splats, stage_world
 from roigs_addon.scene.image_pixels import pixels_of
+from roigs_addon.stage_properties import stage_props
 from roigs_engine.app.run_scene import cameras_of_run
 from roigs_engine.context import QUIET
 

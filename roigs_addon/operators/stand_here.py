@@ -15,9 +15,10 @@ from ..errors import AddonError
 from ..jobs import current, run_folders, stage_job, undo
 from ..jobs.job import Job
 from ..jobs.spec import JobSpec
-from ..properties import object_props, stage_props
+from ..properties import object_props
 from ..scene import lookup, proxies, stage_world, standing
 from ..scene.surfaces import TYPES
+from ..stage_properties import stage_props
 from ..windows import redraw
 from .base import BUSY, FRESH, EngineOperator, available, failed, tell
 from .picking import PickTool, place_in_view, shown_points

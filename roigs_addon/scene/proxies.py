@@ -19,8 +19,9 @@ from mathutils import Vector
 from ..blender import mesh_of
 from ..errors import AddonError
 from ..geometry.glb import read_glb
-from ..properties import object_props, scene_props, stage_props
+from ..properties import object_props, scene_props
 from ..shared import files, transforms
+from ..stage_properties import stage_props
 from . import box_surfaces, lookup, stage, textured_meshes
 
 BACKGROUND = "Background"

@@ -14,7 +14,8 @@ import bpy
 from mathutils import Vector
 
 from ..blender import delete
-from ..properties import object_props, stage_props
+from ..properties import object_props
+from ..stage_properties import stage_props
 from . import compositor, display, lookup, shadow_pass
 
 NATIVE = "shown "

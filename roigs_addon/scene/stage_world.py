@@ -10,7 +10,7 @@ from typing import Any
 import bpy
 from mathutils import Vector
 
-from ..properties import stage_props
+from ..stage_properties import stage_props
 from . import proxies, stage
 
 NAME = "ROI-GS Light"

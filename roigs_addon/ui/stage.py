@@ -9,8 +9,8 @@ from ..jobs import current
 from ..jobs.spec import STAGING
 from ..operators.stage import PLACES, CatchShadows, LightFromScene, RemoveStage
 from ..operators.stand_here import StandHere
-from ..properties import stage_props
 from ..scene import lookup, proxies, stage, stage_world
+from ..stage_properties import stage_props
 from . import layout as show
 from .layout import SidebarPanel
 from .result import ResultPanel

@@ -1,0 +1,74 @@
+"""What the add-on keeps of the stage, for the user's own objects in the captured scene."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+from bpy.props import BoolProperty, FloatProperty, PointerProperty, StringProperty
+
+
+def _proxies(stage: RoigsStage) -> list[Any]:
+    collection = stage.collection
+    return list(collection.objects) if collection is not None else []
+
+
+RAYS = ("diffuse", "glossy", "transmission", "volume_scatter", "shadow")
+"""Of Cycles, besides the camera's: `visible_` of an object."""
+
+
+def _catches(stage: RoigsStage) -> bool:
+    return any(item.visible_camera for item in _proxies(stage))
+
+
+def _set_catches(stage: RoigsStage, on: bool) -> None:
+    for item in _proxies(stage):
+        item.visible_camera = on
+
+
+def _reflects(stage: RoigsStage) -> bool:
+    return any(item.visible_glossy for item in _proxies(stage))
+
+
+def _set_reflects(stage: RoigsStage, on: bool) -> None:
+    for item in _proxies(stage):
+        for name in RAYS:
+            setattr(item, f"visible_{name}", on)
+
+
+class RoigsStage(bpy.types.PropertyGroup):
+    """What makes the user's own objects look as if they stood in the captured scene."""
+
+    before: StringProperty(description="Settings of the scene before, as JSON; empty: none changed")
+    collection: PointerProperty(
+        type=bpy.types.Collection, description="The proxies of captured surfaces"
+    )
+    turn: PointerProperty(
+        type=bpy.types.Object, description="Empty that turns the light with the captured scene"
+    )
+    here: PointerProperty(
+        type=bpy.types.Object, description="Empty where the light's picture was taken"
+    )
+    radius: FloatProperty(description="Of the user's object there, in units of the world")
+    world: PointerProperty(type=bpy.types.World, description="The world that shines")
+    world_before: PointerProperty(type=bpy.types.World, description="The user's world")
+    catches: BoolProperty(
+        name="Catch Shadows",
+        get=_catches,
+        set=_set_catches,
+        description="Captured surfaces receive the shadows and the light of your objects (Cycles)",
+    )
+    reflects: BoolProperty(
+        name="Reflections and Bounce",
+        get=_reflects,
+        set=_set_reflects,
+        description="Captured surfaces are seen in your objects, light them, and block the light of"
+        " the world (Cycles)",
+    )
+
+
+def stage_props(scene: bpy.types.Scene) -> RoigsStage:
+    """What the add-on has added to a scene for the user's own objects."""
+    described: Any = scene  # Blender's stubs know nothing of what add-ons add
+    stage: RoigsStage = described.roigs.stage
+    return stage
