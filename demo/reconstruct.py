@@ -28,6 +28,7 @@ def arguments() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scene", type=Path, default=HERE / "scene", help="folder of the scene")
+    parser.add_argument("--model", type=Path, help="align this model of the photos; find none")
     parser.add_argument("--work", type=Path, help="keep the database here instead of a temporary")
     parser.add_argument("--camera", default="PINHOLE", help="COLMAP camera model, one for all")
     parser.add_argument("--features", type=int, default=3000, help="most features per photo")
@@ -179,10 +180,13 @@ def main() -> None:
     args = arguments()
     started = time.time()
     truth = json.loads((args.scene / "truth.json").read_text())
-    with tempfile.TemporaryDirectory() as folder:
-        work = args.work or Path(folder)
-        work.mkdir(parents=True, exist_ok=True)
-        model = solve(args, work)
+    if args.model:
+        model = pycolmap.Reconstruction(args.model)
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            work = args.work or Path(folder)
+            work.mkdir(parents=True, exist_ok=True)
+            model = solve(args, work)
     names = {model.images[i].name for i in model.reg_image_ids()}
     print("not registered:", sorted(set(truth["photos"]) - names) or "none")
     left = align(model, truth)
