@@ -6,8 +6,9 @@
 Writes what each photo's sensor sees (`<out>/linear`, half-precision EXR, before exposure and tone
 mapping), develops it to JPEG with true EXIF (`<out>/images`, or `--photos`), and writes the true
 cameras, exposures and faults to `<out>/truth.json`. Views without any fault, to measure with, are
-in `<out>/held_out`. Stopped, the same command resumes; photos that are rendered are only developed
-again. `--check` compares what it develops with Blender's own pictures.
+in `<out>/images_held_out`, at the exposure in the middle of the photos'. Stopped, the same command
+resumes; photos that are rendered are only developed again. `--check` compares what it develops with
+Blender's own pictures.
 Needs Python 3.11 and `pip install bpy==4.5.15 pillow`.
 """
 
@@ -33,11 +34,11 @@ from materials import Library
 from mathutils import Matrix
 from PIL import ExifTags, Image
 
-FAULTLESS = "held_out/"
+HELD_OUT = "held_out/"
 F_NUMBER, TIME, SPEED = 2.8, Fraction(1, 60), 100
 FOCUSED_F = 1.4
 """f-number of photos that are focused on the foreground: their blur, and no other exposure."""
-SHARPNESS, QUALITY = 95, 92
+QUALITY = 92
 
 
 def arguments() -> argparse.Namespace:
@@ -63,8 +64,8 @@ def plan(width: int) -> tuple[list[Taken], Bounds]:
     return shots + large_shots.held_out(probe, bounds), bounds
 
 
-def write_truth(path: Path, shots: list[Taken], bounds: Bounds, width: int, drift: float) -> None:
-    """Cameras (camera to world, OpenCV axes), faults and object bounds as JSON."""
+def write_truth(path: Path, shots: list[Taken], bounds: Bounds, width: int) -> None:
+    """Cameras (camera to world, OpenCV axes), exposures, faults and object bounds as JSON."""
     photos = {}
     for shot in shots:
         matrix = shot.matrix()
@@ -72,7 +73,7 @@ def write_truth(path: Path, shots: list[Taken], bounds: Bounds, width: int, drif
         photos[shot.name] = {
             "centre": [round(v, 6) for v in matrix.to_translation()],
             "rotation": turn,
-            "stops": round(shot.stops * drift, 4),
+            "stops": round(shot.stops, 4),
             "blurred": any((*shot.slide, *shot.swing)),
             "focus": shot.focus,
         }
@@ -150,20 +151,24 @@ def exif(stops: float) -> Image.Exif:
 
 
 def develop(args: argparse.Namespace, shots: list[Taken]) -> None:
-    """Write all photos that are rendered; those without faults as PNG."""
+    """Write all photos that are rendered; those that are held out as PNG."""
+    taken = [shot.stops for shot in shots if not shot.name.startswith(HELD_OUT)]
+    middle = args.drift * float(np.median(taken))
     for shot in shots:
         source = (args.out / "linear" / shot.name).with_suffix(".exr")
-        faultless = shot.name.startswith(FAULTLESS)
-        target = args.out / (shot.name if faultless else f"{args.photos}/{shot.name}")
         if not source.exists():
             continue
-        target.parent.mkdir(parents=True, exist_ok=True)
-        if faultless:
-            developed(sensor(source), 0.0).save(target.with_suffix(".png"))
+        light = sensor(source)
+        if shot.name.startswith(HELD_OUT):
+            name = Path(shot.name.removeprefix(HELD_OUT)).with_suffix(".png")
+            target = args.out / f"{args.photos}_held_out" / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            developed(light, middle).save(target)
         else:
-            stops = shot.stops * args.drift
-            picture = developed(sensor(source), stops)
-            picture.save(target, quality=QUALITY, exif=exif(stops))
+            target = args.out / args.photos / shot.name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            stops = args.drift * shot.stops
+            developed(light, stops).save(target, quality=QUALITY, exif=exif(stops))
 
 
 def check(shots: list[Taken], camera: bpy.types.Object, out: Path) -> None:
@@ -194,11 +199,13 @@ def main() -> None:
     shots, bounds = plan(args.width)
     print(f"{len(shots)} places", flush=True)
     args.out.mkdir(parents=True, exist_ok=True)
-    write_truth(args.out / "truth.json", shots, bounds, args.width, args.drift)
+    write_truth(args.out / "truth.json", shots, bounds, args.width)
     if args.check:
         check(shots, camera, args.out)
         return
-    left = [s for s in shots if not (args.out / "linear" / s.name).with_suffix(".exr").exists()]
+    mixed = [shots[k] for k in np.random.default_rng(0).permutation(len(shots))]
+    # Mixed, so that a part of the photos is a small capture of everything.
+    left = [s for s in mixed if not (args.out / "linear" / s.name).with_suffix(".exr").exists()]
     for number, shot in enumerate(left[: args.most], 1):
         begun = time.time()
         take(shot, camera, (args.out / "linear" / shot.name).with_suffix(".exr"))
