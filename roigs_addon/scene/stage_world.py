@@ -80,7 +80,8 @@ def shine(
 
 def _copied(users: bpy.types.World | None) -> Any:
     """A world with nodes that looks like the user's: its copy, or a black one."""
-    if users is not None and users.node_tree is not None and getattr(users, "use_nodes", True):
+    always = bpy.app.version >= (5, 0, 0)  # a world is its nodes, and the switch is going away
+    if users is not None and users.node_tree is not None and (always or users.use_nodes):
         own: Any = users.copy()
         own.name = NAME
         return own
