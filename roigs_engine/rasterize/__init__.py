@@ -54,7 +54,7 @@ from .tiles import Mask, active_tiles
 
 __all__ = ["RenderOutput", "rasterize"]
 
-BACKENDS = ("auto", "cpu", "cuda", "reference")
+BACKENDS = ("auto", "cpu", "cuda", "gpu", "reference")
 
 
 def rasterize(
@@ -126,7 +126,7 @@ def _chosen(backend: str, parameters: tuple[Tensor, ...]) -> str:
     device, is_float = parameters[0].device.type, all(p.dtype == torch.float32 for p in parameters)
     if backend == "auto":
         return device if is_float and device in ("cpu", "cuda") else "reference"
-    if (backend != "reference" and not is_float) or (backend == "cpu" and device != "cpu"):
+    if (backend != "reference" and not is_float) or (backend in ("cpu", "gpu") and device != "cpu"):
         kinds = ", ".join(sorted({str(p.dtype) for p in parameters}))
         raise KernelError(
             f"rasterize: the {backend} backend does not take {kinds} on {device}.",
@@ -141,6 +141,8 @@ def _renderer(backend: str) -> Callable[[RenderInputs], RenderOutput]:
         from .cpu import render
     elif backend == "cuda":
         from .cuda import render
+    elif backend == "gpu":
+        from .gpu import render
     else:
         from .reference import render
     return render

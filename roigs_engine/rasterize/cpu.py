@@ -90,7 +90,7 @@ class CameraView:
         # Kept alive: the structures point to them.
         self._parameters = parameters
         self._tile_mask = None if mask is None else mask.to("cpu", torch.uint8).contiguous()
-        self._camera = _camera(inputs, c)
+        self._camera = camera_of(inputs, c)
         self._camera.tile_mask = pointer(self._tile_mask)
         structure = bindings.packed_gaussians(
             parameters, inputs.sh_degree, inputs.raw, inputs.linear_light
@@ -129,7 +129,7 @@ class CameraView:
         return self._call("roigs_project_backward_adam", self._gaussians, adam, self._grad2d)
 
 
-def _camera(inputs: RenderInputs, c: int) -> bindings.Camera:
+def camera_of(inputs: RenderInputs, c: int) -> bindings.Camera:
     """Camera `c` as the kernels take it, without its tiles' mask."""
     view, K = inputs.viewmats[c].tolist(), inputs.Ks[c].tolist()
     camera = bindings.Camera()

@@ -231,7 +231,7 @@ def check_backward_step(
             "rasterize: the backward step's tensors are not the tensors to render.",
             "Pass the optimizer's tensors, in the order of rasterize's arguments.",
         )
-    if cameras != 1 or backend not in ("cpu", "cuda"):
+    if cameras != 1 or backend not in ("cpu", "cuda", "gpu"):
         raise EngineError(
             f"rasterize: no backward step with {cameras} cameras on the {backend} backend.",
             "Pass one camera and float32 tensors, or call the optimizer's step.",

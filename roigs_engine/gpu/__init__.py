@@ -1,0 +1,1 @@
+"""Compute shaders for every GPU, through wgpu: Vulkan, Metal and DirectX 12."""

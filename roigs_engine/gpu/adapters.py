@@ -1,0 +1,101 @@
+"""The GPUs that wgpu finds, and the one that this process draws with.
+
+wgpu is a package with a library that reaches GPUs through the driver that is there: Vulkan, Metal
+or DirectX 12. torch cannot; tensors stay in main memory.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import KernelError
+
+APIS = {"Vulkan": "Vulkan", "Metal": "Metal", "D3D12": "DirectX 12"}
+"""Names of wgpu's backends that have all that the shaders need."""
+STORAGE_BUFFERS = 10
+"""The most that a kernel has."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Adapter:
+    """A GPU with its driver."""
+
+    handle: Any  # wgpu.GPUAdapter
+    name: str
+    api: str
+    is_software: bool  # a processor that plays one
+    is_integrated: bool
+
+    @property
+    def title(self) -> str:
+        """Its name and how it is reached, for people."""
+        return f"{self.name}, {self.api}"
+
+    @property
+    def largest(self) -> int:
+        """The largest buffer that a kernel can use, bytes."""
+        limits = self.handle.limits
+        return min(int(limits["max-storage-buffer-binding-size"]), int(limits["max-buffer-size"]))
+
+
+def wgpu() -> Any:
+    """The package; KernelError if it is not installed, or does not load."""
+    try:
+        import wgpu
+    except (ImportError, OSError, RuntimeError) as error:
+        reason = "" if isinstance(error, ModuleNotFoundError) else f" ({error})"
+        raise KernelError(
+            f"The Python package wgpu is missing{reason}: it reaches GPUs that are not NVIDIA's.",
+            "Install it: pip install 'roigs[gpu]'.",
+        ) from error
+    return wgpu
+
+
+@functools.cache
+def adapters() -> tuple[Adapter, ...]:
+    """All GPUs, the best ones first: those with memory of their own. KernelError: no wgpu."""
+    found = []
+    for handle in wgpu().gpu.enumerate_adapters_sync():
+        info = handle.info
+        if info["backend_type"] not in APIS:
+            continue
+        kind = info["adapter_type"]
+        found.append(
+            Adapter(
+                handle=handle,
+                name=info["device"] or info["description"],
+                api=APIS[info["backend_type"]],
+                is_software=kind == "CPU",
+                is_integrated=kind != "DiscreteGPU",
+            )
+        )
+    return tuple(sorted(found, key=lambda each: (each.is_software, each.is_integrated)))
+
+
+def find(name: str = "") -> Adapter:
+    """The best GPU; with a `name`, the first one whose name has it, of whatever kind.
+
+    KernelError: there is none. A processor that plays a GPU is slower than our kernels for
+    processors: it must be named.
+    """
+    there = adapters()
+    wanted = [
+        each
+        for each in there
+        if (name.casefold() in each.title.casefold() if name else not each.is_software)
+    ]
+    if not wanted:
+        names = "; ".join(each.title for each in there)
+        raise KernelError(
+            f"There is no GPU named '{name}'." if name else "wgpu finds no GPU.",
+            f"It finds: {names}." if names else "Check its driver: it must have Vulkan.",
+        )
+    few = int(wanted[0].handle.limits["max-storage-buffers-per-shader-stage"])
+    if few < STORAGE_BUFFERS:
+        raise KernelError(
+            f"{wanted[0].title} takes {few} buffers per kernel; {STORAGE_BUFFERS} are needed.",
+            "Update its driver, or use the CPU.",
+        )
+    return wanted[0]

@@ -1,0 +1,311 @@
+"""The shaders on a GPU: compiled kernels, buffers, launches and what comes back.
+
+The shaders are WGSL, in files of their own. All kernels of a file share its buffers; a kernel
+names those that it uses.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+import struct
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import GpuMemoryError, KernelError
+from .adapters import STORAGE_BUFFERS, Adapter, find, wgpu
+
+FOLDER = Path(__file__).parent / "shaders"
+ROWS = 128  # Gaussians of a group
+BUCKET = 64  # entries of a tile's list that a group walks with
+MOMENTS = 9  # of a slot
+SORT_BLOCK = 2048  # numbers that a group sorts
+DIGIT_BITS, DIGITS = 4, 16
+GROUPS_IN_ROW = 32768  # of a launch; its rows are counted apart: 65535 is the limit of both
+SIZES = {
+    "ROWS": ROWS,
+    "BUCKET": BUCKET,
+    "MOMENTS": MOMENTS,
+    "SORT_BLOCK": SORT_BLOCK,
+    "GROUPS_IN_ROW": GROUPS_IN_ROW,
+}
+JOB_BYTES = 256  # how far apart places in a buffer must be that kernels start from
+LEAST_BYTES = 1024
+MARGIN = 1.25  # buffers are so much larger than needed when they must grow
+
+_SPLATS = "frame splats"
+_LISTS = f"{_SPLATS} tile_first entries ids reached checkpoints"
+_SORT = "job keys_in values_in keys_out values_out numbers"
+KERNELS: dict[str, tuple[str, str]] = {
+    "project": (
+        "frame geometry project",
+        "frame shapes sh splats depths ranks pair_counts tile_mask",
+    ),
+    "sum_counts": ("frame geometry project", "frame pair_counts order numbers"),
+    "list_tiles": (
+        "frame geometry project",
+        f"{_SPLATS} pair_counts first_slot tile_mask order numbers tiles slots ids",
+    ),
+    "begin_tiles": ("frame geometry project", "frame sorted tile_begin"),
+    "count_digits": ("sort", "job keys_in numbers"),
+    "scan": ("sort", "job numbers"),
+    "scatter": ("sort", _SORT),
+    "blend": ("frame blend", f"{_LISTS} picture"),
+    "gradient": ("frame walk", f"{_LISTS} moments picture picture_gradient"),
+    "weigh": ("frame walk", f"{_LISTS} pixel_weights slot_weights"),
+    "fold_weights": ("frame walk", "frame pair_counts first_slot slot_weights weights"),
+    "project_backward": (
+        "frame geometry backward",
+        f"{_SPLATS} shapes sh pair_counts first_slot moments shape_gradients sh_gradients grad2d",
+    ),
+}
+"""Name -> the files that it is made of, and the buffers that it uses."""
+
+
+def source(files: str, constants: Mapping[str, float]) -> str:
+    """The text of a module, with the model's constants in front; whole numbers are integers."""
+    values = {**constants, **SIZES}
+    lines = [f"const {name} = {value!r};\n" for name, value in values.items()]
+    texts = [(FOLDER / f"{name}.wgsl").read_text(encoding="utf-8") for name in files.split()]
+    return "".join((*lines, *texts))
+
+
+@functools.cache
+def _bindings(files: str) -> dict[str, int]:
+    """Name of a buffer -> its number, in the sources."""
+    found = re.findall(r"@binding\((\d+)\) var<[^>]*> (\w+)", source(files, {}))
+    return {name: int(number) for number, name in found}
+
+
+class Program:
+    """The kernels on a GPU."""
+
+    def __init__(self, adapter: Adapter, constants: Mapping[str, float]) -> None:
+        """Open the GPU. KernelError: it cannot be opened, or does not take the shaders."""
+        self.adapter, self.library = adapter, wgpu()
+        limits = {
+            "max-storage-buffers-per-shader-stage": STORAGE_BUFFERS,
+            "max-storage-buffer-binding-size": adapter.largest,
+            "max-buffer-size": adapter.largest,
+        }
+        self._constants, self._modules = dict(constants), dict[str, Any]()
+        self.pipelines: dict[str, Any] = {}
+        self._staging: Any = None
+        with self.explained("opening it"):
+            self.device = adapter.handle.request_device_sync(required_limits=limits)
+            for kernel, (files, _) in KERNELS.items():
+                self.pipelines[kernel] = self._compiled(kernel, files)
+
+    def explained(self, doing: str) -> _Explained:
+        """A block in which wgpu's errors become one line."""
+        return _Explained(self.library, self.adapter.title, doing)
+
+    def _compiled(self, kernel: str, files: str) -> Any:
+        if files not in self._modules:
+            code = source(files, self._constants)
+            self._modules[files] = self.device.create_shader_module(code=code)
+        stage = {"module": self._modules[files], "entry_point": kernel}
+        return self.device.create_compute_pipeline(layout="auto", compute=stage)
+
+    def new_buffer(self, size: int) -> Any:
+        usage = self.library.BufferUsage
+        size = -(-max(size, LEAST_BYTES) // JOB_BYTES) * JOB_BYTES
+        return self.device.create_buffer(
+            size=size, usage=usage.STORAGE | usage.COPY_SRC | usage.COPY_DST
+        )
+
+    def read(self, encoder: Any, wanted: Sequence[tuple[Any, int, int]]) -> list[NDArray[np.uint8]]:
+        """Submit what is encoded and wait: bytes of buffers, each (buffer, first, size).
+
+        Sizes are multiples of 4. The arrays are the caller's.
+        """
+        total = sum(size for _, _, size in wanted)
+        if self._staging is None or self._staging.size < total:
+            usage = self.library.BufferUsage
+            self._staging = self.device.create_buffer(
+                size=max(int(MARGIN * total) // 8 * 8 + 8, LEAST_BYTES),
+                usage=usage.MAP_READ | usage.COPY_DST,
+            )
+        place = 0
+        for buffer, first, size in wanted:
+            encoder.copy_buffer_to_buffer(buffer, first, self._staging, place, size)
+            place += size
+        self.device.queue.submit([encoder.finish()])
+        self._staging.map_sync(self.library.MapMode.READ, 0, -(-total // 8) * 8)
+        try:
+            whole = np.frombuffer(self._staging.read_mapped(copy=True), dtype=np.uint8)
+        finally:
+            self._staging.unmap()
+        ends = np.cumsum([size for _, _, size in wanted])
+        return [whole[end - size : end] for end, (_, _, size) in zip(ends, wanted, strict=True)]
+
+
+class _Explained:
+    """Turns wgpu's errors into a KernelError; a full memory into a GpuMemoryError."""
+
+    def __init__(self, library: Any, title: str, doing: str) -> None:
+        self._library, self._title, self._doing = library, title, doing
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: Any, error: BaseException | None, _: Any) -> None:
+        if error is None or isinstance(error, KernelError):
+            return
+        if isinstance(error, MemoryError):
+            raise GpuMemoryError(
+                f"The memory of {self._title} is full: {self._doing}.",
+                "Close other programs that use the GPU, or use smaller photos (--max-side) or"
+                " the CPU (--device cpu).",
+            ) from error
+        if isinstance(error, (self._library.GPUError, RuntimeError)):
+            first = (str(error).strip().splitlines() or ["unknown error"])[0].rstrip(".:")
+            raise KernelError(
+                f"{self._title} failed while {self._doing}: {first}.",
+                "Update its driver, or use the CPU (--device cpu), which resumes.",
+            ) from error
+
+
+class Memory:
+    """Named buffers of one view, which grow and are used again for the next one.
+
+    Memory that is new must be cleared by the driver, and needs new bind groups.
+    """
+
+    _idle: list[Memory] = []
+    _MOST_IDLE = 2
+
+    def __init__(self, program: Program) -> None:
+        self.program = program
+        self._buffers: dict[str, Any] = {}
+        self._groups: dict[tuple[Any, ...], Any] = {}
+
+    @classmethod
+    def take(cls, program: Program) -> Memory:
+        """The one given back last, or a new one."""
+        while cls._idle:
+            memory = cls._idle.pop()
+            if memory.program is program:
+                return memory
+        return cls(program)
+
+    def give_back(self) -> None:
+        """Release it for the next `take`; its contents are lost."""
+        if len(self._idle) < self._MOST_IDLE:
+            self._idle.append(self)
+
+    def need(self, **sizes: int) -> None:
+        """Buffers of so many bytes at least; what was in one that is too small is lost."""
+        for name, size in sizes.items():
+            old = self._buffers.get(name)
+            if old is not None and old.size >= size:
+                continue
+            largest = self.program.adapter.largest // JOB_BYTES * JOB_BYTES
+            if old is not None:
+                old.destroy()
+                self._groups.clear()
+            self._buffers[name] = self.program.new_buffer(min(int(MARGIN * size), largest))
+
+    def __getitem__(self, name: str) -> Any:
+        return self._buffers[name]
+
+    def write(self, name: str, *arrays: Any, at: int = 0) -> None:
+        """Copy arrays into a buffer, one behind the other; they hold multiples of 4 bytes."""
+        buffer, queue = self._buffers[name], self.program.device.queue
+        for array in arrays:
+            view = memoryview(array).cast("B")
+            if view.nbytes:
+                queue.write_buffer(buffer, at, view)
+            at += view.nbytes
+
+    def group(self, kernel: str, names: Mapping[str, str], job: int) -> Any:
+        """The bind group of a kernel; `names`: buffers that have other names than in the shader."""
+        key = (kernel, job, *names.values())
+        if key not in self._groups:
+            files, used = KERNELS[kernel]
+            numbers, entries = _bindings(files), []
+            for own in used.split():
+                buffer = self._buffers[names.get(own, own)]
+                whole = {"buffer": buffer, "offset": 0, "size": buffer.size}
+                if own == "job":
+                    whole |= {"offset": job * JOB_BYTES, "size": JOB_BYTES}
+                entries.append({"binding": numbers[own], "resource": whole})
+            layout = self.program.pipelines[kernel].get_bind_group_layout(0)
+            self._groups[key] = self.program.device.create_bind_group(
+                layout=layout, entries=entries
+            )
+        return self._groups[key]
+
+
+class Commands:
+    """Launches that are collected, and run when something is read."""
+
+    def __init__(self, memory: Memory) -> None:
+        self._memory, self._program = memory, memory.program
+        self._encoder: Any = None
+        self._pass: Any = None
+
+    def launch(
+        self, kernel: str, groups: int | tuple[int, int], *, job: int = 0, **names: str
+    ) -> None:
+        """Run a kernel with so many groups, or columns and rows of them, after those before."""
+        if self._pass is None:
+            self._encoder = self._program.device.create_command_encoder()
+            self._pass = self._encoder.begin_compute_pass()
+        if isinstance(groups, int):
+            groups = min(groups, GROUPS_IN_ROW), -(-groups // GROUPS_IN_ROW)
+        self._pass.set_pipeline(self._program.pipelines[kernel])
+        self._pass.set_bind_group(0, self._memory.group(kernel, names, job))
+        self._pass.dispatch_workgroups(*groups, 1)
+
+    def sort(self, keys: str, values: str, count: int, bits: int, job: int) -> tuple[str, str]:
+        """Sort numbers of so many bits with their values; the names of the sorted buffers.
+
+        `job` and those after it, one for each digit, are free places in the buffer of that name.
+        """
+        blocks = -(-count // SORT_BLOCK)
+        other = f"{keys}_other", f"{values}_other"
+        self._memory.need(**dict.fromkeys(other, 4 * count), digits=4 * (DIGITS * blocks + 1))
+        now = keys, values
+        for job, shift in enumerate(range(0, bits, DIGIT_BITS), start=job):
+            self.set_job(job, count, shift, blocks, DIGITS * blocks)
+            self.launch("count_digits", blocks, job=job, keys_in=now[0], numbers="digits")
+            self.launch("scan", 1, job=job, numbers="digits")
+            ends = dict(zip(("keys_in", "values_in", "keys_out", "values_out"), (*now, *other)))
+            self.launch("scatter", blocks, job=job, numbers="digits", **ends)
+            now, other = other, now
+        return now
+
+    def set_job(self, job: int, *values: int) -> None:
+        """Set what a kernel of sort.wgsl is told; to be read, so once for each place and run."""
+        self._memory.write("job", struct.pack("4I", *values), at=job * JOB_BYTES)
+
+    def read(self, *wanted: tuple[str, int] | tuple[str, int, int]) -> list[NDArray[np.uint8]]:
+        """Run all, and read bytes of buffers: name, size and the place of the first one."""
+        if self._pass is None:
+            self._encoder = self._program.device.create_command_encoder()
+        else:
+            self._pass.end()
+        encoder, self._encoder, self._pass = self._encoder, None, None
+        places = [(self._memory[name], *(first or (0,)), size) for name, size, *first in wanted]
+        return self._program.read(encoder, places)
+
+
+_opened: list[Program] = []
+
+
+def open_gpu(name: str, constants: Mapping[str, float]) -> Program:
+    """Open the GPU for this process, see `adapters.find`. Raises KernelError."""
+    adapter = find(name)
+    if not _opened or _opened[0].adapter is not adapter:
+        _opened[:] = [Program(adapter, constants)]
+    return _opened[0]
+
+
+def opened() -> Program | None:
+    """The GPU that this process draws with; None: the processor does."""
+    return _opened[0] if _opened else None

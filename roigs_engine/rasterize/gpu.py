@@ -1,0 +1,274 @@
+"""The backend for every GPU: compute shaders, through wgpu (Vulkan, Metal, DirectX 12).
+
+gpu/shaders/frame.wgsl has the kernels' buffers and their order. Tensors are in main memory: the
+parameters are sent to the GPU, pictures and gradients come back. What there are no shaders for, a
+surface and the median depth, is drawn by the processor, as is a view that has more pairs of
+Gaussians and tiles than the GPU's buffers hold.
+"""
+
+from __future__ import annotations
+
+import struct
+import weakref
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..errors import KernelError
+from ..gpu.program import (
+    BUCKET,
+    JOB_BYTES,
+    MOMENTS,
+    ROWS,
+    Commands,
+    Memory,
+    Program,
+    open_gpu,
+    opened,
+)
+from ..kernels import bindings
+from . import cpu, kernel_function
+from .inputs import ALPHA_MAX, FRUSTUM_MARGIN, NEAR, TILE, RenderInputs, RenderOutput
+
+PIXELS = TILE * TILE
+CONSTANTS: dict[str, float] = {
+    "TILE": TILE,
+    "PIXELS": PIXELS,
+    "NEAR": NEAR,
+    "ALPHA_MAX": ALPHA_MAX,
+    "FRUSTUM_MARGIN": FRUSTUM_MARGIN,
+}
+SHAPE = 11  # numbers of a Gaussian beside its SH
+DEPTH_BITS = 32
+DEPTH_JOB, COUNT_JOB, TILE_JOB, JOBS = 0, 8, 9, 16
+CAMERA_BYTES = bindings.Camera.window.offset + bindings.Camera.window.size
+
+
+def use_gpu(name: str) -> Program:
+    """Draw on a GPU from here on (`gpu.adapters.find`). Raises KernelError."""
+    return open_gpu(name, CONSTANTS)
+
+
+def render(inputs: RenderInputs) -> RenderOutput:
+    """Render all cameras; see `rasterize`. Raises KernelError."""
+    program = opened() or use_gpu("")
+    if inputs.with_surface or inputs.with_depth == "median" or not fits(program, inputs):
+        return cpu.render(inputs)
+    return kernel_function.render(inputs, begin)
+
+
+def fits(program: Program, inputs: RenderInputs) -> bool:
+    """Whether a buffer of the GPU holds the SH, and the picture."""
+    left, top, right, bottom = inputs.window
+    largest = max(inputs.parameters[4].numel(), 5 * (right - left) * (bottom - top))
+    return 4 * largest <= program.adapter.largest
+
+
+def begin(
+    inputs: RenderInputs, c: int, parameters: list[Tensor], visible: Tensor
+) -> kernel_function.BackendView:
+    """A view on the GPU, or by the processor, if it has too many pairs."""
+    program = opened()
+    assert program is not None
+    with program.explained(f"drawing {len(parameters[0]):,} Gaussians"):
+        view = CameraView(program, inputs, c, parameters, visible)
+        if view.pairs < most_pairs(program.adapter.largest):
+            view.list_tiles()
+            return view
+    return cpu.CameraView(inputs, c, parameters, visible)
+
+
+def most_pairs(largest: int) -> int:
+    """The pairs that buffers of so many bytes hold: checkpoints need most of them."""
+    return min(largest // (PIXELS * 16 // BUCKET), largest // (4 * MOMENTS), 2**31)
+
+
+class CameraView:
+    """One camera's frame, from kernel to kernel; see `kernel_function.BackendView`.
+
+    Attributes:
+        pairs: of Gaussians and tiles.
+    """
+
+    def __init__(
+        self,
+        program: Program,
+        inputs: RenderInputs,
+        c: int,
+        parameters: list[Tensor],
+        visible: Tensor,
+    ) -> None:
+        """Project for camera `c`, and count the pairs."""
+        self.program, self.inputs, self.pairs = program, inputs, 0
+        self.count, self._visible = len(parameters[0]), visible
+        self._parameters = parameters
+        self.memory = Memory.take(program)
+        weakref.finalize(self, self.memory.give_back)
+        self.commands = Commands(self.memory)
+        left, top, right, bottom = inputs.tiles
+        self.tiles = (right - left) * (bottom - top)
+        x0, y0, x1, y1 = inputs.window
+        self.pixels = (x1 - x0) * (y1 - y0)
+        self.camera = bytes(cpu.camera_of(inputs, c))[:CAMERA_BYTES]
+        if self.count and self.tiles:
+            self._project()
+
+    def _project(self) -> None:
+        count, memory, commands = self.count, self.memory, self.commands
+        mask, blocks = self.inputs.tile_mask, -(-count // ROWS)
+        memory.need(
+            frame=JOB_BYTES,
+            job=JOBS * JOB_BYTES,
+            shapes=4 * SHAPE * count,
+            sh=self._parameters[4].nbytes,
+            splats=64 * count,
+            **dict.fromkeys(("depths", "ranks", "pair_counts", "first_slot"), 4 * count),
+            numbers=4 * (blocks + 1),
+            tile_mask=4 if mask is None else 4 * self.tiles,
+        )
+        self._write_frame()
+        *shapes, sh = (parameter.numpy() for parameter in self._parameters)
+        memory.write("shapes", *shapes)
+        memory.write("sh", sh)
+        if mask is not None:
+            memory.write("tile_mask", mask.to("cpu", torch.int32).contiguous().numpy())
+        commands.launch("project", blocks)
+        _, self._order = commands.sort("depths", "ranks", count, DEPTH_BITS, DEPTH_JOB)
+        commands.launch("sum_counts", blocks, order=self._order)
+        commands.set_job(COUNT_JOB, 0, 0, 0, blocks)
+        commands.launch("scan", 1, job=COUNT_JOB)
+        total, counts = commands.read(("numbers", 4, 4 * blocks), ("pair_counts", 4 * count))
+        self.pairs = int(total.view(np.uint32)[0])
+        torch.gt(torch.from_numpy(counts.view(np.int32)), 0, out=self._visible)
+
+    def _write_frame(self) -> None:
+        inputs = self.inputs
+        flags = (
+            inputs.raw,
+            inputs.linear_light,
+            inputs.tile_mask is not None,
+            inputs.pixel_weights is not None,
+            inputs.is_trained or inputs.with_max_weight or inputs.with_weight_sum,
+        )
+        sizes = self.count, inputs.parameters[4].shape[1], inputs.sh_degree
+        rest = struct.pack("10I", *sizes, *map(int, flags), self.tiles, self.pairs)
+        self.memory.write("frame", self.camera + rest)
+
+    def list_tiles(self) -> None:
+        """Make the tiles' lists."""
+        pairs, memory, commands = self.pairs, self.memory, self.commands
+        if not pairs:
+            return
+        memory.need(
+            **dict.fromkeys(("tiles", "slots", "ids"), 4 * pairs),
+            tile_begin=4 * (self.tiles + 1),
+            reached=4 * self.tiles,
+        )
+        self._write_frame()
+        commands.launch("list_tiles", -(-self.count // ROWS), order=self._order)
+        bits = (self.tiles - 1).bit_length()
+        sorted_tiles, self._entries = commands.sort("tiles", "slots", pairs, bits, TILE_JOB)
+        commands.launch("begin_tiles", pairs // ROWS + 1, sorted=sorted_tiles)
+
+    @property
+    def _buckets(self) -> int:
+        """Groups that walk over the pixels, at most."""
+        return self.pairs // BUCKET + self.tiles
+
+    def draw(self, outputs: kernel_function.Outputs) -> None:
+        image, alpha, depth = outputs["image"], outputs["alpha"], outputs.get("depth")
+        assert image is not None and alpha is not None
+        if not self.pairs:
+            image.copy_(self.inputs.background[:, None, None].expand_as(image))
+            alpha.zero_()
+            return
+        inputs, wanted = self.inputs, [("picture", 20 * self.pixels)]
+        weighs = inputs.with_max_weight or inputs.with_weight_sum
+        keeps = inputs.is_trained or weighs
+        self.memory.need(
+            picture=20 * self.pixels, checkpoints=16 * PIXELS * self._buckets if keeps else 16
+        )
+        x0, y0, x1, y1 = (-(-edge // TILE) for edge in inputs.window)
+        with self.program.explained(f"drawing {self.pairs:,} pairs of Gaussians and tiles"):
+            self._launch("blend", (x1 - x0, y1 - y0))
+            if weighs:
+                self._weigh(outputs["pixel_weights"])
+                wanted.append(("weights", 8 * self.count))
+            picture, *weights = self.commands.read(*wanted)
+        planes = torch.from_numpy(picture.view(np.float32)).view(5, *alpha.shape)
+        image.copy_(planes[:3])
+        alpha.copy_(planes[3])
+        if depth is not None:
+            depth.copy_(planes[4])
+        if weighs:
+            largest, sums = torch.from_numpy(weights[0].view(np.float32)).view(-1, 2).unbind(1)
+            if outputs["max_weight"] is not None:
+                torch.maximum(outputs["max_weight"], largest, out=outputs["max_weight"])
+            if outputs["weight_sum"] is not None:
+                outputs["weight_sum"] += sums
+
+    def _launch(self, kernel: str, groups: int | tuple[int, int]) -> None:
+        self.commands.launch(kernel, groups, tile_first="tile_begin", entries=self._entries)
+
+    def _weigh(self, pixel_weights: Tensor | None) -> None:
+        self.memory.need(
+            pixel_weights=4 * self.pixels,
+            slot_weights=8 * self.pairs,
+            weights=8 * self.count,
+        )
+        if pixel_weights is not None:
+            self.memory.write("pixel_weights", pixel_weights.numpy())
+        self._launch("weigh", self._buckets)
+        self.commands.launch("fold_weights", -(-self.count // ROWS))
+
+    def blend_backward(
+        self, drawn: kernel_function.Outputs, gradients: kernel_function.Outputs, grad2d: Tensor
+    ) -> None:
+        self._grad2d, image = grad2d, gradients["image"]
+        assert image is not None
+        if not self.pairs:
+            return
+        self.memory.need(
+            picture_gradient=12 * self.pixels,
+            moments=4 * MOMENTS * self.pairs,
+            shape_gradients=4 * SHAPE * self.count,
+            sh_gradients=self._parameters[4].nbytes,
+            grad2d=4 * self.count,
+        )
+        with self.program.explained("taking the gradient"):
+            self.memory.write("picture_gradient", image.numpy())
+            self._launch("gradient", self._buckets)
+
+    def _gradients(self) -> tuple[list[Tensor], Tensor]:
+        """The parameters' gradients, and (N,) uint8, which rows have one."""
+        count, sh = self.count, self._parameters[4]
+        with self.program.explained("taking the gradient"):
+            self.commands.launch("project_backward", -(-count // ROWS))
+            shapes, of_sh, grad2d = self.commands.read(
+                ("shape_gradients", 4 * SHAPE * count), ("sh_gradients", sh.nbytes), ("grad2d", 4 * count)
+            )
+        parts = torch.from_numpy(shapes.view(np.float32)).split([3 * count, 4 * count, 3 * count, count])
+        found = [part.view(p.shape) for part, p in zip(parts, self._parameters[:4], strict=True)]
+        found.append(torch.from_numpy(of_sh.view(np.float32)).view(sh.shape))
+        norms = torch.from_numpy(grad2d.view(np.float32))
+        torch.clamp(norms, min=0.0, out=self._grad2d)
+        return found, (norms != -1).to(torch.uint8)
+
+    def project_backward(self, targets: list[Tensor | None]) -> None:
+        if not self.pairs:
+            return
+        for target, gradient in zip(targets, self._gradients()[0], strict=True):
+            if target is not None:
+                target += gradient
+
+    def take_step(self, adam: Any) -> int:
+        if not self.pairs:
+            return 0
+        gradients, has_gradient = self._gradients()
+        parameters = adam._obj.parameters
+        for index, gradient in enumerate(gradients):
+            parameters[index].gradient = bindings.pointer(gradient)
+        kernels = bindings.kernels()
+        return int(kernels.roigs_adam(self.count, adam, bindings.pointer(has_gradient)))
