@@ -7,19 +7,22 @@ names those that it uses.
 from __future__ import annotations
 
 import functools
+import hashlib
 import re
 import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import GpuMemoryError, KernelError
+from ..kernels.build import SOURCE_FOLDER
 from .adapters import STORAGE_BUFFERS, Adapter, find, wgpu
 
 FOLDER = Path(__file__).parent / "shaders"
+PIXELS = 256  # of a tile: threads of a group that blends
 ROWS = 128  # Gaussians of a group
 BUCKET = 64  # entries of a tile's list that a group walks with
 MOMENTS = 9  # of a slot
@@ -27,6 +30,7 @@ SORT_BLOCK = 2048  # numbers that a group sorts
 DIGIT_BITS, DIGITS = 4, 16
 GROUPS_IN_ROW = 32768  # of a launch; its rows are counted apart: 65535 is the limit of both
 SIZES = {
+    "PIXELS": PIXELS,
     "ROWS": ROWS,
     "BUCKET": BUCKET,
     "MOMENTS": MOMENTS,
@@ -66,25 +70,42 @@ KERNELS: dict[str, tuple[str, str]] = {
 """Name -> the files that it is made of, and the buffers that it uses."""
 
 
-def source(files: str, constants: Mapping[str, float]) -> str:
-    """The text of a module, with the model's constants in front; whole numbers are integers."""
-    values = {**constants, **SIZES}
-    lines = [f"const {name} = {value!r};\n" for name, value in values.items()]
+def _constants() -> dict[str, str]:
+    """Those of the model: kernels/constants.h, in WGSL's way of writing."""
+    text = (SOURCE_FOLDER / "constants.h").read_text(encoding="utf-8")
+    found = {}
+    for name, value in re.findall(r"constexpr \w+ k(\w+) = ([-+.\de]+)f?;", text):
+        found[re.sub(r"(?<=[a-z\d])(?=[A-Z])", "_", name).upper()] = value
+    return found
+
+
+@functools.cache
+def source(files: str) -> str:
+    """The text of a module, with the constants in front."""
+    values = {**_constants(), **SIZES}
+    lines = [f"const {name} = {value};\n" for name, value in values.items()]
     texts = [(FOLDER / f"{name}.wgsl").read_text(encoding="utf-8") for name in files.split()]
     return "".join((*lines, *texts))
 
 
 @functools.cache
+def source_key() -> str:
+    """A hash of all shaders and of how they are launched."""
+    texts = [source(files) for files, _ in sorted(KERNELS.values())]
+    return hashlib.sha256("".join(texts).encode()).hexdigest()
+
+
+@functools.cache
 def _bindings(files: str) -> dict[str, int]:
     """Name of a buffer -> its number, in the sources."""
-    found = re.findall(r"@binding\((\d+)\) var<[^>]*> (\w+)", source(files, {}))
+    found = re.findall(r"@binding\((\d+)\) var<[^>]*> (\w+)", source(files))
     return {name: int(number) for number, name in found}
 
 
 class Program:
     """The kernels on a GPU."""
 
-    def __init__(self, adapter: Adapter, constants: Mapping[str, float]) -> None:
+    def __init__(self, adapter: Adapter) -> None:
         """Open the GPU. KernelError: it cannot be opened, or does not take the shaders."""
         self.adapter, self.library = adapter, wgpu()
         limits = {
@@ -92,7 +113,7 @@ class Program:
             "max-storage-buffer-binding-size": adapter.largest,
             "max-buffer-size": adapter.largest,
         }
-        self._constants, self._modules = dict(constants), dict[str, Any]()
+        self._modules: dict[str, Any] = {}
         self.pipelines: dict[str, Any] = {}
         self._staging: Any = None
         with self.explained("opening it"):
@@ -106,8 +127,7 @@ class Program:
 
     def _compiled(self, kernel: str, files: str) -> Any:
         if files not in self._modules:
-            code = source(files, self._constants)
-            self._modules[files] = self.device.create_shader_module(code=code)
+            self._modules[files] = self.device.create_shader_module(code=source(files))
         stage = {"module": self._modules[files], "entry_point": kernel}
         return self.device.create_compute_pipeline(layout="auto", compute=stage)
 
@@ -163,9 +183,9 @@ class _Explained:
                 " the CPU (--device cpu).",
             ) from error
         if isinstance(error, (self._library.GPUError, RuntimeError)):
-            first = (str(error).strip().splitlines() or ["unknown error"])[0].rstrip(".:")
+            last = (str(error).strip().splitlines() or ["unknown error"])[-1].strip(" .:")
             raise KernelError(
-                f"{self._title} failed while {self._doing}: {first}.",
+                f"{self._title}, failed while {self._doing}: {last}.",
                 "Update its driver, or use the CPU (--device cpu), which resumes.",
             ) from error
 
@@ -176,8 +196,8 @@ class Memory:
     Memory that is new must be cleared by the driver, and needs new bind groups.
     """
 
-    _idle: list[Memory] = []
-    _MOST_IDLE = 2
+    _idle: ClassVar[list[Memory]] = []
+    _MOST_IDLE: ClassVar[int] = 2
 
     def __init__(self, program: Program) -> None:
         self.program = program
@@ -296,14 +316,18 @@ class Commands:
 
 
 _opened: list[Program] = []
+_program = functools.cache(Program)
 
 
-def open_gpu(name: str, constants: Mapping[str, float]) -> Program:
-    """Open the GPU for this process, see `adapters.find`. Raises KernelError."""
-    adapter = find(name)
-    if not _opened or _opened[0].adapter is not adapter:
-        _opened[:] = [Program(adapter, constants)]
+def open_gpu(name: str = "") -> Program:
+    """Draw with a GPU from here on, see `adapters.find`. Raises KernelError."""
+    _opened[:] = [_program(find(name))]
     return _opened[0]
+
+
+def close_gpu() -> None:
+    """Draw with the processor from here on."""
+    _opened.clear()
 
 
 def opened() -> Program | None:

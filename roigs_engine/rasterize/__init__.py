@@ -1,10 +1,11 @@
 """Rendering of 3D Gaussians and its gradient (3D Gaussian Splatting, Kerbl et al. 2023).
 
-`rasterize` is the only entry point. Three backends compute the same function:
+`rasterize` is the only entry point. Four backends compute the same function:
 
     reference   plain torch, float32 or float64, any device: readable, and the tests' reference
     cpu         the compiled kernels: float32 tensors on the CPU
     cuda        our CUDA kernels: float32 tensors on an NVIDIA GPU
+    gpu         compute shaders on any GPU: float32 tensors on the CPU
 
 Each Gaussian is projected with the EWA approximation (3DGS, section 4; Zwicker et al. 2001),
 coloured by its spherical harmonics (SH), max(SH(direction) + 0.5, 0), and blended front to back by
@@ -36,6 +37,7 @@ from torch import Tensor
 from ..cuda.device import sent
 from ..errors import EngineError, KernelError
 from ..formats.targets import BLUR
+from ..gpu.program import opened
 from .inputs import (
     BackwardStep,
     Depth,
@@ -83,7 +85,7 @@ def rasterize(
     blur: float = BLUR,  # added to the 2D covariance's diagonal, px^2 of the whole photo
     pixel_size: float = 1.0,  # side of a pixel in the whole photo's: draws what averaging would
     backward_step: BackwardStep | None = None,  # of one camera, taken by `backward`, once
-    backend: str = "auto",  # auto: for float32 the device's compiled backend, else the reference
+    backend: str = "auto",  # auto: for float32 the device's compiled one, else the reference
 ) -> RenderOutput:
     """Render N Gaussians for C cameras; `image` is differentiable in the first five arguments.
 
@@ -125,6 +127,8 @@ def _chosen(backend: str, parameters: tuple[Tensor, ...]) -> str:
         raise EngineError(f"rasterize: unknown backend {backend!r}.", f"Use one of {BACKENDS}.")
     device, is_float = parameters[0].device.type, all(p.dtype == torch.float32 for p in parameters)
     if backend == "auto":
+        if is_float and device == "cpu" and opened() is not None:
+            return "gpu"
         return device if is_float and device in ("cpu", "cuda") else "reference"
     if (backend != "reference" and not is_float) or (backend in ("cpu", "gpu") and device != "cpu"):
         kinds = ", ".join(sorted({str(p.dtype) for p in parameters}))

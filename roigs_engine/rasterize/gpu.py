@@ -16,11 +16,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..errors import KernelError
 from ..gpu.program import (
     BUCKET,
     JOB_BYTES,
     MOMENTS,
+    PIXELS,
     ROWS,
     Commands,
     Memory,
@@ -30,30 +30,17 @@ from ..gpu.program import (
 )
 from ..kernels import bindings
 from . import cpu, kernel_function
-from .inputs import ALPHA_MAX, FRUSTUM_MARGIN, NEAR, TILE, RenderInputs, RenderOutput
+from .inputs import TILE, RenderInputs, RenderOutput
 
-PIXELS = TILE * TILE
-CONSTANTS: dict[str, float] = {
-    "TILE": TILE,
-    "PIXELS": PIXELS,
-    "NEAR": NEAR,
-    "ALPHA_MAX": ALPHA_MAX,
-    "FRUSTUM_MARGIN": FRUSTUM_MARGIN,
-}
 SHAPE = 11  # numbers of a Gaussian beside its SH
 DEPTH_BITS = 32
 DEPTH_JOB, COUNT_JOB, TILE_JOB, JOBS = 0, 8, 9, 16
 CAMERA_BYTES = bindings.Camera.window.offset + bindings.Camera.window.size
 
 
-def use_gpu(name: str) -> Program:
-    """Draw on a GPU from here on (`gpu.adapters.find`). Raises KernelError."""
-    return open_gpu(name, CONSTANTS)
-
-
 def render(inputs: RenderInputs) -> RenderOutput:
     """Render all cameras; see `rasterize`. Raises KernelError."""
-    program = opened() or use_gpu("")
+    program = opened() or open_gpu()
     if inputs.with_surface or inputs.with_depth == "median" or not fits(program, inputs):
         return cpu.render(inputs)
     return kernel_function.render(inputs, begin)
@@ -226,7 +213,7 @@ class CameraView:
     def blend_backward(
         self, drawn: kernel_function.Outputs, gradients: kernel_function.Outputs, grad2d: Tensor
     ) -> None:
-        self._grad2d, image = grad2d, gradients["image"]
+        image = gradients["image"]
         assert image is not None
         if not self.pairs:
             return
@@ -240,35 +227,37 @@ class CameraView:
         with self.program.explained("taking the gradient"):
             self.memory.write("picture_gradient", image.numpy())
             self._launch("gradient", self._buckets)
+            self.commands.launch("project_backward", -(-self.count // ROWS))
+            self._read_gradients(grad2d)
 
-    def _gradients(self) -> tuple[list[Tensor], Tensor]:
-        """The parameters' gradients, and (N,) uint8, which rows have one."""
+    def _read_gradients(self, grad2d: Tensor) -> None:
+        """Once they are here, a GPU that is lost loses nothing."""
         count, sh = self.count, self._parameters[4]
-        with self.program.explained("taking the gradient"):
-            self.commands.launch("project_backward", -(-count // ROWS))
-            shapes, of_sh, grad2d = self.commands.read(
-                ("shape_gradients", 4 * SHAPE * count), ("sh_gradients", sh.nbytes), ("grad2d", 4 * count)
+        shapes, of_sh, norms = (
+            torch.from_numpy(found.view(np.float32))
+            for found in self.commands.read(
+                ("shape_gradients", 4 * SHAPE * count),
+                ("sh_gradients", sh.nbytes),
+                ("grad2d", 4 * count),
             )
-        parts = torch.from_numpy(shapes.view(np.float32)).split([3 * count, 4 * count, 3 * count, count])
-        found = [part.view(p.shape) for part, p in zip(parts, self._parameters[:4], strict=True)]
-        found.append(torch.from_numpy(of_sh.view(np.float32)).view(sh.shape))
-        norms = torch.from_numpy(grad2d.view(np.float32))
-        torch.clamp(norms, min=0.0, out=self._grad2d)
-        return found, (norms != -1).to(torch.uint8)
+        )
+        parts = shapes.split([3 * count, 4 * count, 3 * count, count])
+        self._gradients = [
+            part.view(p.shape) for part, p in zip((*parts, of_sh), self._parameters, strict=True)
+        ]
+        torch.clamp(norms, min=0.0, out=grad2d)
+        self._has_gradient = (norms != -1).to(torch.uint8)
 
     def project_backward(self, targets: list[Tensor | None]) -> None:
-        if not self.pairs:
-            return
-        for target, gradient in zip(targets, self._gradients()[0], strict=True):
+        for target, gradient in zip(targets, self._gradients, strict=True) if self.pairs else ():
             if target is not None:
                 target += gradient
 
     def take_step(self, adam: Any) -> int:
         if not self.pairs:
             return 0
-        gradients, has_gradient = self._gradients()
         parameters = adam._obj.parameters
-        for index, gradient in enumerate(gradients):
+        for index, gradient in enumerate(self._gradients):
             parameters[index].gradient = bindings.pointer(gradient)
-        kernels = bindings.kernels()
-        return int(kernels.roigs_adam(self.count, adam, bindings.pointer(has_gradient)))
+        rows = bindings.pointer(self._has_gradient)
+        return int(bindings.kernels().roigs_adam(self.count, adam, rows))

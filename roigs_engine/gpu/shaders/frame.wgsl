@@ -8,11 +8,7 @@
 // about a Gaussian is stored there and summed later, so no two threads ever add to one place: the
 // same view gives the same bits each time.
 //
-// The constants in front of this are those of rasterize/inputs.py and gpu/program.py.
-
-const LOG2_ALPHA_MIN: f32 = -7.9943534369;  // log2(1 / 255), the smallest alpha drawn
-const EXPONENT_SCALE: f32 = 0.7213475204;   // log2(e) / 2: exp(-x / 2) = 2^(-x this)
-const CULL_SLACK: f32 = 1e-3;               // see kernels/constants.h
+// The constants in front of this are those of kernels/constants.h and gpu/program.py.
 
 // The first 37 words are kernels/types.h: struct Camera.
 struct Frame {
@@ -80,7 +76,7 @@ struct Frame {
 // of the backward pass, shaped as `shapes` and `sh`
 @group(0) @binding(26) var<storage, read_write> shape_gradients: array<f32>;
 @group(0) @binding(27) var<storage, read_write> sh_gradients: array<f32>;
-@group(0) @binding(28) var<storage, read_write> grad2d: array<f32>;  // -1: no pixel gives it a gradient
+@group(0) @binding(28) var<storage, read_write> grad2d: array<f32>;  // -1: no gradient
 
 fn group_index(group: vec3<u32>) -> u32 { return group.x + group.y * GROUPS_IN_ROW; }
 
