@@ -28,6 +28,7 @@ PACKAGES = (
     "selection",
     "guidance",
     "kernels",
+    "gpu",
     "cuda",
     "rasterize",
     "exchange",

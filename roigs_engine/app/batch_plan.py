@@ -14,6 +14,7 @@ from ..errors import ConfigError, EngineError
 from ..formats import run_files
 from ..formats.files import own_file
 from ..formats.text import counted
+from ..gpu.program import drawing
 from ..machine import ENGINE
 from ..requests.runs import TrainAndEvaluate
 from .asked import Asked
@@ -95,7 +96,7 @@ def checked_plans(
             wrong.append(Wrong(line=row.line, text=f"Scene '{row.name}': {error}"))
             continue
         scenes.append(found.scene)
-        device = found.context.device
+        device = drawing(found.context.device)
     for line in sorted(wrong, key=lambda found: found.line)[:MOST_SHOWN]:
         context.warn(f"{table.path}, line {line.line}: {line.text}")
     if wrong:

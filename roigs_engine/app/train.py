@@ -14,6 +14,7 @@ from ..formats import run_files
 from ..formats.files import refuse_linked_folders, remove_leftovers, write_json
 from ..formats.lock import check_held
 from ..formats.text import counted
+from ..gpu.program import drawing
 from ..requests.declare import settings_of
 from ..requests.projects import Reconstruct
 from ..requests.runs import Train, TrainAndEvaluate
@@ -180,7 +181,7 @@ def opened(asked: Asked, context: Context, log: EventLog) -> Iterator[tuple[Run,
         remove_unused(folder / run_files.CACHE, scene.images)
         for message in run.memory(context).messages():
             context.emit(message)
-        with recorded(folder, run.config.seed, context.device):
+        with recorded(folder, run.config.seed, drawing(context.device)):
             yield run, context
         with suppress(OSError):  # on Windows, while it is read
             (folder / run_files.PREVIEW).unlink()

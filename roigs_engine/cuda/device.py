@@ -13,34 +13,67 @@ from torch import Tensor
 from ..context import QUIET, Context
 from ..errors import GpuMemoryError, KernelError
 from ..formats.events import Device
+from ..gpu.program import close_gpu, open_gpu
 from . import card
 
 CPU = torch.device("cpu")
-Check = Callable[[torch.device, Context], None]
-"""Raises KernelError if a GPU computes what it should not."""
+GPU = "gpu"
+"""Any GPU, with compute shaders; also `gpu:NAME`. Its tensors are the CPU's."""
+Check = Callable[[torch.device, Context, bool], None]
+"""Raises KernelError if a GPU computes what it should not; or, if asked, is not faster."""
 
 
 def choose_device(name: str, context: Context = QUIET, check: Check | None = None) -> torch.device:
-    """The device for `--device`: "cpu", "cuda", or "auto", the GPU if one can be used.
+    """The device for `--device`: of `cpu`, `cuda`, `gpu`, `gpu:NAME` or `auto`, which looks.
 
-    An event says which one it is, and why. `check` tests our kernels on the GPU before they are
-    used. KernelError: "cuda" was requested and cannot be used.
+    `auto` takes an NVIDIA GPU, else another one if that is faster than the CPU. An event says which
+    one it is, and why. `check` tests our kernels on the GPU before they are used. KernelError: a
+    GPU was requested and cannot be used.
     """
-    if name == "cpu":
-        context.emit(Device(kind="cpu", name="", reason="chosen"))
-        return CPU
-    try:
-        device = check_cuda(context)
-        if check is not None:
-            check(device, context)
-    except KernelError as error:
-        if name == "cuda":
-            raise
-        context.emit(Device(kind="cpu", name="", reason=error.message.rstrip(".")))
-        return CPU
-    reason = "not checked" if check is None else "checked"
-    context.emit(Device(kind="cuda", name=torch.cuda.get_device_name(device), reason=reason))
+    close_gpu()
+    kind, _, wanted = name.partition(":")
+    reasons = ["chosen"] if kind == "cpu" else []
+    for way, choose in (("cuda", _nvidia), (GPU, _other)):
+        if kind not in ("auto", way):
+            continue
+        try:
+            return choose(wanted, context, check, kind == "auto")
+        except KernelError as error:
+            close_gpu()
+            if kind == way:
+                raise
+            reasons.append(error.message.rstrip("."))
+    context.emit(Device(kind="cpu", name="", reason="; ".join(reasons)))
+    return CPU
+
+
+def _nvidia(_: str, context: Context, check: Check | None, must_gain: bool) -> torch.device:
+    """The GPU that torch finds."""
+    device = check_cuda(context)
+    _say_checked("cuda", torch.cuda.get_device_name(device), device, context, check)
     return device
+
+
+def _other(name: str, context: Context, check: Check | None, must_gain: bool) -> torch.device:
+    """Opens a GPU for `rasterize`; all else is done by the CPU."""
+    title = open_gpu(name).adapter.title
+    _say_checked(GPU, title, CPU, context, check, must_gain=must_gain)
+    return CPU
+
+
+def _say_checked(
+    kind: str,
+    title: str,
+    device: torch.device,
+    context: Context,
+    check: Check | None,
+    *,
+    must_gain: bool = False,
+) -> None:
+    if check is not None:
+        check(device, context, must_gain)
+    reason = "not checked" if check is None else "checked"
+    context.emit(Device(kind=kind, name=title, reason=reason))
 
 
 def check_cuda(context: Context = QUIET) -> torch.device:

@@ -53,7 +53,7 @@ class Message:
 class Device:
     """Which device draws and trains, and why; once for each command that does."""
 
-    kind: str  # "cpu" or "cuda"
+    kind: str  # "cpu", "cuda" or "gpu"
     name: str  # the GPU's; empty for the CPU
     reason: str  # "checked", "not checked", "chosen", or why a GPU is not used, without full stop
 

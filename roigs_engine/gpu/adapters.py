@@ -25,6 +25,7 @@ class Adapter:
     handle: Any  # wgpu.GPUAdapter
     name: str
     api: str
+    driver: str  # and its version
     is_software: bool  # a processor that plays one
     is_integrated: bool
 
@@ -47,7 +48,7 @@ def wgpu() -> Any:
     except (ImportError, OSError, RuntimeError) as error:
         reason = "" if isinstance(error, ModuleNotFoundError) else f" ({error})"
         raise KernelError(
-            f"The Python package wgpu is missing{reason}: it reaches GPUs that are not NVIDIA's.",
+            f"Other GPUs need the Python package wgpu, which is missing{reason}.",
             "Install it: pip install 'roigs[gpu]'.",
         ) from error
     return wgpu
@@ -67,6 +68,7 @@ def adapters() -> tuple[Adapter, ...]:
                 handle=handle,
                 name=info["device"] or info["description"],
                 api=APIS[info["backend_type"]],
+                driver=info["description"],
                 is_software=kind == "CPU",
                 is_integrated=kind != "DiscreteGPU",
             )

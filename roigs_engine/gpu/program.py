@@ -291,12 +291,13 @@ class Commands:
         other = f"{keys}_other", f"{values}_other"
         self._memory.need(**dict.fromkeys(other, 4 * count), digits=4 * (DIGITS * blocks + 1))
         now = keys, values
-        for job, shift in enumerate(range(0, bits, DIGIT_BITS), start=job):
-            self.set_job(job, count, shift, blocks, DIGITS * blocks)
-            self.launch("count_digits", blocks, job=job, keys_in=now[0], numbers="digits")
-            self.launch("scan", 1, job=job, numbers="digits")
-            ends = dict(zip(("keys_in", "values_in", "keys_out", "values_out"), (*now, *other)))
-            self.launch("scatter", blocks, job=job, numbers="digits", **ends)
+        for place, shift in enumerate(range(0, bits, DIGIT_BITS), start=job):
+            self.set_job(place, count, shift, blocks, DIGITS * blocks)
+            self.launch("count_digits", blocks, job=place, keys_in=now[0], numbers="digits")
+            self.launch("scan", 1, job=place, numbers="digits")
+            ends = {"keys_in": now[0], "values_in": now[1]}
+            ends |= {"keys_out": other[0], "values_out": other[1]}
+            self.launch("scatter", blocks, job=place, numbers="digits", **ends)
             now, other = other, now
         return now
 
@@ -328,6 +329,11 @@ def open_gpu(name: str = "") -> Program:
 def close_gpu() -> None:
     """Draw with the processor from here on."""
     _opened.clear()
+
+
+def drawing(device: str) -> str:
+    """What draws tensors of a device: "gpu" if a GPU does that for the CPU, else the device."""
+    return "gpu" if device == "cpu" and _opened else device
 
 
 def opened() -> Program | None:

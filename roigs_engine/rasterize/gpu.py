@@ -241,7 +241,7 @@ class CameraView:
                 ("grad2d", 4 * count),
             )
         )
-        parts = shapes.split([3 * count, 4 * count, 3 * count, count])
+        parts = torch.split(shapes, [3 * count, 4 * count, 3 * count, count])
         self._gradients = [
             part.view(p.shape) for part, p in zip((*parts, of_sh), self._parameters, strict=True)
         ]

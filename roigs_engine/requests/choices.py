@@ -36,7 +36,7 @@ ORDERS = ("ordered", "shuffled")
 TEST, VALIDATION = PHOTOS = ("test", "validation")
 BASELINES = ("full-scene", "full-object", "full-scene-tuned", "full-object-tuned")
 COMPARISONS = (*BASELINES, *STRATEGIES)
-DEVICES = ("auto", "cpu", "cuda")
+DEVICES = ("auto", "cpu", "cuda", "gpu")
 AXES = ("-y", "y", "z")
 """Axes that may point up in a file of Gaussians."""
 PAIR_ITEMS = (

@@ -8,7 +8,7 @@ from pathlib import Path
 from ..formats.run_files import OBJECT_MASKS
 from . import choices
 from .declare import Request, argument, option
-from .values import DIR, FILE, FLAG, NAME, PATH, AutoOr, Choice, Name, Number, integer
+from .values import DIR, FILE, FLAG, NAME, PATH, AutoOr, Choice, Name, NamedChoice, Number, integer
 
 MAX_THREADS = 1024
 MAX_MEGABYTES = 1e9
@@ -29,8 +29,9 @@ class Device(Request):
     """The device that renders and trains."""
 
     device: str = option(
-        Choice(choices.DEVICES),
-        "auto uses an NVIDIA GPU that passes its check, else the CPU (default: {default})",
+        NamedChoice(choices.DEVICES, "gpu"),
+        "auto uses an NVIDIA GPU, else another one that is faster than the CPU, if it passes its"
+        " check; gpu:NAME is the GPU of that name (default: {default})",
         "auto",
         decides=False,
     )

@@ -154,6 +154,18 @@ class Choice(Name):
         return value
 
 
+class NamedChoice(Choice):
+    """One of several words, of which one may have a name: WORD:NAME."""
+
+    def __init__(self, words: tuple[str, ...], named: str) -> None:
+        super().__init__(words)
+        self._named = named
+
+    def of_json(self, value: Any) -> Any:
+        word, _, name = str(value).partition(":")
+        return value if word == self._named and name.strip() else super().of_json(value)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Flag:
     """True or false; on the command line, the option's name alone is true."""

@@ -23,6 +23,7 @@ from ..errors import EngineError
 from ..formats.events import Event, Message, Progress
 from ..formats.run_files import CACHE
 from ..formats.text import counted, duration, json_digest
+from ..gpu.program import opened
 from ..kernels import library
 from ..machine import disk_message
 from ..model.gaussians import Gaussians
@@ -137,10 +138,16 @@ def forecast(run: Run, plan: Plan, context: Context) -> Forecast:
     return Forecast(
         stages=stages,
         evaluation=sum(tests * stage.step_seconds for stage in stages),
-        device=(
-            counted(library.threads(), "thread") if context.device == "cpu" else context.device
-        ),
+        device=_in_words(context.device),
     )
+
+
+def _in_words(device: str) -> str:
+    """What trains, for people."""
+    if device != "cpu":
+        return device
+    gpu = opened()
+    return counted(library.threads(), "thread") if gpu is None else gpu.adapter.title
 
 
 def expected_start(source: Source, ends: dict[str, int], scene: SfmScene) -> int:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from ..context import QUIET, Context
 from ..cuda.device import CPU
-from ..errors import GpuMemoryError, RunFolderError, Stopped, TrainingError
+from ..errors import KernelError, RunFolderError, Stopped, TrainingError
 from ..formats import run_files
 from ..formats.events import Preview, StageStarted
 from ..formats.files import (
@@ -30,6 +30,7 @@ from ..formats.files import (
 )
 from ..formats.lock import check_held
 from ..formats.text import counted, json_digest
+from ..gpu.program import drawing
 from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
 from ..training.checkpoint import (
@@ -63,7 +64,7 @@ class StageRecord:
     cpu_seconds: float  # the same as CPU time of all threads: to compare on a busy machine
     steps: int
     gaussians: int  # their number
-    device: str  # the type of device that it was trained on: `cpu`, `cuda`
+    device: str  # the type of device that it was trained on: `cpu`, `cuda`, `gpu`
     model_sha256: str  # of the file with the model, in hexadecimal digits
 
 
@@ -222,7 +223,7 @@ class StageFolder:
             Stopped: on request; a checkpoint was written.
             RunFolderError: the checkpoint has other settings, or is damaged.
             TrainingError: training diverged twice.
-            GpuMemoryError: the GPU memory is full; a checkpoint was written if it fits.
+            KernelError: the GPU failed, or its memory is full; a checkpoint was written if it can.
         """
         context.emit(StageStarted(stage=self.name, total=config.steps))
         try:
@@ -261,9 +262,9 @@ class StageFolder:
         ]
         try:
             is_done = trainer.run(context, stage=self.name, callbacks=callbacks)
-        except GpuMemoryError:
+        except KernelError:  # full memory, or a GPU that is lost
             if trainer.is_between_steps:
-                with suppress(GpuMemoryError, RuntimeError):  # out of memory again, or a broken GPU
+                with suppress(KernelError, RuntimeError):  # out of memory again, or a broken GPU
                     self._save(trainer)
             raise
         if not is_done:
@@ -288,7 +289,7 @@ class StageFolder:
             cpu_seconds=trainer.cpu_seconds,
             steps=trainer.step,
             gaussians=len(model),
-            device=trainer.data.device.type,
+            device=drawing(trainer.data.device.type),
             model_sha256=sha256(path),
         )
         values = asdict(record)

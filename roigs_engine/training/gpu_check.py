@@ -18,8 +18,10 @@ from torch import Tensor
 
 from ..context import QUIET, Context
 from ..cuda import compiler, driver
+from ..cuda.device import CPU, GPU
 from ..errors import EngineError, KernelError
 from ..formats.files import read_json, write_json
+from ..gpu import program
 from ..kernels.library import user_cache
 from ..model.gaussians import NAMES
 from ..rasterize import RenderOutput, rasterize
@@ -36,16 +38,47 @@ LONGEST = 120.0
 SIZE = (160, 120)
 COUNT = 2000
 COUNT_TIMED, SIZE_TIMED = 100_000, (960, 640)
+STEPS_TIMED = 5
 WARM_UP = 2  # steps: memory is new, caches are cold
 USE_CPU = "Run `python -m roigs_engine check-gpu` and report what it prints; --device cpu trains."
 
 
-def check_once(device: torch.device, context: Context = QUIET) -> None:
+def check_once(device: torch.device, context: Context = QUIET, must_gain: bool = False) -> None:
     """Check a GPU unless a record says that it has passed.
+
+    Args:
+        device: of the tensors; that of a GPU that `gpu.program` has opened is the CPU.
+        must_gain: also measure whether a step takes less time than on the CPU.
 
     Raises:
         KernelError: it has not; the line has the numbers. Or an earlier check never ended.
     """
+    _check_once(device, context)
+    if must_gain and backend_of(device) == GPU:
+        _check_gain(device, context)
+
+
+def backend_of(device: torch.device) -> str:
+    """The backend to check."""
+    return "cuda" if program.drawing(device.type) != GPU else GPU
+
+
+def _check_gain(device: torch.device, context: Context) -> None:
+    """Raise KernelError unless steps on the open GPU are faster than the CPU's; once measured."""
+    key = f"{machine_key(device)} ms"
+    found = _records().get(key)
+    if not isinstance(found, dict):
+        context.info("Measuring whether the GPU is faster than the CPU, once.")
+        found = {name: step_milliseconds(CPU, name, steps=STEPS_TIMED) for name in (GPU, "cpu")}
+        _record(key, found)
+    gpu, cpu = float(found.get(GPU, 1)), float(found.get("cpu", 0))
+    if gpu >= cpu:
+        opened = program.opened()
+        title = "" if opened is None else opened.adapter.title
+        raise KernelError(f"{title}, takes {gpu:.0f} ms for a step, the CPU {cpu:.0f}")
+
+
+def _check_once(device: torch.device, context: Context) -> None:
     key = machine_key(device)
     before = _records().get(key)
     if isinstance(before, dict):
@@ -87,7 +120,10 @@ def _record(key: str, value: dict[str, float] | float | None) -> None:
 
 def machine_key(device: torch.device) -> str:
     """A hash of all that a new check is needed for."""
-    name = str(device)
+    name, gpu = str(device), program.opened()
+    if gpu is not None:
+        parts = gpu.adapter.title, gpu.adapter.driver, str(torch.__version__), program.source_key()
+        return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
     if device.type == "cuda":
         name = f"{torch.cuda.get_device_name(device)} {torch.cuda.get_device_capability(device)}"
     parts = (name, driver.build(), torch.__version__, compiler.source_key())
@@ -116,7 +152,7 @@ def check(device: torch.device) -> dict[str, float]:
 
 def compare(device: torch.device) -> dict[str, float]:
     """The relative error of each result on the GPU, without a limit."""
-    ours, truth = results(device, "cuda"), results(torch.device("cpu"), "cpu")
+    ours, truth = results(device, backend_of(device)), results(CPU, "cpu")
     return {
         name: float((ours[name] - each).norm()) / max(float(each.norm()), 1e-30)
         for name, each in truth.items()
@@ -140,7 +176,7 @@ def results(device: torch.device, backend: str) -> dict[str, Tensor]:
     output = draw(made, backend, backward_step=optimizer.backward_step)
     width, height = SIZE
     weights = torch.linspace(0, 2, width, device=device).expand(height, width)
-    loss = photo_loss(output.image, made.photo, weights=weights, backend=backend)
+    loss = photo_loss(output.image, made.photo, weights=weights, backend=loss_backend(backend))
     loss.loss.backward()  # type: ignore[no-untyped-call]
     options: dict[str, Any] = {"with_max_weight": True, "with_weight_sum": True}
     region = (width // 8, height // 6, width * 7 // 8, height * 3 // 4)
@@ -170,6 +206,11 @@ def _misstep(optimizer: VisibleAdam, name: str, before: Tensor) -> Tensor:
     step = 1e-3 * mean / (square.sqrt() + EPS)
     now = optimizer.parameters[name].detach()
     return 1 + ((now - (before - step)).abs() / 1e-3).clamp(min=1e-3)
+
+
+def loss_backend(backend: str) -> str:
+    """The loss that goes with a backend of `rasterize`: that of its tensors' device."""
+    return "cpu" if backend == GPU else backend
 
 
 def draw(made: Scene, backend: str, **options: Any) -> RenderOutput:
@@ -217,7 +258,8 @@ def step_milliseconds(device: torch.device, backend: str, *, steps: int) -> floa
             _wait(device)
             started = time.perf_counter()
         output = draw(made, backend, backward_step=optimizer.backward_step)
-        photo_loss(output.image, made.photo, backend=backend).loss.backward()  # type: ignore[no-untyped-call]
+        loss = photo_loss(output.image, made.photo, backend=loss_backend(backend))
+        loss.loss.backward()  # type: ignore[no-untyped-call]
     _wait(device)
     return 1000 * (time.perf_counter() - started) / steps
 

@@ -12,8 +12,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from roigs_engine.errors import KernelError
 from roigs_engine.cuda import card
+from roigs_engine.errors import KernelError
 from roigs_engine.gpu.program import close_gpu, open_gpu
 from roigs_engine.rasterize import RenderOutput, cuda, gpu, rasterize
 from roigs_engine.rasterize.limits import NO_LIMITS, TRAINING_LIMITS, Limits
@@ -49,8 +49,7 @@ def backend(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def both(
-    backend: str,
-    parameters: list[Tensor], size: tuple[int, int], **options: Any
+    backend: str, parameters: list[Tensor], size: tuple[int, int], **options: Any
 ) -> tuple[RenderOutput, RenderOutput, dict[str, float]]:
     """Our output, the true one, and the errors of the gradients."""
     scene = (parameters, *cameras(*size), *size)
@@ -99,7 +98,9 @@ def test_cases(backend: str, name: str) -> None:
 @pytest.mark.parametrize(
     ("limits", "reached"), [(NO_LIMITS, [1, 1, 1, 1]), (TRAINING_LIMITS, [1, 1, 0, 1])]
 )
-def test_what_adds_hardly_anything_gets_no_gradient(backend: str, limits: Limits, reached: list[int]) -> None:
+def test_what_adds_hardly_anything_gets_no_gradient(
+    backend: str, limits: Limits, reached: list[int]
+) -> None:
     assert with_gradient([0.95, 0.95, 0.2, 0.9], limits, backend) == reached
 
 
