@@ -41,10 +41,14 @@ class Adapter:
         return min(int(limits["max-storage-buffer-binding-size"]), int(limits["max-buffer-size"]))
 
 
+@functools.cache
 def wgpu() -> Any:
     """The package; KernelError if it is not installed, or does not load."""
     try:
         import wgpu
+        from wgpu.backends.wgpu_native.extras import set_instance_extras
+
+        set_instance_extras(backends=("Vulkan", "Metal", "DX12"))  # OpenGL's writes to the terminal
     except (ImportError, OSError, RuntimeError) as error:
         reason = "" if isinstance(error, ModuleNotFoundError) else f" ({error})"
         raise KernelError(
@@ -73,7 +77,8 @@ def adapters() -> tuple[Adapter, ...]:
                 is_integrated=kind != "DiscreteGPU",
             )
         )
-    return tuple(sorted(found, key=lambda each: (each.is_software, each.is_integrated)))
+    # a GPU with two APIs is there twice; DirectX's old compiler refuses much that others take
+    return tuple(sorted(found, key=lambda e: (e.is_software, e.is_integrated, "X" in e.api)))
 
 
 def find(name: str = "") -> Adapter:

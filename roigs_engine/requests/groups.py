@@ -29,7 +29,7 @@ class Device(Request):
     """The device that renders and trains."""
 
     device: str = option(
-        NamedChoice(choices.DEVICES, "gpu"),
+        NamedChoice(choices.DEVICES),
         "auto uses an NVIDIA GPU, else another one that is faster than the CPU, if it passes its"
         " check; gpu:NAME is the GPU of that name (default: {default})",
         "auto",

@@ -154,16 +154,20 @@ class Choice(Name):
         return value
 
 
-class NamedChoice(Choice):
-    """One of several words, of which one may have a name: WORD:NAME."""
+class NamedChoice(Name):
+    """One of several words, of which the last may have a name behind it: WORD:NAME."""
 
-    def __init__(self, words: tuple[str, ...], named: str) -> None:
-        super().__init__(words)
-        self._named = named
+    def __init__(self, words: tuple[str, ...]) -> None:
+        super().__init__(f"{'|'.join(words)}[:NAME]")
+        self._words = words
 
     def of_json(self, value: Any) -> Any:
-        word, _, name = str(value).partition(":")
-        return value if word == self._named and name.strip() else super().of_json(value)
+        word, _, name = str(super().of_json(value)).partition(":")
+        if value not in self._words and not (word == self._words[-1] and name.strip()):
+            raise ArgumentTypeError(
+                f"{shown(value)} is not one of {', '.join(self._words)}, {self._words[-1]}:NAME"
+            )
+        return value
 
 
 @dataclass(frozen=True, kw_only=True)

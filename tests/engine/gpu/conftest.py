@@ -1,0 +1,17 @@
+"""A processor in place of a GPU."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from roigs_engine.gpu.program import Program, close_gpu, open_gpu
+from tests.engine.gpu.software import software_adapter
+
+
+@pytest.fixture
+def software() -> Iterator[Program]:
+    """What is drawn in this process is drawn by it; the test is skipped where there is none."""
+    yield open_gpu(software_adapter().name)
+    close_gpu()
