@@ -212,7 +212,7 @@ def test_only_the_command_line_prints() -> None:
 def test_what_is_imported_is_declared() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    used = ("train", "cluster", "store", "flip", "video", "heic", "masks")
+    used = ("train", "cluster", "store", "flip", "video", "heic", "masks", "gpu")
     asked = [*project["dependencies"], *(name for extra in used for name in extras[extra])]
     names = [re.match(r"[\w.-]+", requirement) for requirement in asked]
     declared = {match[0].lower() for match in names if match}

@@ -20,8 +20,8 @@ from ..windows import Timer, redraw, redraw_sidebars
 
 _SAID = re.compile(r"\d\d:\d\d:\d\d  " + re.escape(DEVICE) + "(.+)")
 
-WITHOUT_CUDA = f"{events.CPU_NAME} (This torch is built without CUDA)"
-"""What the engine says where **Set Up the Engine** installs more, if there is an NVIDIA card."""
+WITHOUT_CUDA = f"{events.CPU_NAME} (This torch is built without CUDA"
+"""How the engine's answer begins where **Set Up the Engine** has more for an NVIDIA card."""
 
 _logs: dict[Path, tuple[tuple[int, int], str]] = {}
 
@@ -79,7 +79,7 @@ def asked() -> str:
 
 def in_words(device: str) -> str:
     """'Trains on NVIDIA RTX 4070 (checked)', and what to do for a card that torch cannot use."""
-    if device == WITHOUT_CUDA:
+    if device.startswith(WITHOUT_CUDA):
         hint = "" if sys.platform == "darwin" else " For an NVIDIA card: Set Up the Engine"
         return f"{DEVICE}{events.CPU_NAME}.{hint}"
     return f"{DEVICE}{device}"

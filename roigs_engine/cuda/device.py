@@ -33,47 +33,26 @@ def choose_device(name: str, context: Context = QUIET, check: Check | None = Non
     close_gpu()
     kind, _, wanted = name.partition(":")
     reasons = ["chosen"] if kind == "cpu" else []
-    for way, choose in (("cuda", _nvidia), (GPU, _other)):
+    for way in ("cuda", GPU):
         if kind not in ("auto", way):
             continue
         try:
-            return choose(wanted, context, check, kind == "auto")
+            device = check_cuda(context) if way == "cuda" else CPU
+            gpu = open_gpu(wanted) if way == GPU else None
+            if check is not None:
+                check(device, context, kind == "auto")
         except KernelError as error:
             close_gpu()
             if kind == way:
                 raise
             reasons.append(error.message.rstrip("."))
-    context.emit(Device(kind="cpu", name="", reason="; ".join(reasons)))
+        else:
+            title = torch.cuda.get_device_name(device) if gpu is None else gpu.adapter.title
+            reason = "not checked" if check is None else "checked"
+            context.emit(Device(kind=way, name=title, reason=reason))
+            return device
+    context.emit(Device(kind="cpu", name="", reason=". ".join(reasons)))
     return CPU
-
-
-def _nvidia(_: str, context: Context, check: Check | None, must_gain: bool) -> torch.device:
-    """The GPU that torch finds."""
-    device = check_cuda(context)
-    _say_checked("cuda", torch.cuda.get_device_name(device), device, context, check)
-    return device
-
-
-def _other(name: str, context: Context, check: Check | None, must_gain: bool) -> torch.device:
-    """Opens a GPU for `rasterize`; all else is done by the CPU."""
-    title = open_gpu(name).adapter.title
-    _say_checked(GPU, title, CPU, context, check, must_gain=must_gain)
-    return CPU
-
-
-def _say_checked(
-    kind: str,
-    title: str,
-    device: torch.device,
-    context: Context,
-    check: Check | None,
-    *,
-    must_gain: bool = False,
-) -> None:
-    if check is not None:
-        check(device, context, must_gain)
-    reason = "not checked" if check is None else "checked"
-    context.emit(Device(kind=kind, name=title, reason=reason))
 
 
 def check_cuda(context: Context = QUIET) -> torch.device:

@@ -7,6 +7,7 @@ or DirectX 12. torch cannot; tensors stay in main memory.
 from __future__ import annotations
 
 import functools
+import os
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,6 +49,8 @@ def wgpu() -> Any:
         import wgpu
         from wgpu.backends.wgpu_native.extras import set_instance_extras
 
+        if "XDG_RUNTIME_DIR" not in os.environ:  # no desktop: a layer of Mesa's would complain
+            os.environ.setdefault("NODEVICE_SELECT", "1")
         set_instance_extras(backends=("Vulkan", "Metal", "DX12"))  # OpenGL's writes to the terminal
     except (ImportError, OSError, RuntimeError) as error:
         reason = "" if isinstance(error, ModuleNotFoundError) else f" ({error})"

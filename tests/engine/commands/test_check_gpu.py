@@ -12,6 +12,7 @@ import torch
 from roigs_engine.cli import main
 from roigs_engine.commands.console import Console
 from roigs_engine.cuda import card, compiler, device, driver
+from roigs_engine.gpu import adapters as gpu_adapters
 from roigs_engine.training import gpu_check
 from tests.engine.cuda.shim import ShimProgram, compiled
 
@@ -74,9 +75,12 @@ def test_brief_only_says_which_device_trains(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(torch.version, "cuda", None)
+    monkeypatch.setattr(gpu_adapters, "adapters", lambda: ())
     assert main(["check-gpu", "--brief"]) == 0
     said = capsys.readouterr()
-    assert said.err == ("Device: the processor (This torch is built without CUDA).\n")
+    assert (
+        said.err == "Device: the processor (This torch is built without CUDA. wgpu finds no GPU).\n"
+    )
     assert not said.out
     monkeypatch.setattr(Console, "_read_input", lambda _: None)  # pytest has closed it
     assert main(["check-gpu", "--brief", "--events"]) == 0

@@ -15,14 +15,17 @@ from roigs_engine.context import Context
 from roigs_engine.cuda.device import CPU, choose_device
 from roigs_engine.errors import KernelError
 from roigs_engine.formats.events import Device
+from roigs_engine.gpu import adapters as gpu_adapters
 from roigs_engine.model.gaussians import Gaussians
 
 
 def test_auto_takes_the_cpu_and_says_why_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.version, "cuda", None)
+    monkeypatch.setattr(gpu_adapters, "adapters", lambda: ())
     said: list[Any] = []
     assert choose_device("auto", Context(emit=said.append)) == CPU
-    assert said == [Device(kind="cpu", name="", reason="This torch is built without CUDA")]
+    reason = "This torch is built without CUDA. wgpu finds no GPU"
+    assert said == [Device(kind="cpu", name="", reason=reason)]
     assert choose_device("cpu", Context(emit=said.append)) == CPU
     assert said[1:] == [Device(kind="cpu", name="", reason="chosen")]
     with pytest.raises(KernelError, match="Install torch for CUDA"):

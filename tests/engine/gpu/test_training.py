@@ -101,7 +101,7 @@ def test_a_lost_gpu_leaves_the_step_before(
         init(self, *given, **more)  # type: ignore[arg-type]
 
     monkeypatch.setattr(Trainer, "__init__", kept)
-    with pytest.raises(KernelError, match="failed while .*: Parent device is lost") as caught:
+    with pytest.raises(KernelError, match=r"failed while .*: Parent device is lost") as caught:
         trained(scene, replace(CONFIG, steps=6, mechanisms=()))
     assert "\n" not in str(caught.value)
     assert trainers[0].step == 3 and trainers[0].is_between_steps
