@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..context import QUIET, Context
-from ..errors import RunFolderError
+from ..errors import KernelError, RunFolderError
 from ..formats import clean_up, run_files
 from ..formats.lock import locked
 from ..formats.text import in_gb
@@ -22,6 +22,8 @@ from .outputs import Result
 from .run_scene import cameras_of_run
 
 if TYPE_CHECKING:
+    import torch
+
     from ..formats.levels import Ladder
 
 GPU_STEPS, CPU_STEPS = 50, 3
@@ -107,10 +109,10 @@ def _check_run(folder: Path) -> None:
 def check_gpu(
     request: CheckGpu, context: Context = QUIET, say: Callable[[str], None] | None = None
 ) -> Result:
-    """Check an NVIDIA GPU against the CPU, and time training steps on both.
+    """Check a GPU against the CPU, and time training steps on both.
 
     Args:
-        request: how much of it.
+        request: how much of it, and of which GPU.
         context: told which device training would use.
         say: gets each line as soon as it is known: versions, the card, the errors of each result,
             milliseconds a step; None: the context is told.
@@ -120,36 +122,61 @@ def check_gpu(
     """
     import torch
 
-    from ..cuda import compiler, driver
-    from ..cuda.device import CPU, check_cuda, choose_device
+    from ..cuda import driver
+    from ..cuda.device import CPU, choose_device
     from ..training import gpu_check
 
     if request.brief:
-        choose_device("auto", context, gpu_check.check_once)
+        choose_device(request.device, context, gpu_check.check_once)
         return Result()
     say = say or context.info
     version = ".".join(map(str, sys.version_info[:3]))
     say(f"System   {platform.platform()}, Python {version}")
     say(f"torch    {torch.__version__}, CUDA {torch.version.cuda or '(none)'}")
     say(f"Driver   {driver.build() or '(not found)'}")
-    started = time.perf_counter()
-    device = check_cuda(context)
-    seconds = time.perf_counter() - started
-    capability = ".".join(map(str, torch.cuda.get_device_capability(device)))
-    memory = torch.cuda.get_device_properties(device).total_memory / 2**30
-    name = torch.cuda.get_device_name(device)
-    say(f"Card     {name}, compute capability {capability}, {memory:.1f} GiB")
-    nvrtc = ".".join(map(str, compiler.load().version))
-    say(f"Kernels  ready in {seconds:.1f} s, NVRTC {nvrtc}")
+    device = _opened_gpu(request.device, context, say)
     for result, error in gpu_check.compare(device).items():
         verdict = "ok   " if error <= gpu_check.LIMIT else "WRONG"
         say(f"  {error:.1e}  {verdict}  {result}")
     gpu_check.check_again(device)
-    width, height = gpu_check.SIZE
-    say(f"Step     {gpu_check.COUNT:,} Gaussians, {width}x{height}:")
-    gpu = gpu_check.step_milliseconds(device, "cuda", steps=GPU_STEPS)
+    width, height = gpu_check.SIZE_TIMED
+    say(f"Step     {gpu_check.COUNT_TIMED:,} Gaussians, {width}x{height}:")
+    gpu = gpu_check.step_milliseconds(device, gpu_check.backend_of(device), steps=GPU_STEPS)
     say(f"  GPU {gpu:8.2f} ms")
     cpu = gpu_check.step_milliseconds(CPU, "cpu", steps=CPU_STEPS)
     say(f"  CPU {cpu:8.2f} ms")
-    context.info("The GPU computes what the CPU does. Training uses it.")
+    context.info("The GPU computes what the CPU does.")
     return Result()
+
+
+def _opened_gpu(name: str, context: Context, say: Callable[[str], None]) -> torch.device:
+    """The device of a GPU's tensors: NVIDIA's, or another one; KernelError: there is none."""
+    import torch
+
+    from ..cuda import compiler
+    from ..cuda.device import CPU, GPU, check_cuda
+    from ..gpu.adapters import is_any
+    from ..gpu.program import open_gpu
+
+    started, device = time.perf_counter(), CPU
+    kind, _, wanted = name.partition(":")
+    if kind != GPU:
+        try:
+            device = check_cuda(context)
+        except KernelError:
+            if kind == "cuda" or not is_any():
+                raise
+            kind = GPU
+    if kind == GPU:
+        adapter = open_gpu(wanted).adapter
+        say(f"GPU      {adapter.title}; {adapter.driver}")
+        say(f"Kernels  ready in {time.perf_counter() - started:.1f} s")
+        return CPU
+    seconds = time.perf_counter() - started
+    capability = ".".join(map(str, torch.cuda.get_device_capability(device)))
+    memory = torch.cuda.get_device_properties(device).total_memory / 2**30
+    title = torch.cuda.get_device_name(device)
+    say(f"Card     {title}, compute capability {capability}, {memory:.1f} GiB")
+    nvrtc = ".".join(map(str, compiler.load().version))
+    say(f"Kernels  ready in {seconds:.1f} s, NVRTC {nvrtc}")
+    return device

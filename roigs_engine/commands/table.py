@@ -265,8 +265,8 @@ COMMANDS: dict[str, Command] = {
     "check-gpu": Command(
         request=runs.CheckGpu,
         does="upkeep:check_gpu",
-        help="check an NVIDIA GPU against the CPU, and time training steps on both",
-        examples=("", "--brief"),
+        help="check a GPU against the CPU, and time training steps on both",
+        examples=("", "--brief", "--device gpu"),
         as_it_goes=True,
     ),
 }

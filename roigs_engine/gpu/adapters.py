@@ -41,6 +41,11 @@ class Adapter:
         limits = self.handle.limits
         return min(int(limits["max-storage-buffer-binding-size"]), int(limits["max-buffer-size"]))
 
+    @property
+    def gaussians(self) -> int:
+        """How many with SH of degree 3 such a buffer holds."""
+        return self.largest // (4 * 48)
+
 
 @functools.cache
 def wgpu() -> Any:
@@ -109,3 +114,12 @@ def find(name: str = "") -> Adapter:
             "Update its driver, or use the CPU.",
         )
     return wanted[0]
+
+
+def is_any() -> bool:
+    """Whether `find` finds a GPU."""
+    try:
+        find()
+    except KernelError:
+        return False
+    return True

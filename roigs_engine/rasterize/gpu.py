@@ -93,7 +93,7 @@ class CameraView:
         self._parameters = parameters
         self.memory = Memory.take(program)
         weakref.finalize(self, self.memory.give_back)
-        self.commands = Commands(self.memory)
+        self.work = Commands(self.memory)
         left, top, right, bottom = inputs.tiles
         self.tiles = (right - left) * (bottom - top)
         x0, y0, x1, y1 = inputs.window
@@ -103,7 +103,7 @@ class CameraView:
             self._project()
 
     def _project(self) -> None:
-        count, memory, commands = self.count, self.memory, self.commands
+        count, memory, work = self.count, self.memory, self.work
         mask, blocks = self.inputs.tile_mask, -(-count // ROWS)
         memory.need(
             frame=JOB_BYTES,
@@ -121,12 +121,12 @@ class CameraView:
         memory.write("sh", sh)
         if mask is not None:
             memory.write("tile_mask", mask.to("cpu", torch.int32).contiguous().numpy())
-        commands.launch("project", blocks)
-        _, self._order = commands.sort("depths", "ranks", count, DEPTH_BITS, DEPTH_JOB)
-        commands.launch("sum_counts", blocks, order=self._order)
-        commands.set_job(COUNT_JOB, 0, 0, 0, blocks)
-        commands.launch("scan", 1, job=COUNT_JOB)
-        total, counts = commands.read(("numbers", 4, 4 * blocks), ("pair_counts", 4 * count))
+        work.launch("project", blocks)
+        _, self._order = work.sort("depths", "ranks", count, DEPTH_BITS, DEPTH_JOB)
+        work.launch("sum_counts", blocks, order=self._order)
+        work.set_job(COUNT_JOB, 0, 0, 0, blocks)
+        work.launch("scan", 1, job=COUNT_JOB)
+        total, counts = work.read(("numbers", 4, 4 * blocks), ("pair_counts", 4 * count))
         self.pairs = int(total.view(np.uint32)[0])
         torch.gt(torch.from_numpy(counts.view(np.int32)), 0, out=self._visible)
 
@@ -145,7 +145,7 @@ class CameraView:
 
     def list_tiles(self) -> None:
         """Make the tiles' lists."""
-        pairs, memory, commands = self.pairs, self.memory, self.commands
+        pairs, memory, work = self.pairs, self.memory, self.work
         if not pairs:
             return
         memory.need(
@@ -154,10 +154,10 @@ class CameraView:
             reached=4 * self.tiles,
         )
         self._write_frame()
-        commands.launch("list_tiles", -(-self.count // ROWS), order=self._order)
+        work.launch("list_tiles", -(-self.count // ROWS), order=self._order)
         bits = (self.tiles - 1).bit_length()
-        sorted_tiles, self._entries = commands.sort("tiles", "slots", pairs, bits, TILE_JOB)
-        commands.launch("begin_tiles", pairs // ROWS + 1, sorted=sorted_tiles)
+        sorted_tiles, self._entries = work.sort("tiles", "slots", pairs, bits, TILE_JOB)
+        work.launch("begin_tiles", pairs // ROWS + 1, sorted=sorted_tiles)
 
     @property
     def _buckets(self) -> int:
@@ -183,7 +183,7 @@ class CameraView:
             if weighs:
                 self._weigh(outputs["pixel_weights"])
                 wanted.append(("weights", 8 * self.count))
-            picture, *weights = self.commands.read(*wanted)
+            picture, *weights = self.work.read(*wanted)
         planes = torch.from_numpy(picture.view(np.float32)).view(5, *alpha.shape)
         image.copy_(planes[:3])
         alpha.copy_(planes[3])
@@ -197,7 +197,7 @@ class CameraView:
                 outputs["weight_sum"] += sums
 
     def _launch(self, kernel: str, groups: int | tuple[int, int]) -> None:
-        self.commands.launch(kernel, groups, tile_first="tile_begin", entries=self._entries)
+        self.work.launch(kernel, groups, tile_first="tile_begin", entries=self._entries)
 
     def _weigh(self, pixel_weights: Tensor | None) -> None:
         self.memory.need(
@@ -208,7 +208,7 @@ class CameraView:
         if pixel_weights is not None:
             self.memory.write("pixel_weights", pixel_weights.numpy())
         self._launch("weigh", self._buckets)
-        self.commands.launch("fold_weights", -(-self.count // ROWS))
+        self.work.launch("fold_weights", -(-self.count // ROWS))
 
     def blend_backward(
         self, drawn: kernel_function.Outputs, gradients: kernel_function.Outputs, grad2d: Tensor
@@ -227,7 +227,7 @@ class CameraView:
         with self.program.explained("taking the gradient"):
             self.memory.write("picture_gradient", image.numpy())
             self._launch("gradient", self._buckets)
-            self.commands.launch("project_backward", -(-self.count // ROWS))
+            self.work.launch("project_backward", -(-self.count // ROWS))
             self._read_gradients(grad2d)
 
     def _read_gradients(self, grad2d: Tensor) -> None:
@@ -235,7 +235,7 @@ class CameraView:
         count, sh = self.count, self._parameters[4]
         shapes, of_sh, norms = (
             torch.from_numpy(found.view(np.float32))
-            for found in self.commands.read(
+            for found in self.work.read(
                 ("shape_gradients", 4 * SHAPE * count),
                 ("sh_gradients", sh.nbytes),
                 ("grad2d", 4 * count),

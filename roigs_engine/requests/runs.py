@@ -220,7 +220,7 @@ class Clean(Request):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckGpu(Request):
-    """An NVIDIA GPU checked against the CPU, and timed."""
+class CheckGpu(Device):
+    """A GPU checked against the CPU, and timed."""
 
     brief: bool = option(FLAG, "only say which device training would use, and why", False)

@@ -17,6 +17,7 @@ from ..cuda.device import SHARE_OF_PHOTOS, card_memory
 from ..errors import SceneError
 from ..formats.events import Message
 from ..formats.text import in_gb
+from ..gpu.program import opened
 from ..machine import ENGINE, machine_memory
 from ..model.scene import PosedImage, SfmScene
 from ..rasterize.inputs import TILE
@@ -85,6 +86,7 @@ class MemoryPlan:
     joined: int = 0  # joining and drawing the models of a scene in blocks; 0: it is not cut
     blocks: int = 1  # number of blocks; the other numbers are of the one that needs most
     card: CardPlan | None = None  # of the GPU that trains; None: the CPU does
+    gpu_holds: int | None = None  # Gaussians that buffers of `gpu.program`'s GPU hold; None: no GPU
 
     @property
     def total(self) -> int:
@@ -121,6 +123,12 @@ class MemoryPlan:
                 " a smaller --max-side or --steps-factor if that happens."
             )
             found.append(Message(text=text, level="warning"))
+        if self.gpu_holds is not None and self.count > self.gpu_holds:
+            text = (
+                f"The GPU's buffers hold {self.gpu_holds:,} Gaussians; if the model grows beyond"
+                " that, the processor draws it."
+            )
+            found.append(Message(text=text, level="warning"))
         return [*found, *(self.card.messages() if self.card else ())]
 
 
@@ -130,7 +138,8 @@ def with_card(
     """A run's plan, with what a GPU needs where one trains: for the block with most photos."""
     device = torch.device(context.device)
     if device.type != "cuda":
-        return plan
+        gpu = opened()
+        return plan if gpu is None else replace(plan, gpu_holds=gpu.adapter.gaussians)
     images, points = scene.images, len(scene.points)
     if layout.blocks is not None:
         block = max(layout.blocks.cells, key=lambda cell: len(cell.photos))
