@@ -65,9 +65,10 @@ class RoigsPreferences(bpy.types.AddonPreferences):
     device: EnumProperty(
         name="Device",
         items=(
-            ("auto", "Automatic", "The NVIDIA GPU if the engine can use one, else the CPU"),
+            ("auto", "Automatic", "The GPU if the engine can use it and gains by it, else the CPU"),
             ("cpu", "CPU", "Always the CPU"),
             ("cuda", "NVIDIA GPU", "The GPU; an error if it cannot be used"),
+            ("gpu", "Other GPU", "A GPU through Vulkan or Metal; an error if it cannot be used"),
         ),
         description="The device that the engine trains on",
     )

@@ -292,11 +292,12 @@ def test_offline_steps_ask_no_index(tmp_path: Path) -> None:
         "Installing fast-simplification",
         "Installing scikit-image",
         "Installing trimesh",
+        "Installing wgpu",
         "Removing what is not needed",
         "Testing the environment",
     ]
     assert all("--no-index" in step.command for step in offline[1:-2])
-    assert [step.needed for step in offline] == [True] * 2 + [False] * 6 + [True] * 2
+    assert [step.needed for step in offline] == [True] * 2 + [False] * 7 + [True] * 2
     online = install_steps.steps(
         Plan(environments=(tmp_path,), torch_index=BUILDS[0].index), base, made
     )

@@ -75,14 +75,14 @@ def test_the_question_says_what_it_frees(
 def test_the_page_says_what_a_set_up_takes(blender: ModuleType, addon: ModuleType) -> None:
     from roigs_addon.ui import preferences
 
-    for formats, size in ((False, "427 MB and takes 1297"), (True, "552 MB and takes 1817")):
+    for formats, size in ((False, "431 MB and takes 1311"), (True, "556 MB and takes 1831")):
         said = preferences._needed_space(SimpleNamespace(build="CPU", formats=formats), None)
         assert said == f"Downloads about {size} MB of disk space (on Linux)."
     for build, found, size in (
         ("CUDA", None, "2.6 GB"),
         ("AUTO", CARD, "2.6 GB"),
-        ("AUTO", None, "427 MB"),
-        ("CPU", CARD, "427 MB"),
+        ("AUTO", None, "431 MB"),
+        ("CPU", CARD, "431 MB"),
     ):
         page = SimpleNamespace(build=build, formats=False)
         assert size in preferences._needed_space(page, choose(found))
