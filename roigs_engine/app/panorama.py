@@ -49,7 +49,7 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
 
     from ..lighting.highlights import brightness
     from ..lighting.panorama import left_out, panorama
-    from ..lighting.sides import gain
+    from ..lighting.sides import gain, whiteness
     from ..rasterize.image_files import save_light
 
     read = {
@@ -68,10 +68,13 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
         factors = brightness(light, place, surfaces, *given)
         shining = light.brightened(factors.highlights, factors.unseen)
         sides = gain(shining, light.distance, place, objects)
-        save_light(file, shining * sides[..., None])
+        shining = shining * sides[..., None]
+        probes = [*objects, surfaces] if surfaces else objects
+        white = whiteness(shining, probes) if given == (None, None) else 1.0
+        save_light(file, shining * np.float32(white))
         # A mirror would show light from where no photo looked as a bright cap.
         save_light(run_files.mirrored(file), light.brightened(factors.highlights))
-        lines.append(_line(at, light, factors, given, sides))
+        lines.append(_line(at, light, factors, given, (sides, white)))
         context.info(lines[-1])
         context.progress(STAGE, step, len(files), started)
     names = [STAGE] if len(files) == 1 else [f"{STAGE}-{k + 1}" for k in range(len(files))]
@@ -161,7 +164,7 @@ def _line(
     light: Light,
     factors: Brightness,
     given: tuple[float | None, float | None],
-    sides: Float32,
+    shading: tuple[Float32, float],
 ) -> str:
     """What was found at a point, and how bright what photos cannot show is made."""
     place = ", ".join(f"{value:.4g}" for value in at)
@@ -175,7 +178,10 @@ def _line(
         for what, factor, asked in parts
         if asked is not None or factor != 1
     ]
+    sides, white = shading
     if (most := float(sides.max() / sides.min())) > 1:
         said.append(f"one side is made {most:.2g} times brighter than the other, as boxes tell")
+    if white > 1:
+        said.append(f"all is made {white:.3g} times brighter, as nothing is whiter than white")
     bright = "; ".join(said) or "no light is added"
     return f"Light at {place}: {light.seen:.0%} of all directions are seen; {bright}."

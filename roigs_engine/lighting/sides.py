@@ -1,4 +1,4 @@
-"""From which side more light comes than a panorama shows: the shading of the boxed objects tells.
+"""From which side more light comes than a panorama shows, and how much: the scene's shading tells.
 
 A lamp out of view, or a window that photos show darker than it is, leaves no trace in a panorama.
 But it lights one side of what stands there. An object with a mesh is a light probe: of its surfaces
@@ -6,6 +6,10 @@ that face one way, the bright ones are about as white as the bright ones that fa
 their ratio is that of the light on them (a white patch for each direction, and for each object of
 its own). The light is multiplied by exp(a · d) of the direction d, the smoothest gain that has a
 side, with the `a` that explains these ratios best.
+
+How much light there is, shading cannot tell: a white thing in half of the light looks like a grey
+one. But nothing is much whiter than white paint or paper. Where the bright parts of what is there
+would have to be, more light must come (the white patch of Retinex, Land and McCann 1971).
 """
 
 from __future__ import annotations
@@ -17,12 +21,13 @@ from scipy.optimize import least_squares
 
 from ..model.scene import Float64
 from ..rasterize.instances import NOTHING
-from .highlights import Surfaces
+from .highlights import BRIGHTEST, Surfaces
 from .panorama import Float32, directions, solid_angles
 
 NEAR = 0.5  # of the usual distance above the horizon: nearer objects have the same light
 WAYS, CONE = 64, 0.85  # directions; cosine between a normal and the direction that it counts for
-BRIGHT = 95  # percentile of the brightness of surfaces that face one way
+BRIGHT = 98  # percentile of the brightness of surfaces that face one way
+WHITE = 0.8  # albedo of white paint and paper
 FEWEST = 0.005  # share of an object's surface that faces a way, at least
 NOISE, INDEPENDENT = 0.25, 12  # of logarithms of ratios; of that many ways each says its own
 USUAL = 0.7  # standard deviation of `a`: usual places have no strong side
@@ -61,8 +66,34 @@ def gain(light: Float32, distance: Float32, place: Float64, objects: Sequence[Su
     return np.asarray(kept * factors, np.float32)
 
 
+def whiteness(light: Float32, probes: Sequence[Surfaces]) -> float:
+    """How much more light, 1 or more, leaves the bright parts of each probe no whiter than white.
+
+    Args:
+        light: (H, 2 H, 3) in the world of the probes, with its side.
+        probes: the surroundings, and the objects.
+    """
+    ways, flux = _coarse(light)
+    if not flux.sum() > 0:
+        return 1.0
+    whitest = np.log(WHITE)
+    for probe in probes:
+        kept = probe.colours.max(axis=1) < BRIGHTEST  # a window is no white thing
+        normals, bright = _told(
+            Surfaces(
+                places=probe.places[kept], normals=probe.normals[kept], colours=probe.colours[kept]
+            )
+        )
+        if len(normals):
+            given = np.maximum(normals @ ways.T, 0) @ flux / np.pi
+            whitest = max(whitest, float(np.mean(bright - np.log(np.maximum(given, 1e-12)))))
+    return float(np.exp(whitest) / WHITE)
+
+
 def _told(surfaces: Surfaces) -> tuple[Float64, Float64]:
     """Ways (N, 3) that enough of an object faces, and the logarithms of its brightness there."""
+    if not len(surfaces.normals):
+        return np.zeros((0, 3)), np.zeros(0)
     k = np.arange(WAYS) + 0.5
     z, turn = 1 - 2 * k / WAYS, np.pi * (1 + np.sqrt(5)) * k
     flat = np.sqrt(1 - z**2)

@@ -1,4 +1,4 @@
-"""The side from which more light comes than a panorama shows."""
+"""The side from which more light comes than a panorama shows, and how much light that is."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from roigs_engine.lighting.highlights import Surfaces
 from roigs_engine.lighting.panorama import directions, solid_angles
-from roigs_engine.lighting.sides import gain
+from roigs_engine.lighting.sides import WHITE, gain, whiteness
 
 HEIGHT = 32
 EVEN = np.ones((HEIGHT, 2 * HEIGHT, 3), np.float32)
@@ -54,3 +54,25 @@ def test_objects_that_are_far_away_tell_nothing() -> None:
     light = (EVEN * np.exp(directions(HEIGHT) @ SIDE)[..., None]).astype(np.float32)
     for objects in ([], [ball(light, at=3.0)]):
         assert (gain(EVEN, FAR, HERE, objects) == 1).all()
+
+
+def test_what_would_be_whiter_than_white_asks_for_more_light() -> None:
+    dim = (EVEN / 8).astype(np.float32)
+    probe = ball(dim, white=WHITE)
+    assert whiteness(dim, [probe]) == pytest.approx(1.0, abs=0.03)
+    for factor in (2, 4):  # the panorama shows that much less than there is
+        shown = (dim / factor).astype(np.float32)
+        assert whiteness(shown, [probe]) == pytest.approx(factor, rel=0.03)
+        grey = ball(dim, white=0.2)
+        assert whiteness(shown, [grey, probe]) == pytest.approx(factor, rel=0.03)
+
+
+def test_grey_things_and_clipped_ones_ask_for_none() -> None:
+    dim = (EVEN / 8).astype(np.float32)
+    clipped = ball(dim, white=WHITE)
+    clipped.colours[::3] = 1.0  # a window
+    assert whiteness(dim, [ball(dim, white=0.3)]) == 1.0
+    assert whiteness(dim, [clipped]) == pytest.approx(1.0, abs=0.03)
+    assert whiteness(dim, []) == whiteness(0 * dim, [clipped]) == 1.0
+    clipped.colours[:] = 1.0
+    assert whiteness(dim, [clipped]) == 1.0
