@@ -43,6 +43,7 @@ MARGIN = 1.25  # buffers are so much larger than needed when they must grow
 
 _SPLATS = "frame splats"
 _LISTS = f"{_SPLATS} tile_first entries ids reached checkpoints"
+_ADAM = "frame step rates row_rates results gradients values exp_avg exp_avg_sq"
 _SORT = "job keys_in values_in keys_out values_out numbers"
 KERNELS: dict[str, tuple[str, str]] = {
     "project": (
@@ -64,8 +65,11 @@ KERNELS: dict[str, tuple[str, str]] = {
     "fold_weights": ("frame walk", "frame pair_counts first_slot slot_weights weights"),
     "project_backward": (
         "frame geometry backward",
-        f"{_SPLATS} shapes sh pair_counts first_slot moments shape_gradients sh_gradients grad2d",
+        f"{_SPLATS} shapes sh pair_counts first_slot moments"
+        " shape_gradients sh_gradients row_results",
     ),
+    "adam_shapes": ("frame adam", _ADAM),
+    "adam_sh": ("frame adam", _ADAM),
 }
 """Name -> the files that it is made of, and the buffers that it uses."""
 
@@ -103,7 +107,13 @@ def _bindings(files: str) -> dict[str, int]:
 
 
 class Program:
-    """The kernels on a GPU."""
+    """The kernels on a GPU.
+
+    Attributes:
+        has_failed: whether it is lost, or would not do something.
+    """
+
+    has_failed = False
 
     def __init__(self, adapter: Adapter) -> None:
         """Open the GPU. KernelError: it cannot be opened, or does not take the shaders."""
@@ -123,7 +133,7 @@ class Program:
 
     def explained(self, doing: str) -> _Explained:
         """A block in which wgpu's errors become one line."""
-        return _Explained(self.library, self.adapter.title, doing)
+        return _Explained(self, doing)
 
     def _compiled(self, kernel: str, files: str) -> Any:
         if files not in self._modules:
@@ -167,8 +177,8 @@ class Program:
 class _Explained:
     """Turns wgpu's errors into a KernelError; a full memory into a GpuMemoryError."""
 
-    def __init__(self, library: Any, title: str, doing: str) -> None:
-        self._library, self._title, self._doing = library, title, doing
+    def __init__(self, program: Program, doing: str) -> None:
+        self._program, self._doing = program, doing
 
     def __enter__(self) -> None:
         pass
@@ -176,16 +186,18 @@ class _Explained:
     def __exit__(self, kind: Any, error: BaseException | None, _: Any) -> None:
         if error is None or isinstance(error, KernelError):
             return
+        title = self._program.adapter.title
         if isinstance(error, MemoryError):
             raise GpuMemoryError(
-                f"The memory of {self._title} is full: {self._doing}.",
+                f"The memory of {title} is full: {self._doing}.",
                 "Close other programs that use the GPU, or use smaller photos (--max-side) or"
                 " the CPU (--device cpu).",
             ) from error
-        if isinstance(error, (self._library.GPUError, RuntimeError)):
+        if isinstance(error, (self._program.library.GPUError, RuntimeError)):
+            self._program.has_failed = True
             last = (str(error).strip().splitlines() or ["unknown error"])[-1].strip(" .:")
             raise KernelError(
-                f"{self._title}, failed while {self._doing}: {last}.",
+                f"{title}, failed while {self._doing}: {last}.",
                 "Update its driver, or use the CPU (--device cpu), which resumes.",
             ) from error
 
@@ -230,6 +242,13 @@ class Memory:
                 self._groups.clear()
             self._buffers[name] = self.program.new_buffer(min(int(MARGIN * size), largest))
 
+    def share(self, other: Memory, **names: str) -> None:
+        """Use another one's buffers, with names that no `need` has; `names`: own name -> its."""
+        for own, name in names.items():
+            if self._buffers.get(own) is not other[name]:
+                self._buffers[own] = other[name]
+                self._groups.clear()
+
     def __getitem__(self, name: str) -> Any:
         return self._buffers[name]
 
@@ -244,9 +263,9 @@ class Memory:
 
     def group(self, kernel: str, names: Mapping[str, str], job: int) -> Any:
         """The bind group of a kernel; `names`: buffers that have other names than in the shader."""
-        key = (kernel, job, *names.values())
+        files, used = KERNELS[kernel]
+        key = (kernel, job, *(names.get(own, own) for own in used.split()))
         if key not in self._groups:
-            files, used = KERNELS[kernel]
             numbers, entries = _bindings(files), []
             for own in used.split():
                 buffer = self._buffers[names.get(own, own)]
@@ -270,16 +289,26 @@ class Commands:
         self._pass: Any = None
 
     def launch(
-        self, kernel: str, groups: int | tuple[int, int], *, job: int = 0, **names: str
+        self,
+        kernel: str,
+        groups: int | tuple[int, int],
+        names: Mapping[str, str] | None = None,
+        *,
+        job: int = 0,
     ) -> None:
-        """Run a kernel with so many groups, or columns and rows of them, after those before."""
+        """Run a kernel with so many groups, or columns and rows of them, after those before.
+
+        Args:
+            names: of buffers that have other ones than in the shader.
+            job: the place in the buffer of that name.
+        """
         if self._pass is None:
             self._encoder = self._program.device.create_command_encoder()
             self._pass = self._encoder.begin_compute_pass()
         if isinstance(groups, int):
             groups = min(groups, GROUPS_IN_ROW), -(-groups // GROUPS_IN_ROW)
         self._pass.set_pipeline(self._program.pipelines[kernel])
-        self._pass.set_bind_group(0, self._memory.group(kernel, names, job))
+        self._pass.set_bind_group(0, self._memory.group(kernel, names or {}, job))
         self._pass.dispatch_workgroups(*groups, 1)
 
     def sort(self, keys: str, values: str, count: int, bits: int, job: int) -> tuple[str, str]:
@@ -293,11 +322,11 @@ class Commands:
         now = keys, values
         for place, shift in enumerate(range(0, bits, DIGIT_BITS), start=job):
             self.set_job(place, count, shift, blocks, DIGITS * blocks)
-            self.launch("count_digits", blocks, job=place, keys_in=now[0], numbers="digits")
-            self.launch("scan", 1, job=place, numbers="digits")
-            ends = {"keys_in": now[0], "values_in": now[1]}
-            ends |= {"keys_out": other[0], "values_out": other[1]}
-            self.launch("scatter", blocks, job=place, numbers="digits", **ends)
+            names = {"keys_in": now[0], "values_in": now[1], "numbers": "digits"}
+            names |= {"keys_out": other[0], "values_out": other[1]}
+            self.launch("count_digits", blocks, names, job=place)
+            self.launch("scan", 1, names, job=place)
+            self.launch("scatter", blocks, names, job=place)
             now, other = other, now
         return now
 
@@ -322,12 +351,15 @@ _program = functools.cache(Program)
 
 def open_gpu(name: str = "") -> Program:
     """Draw with a GPU from here on, see `adapters.find`. Raises KernelError."""
+    close_gpu()
     _opened[:] = [_program(find(name))]
     return _opened[0]
 
 
 def close_gpu() -> None:
     """Draw with the processor from here on."""
+    if any(program.has_failed for program in _opened):
+        _program.cache_clear()
     _opened.clear()
 
 

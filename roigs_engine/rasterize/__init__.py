@@ -95,6 +95,8 @@ def rasterize(
     check_inputs(parameters, viewmats, Ks, width, height)
     backend = _chosen(backend, parameters)
     check_backward_step(backward_step, parameters, len(viewmats), backend)
+    if backend != "gpu" and backward_step is not None and backward_step.resident is not None:
+        backward_step.resident.settle()
     active, shape = active_tiles(width, height, mask), (len(viewmats), height, width)
     inputs = RenderInputs(
         parameters=parameters,

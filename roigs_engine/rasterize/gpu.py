@@ -8,12 +8,14 @@ Gaussians and tiles than the GPU's buffers hold.
 
 from __future__ import annotations
 
+import ctypes
 import struct
 import weakref
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from ..gpu.program import (
@@ -28,10 +30,13 @@ from ..gpu.program import (
     open_gpu,
     opened,
 )
+from ..gpu.resident import NAMES
 from ..kernels import bindings
 from . import cpu, kernel_function
 from .inputs import TILE, RenderInputs, RenderOutput
 
+RESIDENT = {name: name for own in NAMES for name in (f"{own}_shapes", f"{own}_sh")}
+GRADIENTS = {"shapes": "shape_gradients", "sh": "sh_gradients"}
 SHAPE = 11  # numbers of a Gaussian beside its SH
 DEPTH_BITS = 32
 DEPTH_JOB, COUNT_JOB, TILE_JOB, JOBS = 0, 8, 9, 16
@@ -42,6 +47,7 @@ def render(inputs: RenderInputs) -> RenderOutput:
     """Render all cameras; see `rasterize`. Raises KernelError."""
     program = opened() or open_gpu()
     if inputs.with_surface or inputs.with_depth == "median" or not fits(program, inputs):
+        settle(inputs)
         return cpu.render(inputs)
     return kernel_function.render(inputs, begin)
 
@@ -64,7 +70,15 @@ def begin(
         if view.pairs < most_pairs(program.adapter.largest):
             view.list_tiles()
             return view
+    settle(inputs)
     return cpu.CameraView(inputs, c, parameters, visible)
+
+
+def settle(inputs: RenderInputs) -> None:
+    """Have the parameters in main memory."""
+    step = inputs.backward_step
+    if step is not None and step.resident is not None:
+        step.resident.settle()
 
 
 def most_pairs(largest: int) -> int:
@@ -94,6 +108,12 @@ class CameraView:
         self.memory = Memory.take(program)
         weakref.finalize(self, self.memory.give_back)
         self.work = Commands(self.memory)
+        step = inputs.backward_step
+        resident = None if step is None else step.resident
+        self._is_resident = resident is not None and resident.hold(program)
+        if self._is_resident and resident is not None and resident.memory is not None:
+            self.memory.share(resident.memory, **RESIDENT)
+        self._names = {"shapes": "values_shapes", "sh": "values_sh"} if self._is_resident else {}
         left, top, right, bottom = inputs.tiles
         self.tiles = (right - left) * (bottom - top)
         x0, y0, x1, y1 = inputs.window
@@ -108,22 +128,22 @@ class CameraView:
         memory.need(
             frame=JOB_BYTES,
             job=JOBS * JOB_BYTES,
-            shapes=4 * SHAPE * count,
-            sh=self._parameters[4].nbytes,
             splats=64 * count,
             **dict.fromkeys(("depths", "ranks", "pair_counts", "first_slot"), 4 * count),
             numbers=4 * (blocks + 1),
             tile_mask=4 if mask is None else 4 * self.tiles,
         )
         self._write_frame()
-        *shapes, sh = (parameter.numpy() for parameter in self._parameters)
-        memory.write("shapes", *shapes)
-        memory.write("sh", sh)
+        if not self._is_resident:
+            *shapes, sh = (parameter.numpy() for parameter in self._parameters)
+            memory.need(shapes=4 * SHAPE * count, sh=sh.nbytes)
+            memory.write("shapes", *shapes)
+            memory.write("sh", sh)
         if mask is not None:
             memory.write("tile_mask", mask.to("cpu", torch.int32).contiguous().numpy())
-        work.launch("project", blocks)
+        work.launch("project", blocks, self._names)
         _, self._order = work.sort("depths", "ranks", count, DEPTH_BITS, DEPTH_JOB)
-        work.launch("sum_counts", blocks, order=self._order)
+        work.launch("sum_counts", blocks, {"order": self._order})
         work.set_job(COUNT_JOB, 0, 0, 0, blocks)
         work.launch("scan", 1, job=COUNT_JOB)
         total, counts = work.read(("numbers", 4, 4 * blocks), ("pair_counts", 4 * count))
@@ -154,10 +174,10 @@ class CameraView:
             reached=4 * self.tiles,
         )
         self._write_frame()
-        work.launch("list_tiles", -(-self.count // ROWS), order=self._order)
+        work.launch("list_tiles", -(-self.count // ROWS), {"order": self._order})
         bits = (self.tiles - 1).bit_length()
         sorted_tiles, self._entries = work.sort("tiles", "slots", pairs, bits, TILE_JOB)
-        work.launch("begin_tiles", pairs // ROWS + 1, sorted=sorted_tiles)
+        work.launch("begin_tiles", pairs // ROWS + 1, {"sorted": sorted_tiles})
 
     @property
     def _buckets(self) -> int:
@@ -171,7 +191,8 @@ class CameraView:
             image.copy_(self.inputs.background[:, None, None].expand_as(image))
             alpha.zero_()
             return
-        inputs, wanted = self.inputs, [("picture", 20 * self.pixels)]
+        inputs, planes = self.inputs, 4 if depth is None else 5
+        wanted = [("picture", 4 * planes * self.pixels)]
         weighs = inputs.with_max_weight or inputs.with_weight_sum
         keeps = inputs.is_trained or weighs
         self.memory.need(
@@ -184,11 +205,11 @@ class CameraView:
                 self._weigh(outputs["pixel_weights"])
                 wanted.append(("weights", 8 * self.count))
             picture, *weights = self.work.read(*wanted)
-        planes = torch.from_numpy(picture.view(np.float32)).view(5, *alpha.shape)
-        image.copy_(planes[:3])
-        alpha.copy_(planes[3])
+        drawn = torch.from_numpy(picture.view(np.float32)).view(planes, *alpha.shape)
+        image.copy_(drawn[:3])
+        alpha.copy_(drawn[3])
         if depth is not None:
-            depth.copy_(planes[4])
+            depth.copy_(drawn[4])
         if weighs:
             largest, sums = torch.from_numpy(weights[0].view(np.float32)).view(-1, 2).unbind(1)
             if outputs["max_weight"] is not None:
@@ -197,7 +218,8 @@ class CameraView:
                 outputs["weight_sum"] += sums
 
     def _launch(self, kernel: str, groups: int | tuple[int, int]) -> None:
-        self.work.launch(kernel, groups, tile_first="tile_begin", entries=self._entries)
+        names = {"tile_first": "tile_begin", "entries": self._entries}
+        self.work.launch(kernel, groups, names)
 
     def _weigh(self, pixel_weights: Tensor | None) -> None:
         self.memory.need(
@@ -222,31 +244,37 @@ class CameraView:
             moments=4 * MOMENTS * self.pairs,
             shape_gradients=4 * SHAPE * self.count,
             sh_gradients=self._parameters[4].nbytes,
-            grad2d=4 * self.count,
+            row_results=8 * self.count,
         )
+        self._grad2d = grad2d
         with self.program.explained("taking the gradient"):
             self.memory.write("picture_gradient", image.numpy())
             self._launch("gradient", self._buckets)
-            self.work.launch("project_backward", -(-self.count // ROWS))
-            self._read_gradients(grad2d)
+            self.work.launch("project_backward", -(-self.count // ROWS), self._names)
+            if not self._is_resident:
+                self._read_gradients()
 
-    def _read_gradients(self, grad2d: Tensor) -> None:
+    def _read_rows(self, results: NDArray[np.uint8]) -> NDArray[np.uint32]:
+        """Write `grad2d`; (N,) what frame.wgsl says of rows in bits."""
+        norms, flags = results.view(np.uint32).reshape(-1, 2).T
+        self._grad2d.copy_(torch.from_numpy(norms.copy().view(np.float32)))
+        return np.asarray(flags)
+
+    def _read_gradients(self) -> None:
         """Once they are here, a GPU that is lost loses nothing."""
         count, sh = self.count, self._parameters[4]
-        shapes, of_sh, norms = (
-            torch.from_numpy(found.view(np.float32))
-            for found in self.work.read(
-                ("shape_gradients", 4 * SHAPE * count),
-                ("sh_gradients", sh.nbytes),
-                ("grad2d", 4 * count),
-            )
+        shapes, of_sh, results = self.work.read(
+            ("shape_gradients", 4 * SHAPE * count),
+            ("sh_gradients", sh.nbytes),
+            ("row_results", 8 * count),
         )
-        parts = torch.split(shapes, [3 * count, 4 * count, 3 * count, count])
+        widths = [3 * count, 4 * count, 3 * count, count]
+        parts = torch.split(torch.from_numpy(shapes.view(np.float32)), widths)
+        parts = (*parts, torch.from_numpy(of_sh.view(np.float32)))
         self._gradients = [
-            part.view(p.shape) for part, p in zip((*parts, of_sh), self._parameters, strict=True)
+            part.view(p.shape) for part, p in zip(parts, self._parameters, strict=True)
         ]
-        torch.clamp(norms, min=0.0, out=grad2d)
-        self._has_gradient = (norms != -1).to(torch.uint8)
+        self._has_gradient = torch.from_numpy((self._read_rows(results) & 1).astype(np.uint8))
 
     def project_backward(self, targets: list[Tensor | None]) -> None:
         for target, gradient in zip(targets, self._gradients, strict=True) if self.pairs else ():
@@ -256,8 +284,35 @@ class CameraView:
     def take_step(self, adam: Any) -> int:
         if not self.pairs:
             return 0
-        parameters = adam._obj.parameters
+        adam = adam._obj
+        if self._is_resident:
+            with self.program.explained("taking a step"):
+                return self._step_there(adam)
         for index, gradient in enumerate(self._gradients):
-            parameters[index].gradient = bindings.pointer(gradient)
+            adam.parameters[index].gradient = bindings.pointer(gradient)
         rows = bindings.pointer(self._has_gradient)
-        return int(bindings.kernels().roigs_adam(self.count, adam, rows))
+        return int(bindings.kernels().roigs_adam(self.count, ctypes.byref(adam), rows))
+
+    def _step_there(self, adam: bindings.Adam) -> int:
+        """Adam's step on the GPU; the number of rows that it leaves out."""
+        memory, count = self.memory, self.count
+        beta1, beta2 = adam.betas
+        corrections = (1 - beta2**adam.step) ** -0.5, 1 / (1 - beta1**adam.step)
+        has_rates = adam.row_rates is not None
+        step = struct.pack("5fI", 1 - beta1, 1 - beta2, adam.epsilon, *corrections, has_rates)
+        rates = b"".join(
+            ctypes.string_at(p.rates, 4 * p.width) for p in (adam.parameters[i] for i in range(5))
+        )
+        memory.need(step=len(step), rates=len(rates), row_rates=4 * count if has_rates else 4)
+        memory.write("step", step)
+        memory.write("rates", rates)
+        if has_rates:
+            memory.write("row_rates", (ctypes.c_float * count).from_address(adam.row_rates))
+        for part, width in (("shapes", SHAPE), ("sh", self._parameters[4].shape[1] * 3)):
+            names = {name: f"{name}_{part}" for name in ("values", "exp_avg", "exp_avg_sq")}
+            names |= {"results": "row_results", "gradients": GRADIENTS[part]}
+            self.work.launch(f"adam_{part}", -(-width * count // ROWS), names)
+        (results,) = self.work.read(("row_results", 8 * count))
+        flags = self._read_rows(results)
+        has_gradient = flags & 1 == 1
+        return sum(int(np.count_nonzero(has_gradient & (flags & 2 << k == 0))) for k in range(5))

@@ -13,6 +13,7 @@ from torch import Tensor
 from ..cuda.pair_buffers import PairBuffer
 from ..errors import EngineError
 from ..formats.targets import BLUR
+from ..gpu.resident import Resident
 from ..kernels import bindings
 from .light import to_linear, to_srgb
 from .limits import Limits
@@ -58,11 +59,13 @@ class BackwardStep:
         take: takes the step with a kernel, which gets the address of a `bindings.Adam` and returns
             the number of rows that it skipped for a NaN or Inf gradient.
         pair_buffer: for the view's pairs on a GPU, so that nothing waits for it; None: it waits.
+        resident: where the tensors are if the `gpu` backend keeps them; None: always here.
     """
 
     tensors: tuple[Tensor, ...]
     take: Callable[[Callable[[Any], int | Tensor]], object]
     pair_buffer: PairBuffer | None = None
+    resident: Resident | None = None
 
 
 class Surface(NamedTuple):

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from ..cuda.bindings import address
 from ..errors import EngineError
+from ..gpu.resident import Resident
 from ..kernels import bindings
 from ..model.gaussians import Gaussians
 from ..rasterize.inputs import BackwardStep
@@ -34,8 +35,6 @@ class VisibleAdam:
     Bias correction counts the optimizer's steps, as in dense Adam, not the steps of each row.
 
     Attributes:
-        parameters: the leaf tensors by name.
-        exp_avg, exp_avg_sq: their first and second moments.
         row_rates: (N,) float32, a factor of the learning rates for each Gaussian in the next steps;
             None: 1. It does not follow the rows in `replace`, and is no part of the state or of a
             `part`.
@@ -53,22 +52,48 @@ class VisibleAdam:
         Raises:
             EngineError: wrong numbers of rows or learning rates, or wrong strides.
         """
-        self.parameters: dict[str, Tensor] = {}
-        self.exp_avg: dict[str, Tensor] = {}
-        self.exp_avg_sq: dict[str, Tensor] = {}
+        self._parameters: dict[str, Tensor] = {}
+        self._exp_avg: dict[str, Tensor] = {}
+        self._exp_avg_sq: dict[str, Tensor] = {}
+        self._resident = Resident(self._tensors, stays=True)
         self.row_rates: Tensor | None = None
         self.step_count = 0
         self.skipped_rows: int | Tensor = 0
         self._learning_rates: dict[str, Tensor] = {}
         self._adopt({name: tensor for name, (tensor, _) in parameters.items()})
         for name, (tensor, lr) in parameters.items():
-            self.exp_avg[name] = torch.zeros_like(tensor, requires_grad=False)
-            self.exp_avg_sq[name] = torch.zeros_like(tensor, requires_grad=False)
+            self._exp_avg[name] = torch.zeros_like(tensor, requires_grad=False)
+            self._exp_avg_sq[name] = torch.zeros_like(tensor, requires_grad=False)
             self.set_lr(name, lr)
+
+    @property
+    def parameters(self) -> dict[str, Tensor]:
+        """The leaf tensors by name; brought back, if they are on a GPU that torch does not know."""
+        self._resident.settle()
+        return self._parameters
+
+    @property
+    def exp_avg(self) -> dict[str, Tensor]:
+        """Their first moments."""
+        self._resident.settle()
+        return self._exp_avg
+
+    @property
+    def exp_avg_sq(self) -> dict[str, Tensor]:
+        """Their second moments."""
+        self._resident.settle()
+        return self._exp_avg_sq
+
+    def _tensors(self) -> list[list[Tensor]]:
+        """See `Resident`."""
+        return [list(own.values()) for own in (self._parameters, self._exp_avg, self._exp_avg_sq)]
+
+    def __len__(self) -> int:
+        return len(next(iter(self._parameters.values())))
 
     def set_lr(self, name: str, lr: float | Tensor) -> None:
         """Set a parameter's learning rate: one number, or one per element of a row."""
-        parameter = self.parameters[name]
+        parameter = self._parameters[name]
         width = parameter.shape[1:].numel()
         if isinstance(lr, float):  # every step: filled on the device, no copy to wait for
             if name not in self._learning_rates:
@@ -86,12 +111,12 @@ class VisibleAdam:
         """Take a step with a kernel, which gets a `bindings.Adam*` and returns what `step` does."""
         self._check_row_rates()
         self.step_count += 1
-        parameters = (bindings.AdamParameter * len(self.parameters))()
-        for entry, (name, parameter) in zip(parameters, self.parameters.items(), strict=True):
+        parameters = (bindings.AdamParameter * len(self._parameters))()
+        for entry, (name, parameter) in zip(parameters, self._parameters.items(), strict=True):
             learning_rates = self._learning_rates[name]
             entry.values = parameter.data_ptr()
-            entry.exp_avg = self.exp_avg[name].data_ptr()
-            entry.exp_avg_sq = self.exp_avg_sq[name].data_ptr()
+            entry.exp_avg = self._exp_avg[name].data_ptr()
+            entry.exp_avg_sq = self._exp_avg_sq[name].data_ptr()
             entry.gradient = address(parameter.grad)
             entry.rates, entry.width = learning_rates.data_ptr(), learning_rates.numel()
         rates, count = address(self.row_rates), len(parameters)
@@ -102,7 +127,7 @@ class VisibleAdam:
 
     def _check_row_rates(self) -> None:
         """The kernels trust it."""
-        rates, first = self.row_rates, next(iter(self.parameters.values()))
+        rates, first = self.row_rates, next(iter(self._parameters.values()))
         if rates is None:
             return
         fits = rates.shape == first.shape[:1] and rates.device == first.device
@@ -115,7 +140,8 @@ class VisibleAdam:
     @property
     def backward_step(self) -> BackwardStep:
         """The argument of `rasterize(..., backward_step=...)`."""
-        return BackwardStep(tuple(self.parameters.values()), self.step_by)
+        tensors = tuple(self._parameters.values())
+        return BackwardStep(tensors, self.step_by, resident=self._resident)
 
     @torch.no_grad()
     def replace(self, parameters: Mapping[str, Tensor], rows: Tensor) -> None:
@@ -142,6 +168,7 @@ class VisibleAdam:
         copies = {name: p.detach()[rows].contiguous() for name, p in self.parameters.items()}
         rates = {name: (copy, self._learning_rates[name]) for name, copy in copies.items()}
         part = type(self)(rates)
+        part._resident = Resident(part._tensors, stays=False)
         part.step_count = self.step_count
         for name in copies:
             part.exp_avg[name] = self.exp_avg[name][rows].contiguous()
@@ -197,7 +224,7 @@ class VisibleAdam:
             if not tensor.is_leaf or not tensor.is_contiguous():
                 raise EngineError(f"{name} is not a contiguous leaf tensor.")
             tensor.requires_grad_()
-            self.parameters[name], tensor.grad = tensor, None
+            self._parameters[name], tensor.grad = tensor, None
 
 
 def leaves(gaussians: Gaussians) -> Gaussians:

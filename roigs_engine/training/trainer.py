@@ -52,8 +52,7 @@ class Trainer:
         self.seconds = 0.0
         self.cpu_seconds = 0.0  # of the whole process, all its threads
         gaussians = replace(gaussians.to(data.device), target=config.target)
-        # the current model; its tensors belong to the trainer
-        self.gaussians = leaves(gaussians.rows(morton_order(gaussians.means)))
+        self._gaussians = leaves(gaussians.rows(morton_order(gaussians.means)))
         self.optimizer = self._new_optimizer()
         self.health = Health([image.name for image in data.images])
         self.photos = PhotoViews(data, data.device, data.card_photos)
@@ -62,6 +61,12 @@ class Trainer:
         self._steps_before = 0  # of the optimizer, in front of this step
         acting = [each for each in config.mechanisms if each.acts(config)]
         self._running = {each.name: each.begin(config, self) for each in acting}
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """The current model; its tensors belong to the trainer."""
+        _ = self.optimizer.parameters  # brings them back from where steps are taken
+        return self._gaussians
 
     def run(
         self,
@@ -79,7 +84,7 @@ class Trainer:
             callbacks: called between steps to write checkpoints and previews.
         """
         explained = explained_full_memory(
-            self.data.images, lambda: (self.step, len(self.gaussians))
+            self.data.images, lambda: (self.step, len(self._gaussians))
         )
         with one_torch_thread(), explained:
             return self._run(context, stage, callbacks)
@@ -109,7 +114,7 @@ class Trainer:
                         total=self.config.steps,
                         loss=float(self._metrics.loss),
                         psnr=self._metrics.psnr,
-                        gaussians=len(self.gaussians),
+                        gaussians=len(self._gaussians),
                         seconds_left=left,
                     )
                 )
@@ -249,20 +254,22 @@ class Trainer:
         self, optimizer: VisibleAdam, view: tuple[int, int | str], active: Mask, **options: Any
     ) -> RenderOutput:
         """The Gaussians of the optimizer of the model, or of a part; `options` of `rasterize`."""
-        p, camera = optimizer.parameters, self.photos.view(view[0])
+        camera = self.photos.view(view[0])
+        taken = self._ahead.backward_step(optimizer, self.step, (*view, camera.width))
+        means, quats, scales, opacities, sh = taken.tensors
         return rasterize(
-            p["means"],
-            p["quats"],
-            p["log_scales"],
-            p["logit_opacities"],
-            p["sh"],
+            means,
+            quats,
+            scales,
+            opacities,
+            sh,
             **camera._asdict(),
             sh_degree=self.config.degree(self.step),
             raw=True,
             **self.config.target.drawing,
             limits=training_limits(self.step, linear_light=self.config.target.linear_light),
             mask=active,
-            backward_step=self._ahead.backward_step(optimizer, self.step, (*view, camera.width)),
+            backward_step=taken,
             **options,
         )
 
@@ -287,11 +294,11 @@ class Trainer:
 
     def apply(self, edit: Edit) -> None:
         if edit.rows is not None:
-            self._ahead.grow(len(self.gaussians), len(edit.rows))
-            self.gaussians = leaves(edit.gaussians)
-            self.optimizer.replace(self.gaussians.tensors(), edit.rows)
+            self._ahead.grow(len(self._gaussians), len(edit.rows))
+            self._gaussians = leaves(edit.gaussians)
+            self.optimizer.replace(self._gaussians.tensors(), edit.rows)
             for each in self._running.values():
-                each.follow(edit.rows, self.gaussians)
+                each.follow(edit.rows, self._gaussians)
             release_freed_memory()
         if edit.opacity_cap is not None:
             logit = float(np.log(edit.opacity_cap / (1 - edit.opacity_cap)))
@@ -300,7 +307,7 @@ class Trainer:
             self.optimizer.zero_moments("logit_opacities")
 
     def _new_optimizer(self) -> VisibleAdam:
-        tensors = self.gaussians.tensors()
+        tensors = self._gaussians.tensors()
         rates = learning_rates(self.config, self.data.extent, tensors["sh"].shape[1])
         return VisibleAdam({name: (tensors[name], rates[name]) for name in NAMES})
 
@@ -326,7 +333,7 @@ class Trainer:
         self.cpu_seconds = float(state["cpu_seconds"])
         self._metrics.loss.fill_(float(state["loss"]))
         self._metrics.psnr = float(state["psnr"])
-        self.gaussians = leaves(self.gaussians.with_tensors(state["parameters"]))
+        self._gaussians = leaves(self._gaussians.with_tensors(state["parameters"]))
         self.optimizer = self._new_optimizer()
         self.optimizer.load_state_dict(state["optimizer"])
         for name, each in self._running.items():

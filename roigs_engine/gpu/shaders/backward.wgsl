@@ -136,7 +136,7 @@ fn project_backward(@builtin(workgroup_id) group: vec3<u32>,
     }
     var row = ShapeGradient();
     if (!has_gradient) {
-        grad2d[n] = -1.0;
+        row_results[n] = vec2(0u);
         write_shape(n, row);
         let width = 3u * frame.sh_coefficients;
         for (var k = 0u; k < width; k++) { sh_gradients[n * width + k] = 0.0; }
@@ -155,5 +155,14 @@ fn project_backward(@builtin(workgroup_id) group: vec3<u32>,
         row.opacity = m[0] / g.opacity;
     }
     write_shape(n, row);
-    grad2d[n] = length(0.5 * vec2(f32(frame.width), f32(frame.height)) * d.place);
+    let width = 3u * frame.sh_coefficients;
+    var is_finite_sh = true;
+    for (var k = 0u; k < width; k++) {
+        is_finite_sh = is_finite_sh && is_finite(sh_gradients[n * width + k]);
+    }
+    let flags = 1u | select(0u, 2u, are_finite(vec4(row.mean, 0.0)))
+        | select(0u, 4u, are_finite(row.quat)) | select(0u, 8u, are_finite(vec4(row.scale, 0.0)))
+        | select(0u, 16u, is_finite(row.opacity)) | select(0u, 32u, is_finite_sh);
+    let norm = length(0.5 * vec2(f32(frame.width), f32(frame.height)) * d.place);
+    row_results[n] = vec2(bitcast<u32>(norm), flags);
 }

@@ -76,7 +76,9 @@ struct Frame {
 // of the backward pass, shaped as `shapes` and `sh`
 @group(0) @binding(26) var<storage, read_write> shape_gradients: array<f32>;
 @group(0) @binding(27) var<storage, read_write> sh_gradients: array<f32>;
-@group(0) @binding(28) var<storage, read_write> grad2d: array<f32>;  // -1: no gradient
+// of each row: the length of the gradient of the projected centre, as bits; and bits that say whether
+// there is a gradient (1), and whether that of means, quats, scales, opacities, SH is finite (2 to 32)
+@group(0) @binding(28) var<storage, read_write> row_results: array<vec2<u32>>;
 
 fn group_index(group: vec3<u32>) -> u32 { return group.x + group.y * GROUPS_IN_ROW; }
 

@@ -38,4 +38,7 @@ class _Running(Running):
 
     def row_rates(self, *, whole: bool) -> Tensor | None:
         factor = self._last ** (self._training.step / self._steps)
-        return self._training.gaussians.means.new_full((len(self._training.gaussians),), factor)
+        import torch
+
+        count, device = len(self._training.optimizer), self._training.data.device
+        return torch.full((count,), factor, dtype=torch.float32, device=device)

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
 from roigs_engine.errors import KernelError
 from roigs_engine.gpu.program import Commands, Program, close_gpu
-from roigs_engine.model.gaussians import NAMES
+from roigs_engine.model.gaussians import NAMES, Gaussians
+from roigs_engine.model.scene import SfmScene
 from roigs_engine.rasterize import rasterize
 from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
 from roigs_engine.training.optimizer import VisibleAdam
 from roigs_engine.training.trainer import Trainer
-from tests.engine.cuda.short import CONFIG, trained
+from tests.engine.cuda.short import CONFIG
 from tests.engine.rasterize_cases import cameras, gaussians, relative_error
-from tests.engine.synthetic_scene import make_scene
+from tests.engine.synthetic_scene import make_scene, stage_data
 from tests.engine.training.hidden import keeps_what_others_hide
 
 
@@ -50,26 +53,45 @@ def test_a_step_is_that_of_the_cpu(software: Program, coefficients: int) -> None
             assert relative_error(mine, theirs) < 1e-3, (kind, name)
 
 
+def stepped(scene: SfmScene, looks: Container[int]) -> Trainer:
+    """Six steps; after some of them, the opacities are changed."""
+    start = Gaussians.from_points(scene.points[::6], scene.colors[::6])
+    config = replace(CONFIG, steps=6, mechanisms=(IdlePruning(),))
+    trainer = Trainer(start, stage_data(scene), config)
+    for step in range(6):
+        trainer.train_step()
+        if step in looks:
+            with torch.no_grad():
+                trainer.gaussians.logit_opacities.mul_(0.98)
+    return trainer
+
+
+@pytest.mark.parametrize(("looks", "there"), [(range(6), 0), ((), 5), ((2,), 4)])
 def test_training_on_a_gpu_is_training_on_the_cpu(
-    software: Program, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    software: Program,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    looks: Container[int],
+    there: int,
 ) -> None:
+    """Where the model is looked at, it stays in main memory for the next step."""
     scene = make_scene(tmp_path, views=4)
-    config = replace(CONFIG, steps=6, mechanisms=(IdlePruning(every=1),))
-    launched = set()
+    launched = []
     launch = Commands.launch
 
-    def watched(self: Commands, kernel: str, *given: object, **more: object) -> None:
-        launched.add(kernel)
-        launch(self, kernel, *given, **more)  # type: ignore[arg-type]
+    def watched(self: Commands, kernel: str, *given: Any, **more: Any) -> None:
+        launched.append(kernel)
+        launch(self, kernel, *given, **more)
 
     monkeypatch.setattr(Commands, "launch", watched)
-    ours = trained(scene, config)
-    assert {"gradient", "weigh", "project_backward"} < launched
-    again = trained(scene, config)
+    ours = stepped(scene, looks)
+    assert {"gradient", "weigh", "project_backward"} < set(launched)
+    assert launched.count("adam_sh") == there
+    again = stepped(scene, looks)
     for name in NAMES:
         assert torch.equal(getattr(ours.gaussians, name), getattr(again.gaussians, name))
     close_gpu()
-    plain = trained(scene, config)
+    plain = stepped(scene, looks)
     assert float(ours._metrics.loss) == pytest.approx(float(plain._metrics.loss), rel=1e-4)
     for name in NAMES:
         mine, theirs = getattr(ours.gaussians, name), getattr(plain.gaussians, name)
@@ -79,29 +101,32 @@ def test_training_on_a_gpu_is_training_on_the_cpu(
 
 
 @pytest.mark.parametrize("lost_at", ["project", "blend", "gradient"])
-def test_a_lost_gpu_leaves_the_step_before(
-    software: Program, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lost_at: str
+@pytest.mark.parametrize("stays", [False, True])
+def test_a_lost_gpu_is_one_line_and_no_half_step(
+    software: Program, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lost_at: str, stays: bool
 ) -> None:
-    """Wherever it is lost, a checkpoint can be written: the error is one line."""
+    """The model in front of the step is still there, unless it is lost with the GPU."""
     scene = make_scene(tmp_path, views=4)
-    trainers: list[Trainer] = []
-    launch, left = Commands.launch, [3]
+    start = Gaussians.from_points(scene.points[::6], scene.colors[::6])
+    trainer = Trainer(start, stage_data(scene), replace(CONFIG, steps=6, mechanisms=()))
+    trainer.train_step()
+    trainer.train_step()
+    before = None if stays else trainer.gaussians.sh.detach().clone()
+    launch = Commands.launch
 
-    def losing(self: Commands, kernel: str, *given: object, **more: object) -> None:
-        left[0] -= kernel == lost_at
-        if left[0] < 0:
-            raise software.library.GPUError("Validation Error\n\nParent device is lost")
-        launch(self, kernel, *given, **more)  # type: ignore[arg-type]
+    def losing(self: Commands, kernel: str, *given: Any, **more: Any) -> None:
+        if kernel == lost_at:
+            software.device.destroy()
+        launch(self, kernel, *given, **more)
 
     monkeypatch.setattr(Commands, "launch", losing)
-    init = Trainer.__init__
-
-    def kept(self: Trainer, *given: object, **more: object) -> None:
-        trainers.append(self)
-        init(self, *given, **more)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(Trainer, "__init__", kept)
-    with pytest.raises(KernelError, match=r"failed while .*: Parent device is lost") as caught:
-        trained(scene, replace(CONFIG, steps=6, mechanisms=()))
+    with pytest.raises(KernelError, match=r"failed while .*: .*[Dd]evice is lost") as caught:
+        trainer.train_step()
     assert "\n" not in str(caught.value)
-    assert trainers[0].step == 3 and trainers[0].is_between_steps
+    assert trainer.step == 2
+    if before is None:
+        with pytest.raises(KernelError, match="failed while reading the model"):
+            trainer.state_dict()
+    else:
+        assert trainer.is_between_steps
+        assert torch.equal(trainer.state_dict()["parameters"]["sh"], before)

@@ -1,0 +1,76 @@
+"""An optimizer's parameters and moments on a GPU, for as long as only steps change them.
+
+A step then sends nothing but the photo's gradient. Whoever looks at the tensors in main memory asks
+for them first (`Resident.settle`), and may have changed them: the next step is one with tensors in
+main memory. So what is looked at after each step is not sent back and forth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from .program import Commands, Memory, Program
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+NAMES = ("values", "exp_avg", "exp_avg_sq")
+
+
+class Resident:
+    """State that may be on a GPU.
+
+    Attributes:
+        is_newer: whether it is there, newer than the tensors.
+    """
+
+    def __init__(self, state: Callable[[], Sequence[Sequence[Tensor]]], *, stays: bool) -> None:
+        """State that is not on a GPU.
+
+        Args:
+            state: the tensors of `NAMES`: means, quats, scales, opacities and SH each.
+            stays: whether the first step is worth the way there.
+        """
+        self._state, self._is_idle, self.is_newer = state, stays, False
+        self.memory: Memory | None = None
+
+    def hold(self, program: Program) -> bool:
+        """Bring the state to the GPU, unless it was looked at since the last step."""
+        if self.is_newer:
+            return True
+        if not self._is_idle:
+            self._is_idle = True
+            return False
+        memory = self.memory
+        if memory is None or memory.program is not program:
+            memory = self.memory = Memory(program)
+        for name, tensors in zip(NAMES, self._state(), strict=True):
+            arrays = [tensor.detach().numpy() for tensor in tensors]
+            sizes = {f"{name}_shapes": sum(a.nbytes for a in arrays[:4])}
+            memory.need(**sizes, **{f"{name}_sh": arrays[4].nbytes})
+            memory.write(f"{name}_shapes", *arrays[:4])
+            memory.write(f"{name}_sh", arrays[4])
+        self.is_newer = True
+        return True
+
+    def settle(self) -> None:
+        """Bring it back, to be looked at and changed. Raises KernelError."""
+        self._is_idle = False
+        if not self.is_newer:
+            return
+        assert self.memory is not None
+        with self.memory.program.explained("reading the model"):
+            for name, tensors in zip(NAMES, self._state(), strict=True):
+                self._read(f"{name}_shapes", tensors[:4])
+                self._read(f"{name}_sh", tensors[4:])
+        self.is_newer = False
+
+    def _read(self, name: str, tensors: Sequence[Tensor]) -> None:
+        assert self.memory is not None
+        arrays = [tensor.detach().numpy() for tensor in tensors]
+        (found,) = Commands(self.memory).read((name, sum(array.nbytes for array in arrays)))
+        place = 0
+        for array in arrays:
+            array.reshape(-1).view("u1")[:] = found[place : place + array.nbytes]
+            place += array.nbytes
