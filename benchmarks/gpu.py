@@ -65,6 +65,10 @@ class Ended:
     seconds: float
 
 
+SHADERS = ("check-gpu", "--device", "gpu")
+"""The same card through Vulkan: needs the package wgpu."""
+
+
 def parts(scene: Path | None, out: Path, *, gsplat: bool) -> list[Part]:
     """What is measured, the most valuable first.
 
@@ -80,6 +84,7 @@ def parts(scene: Path | None, out: Path, *, gsplat: bool) -> list[Part]:
         _step(*first, alone=True),
         Part(name="tests", command=tests, minutes=4),
         *(_step(*row, alone=True) for row in others),
+        Part(name="shaders", command=("-m", "roigs_engine", *SHADERS), minutes=2),
         Part(name="first-use", command=("-m", "benchmarks.first_use", "--rounds", "1"), minutes=2),
     ]
     if gsplat:
