@@ -29,8 +29,6 @@ others.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import torch
 from torch import Tensor
 
@@ -95,8 +93,6 @@ def rasterize(
     check_inputs(parameters, viewmats, Ks, width, height)
     backend = _chosen(backend, parameters)
     check_backward_step(backward_step, parameters, len(viewmats), backend)
-    if backend != "gpu" and backward_step is not None and backward_step.resident is not None:
-        backward_step.resident.settle()
     active, shape = active_tiles(width, height, mask), (len(viewmats), height, width)
     inputs = RenderInputs(
         parameters=parameters,
@@ -120,7 +116,7 @@ def rasterize(
         blur=blur_of(pixel_size, antialiased, blur),
         backward_step=backward_step,
     )
-    return _renderer(backend)(inputs).cut(active.shown).in_srgb(linear_light=linear_light)
+    return _rendered(backend, inputs).cut(active.shown).in_srgb(linear_light=linear_light)
 
 
 def _chosen(backend: str, parameters: tuple[Tensor, ...]) -> str:
@@ -141,8 +137,10 @@ def _chosen(backend: str, parameters: tuple[Tensor, ...]) -> str:
     return backend
 
 
-def _renderer(backend: str) -> Callable[[RenderInputs], RenderOutput]:
-    """A backend, which is imported when it is first used."""
+def _rendered(backend: str, inputs: RenderInputs) -> RenderOutput:
+    """By a backend, which is imported when it is first used."""
+    if backend != "gpu":
+        inputs.settle()
     if backend == "cpu":
         from .cpu import render
     elif backend == "cuda":
@@ -151,4 +149,4 @@ def _renderer(backend: str) -> Callable[[RenderInputs], RenderOutput]:
         from .gpu import render
     else:
         from .reference import render
-    return render
+    return render(inputs)

@@ -47,7 +47,7 @@ def render(inputs: RenderInputs) -> RenderOutput:
     """Render all cameras; see `rasterize`. Raises KernelError."""
     program = opened() or open_gpu()
     if inputs.with_surface or inputs.with_depth == "median" or not fits(program, inputs):
-        settle(inputs)
+        inputs.settle()
         return cpu.render(inputs)
     return kernel_function.render(inputs, begin)
 
@@ -70,15 +70,8 @@ def begin(
         if view.pairs < most_pairs(program.adapter.largest):
             view.list_tiles()
             return view
-    settle(inputs)
+    inputs.settle()
     return cpu.CameraView(inputs, c, parameters, visible)
-
-
-def settle(inputs: RenderInputs) -> None:
-    """Have the parameters in main memory."""
-    step = inputs.backward_step
-    if step is not None and step.resident is not None:
-        step.resident.settle()
 
 
 def most_pairs(largest: int) -> int:

@@ -169,6 +169,11 @@ class RenderInputs:
         """Whether there may be a backward pass."""
         return any(parameter.requires_grad for parameter in self.parameters)
 
+    def settle(self) -> None:
+        """Have the parameters here, if the `gpu` backend has kept them."""
+        if self.backward_step is not None and self.backward_step.resident is not None:
+            self.backward_step.resident.settle()
+
     def fill(self, camera: bindings.Camera, c: int) -> None:
         """Set what all kernels read of camera `c` on the CPU."""
         camera.blur[:] = self.blur
