@@ -242,6 +242,10 @@ def _material(
     link(place.outputs["Object"], away.inputs[0])
     link(away.outputs["Value"], surface.inputs["Distance"])
     link(surface.outputs[0], output.inputs["Surface"])
+    # Large and dim: rays find them. As lamps, each triangle would cost time in every frame.
+    of_cycles = getattr(material, "cycles", None)
+    if of_cycles is not None:
+        of_cycles.emission_sampling = "NONE"
     place.location, away.location, output.location = (-500, -300), (-300, -300), (250, 0)
     made: bpy.types.Material = material
     return made

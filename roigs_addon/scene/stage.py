@@ -22,6 +22,12 @@ NATIVE = "shown "
 """Before a name of Gaussians, in what is remembered: how they were shown."""
 LAMP = "roigs_lamp"
 """Custom property of a lamp: whether it was part of what was captured."""
+SETTINGS = {
+    "film": "film_transparent",
+    "compositing": "use_compositing",
+    "persistent": "use_persistent_data",
+}
+"""Of renders: their names in what is remembered, and Blender's."""
 COLLECTION, TURN, HERE = "ROI-GS Stage", "ROI-GS Light", "ROI-GS Here"
 
 
@@ -127,6 +133,8 @@ def multiply(scene: bpy.types.Scene) -> None:
     """Have renders multiply the Gaussians by the shadows that proxies catch."""
     keep(scene, "compositing", scene.render.use_compositing)
     scene.render.use_compositing = True
+    keep(scene, "persistent", scene.render.use_persistent_data)
+    scene.render.use_persistent_data = True  # else each frame builds the proxies again
     clear_film(scene)
     show_exactly(scene)
     compositor.link(scene)
@@ -140,7 +148,7 @@ def remove(scene: bpy.types.Scene) -> None:
     """Take all back: what was added is gone, and settings are as they were."""
     stage, before = stage_props(scene), _before(scene)
     shadow_pass.disconnect(scene)
-    for name, setting in (("film", "film_transparent"), ("compositing", "use_compositing")):
+    for name, setting in SETTINGS.items():
         if name in before:
             setattr(scene.render, setting, before[name])
     for layer in scene.view_layers:

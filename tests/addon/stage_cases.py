@@ -87,6 +87,7 @@ def state(bpy: ModuleType, scene) -> dict[str, object]:
         "world nodes": tree_state(scene.world.node_tree) if scene.world else [],
         "film": scene.render.film_transparent,
         "compositing": scene.render.use_compositing,
+        "persistent": scene.render.use_persistent_data,
         "passes": {layer.name: shadow_pass.is_on(layer) for layer in scene.view_layers},
         "compositor": [tree_state(tree) for tree in compositor.trees(scene)],
         "collections": sorted(each.name for each in bpy.data.collections),

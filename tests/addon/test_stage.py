@@ -142,6 +142,19 @@ def test_shadows_need_the_engine_once(blender: ModuleType, made) -> None:
     assert scene.roigs.stage.catches and not scene.roigs.stage.reflects
 
 
+def test_what_does_not_move_costs_frames_little(blender: ModuleType, made) -> None:
+    from roigs_addon.scene import proxies
+
+    scene, _, _ = made
+    blender.ops.roigs.light_from_scene(where="CURSOR")
+    blender.ops.roigs.catch_shadows()
+    assert scene.render.use_persistent_data  # proxies are built once
+    assert scene.world.cycles.sampling_method == "MANUAL"
+    assert scene.world.cycles.sample_map_resolution == 32  # the picture's width
+    (proxy,) = proxies.of_scene(scene)
+    assert {slot.material.cycles.emission_sampling for slot in proxy.material_slots} == {"NONE"}
+
+
 def test_a_box_without_a_mesh_is_named(blender: ModuleType, made) -> None:
     blender.ops.roigs.catch_shadows()
     assert "No mesh of thing" in panel(blender)
