@@ -237,6 +237,12 @@ class Memory:
             if old is not None and old.size >= size:
                 continue
             largest = self.program.adapter.largest // JOB_BYTES * JOB_BYTES
+            if size > largest:
+                raise KernelError(
+                    f"A buffer of {size / 1e6:,.0f} MB is too large for"
+                    f" {self.program.adapter.title}, which takes {largest / 1e6:,.0f} MB.",
+                    "Use smaller photos (--max-side) or the CPU (--device cpu).",
+                )
             if old is not None:
                 old.destroy()
                 self._groups.clear()

@@ -37,6 +37,7 @@ from .inputs import TILE, RenderInputs, RenderOutput
 
 RESIDENT = {name: name for own in NAMES for name in (f"{own}_shapes", f"{own}_sh")}
 GRADIENTS = {"shapes": "shape_gradients", "sh": "sh_gradients"}
+CHECKPOINT = 16 * PIXELS  # bytes in front of a bucket
 SHAPE = 11  # numbers of a Gaussian beside its SH
 DEPTH_BITS = 32
 DEPTH_JOB, COUNT_JOB, TILE_JOB, JOBS = 0, 8, 9, 16
@@ -67,16 +68,17 @@ def begin(
     assert program is not None
     with program.explained(f"drawing {len(parameters[0]):,} Gaussians"):
         view = CameraView(program, inputs, c, parameters, visible)
-        if view.pairs < most_pairs(program.adapter.largest):
+        if view.pairs < most_pairs(program.adapter.largest, view.tiles if view.keeps else 0):
             view.list_tiles()
             return view
     inputs.settle()
     return cpu.CameraView(inputs, c, parameters, visible)
 
 
-def most_pairs(largest: int) -> int:
-    """The pairs that buffers of so many bytes hold: checkpoints need most of them."""
-    return min(largest // (PIXELS * 16 // BUCKET), largest // (4 * MOMENTS), 2**31)
+def most_pairs(largest: int, tiles: int) -> int:
+    """The pairs that buffers of so many bytes hold; `tiles`: that have checkpoints."""
+    buckets = largest // CHECKPOINT - tiles
+    return min(buckets * BUCKET, largest // (4 * MOMENTS), 2**31)
 
 
 class CameraView:
@@ -84,6 +86,8 @@ class CameraView:
 
     Attributes:
         pairs: of Gaussians and tiles.
+        tiles: in the rectangle of active ones.
+        keeps: whether blending leaves checkpoints.
     """
 
     def __init__(
@@ -107,6 +111,7 @@ class CameraView:
         if self._is_resident and resident is not None and resident.memory is not None:
             self.memory.share(resident.memory, **RESIDENT)
         self._names = {"shapes": "values_shapes", "sh": "values_sh"} if self._is_resident else {}
+        self.keeps = inputs.is_trained or inputs.with_max_weight or inputs.with_weight_sum
         left, top, right, bottom = inputs.tiles
         self.tiles = (right - left) * (bottom - top)
         x0, y0, x1, y1 = inputs.window
@@ -150,7 +155,7 @@ class CameraView:
             inputs.linear_light,
             inputs.tile_mask is not None,
             inputs.pixel_weights is not None,
-            inputs.is_trained or inputs.with_max_weight or inputs.with_weight_sum,
+            self.keeps,
         )
         sizes = self.count, inputs.parameters[4].shape[1], inputs.sh_degree
         rest = struct.pack("10I", *sizes, *map(int, flags), self.tiles, self.pairs)
@@ -187,10 +192,8 @@ class CameraView:
         inputs, planes = self.inputs, 4 if depth is None else 5
         wanted = [("picture", 4 * planes * self.pixels)]
         weighs = inputs.with_max_weight or inputs.with_weight_sum
-        keeps = inputs.is_trained or weighs
-        self.memory.need(
-            picture=20 * self.pixels, checkpoints=16 * PIXELS * self._buckets if keeps else 16
-        )
+        checkpoints = CHECKPOINT * self._buckets if self.keeps else CHECKPOINT
+        self.memory.need(picture=20 * self.pixels, checkpoints=checkpoints)
         x0, y0, x1, y1 = (-(-edge // TILE) for edge in inputs.window)
         with self.program.explained(f"drawing {self.pairs:,} pairs of Gaussians and tiles"):
             self._launch("blend", (x1 - x0, y1 - y0))

@@ -147,7 +147,7 @@ def test_what_its_buffers_do_not_hold_is_drawn_by_the_processor(
     scene = (gaussians(60), *cameras(40, 30), 40, 30)
     there, gradients = differentiate(backend, torch.float32, *scene)
     cpu, right = differentiate("cpu", torch.float32, *scene)
-    monkeypatch.setattr(gpu, "most_pairs", lambda largest: 20)
+    monkeypatch.setattr(gpu, "most_pairs", lambda largest, tiles: 20)
     found, others = differentiate(backend, torch.float32, *scene)
     assert torch.equal(found.image, cpu.image) and not torch.equal(there.image, cpu.image)
     assert all(map(torch.equal, others, right)) and not all(map(torch.equal, gradients, right))
