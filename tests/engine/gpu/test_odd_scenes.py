@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from roigs_engine.gpu.program import Program
-from tests.engine.cuda.test_odd_scenes import SCENES, SIZES, Model, as_on_the_cpu
+from tests.engine.odd_scenes import SCENES, SIZES, Model, as_on_the_cpu
 
 
 @pytest.mark.parametrize("size", SIZES)
