@@ -13,6 +13,8 @@ from . import layout as show
 
 MOST_WEAK = 4
 """Weak photos that there is room for."""
+MOST_FAULTY = 8
+"""Photos with a fault that there is room for."""
 
 
 def counted(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
@@ -47,6 +49,23 @@ def weak(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
         column.operator(ExcludePhotos.bl_idname, text=label, icon="CANCEL").photo = name
     if len(names) > MOST_WEAK:
         show.say(column, f"{len(names) - MOST_WEAK} more", "BLANK1")
+
+
+def faulty(
+    layout: bpy.types.UILayout, scene: bpy.types.Scene, faults: list[tuple[str, str]]
+) -> None:
+    """Photos with a reason to leave them out, each with the button that excludes it."""
+    left = [fault for fault in faults if not exclusions.is_excluded(scene, fault[0])]
+    if not left:
+        return
+    show.wrong(layout, "Look at these photos, and exclude the bad ones:")
+    for photo, reason in left[:MOST_FAULTY]:
+        column = layout.column(align=True)
+        label = f"Exclude {photo_names.short_name(scene, photo)}"
+        column.operator(ExcludePhotos.bl_idname, text=label, icon="CANCEL").photo = photo
+        show.say(column, reason, "BLANK1")
+    if len(left) > MOST_FAULTY:
+        show.say(layout, f"{len(left) - MOST_FAULTY} more", "BLANK1")
 
 
 def selected(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -14,6 +14,7 @@ from ..operators.suggest import (
 )
 from ..properties import scene_props
 from ..scene import lookup, suggestions
+from . import exclusions
 from . import layout as show
 from .cameras import CamerasPanel
 from .layout import SidebarPanel
@@ -60,6 +61,7 @@ class SuggestionsPanel(SidebarPanel):
         known = suggestions.known_of(active) if active is not None else None
         if known is not None:
             show.say(layout, known.words, "INFO")
+        exclusions.faulty(layout, scene, suggestions.faults_of(scene, roi))
 
 
 register, unregister = registration(SuggestionsPanel)

@@ -60,6 +60,17 @@ def inspect(request: Inspect, context: Context = QUIET) -> Inspected:
     if request.check_photos:
         scene = without_damaged(scene, context)
     report = inspect_scene(scene, rois)
+    if request.check_photos:
+        from ..guidance.faults import photo_faults
+        from ..guidance.known import known_box
+
+        for box, roi in zip(report["rois"], rois, strict=True):
+            found = (
+                photo_faults(known_box(scene, roi, context))
+                if box["points"] and box["photos"]
+                else ()
+            )
+            box["faults"] = [fault.to_dict() for fault in found]
     text = json.dumps(report, indent=1) if request.json else format_inspection(report)
     return Inspected(report=report, text=text)
 

@@ -47,6 +47,7 @@ class Suggested(Result):
 
 def suggest(request: Suggest, context: Context = QUIET) -> Suggested:
     """Find the next photos of each box, and write them; EngineError for bad input."""
+    from ..guidance.faults import photo_faults
     from ..guidance.known import known_box
     from ..guidance.page import suggestions_page
     from ..guidance.suggest import suggested
@@ -78,11 +79,13 @@ def suggest(request: Suggest, context: Context = QUIET) -> Suggested:
         record["cameras"] += cameras
         found = box.known.map
         names = [image.name for image in found.images]
-        record["boxes"].append({"name": found.roi.name, "known": found.value, "photos": names})
+        faults = [fault.to_dict() for fault in photo_faults(box.known)]
+        box_record = {"name": found.roi.name, "known": found.value, "photos": names}
+        record["boxes"].append(box_record | {"faults": faults})
     write_json(out / LIST, record)
     write_text(out / PAGE, suggestions_page(boxes, units))
     done = Suggested(record=record, suggestions=out / LIST, page=out / PAGE, pictures=pictures)
-    return done.with_places(*_text(boxes))
+    return done.with_places(*_text(boxes, record))
 
 
 def units_of(folder: Path, scene: SfmScene, context: Context) -> Units:
@@ -160,11 +163,12 @@ def _record(box: Shots, number: int) -> dict[str, Any]:
     }
 
 
-def _text(boxes: Sequence[Shots]) -> list[str]:
+def _text(boxes: Sequence[Shots], record: dict[str, Any]) -> list[str]:
     lines = []
-    for box in boxes:
+    for box, known in zip(boxes, record["boxes"], strict=True):
         found = box.known.map
         lines.append(f"Box '{found.roi.name}': {found.value:.0%} known from its photos.")
         for number, (shot, words) in enumerate(zip(box.shots, box.words, strict=True), start=1):
             lines.append(f"{number:3}  {shot.gain:+.2f} dB  {words}")
+        lines += [f"     look at {fault['photo']}: {fault['text']}" for fault in known["faults"]]
     return lines

@@ -59,7 +59,8 @@ def inspect_roi(scene: SfmScene, roi: OrientedBox) -> dict[str, Any]:
     by the rule that selection uses: `model.visibility`);
     `median_area` (of these photos, share of the image that the silhouette covers, 0 to 1);
     `nearest`, `farthest` (distance of these photos' cameras from the box's centre, world units;
-    0 if there are none); `cameras_inside` (number of these photos inside the box).
+    0 if there are none); `cameras_inside` (number of these photos inside the box). `inspect
+    --check-photos` adds `faults` (`guidance.faults`), which need decoded photos.
     """
     seen = observations(scene, roi)
     photos = seen.images
@@ -105,5 +106,7 @@ def format_inspection(record: dict[str, Any]) -> str:
         )
         if roi["cameras_inside"]:
             lines.append(f"         {counted(roi['cameras_inside'], 'camera')} inside the box")
+        for fault in roi.get("faults", ()):
+            lines.append(f"         look at {fault['photo']}: {fault['text']}")
     lines += [f"warning: {text}" for text in record["warnings"]]
     return "\n".join(map(printable, lines))

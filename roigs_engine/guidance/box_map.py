@@ -25,7 +25,7 @@ there; directions from which nobody can look have no weight.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,14 +121,20 @@ def filling_distance(roi: OrientedBox, camera: Camera) -> float:
     return float(roi.diagonal / 2 * np.sqrt(1 + half**-2))
 
 
+def ways_to(eye: Float64, places: Float64) -> Float64:
+    """(P, 3) unit vectors from places (P, 3) to an eye (3,)."""
+    ways = eye - places
+    ways /= np.maximum(np.linalg.norm(ways, axis=1), 1e-300)[:, None]
+    return np.asarray(ways)
+
+
 def sees(
     patches: Patches, space: Space, camera: Camera, world_to_camera: Float64
 ) -> tuple[Bools, Float64, Float64]:
     """What a camera sees: (P,) whether each patch, (P,) pixels per unit, (P, 3) ways to it."""
     eye = -world_to_camera[:3, :3].T @ world_to_camera[:3, 3]
     _, depth, within = project(patches.places, camera, world_to_camera)
-    ways = eye - patches.places
-    ways /= np.maximum(np.linalg.norm(ways, axis=1), 1e-300)[:, None]
+    ways = ways_to(eye, patches.places)
     within &= np.einsum("pi,pi->p", ways, patches.normals) > MIN_COSINE
     rows = np.flatnonzero(within)
     within[rows] = ~space.hidden(patches.places[rows], eye)
@@ -166,31 +172,27 @@ def box_map(
     looked_from: Float64,
     *,
     scene: SfmScene,
-    sharpness: Float64 | None = None,
     context: Context = QUIET,
 ) -> BoxMap:
-    """The map of a box from its photos.
+    """The map of a box from its photos, as if all were sharp.
 
     Args:
         candidates: the photos that observe points of the box.
         looked_from: (N, 3) unit ways from the box to places of viewers, beside the photos.
         scene: all photos; those that observe no point may see a patch, too.
-        sharpness: (V,) of each photo of the scene, 0 to 1; None: all are sharp.
     """
     roi = candidates.roi
     directions = fibonacci_directions(DIRECTIONS)
     images = tuple(sorted(scene.images, key=lambda image: image.name))
-    sharp = np.ones(len(images)) if sharpness is None else sharpness
     lens = usual_camera(candidates.images)
     reference = float(np.sqrt(lens.fx * lens.fy)) / filling_distance(roi, lens)
     tracked = {image.name: view for view, image in enumerate(candidates.images)}
     starts = candidates.row_starts()
     seen = np.zeros((len(patches), len(images)), dtype=bool)
     density = np.zeros(seen.shape)
-    total = np.zeros((len(patches), len(directions)))
     for column, image in enumerate(images):
         context.check_cancelled()
-        visible, pixels, ways = sees(patches, space, image.camera, image.world_to_camera)
+        visible, pixels, _ = sees(patches, space, image.camera, image.world_to_camera)
         view = tracked.get(image.name)
         if view is not None:  # a track proves that the photo sees the point
             rows = candidates.obs_point[starts[view] : starts[view + 1]]
@@ -201,21 +203,32 @@ def box_map(
             pixels = np.where(proved, focal / np.where(proved, depth, 1.0), pixels)
             visible |= proved
         seen[:, column], density[:, column] = visible, pixels
-        total += information(patches, directions, pixels * sharp[column] / reference, ways)
     kept = np.flatnonzero(seen.any(axis=0))
     own = np.array([images[k].centre for k in kept]).reshape(-1, 3) - roi.centre
     own /= np.maximum(np.linalg.norm(own, axis=1), 1e-300)[:, None]
-    return BoxMap(
+    found = BoxMap(
         roi=roi,
         patches=patches,
         directions=directions,
         weights=direction_weights(patches, directions, np.concatenate([own, looked_from])),
-        information=total,
+        information=np.zeros((len(patches), len(directions))),
         images=tuple(images[k] for k in kept),
         seen=seen[:, kept],
         density=density[:, kept],
-        sharpness=sharp[kept],
+        sharpness=np.ones(len(kept)),
         reference=reference,
         lens=lens,
         space=space,
     )
+    return with_sharpness(found, found.sharpness, context)
+
+
+def with_sharpness(found: BoxMap, sharpness: Float64, context: Context = QUIET) -> BoxMap:
+    """The map with another sharpness (V,) of its photos; what each sees is not looked up again."""
+    total = np.zeros(found.information.shape)
+    for column, image in enumerate(found.images):
+        context.check_cancelled()
+        ways = ways_to(image.centre, found.patches.places)
+        density = found.density[:, column] * sharpness[column] / found.reference
+        total += information(found.patches, found.directions, density, ways)
+    return replace(found, information=total, sharpness=sharpness)

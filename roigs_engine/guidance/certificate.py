@@ -13,7 +13,7 @@ from ..formats.gravity import rotation_between
 from ..formats.text import counted, printable
 from ..formats.web_page import html_text, whole_page
 from ..model.scene import Float64
-from .box_map import SPACING, BoxMap
+from .box_map import SPACING, BoxMap, ways_to
 from .known import KnownBox
 from .words import Units
 
@@ -133,8 +133,7 @@ def _covered(found: BoxMap) -> float:
     """The share of patches and directions that a photo looks at from nearby."""
     near = np.zeros(found.weights.shape, dtype=bool)
     for column, image in enumerate(found.images):
-        ways = image.centre - found.patches.places
-        ways /= np.maximum(np.linalg.norm(ways, axis=1), 1e-300)[:, None]
+        ways = ways_to(image.centre, found.patches.places)
         rows = np.flatnonzero(found.seen[:, column])
         near[rows] |= ways[rows] @ found.directions.T >= np.cos(SPACING)
     return float(found.weights[near].sum())

@@ -10,7 +10,7 @@ from ..context import QUIET, Context
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 from ..model.visibility import find_candidates
-from .box_map import BoxMap, box_map, usual_camera
+from .box_map import BoxMap, box_map, usual_camera, with_sharpness
 from .patches import surface_patches
 from .photo_quality import PhotoQuality, measured
 from .places import Places, standing_places
@@ -55,8 +55,5 @@ def known_box(
     outside = outside[~roi.contains(outside)]
     others = outside[:: max(1, len(outside) // ELSEWHERE)]
     quality = measured(found.images, patches, found.seen, others, context)
-    known = dict(zip([image.name for image in found.images], quality.sharpness, strict=True))
-    sharp = np.array([known.get(image.name, 1.0) for image in scene.images])
-    sharp = np.where(np.isfinite(sharp), sharp, 1.0)
-    found = box_map(candidates, patches, space, ways, scene=scene, sharpness=sharp, context=context)
-    return KnownBox(map=found, places=places, quality=quality)
+    sharp = np.where(np.isfinite(quality.sharpness), quality.sharpness, 1.0)
+    return KnownBox(map=with_sharpness(found, sharp, context), places=places, quality=quality)

@@ -34,8 +34,10 @@ WINDOW = 9  # pixels around a patch
 ROUNDS = 10  # of fitting; the medians settle in fewer
 SHARP = 75.0  # percentile of photos that are called sharp
 FEWEST = 5  # patches that tell how sharp a photo is
-LEAST = 1e-8  # of energies and light, which are of values from 0 to 1
+LEAST = 1e-8  # of energies, which are of values from 0 to 1
 """Below the noise of 8 bits."""
+DARKEST, BRIGHTEST = 8 / 255, 254 / 255
+"""Values that tell an exposure: below, half a level of 8 bits is more than a tenth of a stop."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,7 +84,7 @@ def measured(
     energy[: len(patches)][~seen] = np.nan
     light[: len(patches)][~seen] = np.nan
     with np.errstate(all="ignore"):
-        detail, brightness = np.log(energy + LEAST), np.log2(light + LEAST)
+        detail, brightness = np.log(energy + LEAST), np.log2(light)
         rho = np.log(density)
     here, elsewhere = slice(len(patches)), slice(len(patches), None)
     texture, sharp = _effects(detail[here], rho[here])
@@ -118,7 +120,8 @@ def _look(image: PosedImage, places: Float64) -> tuple[Float64, Float64, Float64
     found = np.full((3, len(places)), np.nan)
     bright = uniform_filter(grey, WINDOW)[y, x].astype(np.float64)
     found[0, rows] = uniform_filter(laplace(grey) ** 2, WINDOW)[y, x] / (bright**2 + LEAST)
-    found[1, rows] = srgb_curve(bright)
+    tells = (bright >= DARKEST) & (bright <= BRIGHTEST)
+    found[1, rows] = np.where(tells, srgb_curve(bright), np.nan)
     found[2, rows] = np.sqrt(image.camera.fx * image.camera.fy) / depth[rows]
     return found[0], found[1], found[2]
 

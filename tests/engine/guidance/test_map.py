@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from roigs_engine.errors import RoiError
-from roigs_engine.guidance.box_map import DIRECTIONS, filling_distance
+from roigs_engine.guidance.box_map import DIRECTIONS, filling_distance, with_sharpness
+from roigs_engine.guidance.certificate import certificate
 from roigs_engine.guidance.known import KnownBox, known_box
 from roigs_engine.guidance.suggest import suggested
+from roigs_engine.guidance.words import Units
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene, project
 from tests.engine.guidance.ball import AWAY, BOX, CAMERA, HEIGHT, RADIUS, VIEWS, ball_scene
@@ -150,3 +152,24 @@ def test_cameras_at_several_distances_have_rings() -> None:
     away = np.linalg.norm(known.places.centres - BOX.centre, axis=1)
     assert away.min() == pytest.approx(filling_distance(BOX, CAMERA))
     assert away.max() <= np.hypot(AWAY, HEIGHT) * 1.01 or len(np.unique(away.round(6))) == 1
+
+
+def test_a_gap_is_found_by_map_guide_and_certificate(
+    all_around: KnownBox, one_side: KnownBox
+) -> None:
+    """Photos of one side are removed: each tells it, and of the right side."""
+    whole = certificate(all_around, Units(scale=None), {}, {})
+    cut = certificate(one_side, Units(scale=None), {}, {})
+    assert cut.covered < 0.8 * whole.covered and cut.known < whole.known
+    weight, value = one_side.map.of_directions()
+    least = one_side.map.directions[np.nanargmin(np.where(weight > 0, value, np.nan))]
+    assert least[0] < 0
+    first = suggested(one_side, 1)[0]
+    assert first.centre[0] < 0 and first.gain > suggested(all_around, 1)[0].gain
+
+
+def test_the_sharpness_of_photos_changes_the_sum_alone(all_around: KnownBox) -> None:
+    found = all_around.map
+    half = with_sharpness(found, np.full(len(found.images), 0.5))
+    assert half.information == pytest.approx(found.information / 4)
+    assert half.seen is found.seen and half.weights is found.weights

@@ -1,0 +1,85 @@
+"""Photos that tell less of a box than they should, each with its reason.
+
+A photo is compared with the others at the same patches (`photo_quality`). Information grows with
+the square of the resolution (`box_map`), so a photo with less than 1/sqrt(2) of the sharp photos'
+resolution tells less than half of what it could: it is blurred, or, if it is sharp elsewhere, out
+of focus at the object. Exposures are named that differ by a stop, half or twice the light, and are
+outliers: where all differ, they are levelled (`photos.exposures`). A camera that hangs on few
+points may be misplaced (`formats.projects`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from ..formats.projects import weakly_observed
+from ..formats.text import counted
+from .known import KnownBox
+
+HALF = 0.5
+STOP = 1.0
+OUTLIER = 3 * 1.4826  # median deviations: three standard deviations of a normal distribution
+
+BLURRED, FOCUS, EXPOSED, PLACED, UNREADABLE = (
+    "blurred",
+    "out of focus",
+    "exposure",
+    "misplaced",
+    "unreadable",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoFault:
+    """A photo of a box that should be looked at, and perhaps left out.
+
+    Attributes:
+        photo: its name.
+        reason: one of the constants of this module.
+        text: the reason with its figure, for people.
+    """
+
+    photo: str
+    reason: str
+    text: str
+
+    def to_dict(self) -> dict[str, str]:
+        """Ready for JSON."""
+        return asdict(self)
+
+
+def photo_faults(known: KnownBox) -> tuple[PhotoFault, ...]:
+    """The photos of a box that have a fault, by name; a photo may have several.
+
+    Empty if the photos were not looked at (`known_box(look=False)`).
+    """
+    quality = known.quality
+    if quality is None:
+        return ()
+    found = [
+        PhotoFault(photo=name, reason=UNREADABLE, text="unreadable") for name in quality.unreadable
+    ]
+    points = {image.name: len(image.point_indices) for image in known.map.images}
+    if any(points.values()):  # else the model stores no tracks
+        for name in weakly_observed(points):
+            text = f"perhaps misplaced: its camera hangs on {counted(points[name], 'point')}"
+            found.append(PhotoFault(photo=name, reason=PLACED, text=text))
+    exposures = np.abs(quality.exposure[np.isfinite(quality.exposure)])  # their median is 0
+    spread = float(np.median(exposures)) if len(exposures) else 0.0
+    for column, image in enumerate(known.map.images):
+        sharp, overall = quality.sharpness[column], quality.overall[column]
+        if sharp**2 < HALF:
+            of = f"{sharp:.0%} of the sharp photos' resolution"
+            if overall**2 < HALF:
+                found.append(PhotoFault(photo=image.name, reason=BLURRED, text=f"blurred: {of}"))
+            else:
+                text = f"out of focus at the object: {of}"
+                found.append(PhotoFault(photo=image.name, reason=FOCUS, text=text))
+        exposure = quality.exposure[column]
+        if abs(exposure) >= max(STOP, OUTLIER * spread):
+            way = "brighter" if exposure > 0 else "darker"
+            text = f"{abs(exposure):.1f} stops {way} than the others"
+            found.append(PhotoFault(photo=image.name, reason=EXPOSED, text=text))
+    return tuple(sorted(found, key=lambda fault: fault.photo))
