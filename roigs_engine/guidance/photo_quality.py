@@ -47,7 +47,7 @@ class PhotoQuality:
     Attributes:
         sharpness: (V,) resolution over that of the sharp photos, 0 to 1.
         overall: (V,) the same over the whole photo, by the scene's points elsewhere.
-        exposure: (V,) in stops (EV) over the usual one of the same patches.
+        exposure: (V,) of the whole photo in stops (EV) over the usual one of the same places.
         texture: (P,) log energy of each patch's detail at the usual distance; NaN if not seen.
         unreadable: names of photos that cannot be read.
     """
@@ -89,7 +89,7 @@ def measured(
     here, elsewhere = slice(len(patches)), slice(len(patches), None)
     texture, sharp = _effects(detail[here], rho[here])
     _, over = _effects(detail[elsewhere], rho[elsewhere])
-    _, exposure = _effects(brightness[here], None)
+    _, exposure = _effects(brightness, None)  # of whole photos: the box may be hidden in one
     return PhotoQuality(
         sharpness=_resolution(sharp),
         overall=_resolution(over),
