@@ -22,7 +22,7 @@ from mathutils import Matrix, Vector
 DEMO = Path(__file__).resolve().parents[2] / "demo"
 WIDTH, HEIGHT = 400, 268
 SAMPLES, QUALITY = 16, 90
-TESTS, VALIDATION = 20, 8  # views of each object
+TESTS, VALIDATION = 20, 20  # views of each object
 TRIES = 4000
 MOST_HIDDEN = 0.25  # share of a test view's object
 
