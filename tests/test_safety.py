@@ -43,8 +43,9 @@ RUNS_CODE = re.compile(
     r"|subprocess\.(getoutput|getstatusoutput)|commands\.\w+"
     r"|(zipfile|tarfile|shutil)\.(ZipFile|TarFile|open|unpack_archive)"
     r"|torch\.(jit|package|hub)\..*|tempfile\.mktemp"
+    r"|trimesh\.load\w*"  # opens pictures of any format, of which PostScript is a program
 )
-SAYS = ("shell", "weights_only", "allow_pickle")
+SAYS = ("shell", "weights_only", "allow_pickle", "formats")
 
 
 def calls() -> Iterator[tuple[str, str, dict[str, str]]]:
@@ -80,6 +81,8 @@ def test_nothing_is_run_or_unpickled() -> None:
             assert given.get("weights_only") == "True", place
         if called in ("np.load", "numpy.load", "np.save", "numpy.save"):
             assert given.get("allow_pickle", "False") == "False", place
+        if called == "Image.open":
+            assert "formats" in given, f"{place}: PostScript would be run"
 
 
 def test_the_test_above_would_find_them() -> None:

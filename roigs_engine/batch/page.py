@@ -111,7 +111,7 @@ def _small(path: Path, _time: int) -> str:
     from PIL import Image
 
     try:
-        with Image.open(path) as image:
+        with Image.open(path, formats=("PNG",)) as image:
             image.thumbnail((THUMBNAIL, THUMBNAIL))
             file = io.BytesIO()
             image.convert("RGB").save(file, "JPEG", quality=80)

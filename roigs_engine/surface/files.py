@@ -10,9 +10,11 @@ import numpy as np
 from PIL import Image
 
 from ..exchange.arrays import turn
-from ..exchange.libraries import NotSupportedError, reading
+from ..exchange.gltf import has_triangles
+from ..exchange.gltf_file import GltfFile, shown
+from ..exchange.libraries import NotSupportedError, reading, refuse_bomb
 from ..exchange.page import PageMesh
-from ..formats.files import read_bytes, write_bytes
+from ..formats.files import write_bytes
 from ..machine import package
 from ..model.local_frame import LocalFrame
 from ..model.scene import Float64
@@ -58,10 +60,10 @@ def convert_mesh(source: Path, path: Path, up: str | None = None) -> int:
     trimesh: Any = package("trimesh", PURPOSE)
     ending = path.suffix.lower()
     with reading(source, "glTF"):
-        content = io.BytesIO(read_bytes(source, most=None))
-        mesh = trimesh.load(content, file_type="glb", force="mesh", process=False)
-        if not len(mesh.faces):
-            raise ValueError("no faces")
+        placed = _read(source)
+        for matrix, part in placed:
+            part.apply_transform(matrix)
+        mesh = trimesh.util.concatenate([part for _, part in placed])
     mesh.apply_transform(turn("y", up or UP[ending]))
     if ending == ".obj":
         _write_obj(path, mesh)
@@ -82,10 +84,8 @@ def read_points(path: Path, frame: LocalFrame) -> tuple[Float64, Float64]:
     Raises:
         EngineError: the file cannot be read, or a package is not installed.
     """
-    trimesh: Any = package("trimesh", PURPOSE)
     with reading(path, "glTF"):
-        content = io.BytesIO(read_bytes(path, most=None))
-        meshes = trimesh.load_scene(content, file_type="glb", process=False).geometry.values()
+        meshes = [mesh for _, mesh in _read(path)]
         points = [np.concatenate([m.vertices, m.triangles_center]) for m in meshes]
         normals = [np.concatenate([m.vertex_normals, m.face_normals]) for m in meshes]
     return frame.points(np.concatenate(points)), np.concatenate(normals)
@@ -102,11 +102,9 @@ def sampled_surface(path: Path, count: int) -> tuple[Float64, Float64, Float64]:
 
     Raises as `read_points`.
     """
-    trimesh: Any = package("trimesh", PURPOSE)
     with reading(path, "glTF"):
-        content = io.BytesIO(read_bytes(path, most=None))
-        (mesh,) = trimesh.load_scene(content, file_type="glb", process=False).geometry.values()
-        picture = np.asarray(mesh.visual.material.baseColorTexture.convert("RGB")) / 255
+        ((_, mesh),) = _read(path)
+        picture = np.asarray(mesh.visual.material.baseColorTexture.convert("RGB"))
         columns = mesh.vertices, mesh.vertex_normals, mesh.visual.uv
         values = np.concatenate([np.asarray(column, float) for column in columns], axis=1)
         filled = np.asarray(mesh.vertex_attributes[FILLED]).ravel()
@@ -116,7 +114,7 @@ def sampled_surface(path: Path, count: int) -> tuple[Float64, Float64, Float64]:
     found = np.einsum("nk,nkd->nd", shares, values[corners])[filled[corners].max(axis=1) == 0]
     side = np.array(picture.shape[1::-1])
     x, y = (found[:, 6:] * (1, -1) * side + (0, side[1])).astype(int).clip(0, side - 1).T
-    return found[:, :3], found[:, 3:6], picture[y, x]
+    return found[:, :3], found[:, 3:6], picture[y, x] / 255
 
 
 def page_meshes(path: Path, matrix: Float64) -> list[PageMesh]:
@@ -125,12 +123,10 @@ def page_meshes(path: Path, matrix: Float64) -> list[PageMesh]:
     Args:
         matrix: (4, 4) from the world, in which a surface's vertices are, to the page.
     """
-    trimesh: Any = package("trimesh", PURPOSE)
     found = []
     with reading(path, "glTF"):
-        content = io.BytesIO(read_bytes(path, most=None))
-        for mesh in trimesh.load_scene(content, file_type="glb", process=False).geometry.values():
-            if mesh.visual.kind != "texture" or mesh.visual.uv is None:
+        for _, mesh in _read(path):
+            if mesh.visual.kind != "texture":
                 raise NotSupportedError("a mesh without a texture")
             picture = io.BytesIO()
             mesh.visual.material.baseColorTexture.convert("RGB").save(picture, "JPEG", quality=90)
@@ -143,25 +139,83 @@ def page_meshes(path: Path, matrix: Float64) -> list[PageMesh]:
     return found
 
 
+def _read(path: Path) -> list[tuple[Float64, Any]]:
+    """The meshes of a .glb, each with the matrix (4, 4) that places it; at least one.
+
+    Read by our own reader, as trimesh's opens pictures of any format, some of which are programs,
+    and takes any count that the file names.
+    """
+    trimesh: Any = package("trimesh", PURPOSE)
+    file = GltfFile(path)
+    placed = shown(file.record, has_triangles)
+    faces = [file.rows(int(item["indices"])) for _, item in placed]
+    if not faces:
+        raise ValueError("no faces")
+    found = []
+    for (matrix, item), corners in zip(placed, faces, strict=True):
+        at = item["attributes"]
+        wanted = {"POSITION": 3, "NORMAL": 3, "TEXCOORD_0": 2, FILLED: 1}
+        columns = {name: file.values(int(at[name])) for name in wanted if name in at}
+        for name, values in columns.items():
+            if values.shape != (len(columns["POSITION"]), wanted[name]):
+                raise ValueError(f"{name} does not fit the vertices")
+            if not np.isfinite(values).all():
+                raise ValueError(f"{name} has numbers that are not finite")
+        if corners.size % 3 or corners.max() >= len(columns["POSITION"]):
+            raise ValueError("faces of vertices that it does not have")
+        filled = {FILLED: columns[FILLED][:, 0]} if FILLED in columns else {}
+        mesh = trimesh.Trimesh(
+            vertices=columns["POSITION"],
+            faces=corners.reshape(-1, 3).astype(np.int64),
+            vertex_normals=columns.get("NORMAL"),
+            visual=_texture(file, item, columns.get("TEXCOORD_0")),
+            vertex_attributes=filled,
+            process=False,
+            validate=False,
+        )
+        found.append((matrix, mesh))
+    return found
+
+
+def _texture(file: GltfFile, item: dict[str, Any], uv: Any) -> Any:
+    """How trimesh has the texture of a primitive; None: it has none."""
+    trimesh: Any = package("trimesh", PURPOSE)
+    if uv is None or "material" not in item:
+        return None
+    record = file.record
+    about = record["materials"][item["material"]].get("pbrMetallicRoughness", {})
+    if "baseColorTexture" not in about:
+        return None
+    texture = record["textures"][about["baseColorTexture"]["index"]]
+    content = bytes(file.view(record["images"][texture["source"]]["bufferView"]))
+    picture = Image.open(io.BytesIO(content), formats=("PNG", "JPEG"))
+    refuse_bomb(file.size, 3 * picture.width * picture.height)
+    material = _material(picture)
+    return trimesh.visual.TextureVisuals(uv=uv * (1, -1) + (0, 1), material=material)
+
+
+def _material(picture: Image.Image) -> Any:
+    trimesh: Any = package("trimesh", PURPOSE)
+    return trimesh.visual.material.PBRMaterial(
+        name="photos", baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=1.0
+    )
+
+
 def _exported(textured: Textured, frame: LocalFrame) -> Any:
     trimesh: Any = package("trimesh", PURPOSE)
     mesh, charts = textured.mesh, textured.charts
     vertices = mesh.vertices[charts.vertex] / frame.scale + frame.origin
     uv = charts.texels / charts.side
     uv[:, 1] = 1 - uv[:, 1]
-    material = trimesh.visual.material.PBRMaterial(
-        name="photos",
-        baseColorTexture=Image.fromarray(textured.picture),
-        metallicFactor=0.0,
-        roughnessFactor=1.0,
-    )
     filled = np.zeros(len(vertices), np.float32)
     filled[charts.faces[mesh.filled].ravel()] = 1
     return trimesh.Trimesh(
         vertices=vertices,
         faces=charts.faces,
         vertex_normals=mesh.normals()[charts.vertex],
-        visual=trimesh.visual.TextureVisuals(uv=uv, material=material),
+        visual=trimesh.visual.TextureVisuals(
+            uv=uv, material=_material(Image.fromarray(textured.picture))
+        ),
         vertex_attributes={FILLED: filled},
         process=False,
         validate=False,

@@ -19,7 +19,7 @@ from PIL import Image
 
 from roigs_engine.cli import main
 from roigs_engine.errors import EngineError
-from roigs_engine.exchange import formats, gltf, libraries, spz
+from roigs_engine.exchange import formats, gltf, gltf_file, libraries, spz
 from roigs_engine.formats.splat_ply import read_ply, write_ply
 from tests.fuzz import exchange
 
@@ -225,7 +225,7 @@ def test_gltf_that_names_one_file_again_and_again(
     record["bufferViews"] = [view | {"buffer": k} for k, view in enumerate(views)]
     (tmp_path / "a.gltf").write_text(json.dumps(record))
     read = []
-    monkeypatch.setattr(gltf, "read_beside", lambda _, name: read.append(name) or blob)
+    monkeypatch.setattr(gltf_file, "read_beside", lambda _, name: read.append(name) or blob)
     assert len(formats.read(tmp_path / "a.gltf")["means"]) == exchange.GAUSSIANS
     assert len(read) == 1
 

@@ -1,0 +1,83 @@
+"""Meshes (.glb) of somebody else: nothing in them runs, and what lies is one line."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import EpsImagePlugin
+
+from roigs_engine.errors import RunFolderError
+from roigs_engine.exchange.gltf import is_mesh
+from roigs_engine.surface.files import convert_mesh, page_meshes, sampled_surface
+from tests.fuzz.exchange import glb_of
+from tests.fuzz.meshes import PROGRAM, mesh_record, picture, repeated
+
+READERS: tuple[Callable[[Path], object], ...] = (
+    lambda path: convert_mesh(path, path.with_suffix(".stl")),
+    lambda path: page_meshes(path, np.eye(4)),
+    lambda path: sampled_surface(path, 10),
+)
+
+
+@pytest.fixture
+def ran(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A file that appears when Pillow starts Ghostscript, which is another program here."""
+    ran, program = tmp_path / "ran", tmp_path / "bin" / "gs"
+    program.parent.mkdir()
+    program.write_text(f"#!/bin/sh\necho > '{ran}'\n", encoding="utf-8")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{program.parent}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setattr(EpsImagePlugin, "gs_binary", None)
+    return ran
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_a_picture_that_is_a_program_does_not_run(
+    tmp_path: Path, ran: Path, reader: Callable[[Path], object]
+) -> None:
+    path = tmp_path / "a.glb"
+    path.write_bytes(glb_of(*mesh_record(PROGRAM)))
+    with pytest.raises(RunFolderError, match="is not a whole glTF file"):
+        reader(path)
+    assert not ran.exists()
+
+
+@pytest.mark.parametrize("kind", [0, 2, 3])
+def test_a_mesh_that_repeats_itself_is_refused_at_once(tmp_path: Path, kind: int) -> None:
+    """Primitives took more than a minute and 4 GB, values without bytes all memory."""
+    record, blob = mesh_record(picture())
+    repeated(record, kind)
+    path = tmp_path / "a.glb"
+    path.write_bytes(glb_of(record, blob))
+    began = time.monotonic()
+    for reader in READERS:
+        with pytest.raises(RunFolderError, match=r"a\.glb.*(is not a whole|not supported)"):
+            reader(path)
+    assert time.monotonic() - began < 10
+
+
+def test_faces_of_vertices_that_are_not_there(tmp_path: Path) -> None:
+    record, blob = mesh_record(picture())
+    start = record["bufferViews"][4]["byteOffset"]
+    path = tmp_path / "a.glb"
+    path.write_bytes(glb_of(record, blob[:start] + b"\xff" * 4 + blob[start + 4 :]))
+    for reader in READERS:
+        with pytest.raises(RunFolderError, match="faces of vertices that it does not have"):
+            reader(path)
+
+
+def test_meshes_are_placed_by_their_nodes(tmp_path: Path) -> None:
+    record, blob = mesh_record(picture("JPEG"))
+    record["nodes"] = [{"children": [1], "scale": [2, 2, 2]}, {"mesh": 0, "translation": [0, 5, 0]}]
+    path = tmp_path / "a.glb"
+    path.write_bytes(glb_of(record, blob))
+    assert is_mesh(path) and convert_mesh(path, tmp_path / "b.obj") == 4
+    lines = (tmp_path / "b.obj").read_text(encoding="utf-8").splitlines()
+    found = np.array([line.split()[1:4] for line in lines if line.startswith("v ")], float)
+    assert found.min(axis=0) == pytest.approx([0, 10, 0])
+    assert found.max(axis=0) == pytest.approx([2, 12, 2])
