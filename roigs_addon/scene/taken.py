@@ -24,6 +24,8 @@ from .image_pixels import pixels_of
 
 MARK = "roigs_taken"
 """Custom property of the collections."""
+CRUMB = 0.1
+"""Share of the height above a cut that every piece of the object reaches."""
 SIDE, POINTS = 256, 400_000
 """Of the preview: pixels, and points of the surface that are drawn."""
 TEXT = "Captured object: its mesh and its Gaussians. Made with ROI-GS"
@@ -131,17 +133,42 @@ def _corners(item: bpy.types.Object) -> NDArray[np.float32]:
 
 
 def _cut(item: bpy.types.Object, top: float) -> None:
-    """Remove a mesh's faces below a height in the world."""
+    """Remove a mesh's faces below a height in the world, and what the plate leaves above it."""
     mesh, world = mesh_of(item), item.matrix_world
     edited = bmesh.new()
     try:
         edited.from_mesh(mesh)
         low: Any = [v for v in edited.verts if (world @ v.co).z < top]
         bmesh.ops.delete(edited, geom=low, context="VERTS")
+        crumbs: Any = _crumbs(edited, [(world @ v.co).z for v in edited.verts], top)
+        bmesh.ops.delete(edited, geom=crumbs, context="VERTS")
         edited.to_mesh(mesh)
     finally:
         edited.free()
     mesh.update()
+
+
+def _crumbs(edited: bmesh.types.BMesh, heights: list[float], top: float) -> list[Any]:
+    """Vertices of the pieces that end just above a cut: waves of the plate that was cut off."""
+    vertices: Any = edited.verts
+    vertices.index_update()
+    end = top + CRUMB * (max(heights, default=top) - top)
+    seen: set[Any] = set()
+    found: list[Any] = []
+    for start in vertices:
+        if start in seen:
+            continue
+        piece, ahead = [start], [start]
+        seen.add(start)
+        while ahead:
+            last = ahead.pop()
+            around = {edge.other_vert(last) for edge in last.link_edges} - seen
+            seen |= around
+            piece += around
+            ahead += around
+        if max(heights[vertex.index] for vertex in piece) < end:
+            found += piece
+    return found
 
 
 def _mark_as_asset(collection: bpy.types.Collection, item: bpy.types.Object) -> None:
