@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 from ..context import QUIET, Context
 from ..errors import ConfigError, RoiError, RunFolderError, SceneError
 from ..formats import clean_up, run_files
-from ..formats.files import own_folder, read_record, remove_leftovers_of, sha256, write_json
+from ..formats.files import (
+    own_folder,
+    read_record,
+    refuse_linked_folders,
+    remove_leftovers_of,
+    sha256,
+    write_json,
+)
 from ..formats.gravity import gravity_alignment
 from ..formats.lock import check_held, locked
 from ..formats.names import same_name
@@ -72,6 +79,7 @@ def make_surfaces(request: MakeSurface, context: Context = QUIET) -> Surfaces:
         texture_size=request.texture_size,
     )
     with locked(request.run, context.warn, option=None):
+        refuse_linked_folders(request.run)
         run, context = asked.defined(context)
         names = request.only or (() if request.background else asked.boxes.names)
         gaussians = _gaussians(run, context)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from ..context import QUIET, Context
 from ..errors import KernelError, RunFolderError
 from ..formats import clean_up, run_files
+from ..formats.files import refuse_linked_folders
 from ..formats.lock import locked
 from ..formats.text import in_gb
 from ..requests.runs import CheckGpu, Clean, Levels
@@ -43,6 +44,7 @@ def make_levels(request: Levels, context: Context = QUIET) -> Result:
     use_threads(request.threads)
     said, context = context, on_device(context, request.device)
     with locked(request.run, context.warn, option=None):
+        refuse_linked_folders(request.run)
         scene = cameras_of_run(request.run, request.scene, said)
         frame = LocalFrame.of_scene(scene)
         ladders = make.make_levels(

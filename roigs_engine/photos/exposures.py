@@ -40,7 +40,9 @@ def exif_exposure(path: Path) -> float | None:
     time, iso, aperture = (_number(tags.get(tag)) for tag in (TIME, ISO, APERTURE))
     if time is None or iso is None:
         return None
-    stops = math.log2(time * iso / BASE_ISO / (aperture or 1.0) ** 2)
+    # A sum of logarithms, as a product of doubles that lie may be too large or too small.
+    light = math.log2(time) + math.log2(iso) - math.log2(BASE_ISO)
+    stops = light - 2 * math.log2(aperture or 1.0)
     return round(stops, 4) if abs(stops) <= MOST_STOPS else None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,19 @@ def test_missing_or_impossible_numbers_are_no_exposure(
     tmp_path: Path, tags: dict[int, object]
 ) -> None:
     assert exif_exposure(photo(tmp_path / "a.jpg", tags)) is None
+
+
+@pytest.mark.parametrize("number", [1e308, 5e-324, float("nan"), float("inf"), -1.0])
+def test_doubles_that_lie_are_no_exposure(tmp_path: Path, number: float) -> None:
+    """EXIF may hold numbers whose products are no numbers."""
+    tags, doubles = (TIME, ISO), 12
+    own = b"".join(struct.pack("<HHII", tag, doubles, 1, 56 + 8 * k) for k, tag in enumerate(tags))
+    main = struct.pack("<HHHIIIH", 1, EXIF_IFD, 4, 1, 26, 0, len(tags))
+    exif = b"II*\0\x08\0\0\0" + main + own + bytes(4) + struct.pack("<2d", number, number)
+    path = tmp_path / "a.png"
+    Image.new("RGB", (8, 6), "grey").save(path, exif=exif)
+    assert len(Image.open(path, formats=("PNG",)).getexif().get_ifd(EXIF_IFD)) == len(tags)
+    assert exif_exposure(path) is None
 
 
 def test_no_photo_is_no_exposure(tmp_path: Path) -> None:

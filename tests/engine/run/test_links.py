@@ -112,6 +112,20 @@ def test_every_linked_folder_is_refused(request_: Request, tmp_path: Path) -> No
         assert not list(target.iterdir())
 
 
+@pytest.mark.parametrize("command", ["surface", "levels"])
+def test_no_command_writes_through_a_linked_folder(
+    request_: Request, tmp_path: Path, command: str
+) -> None:
+    run, target = tmp_path / "run", tmp_path / "target"
+    shutil.copytree(request_.whole, run)
+    shutil.rmtree(run / "cache")
+    target.mkdir()
+    (run / "cache").symlink_to(target)
+    ended = engine([command, run])
+    assert ended.status == 2 and f"{run / 'cache'} is a link" in ended.errors.splitlines()[-1]
+    assert not list(target.iterdir())
+
+
 def test_the_run_folder_itself_may_be_a_link(request_: Request, tmp_path: Path) -> None:
     (tmp_path / "disk").mkdir()
     (tmp_path / "run").symlink_to(tmp_path / "disk")
