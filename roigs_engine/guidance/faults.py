@@ -4,7 +4,7 @@ A photo is compared with the others at the same patches (`photo_quality`). Infor
 the square of the resolution (`box_map`), so a photo with less than 1/sqrt(2) of the sharp photos'
 resolution tells less than half of what it could: it is blurred, or, if it is sharp elsewhere, out
 of focus at the object. Exposures are named that differ by a stop, half or twice the light, and are
-outliers: where all differ, they are levelled (`photos.exposures`). A camera that hangs on few
+outliers: where many differ, they are levelled (`photos.exposures`). A camera that hangs on few
 points may be misplaced (`formats.projects`).
 """
 
@@ -13,13 +13,16 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..formats.projects import weakly_observed
 from ..formats.text import counted
+from ..model.scene import Float64
 from .known import KnownBox
 
 HALF = 0.5
 STOP = 1.0
+FEW = 0.1  # share of the photos: more are no outliers
 OUTLIER = 3 * 1.4826  # median deviations: three standard deviations of a normal distribution
 
 BLURRED, FOCUS, EXPOSED, PLACED, UNREADABLE = (
@@ -66,8 +69,7 @@ def photo_faults(known: KnownBox) -> tuple[PhotoFault, ...]:
         for name in weakly_observed(points):
             text = f"perhaps misplaced: its camera hangs on {counted(points[name], 'point')}"
             found.append(PhotoFault(photo=name, reason=PLACED, text=text))
-    exposures = np.abs(quality.exposure[np.isfinite(quality.exposure)])  # their median is 0
-    spread = float(np.median(exposures)) if len(exposures) else 0.0
+    odd = _odd_exposures(quality.exposure)
     for column, image in enumerate(known.map.images):
         sharp, overall = quality.sharpness[column], quality.overall[column]
         if sharp**2 < HALF:
@@ -78,8 +80,17 @@ def photo_faults(known: KnownBox) -> tuple[PhotoFault, ...]:
                 text = f"out of focus at the object: {of}"
                 found.append(PhotoFault(photo=image.name, reason=FOCUS, text=text))
         exposure = quality.exposure[column]
-        if abs(exposure) >= max(STOP, OUTLIER * spread):
+        if odd[column]:
             way = "brighter" if exposure > 0 else "darker"
             text = f"{abs(exposure):.1f} stops {way} than the others"
             found.append(PhotoFault(photo=image.name, reason=EXPOSED, text=text))
     return tuple(sorted(found, key=lambda fault: fault.photo))
+
+
+def _odd_exposures(exposures: Float64) -> NDArray[np.bool_]:
+    """(V,) which of the photos are outliers; `exposures` have a median of 0, NaN: not known."""
+    away = np.abs(exposures)
+    known = away[np.isfinite(away)]
+    spread = float(np.median(known)) if len(known) else 0.0
+    odd = away >= max(STOP, OUTLIER * spread)
+    return np.asarray(odd if odd.mean() <= FEW else np.zeros_like(odd))

@@ -68,6 +68,10 @@ def test_an_odd_exposure_is_named_but_not_where_all_differ(good: KnownBox) -> No
     assert good.quality is not None
     all_differ = replace(good.quality, exposure=6 * good.quality.exposure)
     assert photo_faults(replace(good, quality=all_differ)) == ()
+    two_groups = 0.1 * good.quality.exposure
+    two_groups[: len(two_groups) // 4] += 1.6
+    drift = replace(good.quality, exposure=two_groups)
+    assert photo_faults(replace(good, quality=drift)) == ()
 
 
 def test_numbers_that_are_missing_are_no_fault(good: KnownBox) -> None:
