@@ -22,9 +22,9 @@ from .outputs import Result, refuse_inputs, refuse_run_files
 from .run_scene import folder_of_model, poses_of_run
 
 if TYPE_CHECKING:
-    from ..lighting.highlights import Brightness, Surfaces
-    from ..lighting.panorama import Float32
+    from ..lighting.highlights import Surfaces
     from ..lighting.panorama import Panorama as Light
+    from ..lighting.sides import Shading
     from ..model.scene import Float64
 
 STAGE = "panorama"
@@ -49,7 +49,7 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
 
     from ..lighting.highlights import brightness
     from ..lighting.panorama import left_out, panorama
-    from ..lighting.sides import gain, whiteness
+    from ..lighting.sides import shading
     from ..rasterize.image_files import save_light
 
     read = {
@@ -66,15 +66,11 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
         light = panorama(seen, place, request.width // 2, context)
         given = request.highlights, request.unseen
         factors = brightness(light, place, surfaces, *given)
-        shining = light.brightened(factors.highlights, factors.unseen)
-        sides = gain(shining, light.distance, place, objects)
-        shining = shining * sides[..., None]
-        probes = [*objects, surfaces] if surfaces else objects
-        white = whiteness(shining, probes) if given == (None, None) else 1.0
-        save_light(file, shining * np.float32(white))
+        shone = shading(light, factors, place, objects, surfaces, given=given != (None, None))
+        save_light(file, shone.light)
         # A mirror would show light from where no photo looked as a bright cap.
-        save_light(run_files.mirrored(file), light.brightened(factors.highlights))
-        lines.append(_line(at, light, factors, given, (sides, white)))
+        save_light(run_files.mirrored(file), light.brightened(shone.factors.highlights))
+        lines.append(_line(at, light, shone, given))
         context.info(lines[-1])
         context.progress(STAGE, step, len(files), started)
     names = [STAGE] if len(files) == 1 else [f"{STAGE}-{k + 1}" for k in range(len(files))]
@@ -162,12 +158,12 @@ def _surfaces(path: Path, folder: Path, records: list[InstanceRecord]) -> Surfac
 def _line(
     at: tuple[float, ...],
     light: Light,
-    factors: Brightness,
+    shone: Shading,
     given: tuple[float | None, float | None],
-    shading: tuple[Float32, float],
 ) -> str:
     """What was found at a point, and how bright what photos cannot show is made."""
     place = ", ".join(f"{value:.4g}" for value in at)
+    factors, sides, white = shone.factors, shone.sides, shone.white
     how = "as the scene's shading tells" if factors.told else "as in a usual place"
     parts = (
         (f"what photos clip ({light.clipped.mean():.2%})", factors.highlights, given[0]),
@@ -178,7 +174,6 @@ def _line(
         for what, factor, asked in parts
         if asked is not None or factor != 1
     ]
-    sides, white = shading
     if (most := float(sides.max() / sides.min())) > 1:
         said.append(f"one side is made {most:.2g} times brighter than the other, as boxes tell")
     if white > 1:

@@ -9,29 +9,93 @@ side, with the `a` that explains these ratios best.
 
 How much light there is, shading cannot tell: a white thing in half of the light looks like a grey
 one. But nothing is much whiter than white paint or paper. Where the bright parts of what is there
-would have to be, more light must come (the white patch of Retinex, Land and McCann 1971).
+would have to be, more light must come (the white patch of Retinex, Land and McCann 1971): from
+where photos cannot show it, if that can explain it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from ..model.scene import Float64
 from ..rasterize.instances import NOTHING
-from .highlights import BRIGHTEST, Surfaces
-from .panorama import Float32, directions, solid_angles
+from .highlights import BRIGHTEST, MOST, Brightness, Surfaces
+from .panorama import Float32, Panorama, directions, solid_angles
 
 NEAR = 0.5  # of the usual distance above the horizon: nearer objects have the same light
 WAYS, CONE = 64, 0.85  # directions; cosine between a normal and the direction that it counts for
-BRIGHT = 98  # percentile of the brightness of surfaces that face one way
+BRIGHT = 98  # percentile of the brightness, or albedo, of surfaces that face one way
+SAMPLES = 4000  # surfaces of a probe whose albedo is looked at
 WHITE = 0.8  # albedo of white paint and paper
 FEWEST = 0.005  # share of an object's surface that faces a way, at least
 NOISE, INDEPENDENT = 0.25, 12  # of logarithms of ratios; of that many ways each says its own
 USUAL = 0.7  # standard deviation of `a`: usual places have no strong side
 ROWS = 32  # of the picture that is summed
+HALVINGS = 8  # of the range of a factor that is sought, in its logarithm: to 1 %
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Shading:
+    """The light of a panorama as the scene's shading tells it.
+
+    Attributes:
+        light: (H, 2 H, 3) linear.
+        factors: of what photos clip, and of what none shows.
+        sides: (H, 2 H) what it was multiplied by then.
+        white: what all of it was multiplied by last.
+    """
+
+    light: Float32
+    factors: Brightness
+    sides: Float32
+    white: float = 1.0
+
+
+def shading(
+    panorama: Panorama,
+    factors: Brightness,
+    place: Float64,
+    objects: Sequence[Surfaces],
+    surroundings: Surfaces | None,
+    *,
+    given: bool,
+) -> Shading:
+    """The light with its side, and so much that nothing is whiter than white.
+
+    Args:
+        factors: that were found or given.
+        place: (3,) where the panorama was drawn, in the world of the surfaces.
+        given: the factors stay as they are, and so does the scale.
+    """
+    probes = [*objects, surroundings] if surroundings else objects
+
+    def lit(more: float) -> Shading:
+        raised = replace(
+            factors, highlights=more * factors.highlights, unseen=more * factors.unseen
+        )
+        light = panorama.brightened(raised.highlights, raised.unseen)
+        sides = gain(light, panorama.distance, place, objects)
+        return Shading(light=light * sides[..., None], factors=raised, sides=sides)
+
+    found = lit(1.0)
+    white = 1.0 if given else whiteness(found.light, probes)
+    if white == 1:
+        return found
+    low, high, most = 0.0, np.log(MOST), lit(MOST)
+    if whiteness(most.light, probes) > 1:  # the light is missing elsewhere
+        return replace(found, light=found.light * np.float32(white), white=white)
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        tried = lit(float(np.exp(middle)))
+        if whiteness(tried.light, probes) > 1:
+            low = middle
+        else:
+            high, most = middle, tried
+    return most
 
 
 def gain(light: Float32, distance: Float32, place: Float64, objects: Sequence[Surfaces]) -> Float32:
@@ -78,31 +142,33 @@ def whiteness(light: Float32, probes: Sequence[Surfaces]) -> float:
         return 1.0
     whitest = np.log(WHITE)
     for probe in probes:
-        kept = probe.colours.max(axis=1) < BRIGHTEST  # a window is no white thing
-        normals, bright = _told(
-            Surfaces(
-                places=probe.places[kept], normals=probe.normals[kept], colours=probe.colours[kept]
-            )
-        )
-        if len(normals):
-            given = np.maximum(normals @ ways.T, 0) @ flux / np.pi
-            whitest = max(whitest, float(np.mean(bright - np.log(np.maximum(given, 1e-12)))))
+        kept = np.flatnonzero(probe.colours.max(axis=1) < BRIGHTEST)  # a window is no white thing
+        kept = np.random.default_rng(0).permutation(kept)[:SAMPLES]
+        normals, bright = probe.normals[kept], probe.colours[kept].mean(axis=1)
+        given = np.maximum(normals @ ways.T, 0) @ flux / np.pi
+        _, albedos = _brightest(normals, bright / np.maximum(given, 1e-12))
+        if len(albedos):
+            whitest = max(whitest, float(albedos.mean()))
     return float(np.exp(whitest) / WHITE)
 
 
 def _told(surfaces: Surfaces) -> tuple[Float64, Float64]:
     """Ways (N, 3) that enough of an object faces, and the logarithms of its brightness there."""
-    if not len(surfaces.normals):
+    return _brightest(surfaces.normals, surfaces.colours.mean(axis=1))
+
+
+def _brightest(normals: Float64, values: Float64) -> tuple[Float64, Float64]:
+    """Ways (N, 3) that enough normals face, and the logarithms of the largest values there."""
+    if not len(normals):
         return np.zeros((0, 3)), np.zeros(0)
     k = np.arange(WAYS) + 0.5
     z, turn = 1 - 2 * k / WAYS, np.pi * (1 + np.sqrt(5)) * k
     flat = np.sqrt(1 - z**2)
     ways = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=-1)
-    bright = surfaces.colours.mean(axis=1)
-    facing = surfaces.normals @ ways.T > CONE
+    facing = normals @ ways.T > CONE
     kept = facing.mean(axis=0) > FEWEST
-    values = [np.percentile(bright[facing[:, k]], BRIGHT) for k in np.flatnonzero(kept)]
-    return ways[kept], np.log(np.maximum(values, 1e-3))
+    found = [np.percentile(values[facing[:, k]], BRIGHT) for k in np.flatnonzero(kept)]
+    return ways[kept], np.log(np.maximum(found, 1e-3))
 
 
 def _coarse(light: Float32) -> tuple[Float64, Float64]:

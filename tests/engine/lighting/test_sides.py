@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from roigs_engine.lighting.highlights import Surfaces
-from roigs_engine.lighting.panorama import directions, solid_angles
-from roigs_engine.lighting.sides import WHITE, gain, whiteness
+from roigs_engine.lighting.highlights import Brightness, Surfaces
+from roigs_engine.lighting.panorama import Panorama, directions, solid_angles
+from roigs_engine.lighting.sides import WHITE, gain, shading, whiteness
 
 HEIGHT = 32
 EVEN = np.ones((HEIGHT, 2 * HEIGHT, 3), np.float32)
@@ -76,3 +78,44 @@ def test_grey_things_and_clipped_ones_ask_for_none() -> None:
     assert whiteness(dim, []) == whiteness(0 * dim, [clipped]) == 1.0
     clipped.colours[:] = 1.0
     assert whiteness(dim, [clipped]) == 1.0
+
+
+def under_a_ceiling(factor: float) -> tuple[Panorama, np.ndarray]:
+    """A dim room whose upper third no photo shows, and its light if that is brighter."""
+    hole = np.zeros((HEIGHT, 2 * HEIGHT), np.float32)
+    hole[: HEIGHT // 3] = 1
+    dim = (EVEN / 16).astype(np.float32)
+    panorama = Panorama(
+        shown=dim * (1 - hole[..., None]),
+        guessed=dim * hole[..., None],
+        unseen=hole,
+        clipped=hole > 1,
+        seen=0.8,
+        distance=FAR,
+    )
+    return panorama, panorama.brightened(1.0, factor)
+
+
+def test_light_that_is_missing_comes_from_where_photos_do_not_look() -> None:
+    panorama, light = under_a_ceiling(6.0)
+    probe = ball(light, white=WHITE)
+    found = shading(panorama, Brightness(unseen=2.0), HERE, [probe], None, given=False)
+    assert found.factors.unseen == pytest.approx(6.0, rel=0.05) and found.white == 1
+    assert whiteness(found.light, [probe]) == pytest.approx(1.0, abs=0.02)
+    assert found.light.mean() == pytest.approx(light.mean(), rel=0.03)
+
+
+def test_given_factors_stay_and_without_a_hole_all_is_brighter() -> None:
+    panorama, light = under_a_ceiling(6.0)
+    probe = ball(light, white=WHITE)
+    kept = shading(panorama, Brightness(unseen=2.0), HERE, [probe], None, given=True)
+    assert kept.factors.unseen == 2 and kept.white == 1
+    whole = replace(
+        panorama,
+        shown=panorama.light,
+        guessed=0 * panorama.guessed,
+        unseen=0 * panorama.unseen,
+    )
+    scaled = shading(whole, Brightness(), HERE, [], probe, given=False)
+    assert scaled.factors == Brightness() and scaled.white > 1.5
+    assert whiteness(scaled.light, [probe]) == pytest.approx(1.0, abs=0.02)
