@@ -19,7 +19,7 @@ from roigs_engine.cli import main
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.context import QUIET, Context
 from roigs_engine.errors import EngineError, SceneError, Stopped
-from roigs_engine.formats.events import Event, StageStarted
+from roigs_engine.formats.events import Event, Progress, StageStarted
 from roigs_engine.photos.mask_paths import MaskOptions
 from roigs_engine.reconstruction import worker
 from roigs_engine.reconstruction.child import WORKER, run_task
@@ -85,14 +85,16 @@ def test_the_same_command_again_does_nothing(
 
 
 class Stopping:
-    """Asks for a stop some time after a stage has begun."""
+    """Asks for a stop once so many steps of a stage are done."""
 
-    def __init__(self, stage: str, seconds: float) -> None:
-        self.stage, self.seconds, self.at = stage, seconds, float("inf")
+    def __init__(self, stage: str, steps: int) -> None:
+        self.stage, self.steps, self.at = stage, steps, float("inf")
 
     def emit(self, event: Event) -> None:
-        if isinstance(event, StageStarted) and event.stage == self.stage:
-            self.at = min(self.at, time.monotonic() + self.seconds)
+        if not isinstance(event, StageStarted | Progress) or event.stage != self.stage:
+            return
+        if (event.step if isinstance(event, Progress) else 0) >= self.steps:
+            self.at = min(self.at, time.monotonic())
 
     def asked(self) -> bool:
         return time.monotonic() >= self.at
@@ -108,9 +110,9 @@ def resumed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("resumed")
     copy_photos(folder / "photos", demo_photos("wide/*.jpg", 4), NAMES[:4], SMALL)
     out, features = folder / "scene", 0
-    stages = {"look at photos": 0.0, "features": 1.0, "matching": 0.0, "mapping": 0.0}
-    for stage, seconds in stages.items():
-        stopping = Stopping(stage, seconds)
+    stages = {"look at photos": 0, "features": 1, "matching": 0, "mapping": 0}
+    for stage, steps in stages.items():
+        stopping = Stopping(stage, steps)
         with pytest.raises(Stopped):
             make(folder / "photos", out, stopping.context, threads=1)
         assert time.monotonic() - stopping.at < 2 * slowness()
