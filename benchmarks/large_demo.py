@@ -16,9 +16,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import torch
 
+from benchmarks.guidance.arms import true_pose
 from benchmarks.markdown import table
 from roigs_engine.app.inputs import load_model
 from roigs_engine.colmap.project import load_colmap
@@ -52,16 +52,13 @@ def held_out_photos(large: Path, photos: str, max_side: int) -> list[PosedImage]
         path = (large / f"{photos}_held_out" / name.removeprefix(HELD_OUT)).with_suffix(".png")
         if not name.startswith(HELD_OUT) or not path.exists():
             continue
-        pose = np.eye(4)
-        pose[:3, :3] = np.array(known["rotation"]).T
-        pose[:3, 3] = -pose[:3, :3] @ np.array(known["centre"])
         digest = content_digest(path)
         found.append(
             PosedImage(
                 name=name,
                 path=path,
                 camera=lens,
-                world_to_camera=pose,
+                world_to_camera=true_pose(known),
                 digest=digest,
                 file_digest=digest,
             )

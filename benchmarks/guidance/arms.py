@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +26,14 @@ Shots = dict[str, list[list[float]]]
 """Name -> camera to world (4, 4), OpenCV axes."""
 
 
+def true_pose(known: Mapping[str, Any]) -> Float64:
+    """(4, 4) world_to_camera of a photo in a truth.json of the demo."""
+    pose = np.eye(4)
+    pose[:3, :3] = np.array(known["rotation"]).T
+    pose[:3, 3] = -pose[:3, :3] @ np.array(known["centre"])
+    return pose
+
+
 def true_capture(demo: Path, max_side: int) -> SfmScene:
     """The demo's scene with the true cameras of its photos, at a size."""
     scene, truth = load_colmap(demo), json.loads((demo / "truth.json").read_text())
@@ -32,9 +41,7 @@ def true_capture(demo: Path, max_side: int) -> SfmScene:
     images = []
     for image in scene.images:
         known = truth["photos"][image.name]
-        pose = np.eye(4)
-        pose[:3, :3] = np.array(known["rotation"]).T
-        pose[:3, 3] = -pose[:3, :3] @ np.array(known["centre"])
+        pose = true_pose(known)
         width, height = image.camera.width, image.camera.height
         camera = Camera(
             width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2

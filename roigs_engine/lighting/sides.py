@@ -72,13 +72,14 @@ def shading(
         given: the factors stay as they are, and so does the scale.
     """
     probes = [*objects, surroundings] if surroundings else objects
+    near = _near(panorama.distance, place, objects)
 
     def lit(more: float) -> Shading:
         raised = replace(
             factors, highlights=more * factors.highlights, unseen=more * factors.unseen
         )
         light = panorama.brightened(raised.highlights, raised.unseen)
-        sides = gain(light, panorama.distance, place, objects)
+        sides = _gain(light, near)
         return Shading(light=light * sides[..., None], factors=raised, sides=sides)
 
     found = lit(1.0)
@@ -109,6 +110,15 @@ def gain(light: Float32, distance: Float32, place: Float64, objects: Sequence[Su
         place: (3,)
         objects: places, normals and colours of each.
     """
+    return _gain(light, _near(distance, place, objects))
+
+
+Told = list[tuple[Float64, Float64]]
+"""Of each object, what `_told` says."""
+
+
+def _near(distance: Float32, place: Float64, objects: Sequence[Surfaces]) -> Told:
+    """What the objects tell that are near the place."""
     above = distance[: len(distance) // 2]  # the light's way; what stands on a table is near that
     seen_at = above[above < NOTHING]
     reach = NEAR * float(np.median(seen_at)) if len(seen_at) else 0.0
@@ -117,7 +127,11 @@ def gain(light: Float32, distance: Float32, place: Float64, objects: Sequence[Su
         for each in objects
         if len(each.places) and np.linalg.norm(np.median(each.places, axis=0) - place) < reach
     ]
-    found = [_told(each) for each in near]
+    return [_told(each) for each in near]
+
+
+def _gain(light: Float32, found: Told) -> Float32:
+    """See `gain`."""
     ways, flux = _coarse(light)
     side = _fitted(found, ways, flux)
     if not side.any():
