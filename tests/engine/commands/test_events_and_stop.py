@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -133,7 +135,7 @@ def test_a_second_engine_is_refused(
     assert CAN_FORK or pid == process.pid
     second = ("train", project.folder, "--roi", BOX, "--run-dir", folder, "--test-every", 3)
     assert f"process {pid}" in refused(capsys, *second)
-    process.kill()
+    os.kill(pid, getattr(signal, "SIGKILL", signal.SIGTERM))  # the engine, and not who waits for it
     process.communicate()
     assert (folder / "run.lock").exists()
     # What a dead process has left does not hold up the next one.
