@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from .app.batch import run_batch as run_batch
     from .app.certify import certify as certify
     from .app.cluster import train_on_cluster as train_on_cluster
+    from .app.confidence import find_confidence as find_confidence
     from .app.convert import convert as convert
     from .app.evaluate import evaluate as evaluate
     from .app.masks import make_masks as make_masks
@@ -84,6 +85,7 @@ if TYPE_CHECKING:
     from .requests.runs import Batch as Batch
     from .requests.runs import CheckGpu as CheckGpu
     from .requests.runs import Clean as Clean
+    from .requests.runs import Confidence as Confidence
     from .requests.runs import Evaluate as Evaluate
     from .requests.runs import Levels as Levels
     from .requests.runs import MakeSurface as MakeSurface
@@ -109,6 +111,7 @@ _MODULES = {
     "app.batch": "run_batch",
     "app.certify": "certify",
     "app.cluster": "train_on_cluster",
+    "app.confidence": "find_confidence",
     "app.convert": "convert",
     "app.evaluate": "evaluate",
     "app.masks": "make_masks",
@@ -123,7 +126,8 @@ _MODULES = {
     "requests.models": "Adapt Compose Convert Cut Floaters Masks Panorama Render RenderFrames",
     "requests.projects": "Certify Export Inspect Reconstruct RefineCameras Select ShowPhoto"
     " Suggest",
-    "requests.runs": "Batch CheckGpu Clean Evaluate Levels MakeSurface Train TrainAndEvaluate",
+    "requests.runs": "Batch CheckGpu Clean Confidence Evaluate Levels MakeSurface Train"
+    " TrainAndEvaluate",
     "colmap.project": "load_colmap",
     "context": "Context",
     "errors": "EngineError",

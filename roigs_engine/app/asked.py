@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from ..context import Context
 from ..errors import ConfigError, RunFolderError
-from ..formats import run_files
-from ..formats.files import read_json
+from ..formats import clean_up, run_files
+from ..formats.files import read_json, read_record
 from ..formats.projects import model_folders, model_suffix
 from ..requests.choices import COMPARISONS, MOST_BLOCKS
+from ..requests.declare import read_options
 from ..requests.runs import Train, TrainAndEvaluate
 from ..requests.values import AUTO
 from ..run.config import AUTO_BLOCKS, RunConfig
@@ -65,6 +66,44 @@ class Asked:
             evaluated=evaluated,
             parts=request.part if isinstance(request, TrainAndEvaluate) else (),
         )
+
+    @staticmethod
+    def of_run(folder: Path, scene: Path | None, **given: Any) -> Asked:
+        """The training that a run folder was made by.
+
+        Args:
+            folder: of the run.
+            scene: where its scene is; None: where it was.
+            given: options of `Train` instead of the run's own.
+
+        Raises:
+            RunFolderError: it is no run folder.
+            ConfigError: it does not say how it was made, or its scene is not where it was.
+        """
+        if not clean_up.is_run_folder(folder):
+            raise RunFolderError(
+                f"{folder} is not a run folder.", "Give the folder that --run-dir named."
+            )
+        settings = folder / run_files.SETTINGS
+        if not settings.is_file():
+            raise ConfigError(
+                f"{folder} does not say which photos it was trained on.",
+                "Resume the run with `train`, which writes its settings.",
+            )
+        given |= {"run_dir": folder}
+        training = Train(**read_options(settings, Train, given) | given)
+        project = folder / run_files.PROJECT
+        found = scene or (training.scene if training.scene.exists() else project)
+        if not found.exists():
+            raise ConfigError(
+                f"The scene of {folder} is not where it was.", "Give its folder with --scene."
+            )
+        training = replace(training, scene=found, images=None if scene else training.images)
+        manifest = folder / run_files.MANIFEST
+        if read_record(manifest).get("rois"):
+            # The file that was given may be gone by now, or have other boxes.
+            training = replace(training, rois=manifest, roi=(), only=())
+        return Asked.of(training)
 
     @property
     def has_model(self) -> bool:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -10,7 +12,7 @@ import numpy as np
 
 from ..context import QUIET, Context
 from ..errors import ConfigError
-from ..formats.drawable import usable
+from ..formats.drawable import drawable, usable
 from ..formats.files import read_json
 from ..formats.names import usable_path
 from ..formats.splat_ply import Check, read_ply, target_of
@@ -18,6 +20,9 @@ from ..formats.text import counted
 from ..formats.transforms import numbers
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from ..formats.targets import Target
     from ..model.gaussians import Gaussians
     from ..model.local_frame import LocalFrame
     from ..model.scene import Float64
@@ -64,6 +69,13 @@ def read_list(path: Path, context: Context = QUIET) -> tuple[list[InstanceRecord
         raise ConfigError(f"{path} is malformed ({error}).", HINT) from error
 
 
+def listed_models(path: Path) -> list[InstanceRecord]:
+    """The models of a list, or the one of a PLY; ConfigError as for `read_list`."""
+    if path.suffix.lower() == LIST:
+        return read_list(path)[0]
+    return [InstanceRecord(str(path), np.eye(4))]
+
+
 def instances(record: Any, folder: Path, context: Context = QUIET) -> list[InstanceRecord]:
     """The models of a record's `models`; relative paths start at `folder`.
 
@@ -102,6 +114,48 @@ def drawable_model(
         left_out = f"{there - kept:,} of {counted(there, 'Gaussian')}"
         say(f"{path}: {left_out} cannot be drawn (NaN, too large, or no rotation).")
     return Gaussians.framed(arrays, target=target_of(path))
+
+
+def as_one(
+    wanted: Sequence[InstanceRecord], frame: LocalFrame, context: Context
+) -> tuple[Gaussians, NDArray[np.bool_]]:
+    """All models as one in a frame, and which rows of the files can be drawn: those it has.
+
+    Raises:
+        RunFolderError: a file is missing or damaged.
+        ConfigError: nothing can be drawn.
+    """
+    from ..exchange.transform import merged
+    from ..model.gaussians import Gaussians
+
+    into = np.diag([*[frame.scale] * 3, 1.0])
+    into[:3, 3] = -frame.scale * frame.origin
+    masks, models = [], []
+    for item in wanted:
+        path = Path(item.file)
+        arrays = read_ply(path, context.check_cancelled)
+        mask = drawable(arrays)
+        masks.append(mask)
+        if mask.any():
+            kept, own = Gaussians.framed(usable(arrays, mask), target=target_of(path))
+            models.append(item.of(kept, own, into))
+    if not models:
+        raise ConfigError("The model has no Gaussians that can be drawn.", "Give another model.")
+    model, own = merged(_alike(models))
+    whole = Gaussians.from_arrays(model.arrays(own), target=model.target)
+    return whole, np.concatenate(masks)
+
+
+def _alike(models: list[Instance]) -> list[Instance]:
+    """All made for the same target, that of most Gaussians.
+
+    They are judged as one model, which has one; it matters little for what hides what.
+    """
+    counts: Counter[Target] = Counter()
+    for model in models:
+        counts[model.gaussians.target] += len(model.gaussians)
+    most = max(counts, key=lambda target: (counts[target], not target.antialiased))
+    return [replace(m, gaussians=replace(m.gaussians, target=most)) for m in models]
 
 
 def _needed(item: Any, name: str, whose: str) -> Any:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,31 +10,25 @@ import numpy as np
 
 from ..context import QUIET, Context
 from ..errors import ConfigError, RoiError
-from ..formats.drawable import drawable, usable
 from ..formats.files import atomic_write, own_folder
 from ..formats.mask_record import box_folders
 from ..formats.projects import top_folder
 from ..formats.run_files import BACKGROUND, FINE
-from ..formats.splat_ply import check_ply, read_ply, target_of
+from ..formats.splat_ply import check_ply
 from ..formats.text import counted
 from ..model.mask_coverage import with_useful_masks
 from ..model.ownership import count_owned
 from ..photos.mask_paths import MASKS, MaskOptions
 from ..requests.models import Compose, Cut, Floaters
 from .inputs import boxes_of, load_model, load_scene, on_device
-from .instances import LIST, InstanceRecord, read_list
+from .instances import as_one, listed_models
 from .outputs import Result, named_files, refuse_inputs, refuse_run_files
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
     from torch import Tensor
 
-    from ..formats.targets import Target
-    from ..model.gaussians import Gaussians
-    from ..model.local_frame import LocalFrame
     from ..model.roi import OrientedBox
     from ..model.scene import PosedImage, SfmScene
-    from ..rasterize.instances import Instance
 
 
 def compose(request: Compose, context: Context = QUIET) -> Result:
@@ -160,16 +152,13 @@ def find_floaters(request: Floaters, context: Context = QUIET) -> Result:
     from ..training.floaters import floaters
 
     refuse_run_files(request.out)
-    listed = request.model.suffix.lower() == LIST
-    wanted = (
-        read_list(request.model)[0] if listed else [InstanceRecord(str(request.model), np.eye(4))]
-    )
+    wanted = listed_models(request.model)
     given = (request.options_file, request.rois, request.model)
     refuse_inputs([request.out], [*given, *(Path(item.file) for item in wanted)])
     rois, scene = boxes_of(request, required=False), load_scene(request, context)
     frame = LocalFrame.of_scene(scene)
     local = frame.scene(scene)
-    model, there = _as_one(wanted, frame, context)
+    model, there = as_one(wanted, frame, context)
     context = on_device(context, request.device)
     found = np.zeros(len(there), bool)
     if len(model):
@@ -186,40 +175,3 @@ def find_floaters(request: Floaters, context: Context = QUIET) -> Result:
         np.save(file, found)
     text = f"{counted(int(found.sum()), 'floater')} among {len(found):,} Gaussians"
     return Result(files={"floaters": request.out}, text=text)
-
-
-def _as_one(
-    wanted: list[InstanceRecord], frame: LocalFrame, context: Context
-) -> tuple[Gaussians, NDArray[np.bool_]]:
-    """All models as one in a frame, and which rows of the files can be drawn: those it has."""
-    from ..exchange.transform import merged
-    from ..model.gaussians import Gaussians
-
-    into = np.diag([*[frame.scale] * 3, 1.0])
-    into[:3, 3] = -frame.scale * frame.origin
-    masks, models = [], []
-    for item in wanted:
-        path = Path(item.file)
-        arrays = read_ply(path, context.check_cancelled)
-        mask = drawable(arrays)
-        masks.append(mask)
-        if mask.any():
-            kept, own = Gaussians.framed(usable(arrays, mask), target=target_of(path))
-            models.append(item.of(kept, own, into))
-    if not models:
-        raise ConfigError("The model has no Gaussians that can be drawn.", "Give another model.")
-    model, own = merged(_alike(models))
-    whole = Gaussians.from_arrays(model.arrays(own), target=model.target)
-    return whole, np.concatenate(masks)
-
-
-def _alike(models: list[Instance]) -> list[Instance]:
-    """All made for the same target, that of most Gaussians.
-
-    They are judged as one model, which has one; it matters little for what hides what.
-    """
-    counts: Counter[Target] = Counter()
-    for model in models:
-        counts[model.gaussians.target] += len(model.gaussians)
-    most = max(counts, key=lambda target: (counts[target], not target.antialiased))
-    return [replace(m, gaussians=replace(m.gaussians, target=most)) for m in models]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..context import QUIET, Context
 from ..errors import ConfigError, RoiError, RunFolderError, SceneError
-from ..formats import clean_up, run_files
+from ..formats import run_files
 from ..formats.files import (
     own_folder,
     read_record,
@@ -26,8 +26,7 @@ from ..formats.gravity import gravity_alignment
 from ..formats.lock import check_held, locked
 from ..formats.names import same_name
 from ..formats.text import json_digest
-from ..requests.declare import read_options
-from ..requests.runs import MakeSurface, Train
+from ..requests.runs import MakeSurface
 from .asked import Asked
 from .inputs import load_model
 from .outputs import Result
@@ -62,11 +61,8 @@ def make_surfaces(request: MakeSurface, context: Context = QUIET) -> Surfaces:
     from ..surface.make import SurfaceOptions, check_packages
 
     check_packages()
-    if not clean_up.is_run_folder(request.run):
-        raise RunFolderError(
-            f"{request.run} is not a run folder.", "Give the folder that --run-dir named."
-        )
-    asked = Asked.of(_training(request))
+    given = {"device": request.device, "threads": request.threads}
+    asked = Asked.of_run(request.run, request.scene, **given)
     for name in request.only:
         if name not in asked.boxes.names:
             boxes = ", ".join(asked.boxes.names)
@@ -335,29 +331,3 @@ def _unseen(mesh: Mesh, upright: NDArray[np.float64]) -> dict[str, float]:
     sides = {"above": up > STEEP, "below": up < -STEEP, "beside": np.abs(up) <= STEEP}
     whole = max(float(mesh.areas.sum() + areas.sum()), 1e-30)
     return {side: float(areas[on].sum()) / whole for side, on in sides.items() if on.any()}
-
-
-def _training(request: MakeSurface) -> Train:
-    """The training that the run folder was made by, on this request's device."""
-    settings = request.run / run_files.SETTINGS
-    if not settings.is_file():
-        raise ConfigError(
-            f"{request.run} does not say which photos it was trained on.",
-            "Resume the run with `train`, which writes its settings.",
-        )
-    given = {"run_dir": request.run, "device": request.device, "threads": request.threads}
-    values = read_options(settings, Train, given) | given
-    training = Train(**values)
-    project = request.run / run_files.PROJECT
-    scene = request.scene or (training.scene if training.scene.exists() else project)
-    if not scene.exists():
-        raise ConfigError(
-            f"The scene of {request.run} is not where it was.", "Give its folder with --scene."
-        )
-    images = None if request.scene else training.images
-    training = replace(training, scene=scene, images=images)
-    manifest = request.run / run_files.MANIFEST
-    if not read_record(manifest).get("rois"):
-        return training
-    # The file that was given may be gone by now, or have other boxes.
-    return replace(training, rois=manifest, roi=(), only=())

@@ -255,6 +255,15 @@ COMMANDS: dict[str, Command] = {
         help="make the objects in a run's boxes meshes with the photos' texture",
         examples=("runs/garden", "runs/garden --only vase --watertight --format stl"),
     ),
+    "confidence": Command(
+        request=runs.Confidence,
+        does="confidence:find_confidence",
+        help="say how well photos know each Gaussian: how many, from where, how wrong it is",
+        examples=(
+            "runs/garden --out known.ply",
+            "runs/garden --heat-map --out heat.ply",
+        ),
+    ),
     "clean": Command(
         request=runs.Clean,
         does="upkeep:clean",

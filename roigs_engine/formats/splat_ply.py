@@ -80,7 +80,12 @@ def _columns(rest: int) -> list[str]:
 
 
 def write_ply(
-    path: Path, arrays: Mapping[str, Floats], target: Target = PLAIN, *, durable: bool = True
+    path: Path,
+    arrays: Mapping[str, Floats],
+    target: Target = PLAIN,
+    *,
+    more: Mapping[str, Float32] | None = None,
+    durable: bool = True,
 ) -> None:
     """Write Gaussians under `path`, whole or not at all.
 
@@ -90,20 +95,24 @@ def write_ply(
             (N, 4), `log_scales` (N, 3), `logit_opacities` (N,), `sh` (N, K, 3) with K = 1, 4, 9
             or 16.
         target: what they are made for.
+        more: float properties (N,) of other names, which viewers ignore.
         durable: as `atomic_write`.
     """
-    sh = arrays["sh"]
+    sh, more = arrays["sh"], more or {}
     count, bands = sh.shape[:2]
     rest = 3 * (bands - 1)
-    names = _columns(rest)
+    names = [*_columns(rest), *more]
     table = np.zeros((count, len(names)), dtype="<f4")
+    for place, name in enumerate(more, start=len(names) - len(more)):
+        table[:, place] = more[name]
     means = arrays["means"]
     table[:, 0:3] = means
     table[:, 6:9] = sh[:, 0]
     table[:, 9 : 9 + rest] = sh[:, 1:].transpose(0, 2, 1).reshape(count, rest)
-    table[:, -8] = arrays["logit_opacities"]
-    table[:, -7:-4] = arrays["log_scales"]
-    table[:, -4:] = arrays["quats"]
+    shape = table[:, 9 + rest : 17 + rest]
+    shape[:, 0] = arrays["logit_opacities"]
+    shape[:, 1:4] = arrays["log_scales"]
+    shape[:, 4:] = arrays["quats"]
     header = ["ply", "format binary_little_endian 1.0"]
     header += [*target_lines(target), f"element vertex {count}"]
     types = dict.fromkeys(names, "float")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,7 +57,9 @@ def wgpu() -> Any:
 
         if "XDG_RUNTIME_DIR" not in os.environ:  # no desktop: a layer of Mesa's would complain
             os.environ.setdefault("NODEVICE_SELECT", "1")
-        set_instance_extras(backends=("Vulkan", "Metal", "DX12"))  # OpenGL's writes to the terminal
+        with suppress(RuntimeError):  # somebody else in this process has asked for GPUs before
+            # not OpenGL, which writes to the terminal
+            set_instance_extras(backends=("Vulkan", "Metal", "DX12"))
     except (ImportError, OSError, RuntimeError) as error:
         reason = "" if isinstance(error, ModuleNotFoundError) else f" ({error})"
         raise KernelError(

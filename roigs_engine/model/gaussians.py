@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from ..errors import ConfigError
-from ..formats.splat_ply import Check, Floats, nothing, read_ply, target_of, write_ply
+from ..formats.splat_ply import Check, Float32, Floats, nothing, read_ply, target_of, write_ply
 from ..formats.targets import PLAIN, Target
 from .local_frame import LocalFrame
 from .roi import OrientedBox
@@ -145,9 +145,17 @@ class Gaussians:
         }
         return cls(**tensors, target=target)
 
-    def save_ply(self, path: Path, frame: LocalFrame | None = None) -> None:
-        """Write a standard 3DGS PLY in the world, atomically; `frame`: of these Gaussians."""
-        write_ply(path, self.arrays(frame), self.target)
+    def save_ply(
+        self,
+        path: Path,
+        frame: LocalFrame | None = None,
+        more: Mapping[str, Float32] | None = None,
+    ) -> None:
+        """Write a standard 3DGS PLY in the world, atomically; `frame`: of these Gaussians.
+
+        `more`: as for `write_ply`.
+        """
+        write_ply(path, self.arrays(frame), self.target, more=more)
 
     def arrays(self, frame: LocalFrame | None = None) -> dict[str, Floats]:
         """The five arrays by name, as a PLY has them, in the world; `frame`: of these Gaussians."""

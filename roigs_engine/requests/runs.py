@@ -181,6 +181,31 @@ class MakeSurface(Threads, Device):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Confidence(Threads, Device):
+    """How well the photos of a finished run know each Gaussian."""
+
+    run: Path = argument(PATH, "folder of the run")
+    model: Path | None = option(
+        FILE,
+        "PLY in the COLMAP frame, or a JSON list of PLYs and their places (default: the run's"
+        " result)",
+    )
+    heat_map: bool = option(
+        FLAG,
+        "colour the Gaussians of a PLY by the number of directions: blue few, yellow many",
+        False,
+    )
+    scene: Path | None = option(DIR, "COLMAP project of the run, if it was moved")
+    out: Path = option(
+        PathName("FILE.ply|FILE.npy"),
+        "PLY of the model with three more properties, or a NumPy file with these columns for each"
+        " Gaussian: photos that show it, directions from which they do (of 128), error of its"
+        " colours in the test photos (root mean square, 0 to 1; NaN: none shows it)",
+        required=True,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class Batch(Request):
     """The runs of a table of scenes, several at once, here or on a cluster."""
 

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roigs_engine.app import objects
-from roigs_engine.app.instances import InstanceRecord
+from roigs_engine.app.instances import InstanceRecord, as_one
 from roigs_engine.cli import main
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.context import QUIET
@@ -94,7 +93,7 @@ def test_a_model_stays_antialiased(tmp_path: Path) -> None:
     for antialiased in (False, True):
         replace(cloud(), target=target_with(antialiased=antialiased)).save_ply(tmp_path / "a.ply")
         wanted = [InstanceRecord(str(tmp_path / "a.ply"), np.eye(4))]
-        model, _ = objects._as_one(wanted, LocalFrame.world(), QUIET)
+        model, _ = as_one(wanted, LocalFrame.world(), QUIET)
         assert model.antialiased is antialiased
 
 
@@ -123,5 +122,5 @@ def test_both_kinds_are_judged_as_most_are(tmp_path: Path, most: bool) -> None:
             Gaussians.concatenate(models), target=target_with(antialiased=antialiased)
         ).save_ply(path)
         wanted.append(InstanceRecord(str(path), np.eye(4)))
-    model, rows = objects._as_one(wanted, LocalFrame.world(), QUIET)
+    model, rows = as_one(wanted, LocalFrame.world(), QUIET)
     assert model.antialiased is most and len(rows) == 4 * len(cloud())

@@ -88,6 +88,12 @@ def test_without_wgpu_it_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
         choose_device("gpu")
 
 
+def test_somebody_else_may_have_asked_for_gpus_before() -> None:
+    software_adapter()  # wgpu has its instance
+    adapters.wgpu.cache_clear()
+    assert adapters.wgpu().gpu.enumerate_adapters_sync()
+
+
 def test_it_is_checked_before_it_draws(monkeypatch: pytest.MonkeyPatch) -> None:
     adapter, said = software_adapter(), list[Any]()
     context = Context(emit=said.append)

@@ -1,0 +1,125 @@
+"""How well photos know each Gaussian (ours): how many show it, from where, and how wrong it is.
+
+A photo shows a Gaussian where its alpha x T is 1/255 or more on some pixel. Its direction is the
+nearest of 128 that are even over the sphere, about 18 degrees apart. The error is of photos that
+trained nothing:
+
+    error_i = sqrt(sum_p w_i(p) e(p)^2 / sum_p w_i(p))
+
+over the pixels p of held-out photos that show i, with its weight w_i(p) = alpha x T and the
+difference e(p) of picture and photo, so each pixel's error falls on what the pixel shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..context import QUIET, Context
+from ..formats.confidence import COLUMNS
+from ..model.gaussians import Gaussians
+from ..model.scene import PosedImage
+from ..photos.mask_images import load_counted
+from ..rasterize.limits import PICTURE_LIMITS
+from ..rasterize.view import blending_weights, render_view
+from ..selection.coverage import fibonacci_directions, nearest_direction
+from ..training.floaters import FAINT
+from .metrics import squared_error
+
+DIRECTIONS = 128
+WORD = 64  # directions in a number of a Gaussian's set of them
+
+Float32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Confidence:
+    """What photos know of N Gaussians.
+
+    Attributes:
+        photos: (N,) training photos that show each.
+        directions: (N,) of `DIRECTIONS`, from which they do.
+        error: (N,) of its colours in held-out photos, root mean square, 0 to 1; NaN: none shows it.
+    """
+
+    photos: Float32
+    directions: Float32
+    error: Float32
+
+    @property
+    def columns(self) -> dict[str, Float32]:
+        """Name -> values, as a PLY has them."""
+        return dict(zip(COLUMNS, (self.photos, self.directions, self.error), strict=True))
+
+
+def confidence(
+    gaussians: Gaussians,
+    images: Sequence[PosedImage],
+    held_out: Sequence[PosedImage],
+    context: Context = QUIET,
+) -> Confidence:
+    """What photos know of each Gaussian of a model.
+
+    Args:
+        gaussians: the model, in the frame of the photos.
+        images: the photos that it was trained on; their pixels are not used.
+        held_out: photos that it was not trained on.
+
+    PhotoError, MaskError: a held-out photo cannot be read.
+    """
+    photos, directions = _seen(gaussians, images, context)
+    return Confidence(
+        photos=photos, directions=directions, error=_errors(gaussians, held_out, context)
+    )
+
+
+def _seen(
+    gaussians: Gaussians, images: Sequence[PosedImage], context: Context
+) -> tuple[Float32, Float32]:
+    """(N,) photos that show each Gaussian, and (N,) the number of their directions."""
+    means = gaussians.means.detach().cpu().numpy().astype(np.float64)
+    even = fibonacci_directions(DIRECTIONS)
+    photos = np.zeros(len(means), np.int64)
+    sets = np.zeros((len(means), DIRECTIONS // WORD), np.uint64)
+    views = [(image.camera, image.world_to_camera) for image in images]
+    every = blending_weights(gaussians, views, context, limits=PICTURE_LIMITS)
+    for image, weights in zip(images, every, strict=True):
+        rows = np.flatnonzero((weights.largest >= FAINT).cpu().numpy())
+        ways = image.centre - means[rows]
+        ways /= np.maximum(np.linalg.norm(ways, axis=1), 1e-300)[:, None]
+        nearest = nearest_direction(ways, even) if len(rows) else np.zeros(0, np.int64)
+        photos[rows] += 1
+        sets[rows, nearest // WORD] |= np.uint64(1) << (nearest % WORD).astype(np.uint64)
+    bits = np.arange(WORD, dtype=np.uint64)
+    count = sum(((sets >> bit) & np.uint64(1)).sum(axis=1) for bit in bits)
+    return photos.astype(np.float32), np.asarray(count, np.float32)
+
+
+@torch.no_grad()
+def _errors(gaussians: Gaussians, held_out: Sequence[PosedImage], context: Context) -> Float32:
+    """(N,) the error of each Gaussian in held-out photos; NaN where none shows it."""
+    device = gaussians.means.device
+    wrong = torch.zeros(len(gaussians), dtype=torch.float64, device=device)
+    light = torch.zeros_like(wrong)
+    for image in held_out:
+        context.check_cancelled()
+        pixels, counted = load_counted(image)
+        photo = torch.from_numpy(pixels).to(device) / 255.0
+        picture = render_view(gaussians, image.camera, image.world_to_camera).image
+        mask = torch.ones(photo.shape[:2], device=device)
+        if counted is not None:
+            mask = torch.from_numpy(counted).to(mask)
+        views = [(image.camera, image.world_to_camera)] * 2
+        parts = (squared_error(picture, photo) * mask, mask)
+        of_error, of_light = blending_weights(
+            gaussians, views, context, limits=PICTURE_LIMITS, pixels=parts
+        )
+        shown = of_light.largest >= FAINT
+        wrong += torch.where(shown, of_error.total, 0.0)
+        light += torch.where(shown, of_light.total, 0.0)
+    found = torch.where(light > 0, wrong / light, torch.nan).sqrt()
+    return found.cpu().numpy().astype(np.float32)

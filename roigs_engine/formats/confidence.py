@@ -1,0 +1,28 @@
+"""What photos know of Gaussians, as columns of a PLY and as colours; numpy only."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32 = NDArray[np.float32]
+
+COLUMNS = ("photos", "directions", "error")
+"""Photos that show a Gaussian, directions of 128 from which they do, error in held-out photos."""
+
+FULL = 0.95  # share of the Gaussians whose directions are not more than the brightest colour's
+STOPS = np.array(((0.0, 0.13, 0.31), (0.49, 0.48, 0.47), (1.0, 0.91, 0.22)))
+"""sRGB of few, some and many: from blue by grey to yellow, which all kinds of sight tell apart."""
+
+
+def most_directions(directions: Float32) -> float:
+    """(N,) -> the number of directions that has the brightest colour; at least 1."""
+    found = directions[np.isfinite(directions)]
+    return max(1.0, float(np.quantile(found, FULL))) if len(found) else 1.0
+
+
+def colours(directions: Float32, most: float) -> Float32:
+    """(N,) numbers of directions -> (N, 3) sRGB; `most` and more are brightest. NaN is dark."""
+    share = np.minimum(np.nan_to_num(directions) / most, 1.0)
+    found = [np.interp(share, (0, 0.5, 1), STOPS[:, band]) for band in range(3)]
+    return np.stack(found, axis=1).astype(np.float32)
