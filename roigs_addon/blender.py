@@ -7,6 +7,7 @@ be of any kind. The functions here say where that is not so.
 from __future__ import annotations
 
 import os
+import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -109,9 +110,43 @@ def absolute(path: str) -> Path:
     return full_path(path)
 
 
+def stored(path: str) -> Path:
+    """The file or folder that a .blend names, in full; as `absolute`.
+
+    Raises:
+        AddonError: also if the path is of another system, or no full one: it would be in the
+            folder that Blender was started in.
+    """
+    full = absolute(path)
+    if path and not os.path.isabs(bpy.path.abspath(path)):
+        raise AddonError(f"{path} is not a full path on this computer. Choose it again.")
+    return full
+
+
 def full_path(path: str) -> Path:
     """The same without the check, for what may not fail."""
     return Path(os.path.abspath(bpy.path.abspath(path)))
+
+
+def is_plain_file(path: str | Path) -> bool:
+    """Whether a path leads to a file that can be opened without waiting: no pipe, no device."""
+    try:
+        return stat.S_ISREG(os.stat(path).st_mode)
+    except (OSError, ValueError):  # ValueError: a NUL in it
+        return False
+
+
+def load_image(path: Path, *, check_existing: bool = False) -> bpy.types.Image | None:
+    """A picture of a file as an image of Blender's; None if it is none, or not to be opened.
+
+    Blender itself would wait for a pipe for ever.
+    """
+    if not is_plain_file(path):
+        return None
+    try:
+        return bpy.data.images.load(str(path), check_existing=check_existing)
+    except (RuntimeError, UnicodeError):  # missing, no picture, or a name that is no text
+        return None
 
 
 def delete(item: bpy.types.Object) -> None:

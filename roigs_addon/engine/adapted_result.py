@@ -41,9 +41,10 @@ def write(source: Path, adapted: Path, place: Path) -> None:
         chosen = np.array([rows[key] for key in keys], np.int64)
         part = {name: values[chosen] for name, values in made.items()}
         splat_ply.write_ply((fine if path in parts else place) / path.name, part, target)
-    if (source / run_files.COARSE).is_dir():
+    if first := files.matching(source / run_files.COARSE, "*.ply"):
         coarse = made_folder(place, run_files.COARSE)
-        shutil.copytree(source / run_files.COARSE, coarse, dirs_exist_ok=True)
+        for path in first:
+            _copy(path, coarse / path.name)
     try:
         settings = files.read_json(source / run_files.SETTINGS)
     except EngineError:
@@ -51,6 +52,12 @@ def write(source: Path, adapted: Path, place: Path) -> None:
     if isinstance(settings, dict):
         files.write_json(place / run_files.SETTINGS, settings | {"made_for": target.name})
     splat_ply.write_ply(place / run_files.RESULT, made, target)  # last: it makes the rest a result
+
+
+def _copy(path: Path, to: Path) -> None:
+    """Copy a file; a link in the place of the copy is replaced."""
+    with open(path, "rb", opener=files.regular) as source, files.atomic_write(to) as target:
+        shutil.copyfileobj(source, target)
 
 
 def _keys(arrays: dict[str, splat_ply.Floats]) -> list[bytes]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import AddonError
-from ..shared import clean_up, files, run_files
+from ..shared import EngineError, clean_up, files, run_files
 from . import report, run_settings
 from .run_settings import RunSettings
 
@@ -61,6 +61,9 @@ def delete(run: Path, name: str) -> None:
     if name not in known:
         raise AddonError("This result was deleted already.")
     try:
+        files.own_folder(run, run_files.EARLIER, name)
         shutil.rmtree(known[name])
+    except EngineError as error:
+        raise AddonError(f"Cannot delete {known[name]}: {error.message}") from error
     except OSError as error:
         raise AddonError(f"Cannot delete {known[name]} ({error.strerror or error}).") from error

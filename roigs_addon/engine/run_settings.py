@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from ..shared import EngineError, files, run_files, targets, text
-from .training_steps import PRESET_STEPS, stage_steps
+from .training_steps import MOST_FACTOR, PRESET_STEPS, stage_steps
 
 THIS, EARLIER = "this version's settings", "an earlier version's settings"
 LATER = ("exclude", "count", "steps", "recipe")
 """Not taken as they are."""
-MOST_STEPS, MOST_FACTOR = 10**9, 1e6
+MOST_STEPS = 10**9
 MADE_FOR = {target.name: target.title for target in targets.TARGETS.values()}
 NAMED = 2
 """Photos that are named."""

@@ -12,11 +12,13 @@ REFINE_SHARE = 0.2
 CUTOUT_SHARE = 0.6
 """Of the boxes' steps, for the stage that cuts objects out, which only masks of objects bring."""
 PAPER = "paper"
+MOST_FACTOR = 1e6
 
 
 def stage_steps(preset: str, factor: float) -> tuple[int, int]:
     """The steps of the scene, and of the boxes, when a preset's are multiplied."""
-    scene, roi = (max(1, round(steps * factor)) for steps in PRESET_STEPS[preset])
+    usable = factor if 0 < factor < MOST_FACTOR else 1.0  # a .blend may have any number
+    scene, roi = (max(1, round(steps * usable)) for steps in PRESET_STEPS[preset])
     return scene, roi
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import bpy
 import bpy.utils.previews
 
+from ..blender import is_plain_file
 from ..scene import lookup
 
 MOST = 100
@@ -24,7 +25,7 @@ def icon(scene: bpy.types.Scene, photo: str) -> int:
     global _pictures
     camera = next(iter(lookup.named_cameras(scene, {photo})), None)
     record = lookup.photo_record(camera) if camera else None
-    if record is None or not record.path:
+    if record is None or not is_plain_file(record.path):
         return 0
     if _pictures is None:
         _pictures = bpy.utils.previews.new()

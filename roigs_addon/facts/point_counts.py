@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..blender import mesh_of
+from ..engine.exported_model import read_numbers
 from ..errors import AddonError
 from ..geometry.box import Box
 from ..properties import scene_props
@@ -49,12 +50,24 @@ class _Model:
         self.key, self.counts = key, {}
         self.observations = self.offsets = None
         try:
-            # Not mapped: Blender dies when a mapped file is lost, as on a network drive.
-            self.points = np.load(Path(folder) / "points.npy")
-            self.observations = np.load(Path(folder) / "observed.npy")
-            self.offsets = np.load(Path(folder) / "observed_starts.npy")
+            self.points = read_numbers(Path(folder), "points.npy", 3)
+            self.observations, self.offsets = _observed(Path(folder), len(self.points))
         except (OSError, ValueError):  # the cache was emptied; points can still be counted
             self.points = clouds.positions(cloud) if cloud else np.zeros((0, 3), np.float32)
+
+
+def _observed(folder: Path, points: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The points that photos observe, and where those of each photo begin; raises ValueError."""
+    rows = read_numbers(folder, "observed.npy")
+    starts = read_numbers(folder, "observed_starts.npy")
+    for numbers, most in ((rows, points - 1), (starts, len(rows))):
+        if numbers.dtype.kind not in "iu" or (len(numbers) and not _within(numbers, most)):
+            raise ValueError("observed.npy is of another model")
+    return rows, starts
+
+
+def _within(numbers: NDArray[Any], most: int) -> bool:
+    return bool(numbers.min() >= 0 and numbers.max() <= most)
 
 
 _model = _Model()

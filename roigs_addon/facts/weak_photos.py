@@ -7,9 +7,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ..engine import exported_model
 from ..properties import scene_props
 from ..scene import exclusions
-from ..shared import files, projects, text
+from ..shared import projects
 
 _found: dict[str, list[str]] = {}
 
@@ -26,11 +27,11 @@ def used(scene: bpy.types.Scene) -> list[str]:
 def _weak(folder: Path) -> list[str]:
     """Those of an exported model; none if it is not there, or knows nothing of observations."""
     try:
-        starts = np.load(folder / "observed_starts.npy")
-        images = text.parse_json(files.read_bytes(folder / "scene.json"))["images"]
+        starts = exported_model.read_numbers(folder, "observed_starts.npy")
+        images = exported_model.read_record(folder)["images"]
         points = np.diff(starts).tolist()
-        counts = {str(i["name"]): int(n) for i, n in zip(images, points, strict=True)}
-    except (OSError, ValueError, KeyError, TypeError):
+        counts = {image["name"]: int(n) for image, n in zip(images, points, strict=True)}
+    except (OSError, ValueError, OverflowError):
         return []
     return projects.weakly_observed(counts) if any(points) else []
 

@@ -6,7 +6,6 @@ the texture, so that nothing is watertight. Here each vertex is read once, to th
 
 from __future__ import annotations
 
-import json
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..shared import files, text
+
 NUMBERS = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 """glTF's component types."""
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
+MOST_BYTES = 256 << 20
+WRONG = (struct.error, ValueError, LookupError, TypeError, AttributeError, OverflowError)
+"""What a damaged record leads to."""
+PICTURES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff")
+"""How pictures begin that a texture may be: PNG and JPEG. Blender reads many more formats."""
 HEADER = struct.Struct("<4sII")
 CHUNK = struct.Struct("<II")
 
@@ -43,18 +49,18 @@ def read_glb(path: Path) -> TexturedMesh:
     """Read the first mesh of a file.
 
     Raises:
-        OSError: it cannot be read.
+        OSError: it cannot be read, or is no file.
         ValueError: it is damaged, or not a mesh with a texture, in one line.
     """
-    data = path.read_bytes()
+    data = files.read_bytes(path, MOST_BYTES)
     try:
         magic, _, _ = HEADER.unpack_from(data)
         size, _ = CHUNK.unpack_from(data, HEADER.size)
         begin = HEADER.size + CHUNK.size
         if magic != b"glTF":
             raise ValueError("no glTF")
-        return _mesh(json.loads(data[begin : begin + size]), data[begin + size + CHUNK.size :])
-    except (struct.error, ValueError, LookupError, TypeError, AttributeError) as error:
+        return _mesh(text.parse_json(data[begin : begin + size]), data[begin + size + CHUNK.size :])
+    except WRONG as error:
         raise ValueError(f"{path} is damaged, or not the mesh of a box.") from error
 
 
@@ -63,20 +69,26 @@ def _mesh(record: Any, binary: bytes) -> TexturedMesh:
     names = part["attributes"]
     places = _numbers(record, binary, names["POSITION"])
     corners = _numbers(record, binary, part["indices"]).reshape(-1, 3)
-    if not np.isfinite(places).all():
+    points = _numbers(record, binary, names["TEXCOORD_0"])
+    if (places.shape[1], points.shape[1]) != (3, 2) or not np.isfinite(places).all():
         raise ValueError("not at numbers")
-    uv = _numbers(record, binary, names["TEXCOORD_0"])[corners] * (1, -1) + (0, 1)
+    uv = np.nan_to_num(points)[corners] * (1, -1) + (0, 1)
     rows = np.ascontiguousarray(places).view(np.dtype((np.void, 3 * places.itemsize))).ravel()
     _, first, welded = np.unique(rows, return_index=True, return_inverse=True)
     corners = welded.ravel()[corners].astype(np.int32)
     flat = (corners == corners[:, (1, 2, 0)]).any(axis=1)
+    if flat.all():
+        raise ValueError("no faces")
     colour = record["materials"][part["material"]]["pbrMetallicRoughness"]["baseColorTexture"]
     image = record["images"][record["textures"][colour["index"]]["source"]]
+    picture = _bytes(record, binary, image["bufferView"])
+    if not picture.startswith(PICTURES):
+        raise ValueError("its picture is neither PNG nor JPEG")
     return TexturedMesh(
         vertices=places[first].astype(np.float32),
         corners=corners[~flat],
         uv=uv[~flat].astype(np.float32),
-        picture=_bytes(record, binary, image["bufferView"]),
+        picture=picture,
     )
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import bpy
 
-from ..blender import absolute, full_path
+from ..blender import absolute, full_path, stored
 from ..engine import reconstruction
 from ..errors import AddonError
 from ..properties import scene_props
@@ -36,8 +36,8 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
     props = scene_props(scene)
     if not props.photos:
         raise AddonError(NO_PHOTOS)
-    for path in (props.project, props.masks):
-        absolute(path)  # raises, which panels must not
+    for path in (props.photos, props.project, props.masks):
+        stored(path)  # raises, which panels must not
     photos, project = photos_folder(props.photos), project_folder(scene)
     masks = masks_folder(scene)
     log = import_job.made_export_folder(project) / import_job.LOG

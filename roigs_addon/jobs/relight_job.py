@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..blender import load_image
 from ..engine import own_files
 from ..engine.writing import writing
 from ..errors import AddonError
@@ -86,11 +87,10 @@ def light(scene: bpy.types.Scene, item: bpy.types.Object, picture: Path, turn: M
 
 def _pixels(path: Path) -> NDArray[np.float32]:
     """(H, W, 3) linear light of a file."""
-    try:
-        image = bpy.data.images.load(str(path))
-        found = pixels_of(image)[::-1, :, :3]
-    except RuntimeError as error:
-        raise AddonError(f"{path} cannot be read. Click Relight again.") from error
+    image = load_image(path)
+    if image is None:
+        raise AddonError(f"{path} cannot be read. Click Relight again.")
+    found = pixels_of(image)[::-1, :, :3]
     bpy.data.images.remove(image)
     if not found.size:
         raise AddonError(f"{path} has no picture. Click Relight again.")

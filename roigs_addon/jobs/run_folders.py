@@ -18,7 +18,7 @@ from pathlib import Path
 import bpy
 
 from .. import settings
-from ..blender import following, full_path, persistent
+from ..blender import following, full_path, persistent, stored
 from ..engine.writing import writing
 from ..errors import AddonError
 from ..properties import object_props, scene_props
@@ -45,7 +45,7 @@ def settle(scene: bpy.types.Scene) -> Path:
     what the one in the user's folder has: selections, masks, imported Gaussians.
 
     Raises:
-        AddonError: another scene uses it too, or it cannot be created.
+        AddonError: another scene uses it too, it cannot be created, or it is no full path.
     """
     folder = run_folder(scene)
     for other in bpy.data.scenes:
@@ -53,6 +53,8 @@ def settle(scene: bpy.types.Scene) -> Path:
             raise AddonError(
                 f"Scene '{other.name}' also uses the run folder {folder}. Change one of them."
             )
+    if scene_props(scene).run_dir:
+        stored(scene_props(scene).run_dir)
     before, moves = folder, _is_left_behind(folder)
     if moves:
         folder = _proposed(scene)

@@ -14,6 +14,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
+from ..blender import load_image
 from ..engine import own_files
 from ..engine.writing import writing
 from ..errors import AddonError
@@ -173,8 +174,10 @@ def read_picture(path: Path) -> bpy.types.Image:
     Raises:
         AddonError: it cannot be read.
     """
+    image = load_image(path)
     try:
-        image = bpy.data.images.load(str(path))
+        if image is None:
+            raise RuntimeError("no picture")
         image.pack()
     except RuntimeError as error:
         raise AddonError(f"{path} cannot be read. Click Light From Scene again.") from error

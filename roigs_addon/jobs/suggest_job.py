@@ -12,7 +12,7 @@ from ..engine.python import FOR_SUGGESTING, FOR_TRAINING
 from ..engine.writing import made_folder
 from ..properties import scene_props
 from ..scene import suggestions
-from ..shared import run_files, text
+from ..shared import files, run_files, text
 from . import options_files, run_folders
 from .spec import SUGGESTING, JobSpec
 
@@ -50,9 +50,12 @@ def packages(scene: bpy.types.Scene) -> tuple[str, ...]:
 
 
 def page(scene: bpy.types.Scene) -> Path | None:
-    """The page with the suggestions, to print or for the phone; None: it is not there."""
-    folder = run_folders.run_folder(scene) / own_files.OWN / own_files.SUGGESTED
-    return folder / PAGE if os.path.isfile(folder / PAGE) else None
+    """The page with the suggestions, to print or for the phone; None: it is not there.
+
+    A link in its place is not followed: the system opens what it is given as whatever it is.
+    """
+    page = run_folders.run_folder(scene) / own_files.OWN / own_files.SUGGESTED / PAGE
+    return page if os.path.isfile(page) and not files.is_link(page) else None
 
 
 def _model(scene: bpy.types.Scene) -> Path | None:

@@ -15,6 +15,7 @@ from ..jobs.job import Job
 from ..jobs.spec import JobSpec
 from ..properties import scene_props
 from ..scene import lookup
+from ..shared import text as texts
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
@@ -33,9 +34,13 @@ def failed(operator: bpy.types.Operator, error: AddonError | str) -> OperatorRes
 
 
 def tell(operator: bpy.types.Operator, level: str, text: str) -> None:
-    """Report a line; of names on disk that are no text, Blender takes none."""
+    """Report a line: a terminal gets no control characters of names in it.
+
+    Of names on disk that are no text, Blender takes none.
+    """
     shown: set[Any] = {level}
-    operator.report(shown, text.encode("utf-8", "backslashreplace").decode())
+    line = texts.printable(text).encode("utf-8", "backslashreplace").decode()
+    operator.report(shown, line)
 
 
 def available(cls: type[bpy.types.Operator], reason: str) -> bool:
@@ -100,7 +105,7 @@ class EngineOperator(bpy.types.Operator):
         if result.failed:
             return failed(self, result.message)
         if result.stopped:
-            self.report({"WARNING"}, job.state.message)
+            tell(self, "WARNING", job.state.message)
             return {"CANCELLED"}
         self._tell(job)
         return {"FINISHED"}

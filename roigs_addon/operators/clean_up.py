@@ -14,7 +14,7 @@ from ..errors import AddonError
 from ..scene import lookup, point_edits
 from ..shared import text
 from ..viewport import chosen
-from .base import FRESH, NO_BOX, available, failed
+from .base import FRESH, NO_BOX, available, failed, tell
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
@@ -80,7 +80,7 @@ class CleanUpTool(bpy.types.Operator):
             said = act(found, self.action, extend=self.extend)
         except AddonError as error:
             return failed(self, error)
-        self.report({"INFO"}, said)
+        tell(self, "INFO", said)
         return {"FINISHED"}
 
     def mask(self, item: bpy.types.Object, context: bpy.types.Context) -> Mask:
@@ -165,7 +165,7 @@ class DeleteChosen(bpy.types.Operator):
             said = act({item: point_edits.chosen(item) for item in items}, "DELETE")
         except AddonError as error:
             return failed(self, error)
-        self.report({"INFO"}, said)
+        tell(self, "INFO", said)
         return {"FINISHED"}
 
 

@@ -20,7 +20,7 @@ from ..facts import engine_ability, graphics_card, training_device
 from ..jobs import current, terminal
 from ..shared import clean_up
 from ..windows import Timer, redraw
-from .base import BUSY, FRESH, available, failed
+from .base import BUSY, FRESH, available, failed, tell
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
@@ -178,9 +178,9 @@ class CheckEngine(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Report every finding."""
         for finding in look_again():
-            self.report({"INFO" if finding.works else "WARNING"}, finding.text)
+            tell(self, "INFO" if finding.works else "WARNING", finding.text)
         if device := training_device.asked():
-            self.report({"INFO"}, training_device.in_words(device))
+            tell(self, "INFO", training_device.in_words(device))
         return {"FINISHED"}
 
 

@@ -21,7 +21,7 @@ from ..geometry.picking import Sight
 from ..scene import lookup, point_edits
 from ..viewport import brush
 from ..windows import redraw
-from .base import FRESH, available, failed
+from .base import FRESH, available, failed, tell
 from .clean_up import ACTIONS, act
 from .picking import Place, place_in_view
 
@@ -166,7 +166,7 @@ visible ones. Each stroke is one undo step"""
                 self._end(context)
                 return failed(self, error)
             bpy.ops.ed.undo_push(message=self.bl_label)
-            self.report({"INFO"}, said)
+            tell(self, "INFO", said)
         elif event.type == "MOUSEMOVE" and place is not None:
             (region, _), at = place
             self._take(at)

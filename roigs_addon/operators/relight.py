@@ -15,7 +15,7 @@ from ..jobs import current, relight_job
 from ..jobs.spec import JobSpec
 from ..scene import relight, taken
 from ..windows import redraw
-from .base import BUSY, FRESH, EngineOperator, available, failed
+from .base import BUSY, FRESH, EngineOperator, available, failed, tell
 from .results import NO_RESULT
 from .surface import NO_MESH, mesh_named
 
@@ -90,7 +90,7 @@ at its foot. Save the file, and find it in the Asset Browser"""
             asset = taken.take(scene_of(context), item)
         except AddonError as error:
             return failed(self, error)
-        self.report({"INFO"}, f"'{asset.name}' is an asset of this file. Save the file to use it")
+        tell(self, "INFO", f"'{asset.name}' is an asset of this file. Save the file to use it")
         redraw()
         return {"FINISHED"}
 

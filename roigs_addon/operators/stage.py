@@ -17,7 +17,7 @@ from ..jobs.spec import JobSpec
 from ..properties import object_props
 from ..scene import box_surfaces, lookup, stage
 from ..windows import redraw
-from .base import BUSY, FRESH, NO_BOX, EngineOperator, available, failed
+from .base import BUSY, FRESH, NO_BOX, EngineOperator, available, failed, tell
 from .results import NO_RESULT
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ it. The engine makes a mesh of the background once"""
             said = stage_job.apply(scene, run_folders.run_folder(scene), wanted, None)
         except AddonError as error:
             return failed(self, error)
-        self.report({"INFO"}, said)
+        tell(self, "INFO", said)
         undo.push(self.bl_label)
         redraw()
         return {"FINISHED"}

@@ -75,7 +75,7 @@ class OpenSuggestions(bpy.types.Operator):
         page = suggest_job.page(scene_of(context))
         if page is None:
             return failed(self, f"{NONE}.")
-        bpy.ops.wm.url_open(url=page.resolve().as_uri())
+        bpy.ops.wm.url_open(url=page.as_uri())
         return {"FINISHED"}
 
 

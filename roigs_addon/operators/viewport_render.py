@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import bpy
@@ -60,7 +61,9 @@ def _image(pixels: NDArray[np.float32]) -> bpy.types.Image:
     _write(pixels, path)
     image = next((i for i in bpy.data.images if _is_free(i, path)), None)
     if image is None:
-        image = bpy.data.images.load(path)
+        image = blender.load_image(Path(path))
+        if image is None:
+            raise AddonError(f"There is no picture: {path} cannot be read.")
         image.name = IMAGE
     else:
         image.reload()

@@ -17,7 +17,7 @@ from pathlib import Path
 import bpy
 
 from .. import settings
-from ..blender import camera_of, is_rendering
+from ..blender import camera_of, is_rendering, load_image
 from ..engine.process import EngineProcess
 from ..engine.python import FOR_DISTORTION, FOR_PICTURES
 from ..errors import AddonError
@@ -132,9 +132,8 @@ def _put(data: bpy.types.Camera, photo: Photo, path: Path) -> None:
         return
     if own and _path(own[0].image) == path:
         return
-    try:
-        image = bpy.data.images.load(str(path), check_existing=True)
-    except RuntimeError:  # missing or not a picture
+    image = load_image(path, check_existing=True)
+    if image is None:
         return
     if path != Path(photo.path):
         image[MARK] = True

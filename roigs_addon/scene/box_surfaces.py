@@ -23,7 +23,7 @@ from ..geometry.common_map import common_map
 from ..geometry.frames import Matrix
 from ..geometry.glb import TexturedMesh, read_glb
 from ..properties import object_props, scene_props
-from ..shared import EngineError, files
+from ..shared import EngineError, files, text
 from . import clouds, detail, edits, lookup, splats, textured_meshes, visibility
 from .splat_attributes import FRAME, PLACE, imported_frame, move_to_frame, values
 
@@ -245,7 +245,7 @@ def _is_painted(image: bpy.types.Image) -> bool:
 def record(item: bpy.types.Object) -> dict[str, Any]:
     """What the engine says of a mesh; lengths in units of the COLMAP model."""
     try:
-        found = json.loads(object_props(item).surface)
+        found = text.parse_json(object_props(item).surface.encode())
     except ValueError:
         return {}
     return found if isinstance(found, dict) else {}

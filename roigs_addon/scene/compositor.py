@@ -80,8 +80,9 @@ def reload(scene: bpy.types.Scene) -> None:
 def _images(scene: bpy.types.Scene) -> list[Any]:
     """The images of the group."""
     group = find(scene)
-    nodes = group.nodes if group else ()
-    return [node.image for node in nodes if node.type == "IMAGE" and node.image is not None]
+    found = [node.image for node in group.nodes if node.type == "IMAGE"] if group else []
+    # Others are of somebody who has changed the group.
+    return [i for i in found if i is not None and i.get(MARK) in ("colour", "depth")]
 
 
 def _file(out: Path, kind: str) -> Path:

@@ -11,6 +11,7 @@ from mathutils import Matrix
 from numpy.typing import NDArray
 
 from ..blender import camera_of, mesh_of, view_layer_of
+from ..engine import exported_model
 from ..errors import AddonError
 from ..geometry.frames import camera_matrix
 from ..geometry.photo import Photo
@@ -25,6 +26,9 @@ ROOT_NAME = "COLMAP"
 CAMERA_SIZE, POINT_RADIUS = 0.02, 0.0015
 PHOTOS_OF_IMPORT = "roigs_photos"
 """Custom property that marks the collection of an import's cameras."""
+
+MALFORMED = (ValueError, KeyError, TypeError, OverflowError)
+"""What a record of other values than the engine's raises."""
 
 UNPOSED = "without a pose"
 """In the engine's words: a photo whose camera was not found."""
@@ -103,11 +107,11 @@ def deleted_photos(scene: bpy.types.Scene) -> list[str]:
     None if the cache was emptied: what was imported is not known any more.
     """
     try:
-        record = _read_record(Path(scene_props(scene).model_cache))
-    except (OSError, ValueError, KeyError, TypeError):
+        record = exported_model.read_record(Path(scene_props(scene).model_cache))
+    except (OSError, ValueError):
         return []
     there = lookup.cameras(scene)
-    names = (str(image["name"]) for image in record["images"])
+    names = (image["name"] for image in record["images"])
     return [name for name in names if name not in there]
 
 
@@ -123,11 +127,18 @@ def restore_cameras(scene: bpy.types.Scene, names: set[str]) -> None:
     root: bpy.types.Object | None = scene_props(scene).root
     if root is None or not root.users_collection:
         raise AddonError(f"The empty '{ROOT_NAME}' is deleted. Import the COLMAP model again.")
-    record, parent = _read_record(Path(scene_props(scene).model_cache)), root.users_collection[0]
+    parent = root.users_collection[0]
+    try:
+        record = exported_model.read_record(Path(scene_props(scene).model_cache))
+        photos = [Photo.from_dict(image) for image in record["images"] if image["name"] in gone]
+        extent = _extent(record)
+    except (OSError, *MALFORMED) as error:
+        raise AddonError(
+            f"The cameras cannot be read ({error}). Import the model again."
+        ) from error
     collection = _photo_collection(parent, parent.name)
-    for image in record["images"]:
-        if image["name"] in gone:
-            _add_camera(collection, root, Photo.from_dict(image), _extent(record))
+    for photo in photos:
+        _add_camera(collection, root, photo, extent)
     cameras.fit_clips(scene, lookup.root_scale(scene))
 
 
@@ -223,21 +234,14 @@ def _is_marked(collection: bpy.types.Collection) -> bool:
 
 def _read(folder: Path) -> tuple[dict[str, Any], NDArray[np.float32], NDArray[np.uint8]]:
     try:
-        record = _read_record(folder)
-        points = np.load(folder / "points.npy", allow_pickle=False)
-        colours = np.load(folder / "colors.npy", allow_pickle=False)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        record = exported_model.read_record(folder)
+        points = exported_model.read_numbers(folder, "points.npy", 3)
+        colours = exported_model.read_numbers(folder, "colors.npy", 3)
+    except (OSError, ValueError) as error:
         raise AddonError(
             f"{folder} does not contain an exported model ({error}). Import again."
         ) from error
     return record, points.astype(np.float32), colours
-
-
-def _read_record(folder: Path) -> dict[str, Any]:
-    """The description of an exported model; OSError, ValueError, KeyError or TypeError if none."""
-    record: dict[str, Any] = text.parse_json((folder / "scene.json").read_bytes())
-    record["images"]
-    return record
 
 
 def _new_root(scene: bpy.types.Scene, name: str) -> bpy.types.Object:

@@ -51,18 +51,21 @@ def folders(scene: bpy.types.Scene, run: Path) -> list[Path]:
 
 
 def of_box(root: Path, roi: bpy.types.Object) -> Path:
-    """The folder of a box's masks."""
+    """The folder of a box's masks; AddonError: its name cannot name a file."""
     return mask_record.box_folders(root, rois.file_name(roi))[0]
 
 
 def are_there(scene: bpy.types.Scene, run: Path) -> bool:
     """Whether any box has masks that training will use."""
     roots = folders(scene, run)
-    return any(os.path.isdir(of_box(root, roi)) for root in roots for roi in lookup.rois(scene))
+    named = [roi for roi in lookup.rois(scene) if rois.has_file_name(roi)]
+    return any(os.path.isdir(of_box(root, roi)) for root in roots for roi in named)
 
 
 def file(scene: bpy.types.Scene, run: Path, roi: bpy.types.Object, photo: str) -> Path | None:
     """The mask of a photo that training uses; None: there is none."""
+    if not rois.has_file_name(roi):
+        return None
     *beside, in_run = [of_box(root, roi) for root in folders(scene, run)]
     theirs = [folder / mask_record.mask_name(photo) for folder in (*beside, in_run)]
     *first, last = [file if os.path.isfile(file) else None for file in theirs]

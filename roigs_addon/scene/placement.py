@@ -31,6 +31,9 @@ _written: dict[Path, str] = {}
 _found: dict[Path, str] = {}
 """File -> its text before this session wrote it; empty: there was none."""
 
+_scenes: dict[Path, int] = {}
+"""File -> the scene, by its number in this session, whose steps of undo the file follows."""
+
 _roots: dict[Path, Matrix] = {}
 """File -> where the root stands that the 3D views show."""
 
@@ -139,7 +142,7 @@ def keep(scene: bpy.types.Scene) -> Path:
     except (EngineError, OSError) as error:
         raise AddonError(str(error)) from error
     _found.setdefault(path, before)
-    _written[path] = text
+    _written[path], _scenes[path] = text, scene.session_uid
     props = scene_props(scene)
     props.placement, props.placement_key = text, _key(scene, root)
     return path
@@ -193,7 +196,7 @@ def _follow_root(scene: bpy.types.Scene, path: Path | None, moved: Matrix) -> No
 def _after_undo(scene: bpy.types.Scene, *_: object) -> None:
     """Give the file of a scene the text that belongs to the step that is shown now."""
     path = _file(scene) if isinstance(scene, bpy.types.Scene) else None
-    if path is None or path not in _written:
+    if path is None or path not in _written or _scenes[path] != scene.session_uid:
         return
     wanted = scene_props(scene).placement or _found[path]
     if wanted == _written[path]:
@@ -211,7 +214,16 @@ def _after_undo(scene: bpy.types.Scene, *_: object) -> None:
         _follow_root(scene, path, now @ np.linalg.inv(before))
 
 
-_follow, _leave = following(("undo_post", _after_undo), ("redo_post", _after_undo))
+@persistent
+def _forget(*_: object) -> None:
+    """The steps of another .blend say nothing of the files that this one has written."""
+    for known in (_written, _found, _scenes, _roots):
+        known.clear()
+
+
+_follow, _leave = following(
+    ("undo_post", _after_undo), ("redo_post", _after_undo), ("load_post", _forget)
+)
 
 
 def register() -> None:
@@ -222,5 +234,4 @@ def register() -> None:
 def unregister() -> None:
     """Follow none."""
     _leave()
-    for known in (_written, _found, _roots):
-        known.clear()
+    _forget()

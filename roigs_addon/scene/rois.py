@@ -258,6 +258,15 @@ def file_name(roi: bpy.types.Object) -> str:
         raise AddonError(str(error)) from error
 
 
+def has_file_name(roi: bpy.types.Object) -> bool:
+    """Whether the box's name can name a file: panels and views ask of any name."""
+    try:
+        file_name(roi)
+    except AddonError:
+        return False
+    return True
+
+
 def write(folder: Path, boxes: list[bpy.types.Object], scene: bpy.types.Scene) -> Path:
     """Write `rois.json` for the engine; returns its path.
 

@@ -52,11 +52,11 @@ def connect(scene: bpy.types.Scene) -> None:
             continue
         layer = scene.view_layers.get(layers.layer) or scene.view_layers[0]
         switch(layer, on=True)
-        if NODE not in group.nodes:
-            _insert(group)
-        source = layers.outputs.get(PASS)
-        if source is not None and not node.inputs[SOCKET].is_linked:
-            tree.links.new(source, node.inputs[SOCKET])
+        if NODE not in group.nodes and not _insert(group):
+            continue
+        source, target = layers.outputs.get(PASS), node.inputs.get(SOCKET)
+        if source is not None and target is not None and not target.is_linked:
+            tree.links.new(source, target)
 
 
 def disconnect(scene: bpy.types.Scene) -> None:
@@ -65,9 +65,9 @@ def disconnect(scene: bpy.types.Scene) -> None:
     if group is None or NODE not in group.nodes:
         return
     product = group.nodes[NODE]
-    source = product.inputs[_colours(product)[0]].links[0].from_socket
-    for link in list(product.outputs[_result(product)].links):
-        group.links.new(source, link.to_socket)
+    colours = product.inputs[_colours(product)[0]].links
+    for link in list(product.outputs[_result(product)].links) if colours else []:
+        group.links.new(colours[0].from_socket, link.to_socket)
     group.nodes.remove(product)
     for item in [i for i in group.interface.items_tree if i.name == SOCKET]:
         group.interface.remove(item)
@@ -87,19 +87,22 @@ def _nodes(scene: bpy.types.Scene) -> list[tuple[Any, Any]]:
 def _layers(scene: bpy.types.Scene, tree: Any, node: Any) -> Any | None:
     """The render layer whose picture a node merges; what lies between does not matter."""
     found = [n for n in tree.nodes if n.type == "R_LAYERS" and n.scene in (scene, None)]
-    links = node.inputs[1].links  # its depth, which users leave alone
+    links = [link for socket in node.inputs[1:2] for link in socket.links]  # of its depth
     straight = [link.from_node for link in links if link.from_node in found]
     return next(iter(straight or found), None)
 
 
-def _insert(group: Any) -> None:
-    """Multiply the Gaussians' colours by an input, right where they are read."""
+def _insert(group: Any) -> bool:
+    """Multiply the Gaussians' colours by an input, right where they are read.
+
+    False: the group has no nodes for that; somebody has changed it.
+    """
+    colour = next((node for node in group.nodes if _shows_colour(node)), None)
+    start = next((node for node in group.nodes if node.type == "GROUP_INPUT"), None)
+    if colour is None or start is None:
+        return False
     socket = group.interface.new_socket(SOCKET, in_out="INPUT", socket_type="NodeSocketColor")
     socket.default_value = (1.0, 1.0, 1.0, 1.0)
-    colour = next(
-        n for n in group.nodes if n.type == "IMAGE" and n.image[compositor.MARK] == "colour"
-    )
-    start = next(n for n in group.nodes if n.type == "GROUP_INPUT")
     product = compositor.either(group, "ShaderNodeMix", "CompositorNodeMixRGB")
     product.name = product.label = NODE
     if product.bl_idname == "ShaderNodeMix":
@@ -113,6 +116,13 @@ def _insert(group: Any) -> None:
     group.links.new(start.outputs[SOCKET], product.inputs[second])
     for follower in followers:
         group.links.new(product.outputs[_result(product)], follower)
+    return True
+
+
+def _shows_colour(node: Any) -> bool:
+    """Whether a node reads the Gaussians' colours."""
+    image = node.image if node.type == "IMAGE" else None
+    return image is not None and image.get(compositor.MARK) == "colour"
 
 
 def _colours(product: Any) -> tuple[int, int]:

@@ -31,6 +31,9 @@ PLACE = "imported"
 """Attribute: where a point was imported."""
 
 
+FAR = 1e15
+"""As for boxes and placements."""
+
 FRAME = "roigs_frame"
 """Custom property of a mesh: the map from its file's frame to its own, as it was imported."""
 
@@ -44,7 +47,15 @@ They are each point's own, so that meshes that are joined do not lose them.
 def imported_frame(mesh: bpy.types.Mesh) -> Matrix:
     """(4, 4) from the frame of a mesh's file to its own, before any edit."""
     stored: Any = mesh.get(FRAME)
-    return np.eye(4) if stored is None else np.array(stored, np.float64).reshape(4, 4)
+    if stored is None:
+        return np.eye(4)
+    try:
+        frame = np.array(stored, np.float64).reshape(4, 4)
+    except (ValueError, TypeError):
+        return np.eye(4)
+    # What a .blend says may be anything; a map that cannot be turned back is none of ours.
+    usable = (np.abs(frame) < FAR).all() and np.linalg.cond(frame) < 1 / np.finfo(float).eps
+    return frame if usable else np.eye(4)
 
 
 def move_to_frame(mesh: bpy.types.Mesh, frame: Matrix) -> None:

@@ -14,12 +14,14 @@ import bpy
 from mathutils import Vector
 
 from ..blender import delete
-from ..properties import object_props
+from ..properties import SHOWN_AS, object_props
+from ..shared import text
 from ..stage_properties import stage_props
 from . import compositor, display, lookup, shadow_pass
 
 NATIVE = "shown "
 """Before a name of Gaussians, in what is remembered: how they were shown."""
+WAYS = [way for way, _, _ in SHOWN_AS]
 LAMP = "roigs_lamp"
 """Custom property of a lamp: whether it was part of what was captured."""
 SETTINGS = {
@@ -89,7 +91,7 @@ def keep(scene: bpy.types.Scene, name: str, value: Any) -> None:
 
 def _before(scene: bpy.types.Scene) -> dict[str, Any]:
     try:
-        known = json.loads(stage_props(scene).before or "{}")
+        known = text.parse_json((stage_props(scene).before or "{}").encode())
     except ValueError:
         return {}
     return known if isinstance(known, dict) else {}
@@ -149,15 +151,15 @@ def remove(scene: bpy.types.Scene) -> None:
     stage, before = stage_props(scene), _before(scene)
     shadow_pass.disconnect(scene)
     for name, setting in SETTINGS.items():
-        if name in before:
+        if isinstance(before.get(name), bool):
             setattr(scene.render, setting, before[name])
     for layer in scene.view_layers:
         if (name := f"pass {layer.name}") in before:
             shadow_pass.switch(layer, on=bool(before[name]))
     for shown in lookup.splats(scene):
         way = before.get(f"{NATIVE}{shown.name}")
-        if way is not None and object_props(shown).shown_as == "EXACT":
-            display.show_as(shown, str(way))
+        if way in WAYS and object_props(shown).shown_as == "EXACT":
+            display.show_as(shown, way)
     item: Any
     for item in scene.objects:
         if LAMP in item:
@@ -185,10 +187,15 @@ def _remove_world(scene: bpy.types.Scene) -> None:
 
 def remove_world(own: bpy.types.World) -> None:
     """Delete a world of ours, with the picture that only it uses."""
-    tree: Any = own.node_tree
-    images = {n.image for n in tree.nodes if n.type == "TEX_ENVIRONMENT" and n.image}
+    images = {node.image for node in _nodes_of(own) if node.type == "TEX_ENVIRONMENT"} - {None}
     bpy.data.worlds.remove(own)
     bpy.data.batch_remove([image for image in images if not image.users])
+
+
+def _nodes_of(owner: Any) -> list[Any]:
+    """The nodes of a world or material; a stranger's may have none."""
+    tree = owner.node_tree
+    return list(tree.nodes) if tree is not None else []
 
 
 def delete_with_materials(item: bpy.types.Object) -> None:
@@ -198,8 +205,7 @@ def delete_with_materials(item: bpy.types.Object) -> None:
     pictures = set()
     for material in materials:
         if not material.users:
-            tree: Any = material.node_tree
-            pictures |= {node.image for node in tree.nodes if getattr(node, "image", None)}
+            pictures |= {n.image for n in _nodes_of(material) if getattr(n, "image", None)}
             bpy.data.materials.remove(material)
     with suppress(ReferenceError):
         bpy.data.batch_remove([each for each in pictures if not each.users])

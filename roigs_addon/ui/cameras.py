@@ -103,7 +103,7 @@ def _draw_list(layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.typ
     for action, icon in EDIT_ICONS.items():
         column.operator(EditSelection.bl_idname, text="", icon=icon).action = action
     layout.operator(EditSelection.bl_idname, text="Clear List", icon="X").action = "CLEAR"
-    if props.selection_index < len(props.selection):
+    if 0 <= props.selection_index < len(props.selection):
         photo = props.selection[props.selection_index].name
         layout.separator()
         if picture := photo_pictures.icon(scene, photo):

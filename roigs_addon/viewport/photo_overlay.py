@@ -16,7 +16,7 @@ import numpy as np
 from gpu_extras.batch import batch_for_shader
 from numpy.typing import NDArray
 
-from ..blender import region_of, region_view_of, scene_of, view_3d_of
+from ..blender import load_image, region_of, region_view_of, scene_of, view_3d_of
 from ..geometry.photo_places import Frame, in_region, unit
 from ..jobs import run_folders
 from ..properties import scene_props
@@ -144,9 +144,8 @@ def _read() -> bool:
 
 def _pixels(path: Path) -> NDArray[np.float32] | None:
     """(H, W, 4) of an image file, the bottom row first, as it is stored; None if it is none."""
-    try:
-        image: Any = bpy.data.images.load(os.fspath(path), check_existing=False)
-    except RuntimeError:
+    image: Any = load_image(path)
+    if image is None:
         return None
     try:
         image.colorspace_settings.name = "Non-Color"

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 RECORD = "certificates.json"
 TITLE = "Certificates"
+MOST = 1e15  # no score is larger: NaN and what no float holds are none, either
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +82,7 @@ class _Run:
         def read(name: str) -> dict[str, Any]:
             return read_record(folder / name) if (folder / name).is_file() else {}
 
-        tests = tuple(str(name) for name in read(run_files.SPLIT).get("test", ()))
+        tests = tuple(map(str, _listed(read(run_files.SPLIT).get("test"), str)))
         return cls(
             folder=folder,
             tests=tests,
@@ -93,23 +94,24 @@ class _Run:
         """The numbers of the run's own model, the last row, on its test photos."""
         from ..guidance.certificate import SCORES
 
-        for scores in self.report.get("rois", ()):
-            if scores.get("roi") == box and scores.get("rows"):
-                row = scores["rows"][-1]
-                return {k: float(row[k]) for k, _, _ in SCORES if row.get(k) is not None}
+        for scores in _listed(self.report.get("rois"), dict):
+            rows = _listed(scores.get("rows"), dict)
+            if scores.get("roi") == box and rows:
+                return {k: float(rows[-1][k]) for k, _, _ in SCORES if _is_number(rows[-1].get(k))}
         return {}
 
     def facts(self, box: str) -> dict[str, str]:
         """Software, settings, dates and hashes."""
         if self.folder is None:
             return {}
-        entries = self.provenance.get("entries", ())
+        entries = _listed(self.provenance.get("entries"), dict)
         last = entries[-1] if entries else {}
-        versions = last.get("versions", {})
+        versions = last.get("versions")
+        versions = versions if isinstance(versions, dict) else {}
         settings = {}
         if (self.folder / run_files.SETTINGS).is_file():
             settings = read_record(self.folder / run_files.SETTINGS)
-        shown = {k: v for k, v in settings.items() if not isinstance(v, str) or "/" not in v}
+        shown = {k: v for k, v in settings.items() if not any(c in str(v) for c in "/\\")}
         facts = {
             "Trained": str(last.get("started", "")),
             "Software": ", ".join(f"{name} {number}" for name, number in versions.items()),
@@ -121,6 +123,16 @@ class _Run:
         if own.is_file():
             facts["SHA-256 of the object's Gaussians"] = sha256(own)
         return {name: text for name, text in facts.items() if text}
+
+
+def _listed(value: Any, kind: type) -> list[Any]:
+    """The values of a kind in a list of a run's record, which may hold anything."""
+    return [each for each in value if isinstance(each, kind)] if isinstance(value, list) else []
+
+
+def _is_number(value: Any) -> bool:
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return number and abs(value) < MOST
 
 
 def _add_to_reports(run: Path, made: Sequence[Certificate]) -> None:

@@ -66,7 +66,7 @@ class SurfaceRecord:
 def read_surface(path: Path) -> SurfaceRecord | None:
     """The record in a file; None: there is none, or it is damaged."""
     record = read_record(path)
-    with suppress(KeyError, TypeError, ValueError, AttributeError):
+    with suppress(KeyError, TypeError, ValueError, AttributeError, OverflowError):
         values = {field.name: record[field.name] for field in fields(SurfaceRecord)}
         found = SurfaceRecord(**values | {"size": tuple(values["size"])})
         return found if found.text else None

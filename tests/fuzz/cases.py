@@ -110,6 +110,7 @@ def all_families() -> dict[str, tuple[Family, int]]:
     from tests.fuzz import (
         command_files,
         exchange,
+        guidance,
         levels_and_scribbles,
         masks,
         meshes,
@@ -132,6 +133,7 @@ def all_families() -> dict[str, tuple[Family, int]]:
         user_input,
         texts,
         exchange,
+        guidance,
         meshes,
         masks,
         stores,
