@@ -15,10 +15,15 @@ PAPER = "paper"
 MOST_FACTOR = 1e6
 
 
+def _preset(name: str) -> tuple[int, int]:
+    """The steps of a preset; of the usual one, if a .blend names none of this version."""
+    return PRESET_STEPS.get(name, PRESET_STEPS["standard"])
+
+
 def stage_steps(preset: str, factor: float) -> tuple[int, int]:
     """The steps of the scene, and of the boxes, when a preset's are multiplied."""
     usable = factor if 0 < factor < MOST_FACTOR else 1.0  # a .blend may have any number
-    scene, roi = (max(1, round(steps * usable)) for steps in PRESET_STEPS[preset])
+    scene, roi = (max(1, round(steps * usable)) for steps in _preset(preset))
     return scene, roi
 
 

@@ -17,6 +17,10 @@ from ..shared import text as texts
 from .frames import Intrinsics, Matrix
 
 
+MOST = 1 << 20
+"""Pixels of a side: more than any photo has."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Photo:
     """A posed photo.
@@ -48,13 +52,19 @@ class Photo:
     @property
     def lens_size(self) -> tuple[int, int] | None:
         """Width and height of a photo with distortion as it is stored, after `turn`; else None."""
-        words = self.lens.split()
-        return (int(words[1]), int(words[2])) if words else None
+        try:
+            width, height = map(int, self.lens.split()[1:3])
+        except ValueError:  # no lens, or words of somebody else's
+            return None
+        return (width, height) if min(width, height) > 0 else None
 
     @classmethod
     def from_dict(cls, record: dict[str, Any]) -> Photo:
-        """From one image of the engine's `scene.json`, or from what `to_json` wrote."""
-        return cls(
+        """From one image of the engine's `scene.json`, or from what `to_json` wrote.
+
+        ValueError, KeyError, TypeError or OverflowError: it is none, or not at numbers.
+        """
+        found = cls(
             name=str(record["name"]),
             path=str(record.get("path") or ""),
             intrinsics=Intrinsics(
@@ -72,6 +82,15 @@ class Photo:
             turn=int(record.get("turn", 1)),
             as_stored=bool(record.get("as_stored", True)),
         )
+        if found.pose.shape != (4, 4) or not np.isfinite(found.pose).all():
+            raise ValueError("a pose of numbers is missing")
+        known = found.intrinsics
+        if not np.isfinite((known.fx, known.fy, known.cx, known.cy)).all():
+            raise ValueError("numbers of the camera are missing")
+        sides = known.width, known.height
+        if min(sides) < 1 or max(sides) > MOST or min(known.fx, known.fy) <= 0:
+            raise ValueError("the camera has no size")
+        return found
 
     def to_json(self) -> str:
         """One line of text that `from_json` reads back exactly."""
@@ -85,5 +104,5 @@ class Photo:
         """The photo of a record, or None if the record is not valid."""
         try:
             return cls.from_dict(texts.parse_json(text.encode()))
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, OverflowError):
             return None

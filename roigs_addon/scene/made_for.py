@@ -22,7 +22,8 @@ def mismatch(scene: bpy.types.Scene) -> tuple[targets.Target, targets.Target] | 
     if data is None:
         shown = (item for item in lookup.splats(scene) if object_props(item).level == "RESULT")
         data = next((item.data for item in shown), None)
-        wanted = targets.TARGETS[scene_props(scene).made_for]
+        # A .blend of another version may have another target.
+        wanted = targets.TARGETS.get(scene_props(scene).made_for, targets.VIEWERS)
     if not isinstance(data, (bpy.types.Mesh, bpy.types.PointCloud)):
         return None
     made = marked_target(data)

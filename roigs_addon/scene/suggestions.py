@@ -55,7 +55,7 @@ class Suggestion:
         """From an object's property; None: it is no suggestion."""
         try:
             return cls.from_dict(text.parse_json(line.encode()))
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, OverflowError):
             return None
 
     @classmethod
@@ -87,7 +87,7 @@ def show(scene: bpy.types.Scene, listed: Path) -> int:
             for box in whole["boxes"]
         }
         pairs = [(Suggestion.from_dict(each), _photo(each, listed.parent)) for each in records]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
         raise AddonError(f"The suggestions are unreadable ({error}).") from error
     remove(scene)
     collection = bpy.data.collections.new(COLLECTION)
@@ -132,7 +132,7 @@ def faults_of(scene: bpy.types.Scene, roi: bpy.types.Object) -> list[tuple[str, 
 def _faults(line: str, box: str) -> tuple[tuple[str, str], ...]:
     try:
         return tuple((photo, said) for photo, said in text.parse_json(line.encode())[box])
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, OverflowError):
         return ()
 
 

@@ -81,6 +81,18 @@ def test_the_result_is_adapted_and_shown(blender: ModuleType, made) -> None:
     assert compared.shown_result(scene) == folder and made_for.mismatch(scene)
 
 
+def test_nothing_is_written_through_links(blender: ModuleType, made, tmp_path: Path) -> None:
+    _, folder, _, _ = made
+    mine, first = tmp_path / "mine", folder / "coarse" / "thing.ply"
+    mine.write_text("mine")
+    place = folder / "earlier" / "adapted-cycles" / "coarse" / "thing.ply"
+    place.parent.mkdir(parents=True)
+    place.symlink_to(mine)
+    assert blender.ops.roigs.adapt_result(made_for="cycles") == {"FINISHED"}
+    assert mine.read_text() == "mine"
+    assert not place.is_symlink() and place.read_bytes() == first.read_bytes()
+
+
 def test_a_result_that_was_changed_is_not_cut(blender: ModuleType, made) -> None:
     _, folder, _, _ = made
     write_ply(folder / "rois" / "thing.ply", random_arrays(20, seed=5), VIEWERS)

@@ -145,3 +145,32 @@ def test_a_training_is_not_outdated_by_it(blender: ModuleType, garden, engine) -
         pose = np.array(image["world_to_camera"])
         eye = lookup.cameras(scene)[image["name"]].matrix_world.translation
         np.testing.assert_allclose(-pose[:3, :3].T @ pose[:3, 3], eye, rtol=1e-4, atol=1e-3)
+
+
+def test_the_undo_of_another_blend_leaves_the_file_alone(blender: ModuleType, garden) -> None:
+    """A .blend of before the placement knows nothing of it; its steps do not take it back."""
+    bpy, (_, folder) = blender, garden
+    bpy.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=3)
+    kept = (folder / FILE).read_text()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = imported(bpy, folder)
+    scene.roigs.placement = ""
+    bpy.ops.ed.undo_push(message="opened")
+    bpy.ops.mesh.primitive_cube_add()
+    bpy.ops.ed.undo_push(message="cube")
+    bpy.ops.ed.undo()
+    assert (folder / FILE).read_text() == kept
+    bpy.ops.ed.redo()
+    assert (folder / FILE).read_text() == kept
+
+
+def test_the_undo_of_another_scene_leaves_the_file_alone(blender: ModuleType, garden) -> None:
+    from roigs_addon.scene import placement
+
+    bpy, (scene, folder) = blender, garden
+    bpy.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=3)
+    kept = (folder / FILE).read_text()
+    other = bpy.data.scenes.new("other")
+    other.roigs.colmap = scene.roigs.colmap
+    placement._after_undo(other)
+    assert (folder / FILE).read_text() == kept

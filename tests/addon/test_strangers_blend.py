@@ -1,0 +1,334 @@
+"""What a stranger's .blend holds: odd values are no errors, and nothing waits, or is written away.
+
+Panels, views and handlers read it as soon as the file is open.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType, ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.addon.panels import said
+
+pytestmark = pytest.mark.blender
+PIPES = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+
+
+@contextmanager
+def at_once(seconds: int = 20) -> Iterator[None]:
+    """Fail if the block waits: for a pipe, say."""
+
+    def late(number: int, frame: FrameType | None) -> None:
+        raise AssertionError("it waits")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@pytest.fixture
+def shown(blender: ModuleType, run):
+    """A scene with a shown result, and its run folder."""
+    blender.ops.roigs.load_results()
+    return run
+
+
+def all_panels(bpy: ModuleType) -> None:
+    from roigs_addon.ui import boxes, cameras, masks, result, stage, suggestions, surface, train
+
+    for module in (boxes, cameras, masks, result, stage, suggestions, surface, train):
+        for cls in vars(module).values():
+            own = isinstance(cls, type) and cls.__module__ == module.__name__
+            if own and issubclass(cls, bpy.types.Panel) and hasattr(cls, "draw"):
+                said(bpy, cls)
+
+
+def box(scene: Any) -> Any:
+    return next(item for item in scene.objects if item.roigs.kind == "ROI")
+
+
+def gaussians(scene: Any) -> Any:
+    return scene.objects["thing Gaussians"]
+
+
+# --- nothing waits ---
+
+
+@PIPES
+@pytest.mark.parametrize("name", ["scene.json", "points.npy", "observed_starts.npy"])
+def test_panels_do_not_wait_for_a_model_that_is_a_pipe(
+    blender: ModuleType, shown, tmp_path: Path, name: str
+) -> None:
+    from roigs_addon.facts import caches
+
+    scene, _ = shown
+    os.mkfifo(tmp_path / name)
+    scene.roigs.model_cache = str(tmp_path)
+    caches.forget()
+    with at_once():
+        all_panels(blender)
+
+
+@pytest.mark.parametrize(
+    "text", ["5", "{}", '{"images": 5}', '{"images": [[1], 2]}', '{"images": [{}]}', "[" * 100_000]
+)
+def test_panels_read_any_record_of_a_model(
+    blender: ModuleType, shown, tmp_path: Path, text: str
+) -> None:
+    from roigs_addon.facts import caches
+
+    scene, _ = shown
+    (tmp_path / "scene.json").write_text(text)
+    np.save(tmp_path / "points.npy", np.zeros((3, 2)))
+    scene.roigs.model_cache = str(tmp_path)
+    caches.forget()
+    all_panels(blender)
+
+
+def test_counts_of_another_model_are_not_used(blender: ModuleType, shown, tmp_path: Path) -> None:
+    from roigs_addon.facts import caches, point_counts
+
+    scene, _ = shown
+    np.save(tmp_path / "points.npy", np.zeros((3, 3), np.float32))
+    np.save(tmp_path / "observed.npy", np.array([0, 99, -5]))
+    np.save(tmp_path / "observed_starts.npy", np.array([0, 700]))
+    scene.roigs.model_cache = str(tmp_path)
+    caches.forget()
+    points, photos = point_counts.count(box(scene), scene) or (0, 0)
+    assert points and photos is None  # the scene's own points are counted
+
+
+@PIPES
+def test_a_photo_that_is_a_pipe_is_not_opened(blender: ModuleType, shown, tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    from roigs_addon.facts import photo_pictures
+    from roigs_addon.scene import backgrounds, lookup
+    from roigs_addon.viewport import photo_overlay
+
+    scene, _ = shown
+    os.mkfifo(tmp_path / "photo")
+    camera = lookup.cameras(scene)["photo 1.png"]
+    photo = lookup.photo_record(camera)
+    assert photo is not None
+    camera.roigs.photo = replace(photo, path=str(tmp_path / "photo")).to_json()
+    pipe = lookup.photo_record(camera)
+    assert pipe is not None
+    with at_once():
+        backgrounds.show(camera.data, pipe)
+        assert not camera.data.background_images
+        assert photo_overlay._pixels(tmp_path / "photo") is None
+        assert photo_pictures.icon(scene, photo.name) == 0
+
+
+# --- odd values ---
+
+
+@pytest.mark.parametrize("name", ["a/b", "/dev/zero", "two\nlines", "nul", "\x1b[31mred"])
+def test_any_name_of_a_box(
+    blender: ModuleType, shown, name: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from roigs_addon.scene import masks
+
+    scene, folder = shown
+    box(scene).name = name
+    all_panels(blender)
+    assert not masks.are_there(scene, folder) and masks.photos(scene, folder, box(scene)) == []
+    with pytest.raises(RuntimeError, match="cannot name a file") as error:
+        blender.ops.roigs.train_roi()
+    told = str(error.value).strip() + capfd.readouterr().err
+    assert "\x1b" not in told and "\n" not in str(error.value).strip()
+
+
+def test_an_index_below_the_list(blender: ModuleType, shown) -> None:
+    scene, _ = shown
+    box(scene).roigs.selection.add().name = "photo 1.png"
+    box(scene).roigs.selection_index = -5
+    all_panels(blender)
+
+
+@pytest.mark.parametrize("value", [5, "x", [1, 2], [0.0] * 16, [1.0] * 16, [float("nan")] * 16])
+def test_any_frame_of_a_mesh(blender: ModuleType, shown, value: Any) -> None:
+    from roigs_addon.scene import edits
+
+    scene, _ = shown
+    gaussians(scene).data["roigs_frame"] = value
+    np.testing.assert_array_equal(edits.frame_of(gaussians(scene)), np.eye(4))
+    edits.look_again(gaussians(scene))
+    edits.file_of(gaussians(scene))
+    assert blender.ops.roigs.load_results() == {"FINISHED"}
+
+
+def test_any_number_of_steps(blender: ModuleType) -> None:
+    from roigs_addon.engine.training_steps import training_steps
+
+    for factor in (float("inf"), float("nan"), 1e308, -1.0, 0.0):
+        assert 0 < training_steps("draft", "joint", factor, 2) < 1e6
+
+
+@pytest.mark.parametrize(
+    "before",
+    [
+        '{"film": "x", "compositing": [1], "persistent": null, "shown thing Gaussians": "BAD"}',
+        '{"a":' * 50_000,
+        "[" * 100_000,
+        "x",
+    ],
+)
+def test_any_memory_of_a_stage(blender: ModuleType, shown, before: str) -> None:
+    scene, _ = shown
+    gaussians(scene).roigs.shown_as = "EXACT"
+    film, scene.roigs.stage.before = scene.render.film_transparent, before
+    scene.roigs.stage.world = blender.data.worlds.new("without nodes")
+    assert blender.ops.roigs.remove_stage() == {"FINISHED"}
+    assert scene.render.film_transparent == film
+    assert "without nodes" not in blender.data.worlds
+
+
+def clear_interface(group: Any) -> None:
+    group.interface.clear()
+
+
+def clear_nodes(group: Any) -> None:
+    group.nodes.clear()
+
+
+def other_images(group: Any) -> None:
+    import bpy
+
+    for node in group.nodes:
+        if node.type == "IMAGE":
+            node.image = bpy.data.images.new("mine", 1, 1)
+
+
+@pytest.mark.exact_look
+@pytest.mark.parametrize("change", [clear_interface, clear_nodes, other_images])
+def test_a_group_of_nodes_that_somebody_has_changed(
+    blender: ModuleType, shown, tmp_path: Path, change: Callable[[Any], None]
+) -> None:
+    from roigs_addon.scene import compositor, shadow_pass
+
+    scene, _ = shown
+    change(compositor.find(scene))
+    paths = [image.filepath for image in blender.data.images if image.name == "mine"]
+    compositor.point_to(scene, tmp_path / "out")
+    compositor.reload(scene)
+    shadow_pass.connect(scene)
+    shadow_pass.disconnect(scene)
+    assert paths == [i.filepath for i in blender.data.images if i.name == "mine"]
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *(("fx", value) for value in (10**400, float("nan"), 0.0, "x")),
+        *(("width", value) for value in (0, -1, 10**400, None)),
+        *(("world_to_camera", value) for value in ([], [[1.0]], [[float("inf")] * 4] * 4)),
+    ],
+)
+def test_cameras_that_are_none(blender: ModuleType, shown, key: str, value: Any) -> None:
+    from roigs_addon.scene import lookup
+
+    scene, _ = shown
+    camera = lookup.cameras(scene)["photo 1.png"]
+    camera.roigs.photo = json.dumps(json.loads(camera.roigs.photo) | {key: value})
+    assert lookup.photo_record(camera) is None
+    camera.roigs.kind, camera.roigs.suggestion = "SHOT", '{"box": "a", "number": 1e999}'
+    all_panels(blender)
+
+
+@pytest.mark.parametrize("lens", ["x", "A B C", "OPENCV 1", "OPENCV -5 0 1", "OPENCV 1e3 2"])
+def test_a_lens_of_other_words(blender: ModuleType, shown, lens: str) -> None:
+    from roigs_addon.scene import lookup, masks
+
+    scene, _ = shown
+    camera = lookup.cameras(scene)["photo 1.png"]
+    camera.roigs.photo = json.dumps(json.loads(camera.roigs.photo) | {"lens": lens})
+    photo = lookup.photo_record(camera)
+    assert photo is not None and masks.size_of(photo) == (64, 48)
+
+
+def test_choices_of_another_version(blender: ModuleType, shown) -> None:
+    scene, _ = shown
+    raw = scene.get("roigs")
+    if raw is None:  # Blender 5 keeps what add-ons add out of reach of scripts
+        pytest.skip("the values cannot be written")
+    for name in ("made_for", "preset", "strategy", "method"):
+        raw[name] = 99
+    assert scene.roigs.preset == ""
+    all_panels(blender)
+
+
+# --- nothing is written elsewhere ---
+
+
+@pytest.mark.skipif(os.name == "nt", reason="paths of POSIX")
+@pytest.mark.parametrize("folder", ["null", "C:\\runs\\mine", "../run", "~"])
+def test_a_run_folder_of_another_system_is_not_made_here(
+    blender: ModuleType,
+    shown,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    folder: str,
+) -> None:
+    scene, _ = shown
+    here = tmp_path / "a" / "here"
+    here.mkdir(parents=True)
+    monkeypatch.chdir(here)
+    scene.roigs.run_dir = folder
+    with pytest.raises(RuntimeError, match="is not a full path on this computer"):
+        blender.ops.roigs.train_roi()
+    assert not [*here.iterdir()] and [*here.parent.iterdir()] == [here]
+
+
+def test_a_page_that_is_a_link_is_not_opened(blender: ModuleType, shown, tmp_path: Path) -> None:
+    from roigs_addon.jobs import suggest_job
+
+    scene, folder = shown
+    page = folder / "blender" / "suggested" / "suggestions.html"
+    page.parent.mkdir(parents=True)
+    page.write_text("a page")
+    assert suggest_job.page(scene) == page
+    page.unlink()
+    (tmp_path / "program.command").write_text("#!/bin/sh\n")
+    page.symlink_to(tmp_path / "program.command")
+    assert suggest_job.page(scene) is None
+    assert not blender.ops.roigs.open_suggestions.poll()
+
+
+def test_a_result_in_another_folder_is_not_deleted(blender: ModuleType, shown) -> None:
+    from tests.addon.results import set_aside
+
+    _, folder = shown
+    mine = set_aside(folder)
+    elsewhere = folder.with_name("mine")
+    (folder / "earlier").rename(elsewhere)
+    (folder / "earlier").symlink_to(elsewhere)
+    with pytest.raises(RuntimeError, match="is a link"):
+        blender.ops.roigs.delete_result(earlier=mine.name)
+    assert (elsewhere / mine.name / "result.ply").is_file()
+
+
+def test_images_are_opened_in_one_place() -> None:
+    """`blender.load_image` looks first whether a file can be opened without waiting."""
+    from tests.addon.scenes import ROOT
+
+    callers = [
+        path.name
+        for path in sorted((ROOT / "roigs_addon").rglob("*.py"))
+        if "images.load(" in path.read_text(encoding="utf-8")
+    ]
+    assert callers == ["blender.py"]
