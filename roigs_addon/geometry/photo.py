@@ -16,7 +16,6 @@ import numpy as np
 from ..shared import text as texts
 from .frames import Intrinsics, Matrix
 
-
 MOST = 1 << 20
 """Pixels of a side: more than any photo has."""
 
