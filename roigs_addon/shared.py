@@ -12,6 +12,7 @@ if TYPE_CHECKING or __package__ == "roigs_addon":
     from roigs_engine.errors import EngineError
     from roigs_engine.formats import (
         clean_up,
+        confidence,
         drawable,
         events,
         files,
@@ -40,6 +41,7 @@ else:
     from ..roigs_engine.errors import EngineError
     from ..roigs_engine.formats import (
         clean_up,
+        confidence,
         drawable,
         events,
         files,
@@ -69,6 +71,7 @@ __all__ = [
     "EngineError",
     "choices",
     "clean_up",
+    "confidence",
     "declare",
     "drawable",
     "events",

@@ -15,7 +15,7 @@ from ..engine.writing import made_folder, writing
 from ..errors import AddonError
 from ..properties import object_props, scene_props
 from ..scene import exclusions, lookup, masks, rois
-from ..shared import files
+from ..shared import files, run_files
 from . import run_folders
 
 
@@ -103,6 +103,17 @@ def threads_option() -> list[str]:
     """The user's setting of threads; nothing if all are used."""
     threads = settings.get().threads
     return ["--threads", str(threads)] if threads else []
+
+
+MOVED = {"Give its folder with --scene.": "Import its COLMAP project again in step 1."}
+"""Words of the engine's errors about a run whose scene was moved -> those of the panel."""
+
+
+def moved_scene(scene: bpy.types.Scene, folder: Path) -> list[str]:
+    """Where the COLMAP project of a run folder is, if it was moved after the training."""
+    trained, now = files.read_record(folder / run_files.SETTINGS).get("scene"), scene_props(scene)
+    moved = isinstance(trained, str) and not Path(trained).exists()
+    return [f"--scene={now.colmap}"] if moved and now.colmap else []
 
 
 def write_select_options(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> Path:

@@ -13,14 +13,13 @@ from ..engine import own_files, run_status
 from ..errors import AddonError
 from ..properties import object_props, scene_props
 from ..scene import box_surfaces, compared, lookup, rois
-from ..shared import files, run_files, text
+from ..shared import run_files, text
 from ..windows import redraw
 from . import options_files, run_folders
 from .spec import SURFACES, JobSpec
 
 EDITED = "'{}' was edited since it was made. {}"
 GLB = ".glb"
-WORDS = {"Give its folder with --scene.": "Import its COLMAP project again in step 1."}
 
 
 def box_at_hand(context: bpy.types.Context) -> tuple[str, bool]:
@@ -52,7 +51,6 @@ def spec(scene: bpy.types.Scene, boxes: Sequence[str], *, replace_edits: bool) -
     Raises:
         AddonError: the run folder cannot be written to, or a mesh was edited.
     """
-    props = scene_props(scene)
     folder, find = run_folders.settle(scene), run_folders.finder(scene)
     if not replace_edits:
         _refuse_edited(scene, boxes, "To replace it, give replace_edits=True.")
@@ -86,21 +84,26 @@ def spec(scene: bpy.types.Scene, boxes: Sequence[str], *, replace_edits: bool) -
                     box_surfaces.show(now, path.stem, path)
             redraw()
 
-    only = [f"--only={name}" for name in boxes]
-    closed = ["--watertight"] if props.watertight else []
-    size = [f"--texture-size={props.texture_size}"] if props.texture_size else []
-    options = [*only, *closed, f"--faces={props.faces}", *size, *_scene_option(scene, folder)]
     return JobSpec(
         title=SURFACES,
-        arguments=["surface", str(folder), *options, *options_files.machine_options()],
+        arguments=["surface", str(folder), *_options(scene, folder, boxes)],
         log=own_files.log_file(folder),
         folder=folder,
         then=take,
         on_done=show,
         on_stop=show_finished,
-        words=WORDS,
+        words=options_files.MOVED,
         done_text="The surface is made",
     )
+
+
+def _options(scene: bpy.types.Scene, folder: Path, boxes: Sequence[str]) -> list[str]:
+    props = scene_props(scene)
+    options = [*(f"--only={name}" for name in boxes), f"--faces={props.faces}"]
+    options += ["--watertight"] if props.watertight else []
+    options += [f"--texture-size={props.texture_size}"] if props.texture_size else []
+    moved = options_files.moved_scene(scene, folder)
+    return [*options, *moved, *options_files.machine_options()]
 
 
 def _made(folder: Path) -> dict[Path, int]:
@@ -110,13 +113,6 @@ def _made(folder: Path) -> dict[Path, int]:
         with suppress(OSError):
             found[path] = box_surfaces.record_file(path).stat().st_mtime_ns
     return found
-
-
-def _scene_option(scene: bpy.types.Scene, folder: Path) -> list[str]:
-    """Where the COLMAP project is, if it was moved after the training."""
-    trained, now = files.read_record(folder / run_files.SETTINGS).get("scene"), scene_props(scene)
-    moved = isinstance(trained, str) and not Path(trained).exists()
-    return [f"--scene={now.colmap}"] if moved and now.colmap else []
 
 
 def _refuse_edited(scene: bpy.types.Scene, boxes: Sequence[str], remedy: str) -> None:

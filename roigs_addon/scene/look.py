@@ -10,6 +10,9 @@ Gains = tuple[float, float, float]
 """What red, green and blue are multiplied by, as sRGB values."""
 
 
+AS_IT_IS: Gains = (1.0, 1.0, 1.0)
+
+
 def gains(item: bpy.types.Object) -> Gains:
     """The gains of an object; of an evaluated one, those of the frame."""
     props = object_props(item)

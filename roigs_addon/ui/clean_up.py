@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..blender import layout_of, registration
-from ..jobs.spec import FLOATERS
+from ..jobs.spec import CONFIDENCE, FLOATERS
 from ..operators.clean_up import (
     ACTIONS,
     ChooseByBox,
@@ -14,9 +14,10 @@ from ..operators.clean_up import (
     ForgetChosen,
     marked,
 )
+from ..operators.confidence import ChooseByDirections, FindConfidence, ShowHeatMap
 from ..operators.erase_brush import EraseBrush
 from ..operators.floaters import FindFloaters
-from ..scene import point_edits
+from ..scene import heat_map, point_edits
 from . import layout as show
 from .layout import SidebarPanel
 from .result import ResultPanel
@@ -48,13 +49,27 @@ class CleanUpPanel(SidebarPanel):
         _pair(column, "Faint or large", ChooseByLook.bl_idname)
         _pair(column, FindFloaters.bl_label, FindFloaters.bl_idname)
         _pair(column, "By brush", EraseBrush.bl_idname)
+        if heat_map.asked(items):
+            _pair(column, "Few directions", ChooseByDirections.bl_idname)
         show.job(layout, FLOATERS)
+        _confidence(layout, items)
         if count := point_edits.count_chosen(marked(context)):
             row = layout.row(align=True)
             label = f"Delete {count:,} Selected"
             row.operator(DeleteChosen.bl_idname, text=label, icon="TRASH")
             row.operator(ForgetChosen.bl_idname, text="", icon="X")
         show.say(layout, "For brightness and tint, click one and open Look", "BLANK1")
+
+
+def _confidence(layout: bpy.types.UILayout, items: list[bpy.types.Object]) -> None:
+    """What photos know of the Gaussians, and its colours."""
+    row, most = layout.row(align=True), heat_map.most()
+    row.operator(FindConfidence.bl_idname)
+    if heat_map.asked(items):
+        row.operator(ShowHeatMap.bl_idname, icon="HIDE_OFF", depress=most is not None)
+    show.job(layout, CONFIDENCE)
+    if most is not None:
+        show.say(layout, f"Blue: few directions. Yellow: {most:.0f} or more", "INFO")
 
 
 def _pair(

@@ -11,7 +11,7 @@ from mathutils import Matrix
 
 from ..blender import view_layer_of, windows
 from ..properties import object_props
-from ..scene import display, edits, instances, ladders, look
+from ..scene import display, edits, heat_map, instances, ladders, look
 
 SURFACES = frozenset(
     {
@@ -108,12 +108,16 @@ def _instanced(context: bpy.types.Context) -> list[SplatObject]:
 
 def _of(item: bpy.types.Object, scene: bpy.types.Scene | None) -> SplatObject | None:
     """An object at the origin; None without a PLY."""
+    hot = heat_map.shown(item)
+    path, frame = hot or (edits.file_of(item), edits.frame_of(item))
     try:
-        file = FileKey.of(edits.file_of(item))
+        file = FileKey.of(path)
     except OSError:
         return None
-    frame, levels = Matrix(edits.frame_of(item).tolist()), _levels(item, scene)
-    return SplatObject(file, frame, True, look.gains(item), levels=levels)
+    matrix = Matrix(frame.tolist())
+    if hot:
+        return SplatObject(file, matrix, True, look.AS_IT_IS)
+    return SplatObject(file, matrix, True, look.gains(item), levels=_levels(item, scene))
 
 
 def _levels(item: bpy.types.Object, scene: bpy.types.Scene | None) -> Levels | None:

@@ -100,6 +100,19 @@ def clean_up(blender: Blender, picture: Callable[..., None]) -> None:
     check("undo brought them back", True)
 
 
+def confidence(blender: Blender, picture: Callable[..., None]) -> None:
+    """Ask the photos, look at the heat map, switch it off."""
+    blender.click(blender.find("roigs.find_confidence", x=0.2))
+    blender.until(f"{BUSY}", 180)
+    blender.until(f"not {BUSY}", 600)
+    blender.pause(6.0)
+    said = blender.ask(STATE + ".outcome")
+    check(f"confidence: {said}", "directions" in str(said))
+    picture("18-confidence")
+    blender.click(blender.find("roigs.show_heat_map", x=0.8))
+    blender.pause(3.0)
+
+
 def brush(blender: Blender, button: str) -> None:
     """Begin a stroke over the middle of the view."""
     blender.screen.do("mousemove", "290", "540")
@@ -170,6 +183,7 @@ def main() -> int:
             blender.ask("[o.select_set(False) for o in bpy.context.scene.objects] and None")
             blender.pause(5.0)
             open_result_panel(blender, "roigs.choose_by_box", x=SELECT)
+            confidence(blender, picture)
             clean_up(blender, picture)
             leave_and_return(blender, folder, picture)
         except Exception:

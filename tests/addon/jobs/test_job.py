@@ -310,6 +310,7 @@ def test_no_undo_step_comes_before_the_results(addon: ModuleType) -> None:
     """Called by the file browser, such an operator ends before its engine does."""
     from roigs_addon.operators import (
         adapt,
+        confidence,
         export,
         floaters,
         levels,
@@ -333,6 +334,7 @@ def test_no_undo_step_comes_before_the_results(addon: ModuleType) -> None:
         *(imports.ImportGaussians, floaters.FindFloaters, levels.MakeLevels, masks.MakeMasks),
         *(adapt.AdaptResult, surface.MakeSurface, suggest.SuggestPhotos, relight.Relight),
         *(stage.LightFromScene, stage.CatchShadows, stand_here.StandHere),
+        confidence.FindConfidence,
     )
     found = {*EngineOperator.__subclasses__(), *BrowsingOperator.__subclasses__()}
     assert found - {BrowsingOperator} == set(running)

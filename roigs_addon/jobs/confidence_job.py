@@ -1,0 +1,50 @@
+"""Finding what photos know of each Gaussian: the engine asks those of the run folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..blender import scene_of
+from ..engine import own_files
+from . import options_files, run_folders
+from .judged import Judged
+from .spec import CONFIDENCE, JobSpec
+
+Known = dict[bpy.types.Object, NDArray[np.float32]]
+
+NAME = "roigs-confidence"
+"""Of the files in Blender's temporary folder."""
+
+
+def spec(context: bpy.types.Context, take: Callable[[Known], str]) -> JobSpec:
+    """The job that finds what the photos of the scene's run know of what is visible.
+
+    Args:
+        context: its scene, and which objects are asked about.
+        take: gets the objects, and for each point the columns of `confidence.COLUMNS`, NaN where
+            nothing is drawn; returns a line.
+
+    Raises:
+        AddonError: there are no Gaussians, or files cannot be written.
+    """
+    scene = scene_of(context)
+    folder, find = run_folders.settle(scene), run_folders.finder(scene)
+    judged = Judged.write(context, NAME)
+
+    def done() -> str | None:
+        now = find()
+        return None if now is None else take(judged.rows(now, np.nan, "Find confidence again."))
+
+    given = [f"--model={judged.listed}", f"--out={judged.out}"]
+    options = [*options_files.moved_scene(scene, folder), *options_files.machine_options()]
+    return JobSpec(
+        title=CONFIDENCE,
+        arguments=["confidence", str(folder), *given, *options],
+        log=own_files.log_file(folder),
+        on_done=done,
+        words=options_files.MOVED,
+    )

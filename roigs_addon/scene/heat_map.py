@@ -1,0 +1,182 @@
+"""The heat map: Gaussians in colours that say from how many directions photos know them.
+
+What photos know is in attributes of the points (`confidence.COLUMNS`): it is saved, and follows the
+points through edits. The colours are a file in Blender's temporary folder, drawn in place of the
+object's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..blender import following, mesh_of, persistent
+from ..errors import AddonError
+from ..geometry.frames import Matrix
+from ..geometry.splat_cloud import SH_C0, write_splats
+from ..properties import object_props
+from ..shared import EngineError, confidence
+from ..windows import redraw
+from . import clouds, display
+from .splat_attributes import cloud_of, drawn, values
+
+DIRECTIONS = confidence.COLUMNS.index("directions")
+PREFIX = "roigs-heat-"
+"""Of the files with colours."""
+
+_shown: dict[int, tuple[str, Matrix] | None] = {}
+"""Mesh, by its number in this session -> its file and the file's frame; None: write it again."""
+
+_most: list[float] = []
+"""Directions of the brightest colour; nothing if no heat map is shown."""
+
+_native: set[str] = set()
+"""Objects that were Blender's own splats, and are drawn by the add-on while they are hot."""
+
+
+def keep(item: bpy.types.Object, known: NDArray[np.float32]) -> None:
+    """Write what photos know of an object's points (N, 3) to its attributes."""
+    mesh = mesh_of(item)
+    for name, column in zip(confidence.COLUMNS, known.T, strict=True):
+        if (before := mesh.attributes.get(name)) is not None:
+            mesh.attributes.remove(before)
+        clouds.set_attribute(mesh, name, "FLOAT", np.ascontiguousarray(column))
+
+
+def directions(item: bpy.types.Object) -> NDArray[np.float32] | None:
+    """(N,) directions from which photos know each point, NaN: not known; None: nobody asked."""
+    if not isinstance(item.data, bpy.types.Mesh):
+        return None
+    found = values(item.data, confidence.COLUMNS[DIRECTIONS])
+    return None if found is None else found[:, 0]
+
+
+def show(items: Iterable[bpy.types.Object]) -> None:
+    """Show these objects as a heat map, those that photos were asked about.
+
+    AddonError: there are none, or the colours cannot be written.
+    """
+    known = {item: found for item in items if (found := directions(item)) is not None}
+    if not known:
+        raise AddonError("Photos were not asked about these Gaussians. Click Find Confidence.")
+    hide()
+    most = confidence.most_directions(np.concatenate([*known.values()]))
+    try:
+        for item, found in known.items():
+            _heat(item, found, most)
+            if display.is_native(item):
+                _native.add(item.name)
+                display.show_as(item, "EXACT")
+    except (EngineError, OSError) as error:
+        hide()
+        raise AddonError(f"The heat map cannot be shown: {error}") from error
+    _most[:] = [most]
+    redraw()
+
+
+def _heat(item: bpy.types.Object, found: NDArray[np.float32], most: float) -> None:
+    """Write an object's file of colours."""
+    mesh, whole = mesh_of(item), cloud_of(mesh_of(item))
+    if whole is None or not len(whole[0]):
+        return
+    cloud, frame = whole
+    colours = confidence.colours(found[drawn(mesh)], most)
+    sh = ((colours - 0.5) / SH_C0)[:, None].astype(np.float32)
+    path = Path(bpy.app.tempdir) / f"{PREFIX}{mesh.session_uid}.ply"
+    write_splats(path, replace(cloud, sh=sh), durable=False)
+    _shown[mesh.session_uid] = str(path), frame
+
+
+def hide() -> None:
+    """Show the Gaussians in their own colours again."""
+    _shown.clear()
+    _most.clear()
+    for name in _native:
+        item = bpy.data.objects.get(name)
+        if item is not None and object_props(item).shown_as == "EXACT":
+            display.show_as(item, "GAUSSIANS")
+    _native.clear()
+    redraw()
+
+
+def most() -> float | None:
+    """Directions of the brightest colour; None: no heat map is shown."""
+    return _most[0] if _most and _shown else None
+
+
+def shown(item: bpy.types.Object) -> tuple[str, Matrix] | None:
+    """The file of an object's heat map and its frame, if it is shown."""
+    mesh = item.data
+    if not isinstance(mesh, bpy.types.Mesh) or mesh.session_uid not in _shown:
+        return None
+    if _shown[mesh.session_uid] is None and not mesh.is_editmode:  # the points were edited
+        del _shown[mesh.session_uid]
+        found = directions(item)
+        if found is not None and _most:
+            with suppress(EngineError, OSError):
+                _heat(item, found, _most[0])
+    return _shown.get(mesh.session_uid)
+
+
+def few(item: bpy.types.Object, fewer: int) -> NDArray[np.bool_]:
+    """(N,) points that photos know from fewer directions.
+
+    AddonError: photos were not asked about the object.
+    """
+    found = directions(item)
+    if found is None:
+        raise AddonError(f"Photos were not asked about '{item.name}'. Click Find Confidence.")
+    return np.asarray(found < fewer)
+
+
+def asked(items: Iterable[bpy.types.Object]) -> bool:
+    """Whether photos were asked about any of these objects."""
+    name = confidence.COLUMNS[DIRECTIONS]
+    return any(isinstance(i.data, bpy.types.Mesh) and name in i.data.attributes for i in items)
+
+
+@persistent
+def _on_change(_: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
+    """After every change: points that may have been edited get their colours again."""
+    for update in graph.updates if _shown else ():
+        changed = update.id if update.is_updated_geometry else None
+        mesh = changed.original if isinstance(changed, bpy.types.Mesh) else None
+        if mesh is not None and mesh.session_uid in _shown:
+            _shown[mesh.session_uid] = None
+
+
+@persistent
+def _after_undo(*_: object) -> None:
+    _shown.update(dict.fromkeys(_shown))
+
+
+@persistent
+def _after_load(*_: object) -> None:
+    _shown.clear()
+    _most.clear()
+    _native.clear()
+
+
+_follow, _leave = following(
+    ("depsgraph_update_post", _on_change),
+    ("undo_post", _after_undo),
+    ("redo_post", _after_undo),
+    ("load_post", _after_load),
+)
+
+
+def register() -> None:
+    """Follow changes."""
+    _follow()
+
+
+def unregister() -> None:
+    """Follow none."""
+    _leave()
+    _after_load()
