@@ -36,7 +36,8 @@ FILE = "roigs_glb"
 """Custom property of a mesh: SHA-256 of its file."""
 SAME_WAY, SAME_PLANE = 0.97, 0.05
 """Two planes are one: the cosine between their normals, and their distance as a share of a side."""
-SHADE_SAMPLES = 4
+SHADE_SAMPLES = 1
+"""Rays of a hit: each path has its own, so one is enough for the mean."""
 WHITE = (0.8, 0.8, 0.8, 1.0)
 """Albedo of what catches; the ratio of light does not depend on it."""
 
@@ -202,9 +203,13 @@ def set_reach(scene: bpy.types.Scene, radius: float) -> None:
 
 
 def usual_radius(scene: bpy.types.Scene) -> float:
-    """That of the smallest box, as of what users put beside it; 1 if there is none."""
-    sizes = [max(map(abs, box.matrix_world.to_scale().to_tuple())) for box in lookup.rois(scene)]
-    return min(sizes, default=1.0)
+    """That of the smallest box, as of what users put beside it; 1 if there is none.
+
+    A file that shows the results of a run without its boxes may have their meshes.
+    """
+    boxes = [max(map(abs, box.matrix_world.to_scale().to_tuple())) for box in lookup.rois(scene)]
+    meshes = [max(item.dimensions.to_tuple()) / 2 for item in box_surfaces.surfaces(scene)]
+    return min(boxes or meshes, default=1.0)
 
 
 def use_light(scene: bpy.types.Scene, image: bpy.types.Image) -> None:

@@ -155,6 +155,21 @@ def test_what_does_not_move_costs_frames_little(blender: ModuleType, made) -> No
     assert {slot.material.cycles.emission_sampling for slot in proxy.material_slots} == {"NONE"}
 
 
+def test_near_is_what_is_near_a_box_or_its_mesh(blender: ModuleType, made) -> None:
+    """Without boxes in the file, proxies of a whole room would shine, and shade one another."""
+    from roigs_addon.scene import lookup
+
+    scene, folder, _ = made
+    write_ball(folder / "rois" / "thing.glb", radius=0.25)
+    blender.ops.roigs.load_results()
+    for box in lookup.rois(scene):
+        blender.data.objects.remove(box)
+    blender.ops.roigs.light_from_scene(where="CURSOR")
+    blender.context.view_layer.update()
+    size = scene.roigs.stage.here.matrix_world.to_scale()
+    assert list(size) == pytest.approx(3 * [8 * 0.25], rel=0.02)
+
+
 def test_a_box_without_a_mesh_is_named(blender: ModuleType, made) -> None:
     blender.ops.roigs.catch_shadows()
     assert "No mesh of thing" in panel(blender)
