@@ -13,6 +13,8 @@ def _proxies(stage: RoigsStage) -> list[Any]:
     return list(collection.objects) if collection is not None else []
 
 
+FAR = "roigs_far"
+"""Custom property of a proxy that is too far to shine."""
 RAYS = ("diffuse", "glossy", "transmission", "volume_scatter", "shadow")
 """Of Cycles, besides the camera's: `visible_` of an object."""
 
@@ -33,7 +35,7 @@ def _reflects(stage: RoigsStage) -> bool:
 def _set_reflects(stage: RoigsStage, on: bool) -> None:
     for item in _proxies(stage):
         for name in RAYS:
-            setattr(item, f"visible_{name}", on)
+            setattr(item, f"visible_{name}", on and FAR not in item)
 
 
 class RoigsStage(bpy.types.PropertyGroup):

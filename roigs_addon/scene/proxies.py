@@ -15,13 +15,14 @@ from typing import Any
 import bpy
 import numpy as np
 from mathutils import Vector
+from numpy.typing import NDArray
 
 from ..blender import mesh_of
 from ..errors import AddonError
 from ..geometry.glb import read_glb
 from ..properties import object_props, scene_props
 from ..shared import files, transforms
-from ..stage_properties import stage_props
+from ..stage_properties import FAR, stage_props
 from . import box_surfaces, lookup, stage, textured_meshes
 
 BACKGROUND = "Background"
@@ -32,6 +33,8 @@ SHADE = "Shade"
 REACH, SHADES = 8.0, 2.0
 """In radii of the user's object: how far proxies shine, and how far it shades them. At 8, places in
 the light's picture are wrong by 7 degrees; the object covers a fifteenth of the light at 2."""
+PARTS = "Near", "Far"
+"""Vertex groups of the background: what may shine, and what catches only."""
 FILE = "roigs_glb"
 """Custom property of a mesh: SHA-256 of its file."""
 SAME_WAY, SAME_PLANE = 0.97, 0.05
@@ -71,7 +74,8 @@ def bring(scene: bpy.types.Scene, background: Path | None) -> list[bpy.types.Obj
     catches, reflects = _ways(scene)
     mesh, picture = _read(background) if background is not None else (None, b"")
     for item in old:
-        stage.delete_with_materials(item)
+        for each in (*item.children, item):
+            stage.delete_with_materials(each)
     made = [_of_box(scene, item) for item in _unseen(scene)]
     if mesh is not None:
         made.append(_of_mesh(scene, mesh, picture))
@@ -128,7 +132,45 @@ def _of_mesh(scene: bpy.types.Scene, mesh: bpy.types.Mesh, picture: bytes) -> bp
     image = textured_meshes.packed_picture(f"{BACKGROUND} Texture", picture)
     mesh.materials.append(None)
     _dress(scene, item, image)
+    _part(scene, item)
     return item
+
+
+def _part(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
+    """Give a proxy a second object for what is far: only the camera sees that.
+
+    Rays that meet nothing of it are several times as fast as those that it lets through.
+    """
+    far = bpy.data.objects.new(f"{item.name} {PARTS[1]}", item.data)
+    far.parent, far[FAR] = item, True
+    far.is_shadow_catcher = far.hide_viewport = far.hide_select = True
+    far.display_type = "WIRE"
+    for own, slot in zip(far.material_slots, item.material_slots, strict=True):
+        own.link, own.material = "OBJECT", slot.material
+    for name in PARTS:
+        item.vertex_groups.new(name=name)
+    for each, name in zip((item, far), PARTS, strict=True):
+        mask: Any = each.modifiers.new(name, "MASK")
+        mask.vertex_group = name
+    _link(scene, far)
+
+
+def _sort(item: bpy.types.Object, middle: NDArray[np.float64], reach: float) -> None:
+    """Choose the parts of a proxy that has two; faces that touch a sphere are near."""
+    mesh = mesh_of(item)
+    places = np.empty((len(mesh.vertices), 3), np.float32)
+    corners = np.empty((len(mesh.polygons), 3), np.int32)
+    mesh.vertices.foreach_get("co", places.ravel())
+    mesh.loops.foreach_get("vertex_index", corners.ravel())
+    matrix = lookup.matrix_world(item.parent)  # its own, which is as old as the last redraw
+    triangles = (places @ matrix[:3, :3].T + matrix[:3, 3])[corners]
+    away = np.linalg.norm(triangles - middle, axis=-1).min(axis=1)
+    sides = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=-1).max(axis=1)
+    near = away - sides <= reach
+    for name, faces in zip(PARTS, (near, ~near), strict=True):
+        group = item.vertex_groups[name]
+        group.remove(range(len(places)))
+        group.add(np.unique(corners[faces]).tolist(), 1.0, "REPLACE")
 
 
 def plane(scene: bpy.types.Scene, at: Vector, normal: Vector, size: float) -> bpy.types.Object:
@@ -197,6 +239,10 @@ def set_reach(scene: bpy.types.Scene, radius: float) -> None:
     here = stage.empty_of(scene, "here")
     frame = lookup.matrix_world(here.parent)
     here.scale = [REACH * radius / (transforms.scale_of(frame) or 1.0)] * 3
+    middle = (frame @ (*here.location.to_tuple(), 1.0))[:3]
+    for item in of_scene(scene):
+        if any(child.get(FAR) for child in item.children):
+            _sort(item, middle, REACH * radius)
     for nodes in _trees(scene):
         for node in (n for n in nodes if getattr(n, "node_tree", None) == _group()):
             node.inputs[SHADE].default_value = SHADES * radius

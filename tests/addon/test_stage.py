@@ -155,6 +155,40 @@ def test_what_does_not_move_costs_frames_little(blender: ModuleType, made) -> No
     assert {slot.material.cycles.emission_sampling for slot in proxy.material_slots} == {"NONE"}
 
 
+def test_only_the_camera_sees_what_is_far(blender: ModuleType, made, tmp_path: Path) -> None:
+    """Rays that are let through by a whole room are slow."""
+    from roigs_addon.scene import proxies
+    from roigs_addon.stage_properties import RAYS
+
+    scene, _, _ = made
+    write_ball(tmp_path / "made" / "background.glb", radius=2.0)
+    blender.ops.roigs.catch_shadows()
+    (near,) = proxies.of_scene(scene)
+    (far,) = near.children
+    assert far.visible_camera and not any(getattr(far, f"visible_{name}") for name in RAYS)
+
+    def sizes() -> list[int]:
+        blender.context.view_layer.update()
+        graph = blender.context.evaluated_depsgraph_get()
+        for item in (near, far):  # hidden in the viewport, which leaves modifiers out
+            item.hide_viewport = False
+        graph.update()
+        return [len(item.evaluated_get(graph).data.polygons) for item in (near, far)]
+
+    every = len(near.data.polygons)
+    scene.roigs.stage.here.location = (0, 0, 0)
+    proxies.set_reach(scene, 1.0)
+    assert sizes() == [every, 0], "8 units"
+    proxies.set_reach(scene, 0.01)
+    assert sizes() == [0, every], "8 hundredths, and the ball is far from there"
+    scene.roigs.stage.here.location = near.data.vertices[0].co
+    proxies.set_reach(scene, 0.01)
+    few, most = sizes()
+    assert 0 < few < every / 2 and few + most >= every
+    assert blender.ops.roigs.remove_stage() == {"FINISHED"}
+    assert not [item for item in blender.data.objects if "Proxy" in item.name]
+
+
 def test_near_is_what_is_near_a_box_or_its_mesh(blender: ModuleType, made) -> None:
     """Without boxes in the file, proxies of a whole room would shine, and shade one another."""
     from roigs_addon.scene import lookup
