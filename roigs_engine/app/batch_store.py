@@ -19,7 +19,7 @@ from ..storage.commits import StoredRun
 from ..storage.lease import Lease, LeaseTakenError
 from ..storage.mirror import sign
 from ..storage.quota import make_copy
-from ..storage.urls import file_system, folder_of, refuse_lost
+from ..storage.urls import file_system, folder_of, refuse_lost, small_files
 from .batch_table import Row, Wrong
 
 BATCHES = "batches"
@@ -62,7 +62,8 @@ class Store:
         here = self.folder / BATCH
         here.unlink(missing_ok=True)
         make_copy(self.folder)
-        if self._found.exists(f"{self._place}/{BATCH}"):
+        listed = self._found.find(f"{self._place}/{BATCH}", detail=True)
+        if small_files(listed):
             self._found.get_file(f"{self._place}/{BATCH}", str(here))
         for name in names:
             self.fetch(name)

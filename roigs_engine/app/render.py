@@ -13,7 +13,7 @@ import numpy as np
 from ..context import QUIET, Context
 from ..errors import ConfigError, EngineError, Stopped
 from ..formats.events import Preview
-from ..formats.files import read_json
+from ..formats.files import read_json, regular
 from ..formats.frame_requests import REQUEST, colour_file, depth_file
 from ..formats.names import usable_path
 from ..formats.text import counted, first_line
@@ -111,11 +111,15 @@ def render_frames(request: RenderFrames, context: Context = QUIET) -> Result:
     context = on_device(context, request.device)
     # As information: a program that waits for a picture takes a warning for a refusal.
     models = Models(context.info)
+    answered: dict[Path, int] = {}  # that cannot be deleted: their times
     while not context.should_stop():
-        waiting = sorted(request.folder.glob(f"*{REQUEST}"))
+        found = sorted(request.folder.glob(f"*{REQUEST}"))
+        waiting = [path for path in found if answered.get(path) != _changed(path)]
         if not waiting:
             if request.once:
                 break
+            if not request.folder.is_dir():
+                raise ConfigError(f"{request.folder} was deleted.", "Give another folder.")
             time.sleep(PAUSE)
             continue
         try:
@@ -128,9 +132,18 @@ def render_frames(request: RenderFrames, context: Context = QUIET) -> Result:
                 raise
             context.warn(str(error))
         finally:
-            with suppress(OSError):
+            try:
                 waiting[0].unlink()
+            except OSError:
+                answered[waiting[0]] = _changed(waiting[0])
     return Result()
+
+
+def _changed(path: Path) -> int:
+    """When a file was changed, in ns; 0 if it is gone."""
+    with suppress(OSError):
+        return path.stat().st_mtime_ns
+    return 0
 
 
 class Models:
@@ -184,7 +197,9 @@ def answer(request: Path, models: Models, context: Context) -> Path:
 
     record = read_json(request, ConfigError, HINT)
     try:
-        out = request.parent / record["out"]
+        out = request.parent / usable_path(record["out"])
+        if not out.name:
+            raise ValueError(f"out is {str(out)!a:.60}, which names no file")
         blurred = "samples" in record
         samples = [_sample(each, request.parent) for each in record.get("samples", [record])]
         if not 0 < len(samples) <= MOST_SAMPLES:
@@ -248,8 +263,9 @@ def _floats(path: Path, shape: tuple[int, ...], what: str) -> NDArray[np.float32
     ConfigError: it is missing, or holds something else.
     """
     try:
-        found = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+        with open(path, "rb", opener=regular) as file:
+            found = np.load(file, allow_pickle=False)
+    except Exception as error:  # numpy's reader raises nearly anything on damaged files
         raise ConfigError(f"Cannot read {path} ({first_line(error)}).", HINT) from error
     if not isinstance(found, np.ndarray) or found.dtype != np.float32 or found.ndim != len(shape):
         raise ConfigError(f"{path} has no {what} float32.", HINT)

@@ -259,7 +259,7 @@ def _finished(path: Path, inputs: str, formats: Sequence[str]) -> SurfaceRecord 
         if not same or any(sha256(path.parent / f) != digests[f] for f in digests):
             return None
         return read_surface(path.with_suffix(RECORD))
-    except (RunFolderError, OSError, KeyError, TypeError, AttributeError):
+    except (RunFolderError, OSError, KeyError, TypeError, ValueError, AttributeError):
         return None
 
 

@@ -8,19 +8,21 @@ import io
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
 from ..errors import EngineError
-from ..formats.files import matching, read_json, write_text
-from ..formats.run_files import CROPS, FINE, REPORT_DATA, REPORT_PAGE, RESULT
+from ..formats.files import matching, write_text
+from ..formats.report_scores import scores_of_result
+from ..formats.run_files import CROPS, FINE, REPORT_PAGE, RESULT
 from ..formats.text import counted, duration
 from ..formats.web_page import html_text, whole_page
+from ..photos.headers import open_photo
 from .engine_process import DONE, FAILED
 from .schedule import SceneState
 
 IsThere = Callable[[str], bool]
 THUMBNAIL = 160  # pixels of the longer side
+MOST_PIXELS = 50_000_000  # of a picture; a run's own have some millions
 MOST_KEPT = 2000  # of about 4 KB each
 COLUMNS = ("", "Scene", "Object", "State", "PSNR, dB", "SSIM", "Gaussians", "Training", "Files")
 CLEAR = """\
@@ -57,7 +59,7 @@ def _page(folder: Path, scenes: Sequence[SceneState], is_there: IsThere) -> str:
 
 def _rows(run: Path, scene: SceneState, is_there: IsThere) -> Iterator[str]:
     name, done = scene.plan.name, scene.state == DONE
-    found = _scores(run) if done else {}
+    found = scores_of_result(run) if done else {}
     for box in scene.plan.objects:
         scores = found.get(box, {})
         cells = [
@@ -68,7 +70,7 @@ def _rows(run: Path, scene: SceneState, is_there: IsThere) -> Iterator[str]:
             _number(scores.get("roi_psnr"), "{:.2f}"),
             _number(scores.get("roi_ssim"), "{:.3f}"),
             _number(scores.get("gaussians_in_box"), "{:,}"),
-            html_text(duration(scores["seconds"])) if _is_number(scores.get("seconds")) else "",
+            html_text(duration(scores["seconds"])) if "seconds" in scores else "",
             _links(name, box, is_there) if done else "",
         ]
         rest = ""
@@ -76,15 +78,6 @@ def _rows(run: Path, scene: SceneState, is_there: IsThere) -> Iterator[str]:
             wide = f'<td class="failed" colspan="{len(cells) - 3}">'
             cells, rest = cells[:3], f"{wide}failed: {html_text(scene.reason)}</td>"
         yield "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + f"{rest}</tr>"
-
-
-def _scores(run: Path) -> dict[str, dict[str, Any]]:
-    """Box -> the row of the result in a run's report; empty if there is none."""
-    try:
-        report = read_json(run / REPORT_DATA)
-        return {box["roi"]: box["rows"][-1] for box in report["rois"] if box["rows"]}
-    except (EngineError, KeyError, TypeError, IndexError):
-        return {}
 
 
 def _links(scene: str, box: str, is_there: IsThere) -> str:
@@ -108,22 +101,18 @@ def _thumbnail(crops: Path) -> str:
 @lru_cache(maxsize=MOST_KEPT)
 def _small(path: Path, _time: int) -> str:
     """A picture as an element of a page; kept, as the page is written again and again."""
-    from PIL import Image
-
     try:
-        with Image.open(path, formats=("PNG",)) as image:
+        with open_photo(path) as image:
+            if image.width * image.height > MOST_PIXELS:
+                return ""
             image.thumbnail((THUMBNAIL, THUMBNAIL))
             file = io.BytesIO()
             image.convert("RGB").save(file, "JPEG", quality=80)
-    except (OSError, ValueError):
+    except (EngineError, MemoryError):
         return ""
     data = base64.b64encode(file.getvalue()).decode("ascii")
     return f'<img alt="" src="data:image/jpeg;base64,{data}">'
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
-
-
-def _number(value: Any, form: str) -> str:
-    return html_text(form.format(value)) if _is_number(value) else ""
+def _number(value: float | None, form: str) -> str:
+    return "" if value is None else html_text(form.format(value))

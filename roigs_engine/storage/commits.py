@@ -27,7 +27,7 @@ from ..formats.names import inner_path
 from ..formats.run_files import CACHE, PREVIEW, UNDISTORTED
 from ..formats.text import json_digest, parse_json
 from .mirror import sign
-from .urls import FileSystem
+from .urls import FileSystem, small_files
 
 COMMITS, OBJECTS, LEASES = ".commits", ".objects", ".leases"
 TIDIED = re.compile(rf"{re.escape(COMMITS)}/[^/]+\.json|{re.escape(OBJECTS)}/[0-9a-f]{{64}}")
@@ -140,7 +140,8 @@ class StoredRun:
         """The commits that are whole, the oldest first."""
         found = []
         with suppress(FileNotFoundError):
-            for path in self._found.find(f"{self._place}/{COMMITS}"):
+            listed = self._found.find(f"{self._place}/{COMMITS}", detail=True)
+            for path in small_files(listed):
                 with suppress(FileNotFoundError, ValueError, TypeError, AttributeError, KeyError):
                     body = parse_json(self._found.cat_file(path))
                     digest = str(body.pop("digest"))

@@ -18,7 +18,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from ..formats.text import parse_json
-from .urls import FileSystem
+from .urls import FileSystem, small_files
 
 EXPIRY, BEAT, POLL = 60.0, 10.0, 1.0  # seconds
 CLAIM, HELD = "claim", "held"
@@ -133,7 +133,8 @@ class Lease:
 
     def _names(self) -> list[str]:
         with suppress(FileNotFoundError):
-            names = [str(path).rsplit("/", 1)[-1] for path in self._found.find(self._folder)]
+            listed = self._found.find(self._folder, detail=True)
+            names = [str(path).rsplit("/", 1)[-1] for path in small_files(listed)]
             return list(filter(NAME.fullmatch, names))  # files of others are left alone
         return []
 

@@ -14,7 +14,7 @@ from ..errors import ConfigError, EngineError
 from ..formats.files import own_file, read_json, write_json
 from ..formats.names import inner_path
 from .quota import alone, claim, enforce_quota, keep, limit
-from .urls import FileSystem, file_system, folder_of, guarded
+from .urls import FileSystem, StoreError, file_system, folder_of, guarded
 
 SCENES, FILES, INDEX, LOCK = "scenes", "files", "index.json", "copy.lock"
 LONGEST = 255  # bytes that file systems allow in the name of a file
@@ -61,24 +61,36 @@ def _listed(found: FileSystem, place: str, url: str) -> dict[str, list[Any]]:
         listed = found.find(place, detail=True)
     if not listed:
         raise ConfigError(f"There is nothing at {url}.", "Correct the address.")
-    names = {str(path)[len(place) :].removeprefix("/"): facts for path, facts in listed.items()}
+    paths = {str(path)[len(place) :].removeprefix("/"): path for path in listed}
+    names = {name: listed[path] for name, path in paths.items()}
     # Empty objects stand for folders on some stores, by their name or with a slash behind it.
     folders = {str(above) for name in names for above in PurePosixPath(name).parents}
     files = {}
     for name, facts in names.items():
-        if not name or name.endswith("/") or (name in folders and not facts["size"]):
+        empty = not facts.get("size")
+        if not name or name.endswith("/") or (name in folders and empty):
             continue
         lengths = [len(part.encode("utf-8", "replace")) for part in name.split("/")]
         if name in folders or min(lengths) == 0 or max(lengths) > LONGEST:
             text = f"No file here can be called {name!a:.100}, as one at {url:.100} is."
             raise ConfigError(text, "Rename it there.")
         if inner_path(name):
-            files[name] = sign(facts)
+            with suppress(FileNotFoundError):  # a link of a web page that leads nowhere
+                known = facts.get("size") is not None
+                files[name] = sign(facts if known else found.info(paths[name]))
     return files
 
 
 def sign(facts: Mapping[str, Any]) -> list[Any]:
-    """What changes with a file, of what a store tells: its size, and a mark of its content."""
+    """What changes with a file, of what a store tells: its size, and a mark of its content.
+
+    StoreError: it does not tell the size.
+    """
+    if facts.get("size") is None:
+        raise StoreError(
+            f"The store does not tell how large {facts.get('name')!a:.100} is.",
+            "Copy the folder to this machine, or use another store.",
+        )
     marks = ("ETag", "etag", "md5", "mtime", "created", "LastModified")
     return [int(facts["size"]), next((str(facts[key]) for key in marks if facts.get(key)), "")]
 

@@ -21,6 +21,7 @@ from ..formats.clean_up import disk_size
 from ..formats.files import is_link, matching, own_folder
 from ..formats.lock import holder, locked
 from ..formats.run_files import BATCH_LOCK
+from ..formats.run_files import LOCK as RUN_LOCK
 from .urls import home
 
 KINDS = ("scenes/*", "runs/*/*", "batches/*")
@@ -108,8 +109,8 @@ def _is_ours(folder: Path) -> bool:
 
 
 def _last_used(folder: Path) -> float:
-    """When a copy was used; now, while a batch holds it."""
-    if holder(folder / BATCH_LOCK):
+    """When a copy was used; now, while a batch or an engine holds it: clocks jump."""
+    if any(holder(folder / name) for name in (BATCH_LOCK, RUN_LOCK)):
         return time.time()
     with suppress(OSError):
         return folder.stat().st_mtime

@@ -5,17 +5,18 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+import re
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from ..context import Context
 from ..errors import ConfigError, RunFolderError, Stopped
-from ..formats.files import is_link
+from ..formats.files import LARGEST, is_link
 from ..formats.text import first_line
 from ..requests.values import SCHEME, SECRET
 
@@ -43,6 +44,8 @@ PACKAGES = {
 """What fsspec needs for which kinds of addresses."""
 ENDPOINTS = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3")
 """Environment variables: the address of a server of S3."""
+HIDDEN = re.compile(r"(?<=://)[^/@\s]*(?=@)|(?<=\?)[^\s\"'<>]+")
+"""In an address: user and password, and the query. fsspec's configuration may have such ones."""
 HOME = "ROIGS_CACHE"
 """Environment variable: the folder of this machine's copies."""
 
@@ -69,8 +72,14 @@ def guarded(place: str, *passes: type[Exception]) -> Iterator[None]:
     except Exception as error:
         if isinstance(error, (StoreError, Stopped, *passes)):
             raise
-        text = f"Cannot use {place:.200} ({first_line(error):.100})."
+        text = f"Cannot use {place:.200} ({reason(error)})."
         raise StoreError(text, "Is the store there, with space?") from error
+
+
+def reason(error: Exception) -> str:
+    """What a store says of an error, without what addresses in it may have of secrets."""
+    text = HIDDEN.sub("...", first_line(error))
+    return f"{text:.100}"
 
 
 class FileSystem:
@@ -163,6 +172,11 @@ def _refuse_links(root: Path, place: str) -> None:
             raise StoreError(f"{path} is a link, a pipe or a device.", "Delete it.")
 
 
+def small_files(listed: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """The listed files that can be records of ours: others would fill the memory."""
+    return [path for path, facts in listed.items() if int(facts.get("size") or 0) <= LARGEST]
+
+
 def refuse_lost(url: str) -> None:
     """Raise ConfigError if what is written there is gone when this process ends."""
     match = SCHEME.match(url)
@@ -219,9 +233,8 @@ def file_system(
             f"Install it ({sys.executable} -m pip install {wanted}), or use a folder.",
         ) from error
     except Exception as error:  # whatever the file system raises for what it cannot use
-        reason = first_line(error)
         raise ConfigError(
-            f"{url:.200} cannot be used ({reason:.100}).", "Use an address that fsspec knows."
+            f"{url:.200} cannot be used ({reason(error)}).", "Use an address that fsspec knows."
         ) from error
     place = str(place).rstrip("/")
     return FileSystem(found, url, place if own and kind == "file" else "", should_stop), place
