@@ -11,6 +11,8 @@ from ..context import QUIET, Context
 from ..errors import RunFolderError
 from ..formats import run_files
 from ..formats.files import read_record, sha256, write_json, write_text
+from ..formats.lock import locked
+from ..formats.report_scores import scores_of_result
 from ..requests.projects import Certify
 from .inputs import boxes_of, load_scene, mask_options
 from .outputs import Result, refuse_inputs, refuse_run_files
@@ -22,7 +24,6 @@ if TYPE_CHECKING:
 
 RECORD = "certificates.json"
 TITLE = "Certificates"
-MOST = 1e15  # no score is larger: NaN and what no float holds are none, either
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +57,8 @@ def certify(request: Certify, context: Context = QUIET) -> Certified:
         made.append(found)
     write_json(request.out / RECORD, {"certificates": [each.to_dict() for each in made]})
     if request.run_dir is not None:
-        _add_to_reports(request.run_dir, made)
+        with locked(request.run_dir, context.warn, option=None):
+            _add_to_reports(request.run_dir, made)
     done = Certified(certificates=tuple(made), files={**pages, "record": request.out / RECORD})
     return done.with_places(*(each.text for each in made))
 
@@ -67,13 +69,13 @@ class _Run:
 
     folder: Path | None
     tests: tuple[str, ...]
-    report: dict[str, Any]
+    all_scores: dict[str, dict[str, float]]  # by box
     provenance: dict[str, Any]
 
     @classmethod
     def of(cls, folder: Path | None) -> _Run:
         if folder is None:
-            return cls(folder=None, tests=(), report={}, provenance={})
+            return cls(folder=None, tests=(), all_scores={}, provenance={})
         if not (folder / run_files.RESULT).is_file():
             raise RunFolderError(
                 f"{folder} is not the folder of a finished run.", "Give that of --run-dir."
@@ -86,7 +88,7 @@ class _Run:
         return cls(
             folder=folder,
             tests=tests,
-            report=read(run_files.REPORT_DATA),
+            all_scores=scores_of_result(folder),
             provenance=read("provenance.json"),
         )
 
@@ -94,11 +96,8 @@ class _Run:
         """The numbers of the run's own model, the last row, on its test photos."""
         from ..guidance.certificate import SCORES
 
-        for scores in _listed(self.report.get("rois"), dict):
-            rows = _listed(scores.get("rows"), dict)
-            if scores.get("roi") == box and rows:
-                return {k: float(rows[-1][k]) for k, _, _ in SCORES if _is_number(rows[-1].get(k))}
-        return {}
+        found = self.all_scores.get(box, {})
+        return {k: float(found[k]) for k, _, _ in SCORES if k in found}
 
     def facts(self, box: str) -> dict[str, str]:
         """Software, settings, dates and hashes."""
@@ -128,11 +127,6 @@ class _Run:
 def _listed(value: Any, kind: type) -> list[Any]:
     """The values of a kind in a list of a run's record, which may hold anything."""
     return [each for each in value if isinstance(each, kind)] if isinstance(value, list) else []
-
-
-def _is_number(value: Any) -> bool:
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return number and abs(value) < MOST
 
 
 def _add_to_reports(run: Path, made: Sequence[Certificate]) -> None:

@@ -56,7 +56,9 @@ def write(path: Path, arrays: Arrays, *, antialiased: bool = False, check: Check
     files = files_of(arrays, check, antialiased=antialiased)
     with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as packed:
         for name, data in files.items():
-            packed.writestr(name, data)
+            entry = zipfile.ZipInfo(name)  # of a fixed date: the same Gaussians, the same bytes
+            entry.external_attr = 0o644 << 16
+            packed.writestr(entry, data)
     return len(arrays["means"])
 
 

@@ -42,6 +42,8 @@ SRGB = ("srgb_rec709_scene", "srgb_rec709_display", "identity", "raw", "unknown"
 LINEAR = ("lin_rec709_scene", "lin_rec709_display", "lin_rec709")
 SETTINGS = {"USDC_USE_ASSET": "1", "TF_ENV_SETTING_ALERTS_ENABLED": "0"}
 """Files are not mapped to memory: of damaged ones, that prints lines of OpenUSD's own."""
+DATE = 315_619_200
+"""Seconds from 1970 to 2 January 1980: of all files in a .usdz, for the same bytes each time."""
 
 
 def pxr_modules(*names: str) -> list[Any]:
@@ -73,6 +75,8 @@ def write_stage(path: Path, name: str, fill: Callable[[Any, Path], None]) -> Non
         fill(stage, folder)
         stage.GetRootLayer().Save()
         if packed:
+            for file in folder.iterdir():  # the package notes their times
+                os.utime(file, (DATE, DATE))
             whole = made.with_suffix(".usdz")
             utils.CreateNewUsdzPackage(os.fspath(made), os.fspath(whole))
             made = whole

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -192,6 +194,52 @@ def test_each_model_that_is_read_is_a_sign_of_life(folder: Path) -> None:
     for _ in range(2):  # the second time, nothing is read
         models.get([str(folder.parent / "ball.ply"), str(second)], Context(emit=heard.append))
     assert [(e.step, e.total) for e in heard if isinstance(e, Progress)] == [(1, 2), (2, 2)]
+
+
+@pytest.mark.parametrize("out", ["/", "..", "a\0b", "\ud800", 5])
+def test_a_picture_needs_a_name(
+    folder: Path, out: object, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ask(folder, out=out)
+    assert "a.json is malformed" in fails(["render-frames", str(folder), "--once"], capsys)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="makes a pipe")
+@pytest.mark.parametrize("name", ["surfaces", "rays"])
+def test_a_pipe_is_not_waited_for(
+    folder: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    os.mkfifo(folder / "pipe")
+    ask(folder, **{name: "pipe"})
+    assert "Cannot read" in fails(["render-frames", str(folder), "--once"], capsys)
+
+
+@pytest.mark.parametrize(
+    "start", [b"PK\3\4", b"\x93NUMPY\1\0\1\0(", b"\x93NUMPY\1\0\xff\x0f" + b"-" * 4095]
+)
+def test_damaged_numbers_are_one_line(
+    folder: Path, start: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "numbers.npy").write_bytes(start + bytes(200))
+    ask(folder, surfaces="numbers.npy")
+    assert "Cannot read" in fails(["render-frames", str(folder), "--once"], capsys)
+
+
+def test_a_request_that_cannot_be_deleted_is_answered_once(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path) -> None:
+        raise PermissionError(1, "Operation not permitted", str(path))
+
+    out = ask(folder)
+    monkeypatch.setattr(Path, "unlink", refuse)
+    assert main(["render-frames", str(folder), "--once"]) == 0
+    assert colour_file(out).exists() and list(folder.iterdir())
+
+
+def test_the_end_of_its_folder_is_the_end(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    threading.Timer(0.2, folder.rmdir).start()
+    assert "was deleted" in fails(["render-frames", str(folder)], capsys)
 
 
 def test_a_folder_is_needed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,8 +13,10 @@ from roigs_engine.errors import RunFolderError
 from roigs_engine.formats import names
 from roigs_engine.formats.names import inner_path
 from roigs_engine.formats.text import json_digest
+from roigs_engine.storage import urls
 from roigs_engine.storage.commits import KEY, VERSION
-from roigs_engine.storage.urls import StoreError
+from roigs_engine.storage.lease import Lease
+from roigs_engine.storage.urls import StoreError, file_system
 from tests.engine.commands.command_line import refused
 
 RUNS = "memory://museum/runs"
@@ -172,3 +174,27 @@ def test_a_commit_that_cannot_be_read_now_is_not_a_missing_one(
     table.write_text("[scenes.hall]\nscene = 'hall'\nroi = ['a=0,0,0,1,1,1']\n", encoding="utf-8")
     (tmp_path / "hall" / "sparse").mkdir(parents=True)
     assert "Cannot use memory://" in refused(capsys, "batch", table, "--run-dir", RUNS)
+
+
+def test_records_that_are_too_large_are_not_read(
+    memory_store: Any, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever may write to a store could fill the memory of all machines."""
+    stored_run(RUNS, "hall").publish(folder, "scene", last=False)
+    memory_store.pipe("/museum/runs/hall/.commits/huge.json", bytes(5000))
+    memory_store.pipe(f"/museum/runs/hall/.leases/scene/{'a' * 32}", bytes(5000))
+    read = []
+    real = type(memory_store).cat_file
+
+    def cat_file(self: Any, path: str, *rest: Any, **more: Any) -> bytes:
+        read.append(path)
+        return bytes(real(self, path, *rest, **more))
+
+    monkeypatch.setattr(type(memory_store), "cat_file", cat_file)
+    monkeypatch.setattr(urls, "LARGEST", 4000)
+    run = stored_run(RUNS, "hall")
+    assert run.entries().keys() == {"selection/vase.json"}
+    found, _ = file_system(RUNS)
+    with Lease(found, run.lease_folder("scene")):
+        pass
+    assert not [path for path in read if "huge" in path or "a" * 32 in path]

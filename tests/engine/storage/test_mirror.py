@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
+import threading
 import time
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +21,7 @@ from roigs_engine.formats.run_files import BATCH_LOCK
 from roigs_engine.requests.values import is_url
 from roigs_engine.storage.mirror import mirror
 from roigs_engine.storage.quota import REMOVED, claim, enforce_quota, keep, make_copy
+from roigs_engine.storage.urls import StoreError, reason
 
 URL = "memory://museum/scans/{}"
 
@@ -187,3 +192,67 @@ def test_files_of_others_beside_removed_copies_stay(
         (home / name).write_bytes(b"mine")
     enforce_quota()
     assert [path.name for path in (home / REMOVED).iterdir()] == ["mine"]
+
+
+class Pages(SimpleHTTPRequestHandler):
+    """A web server of folders; `silent` ones do not tell sizes."""
+
+    silent = False
+
+    def log_message(self, format: str, *args: object) -> None:
+        pass
+
+    def list_directory(self, path: Any) -> Any:
+        links = "".join(f'<a href="{p.name}{"/" * p.is_dir()}">x</a>' for p in Path(path).iterdir())
+        page = f'<a href="gone.jpg">x</a>{links}'.encode()
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(page)))
+        self.end_headers()
+        return io.BytesIO(page)
+
+    def send_header(self, keyword: str, value: str) -> None:
+        if not (self.silent and keyword == "Content-Length"):
+            super().send_header(keyword, value)
+
+
+@pytest.mark.parametrize("silent", [False, True])
+def test_a_web_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, silent: bool) -> None:
+    """Its lists have no sizes: each file is asked for its own."""
+    pytest.importorskip("aiohttp")
+    monkeypatch.setenv("ROIGS_CACHE", str(tmp_path / "home"))
+    monkeypatch.setattr(Pages, "silent", silent)
+    (tmp_path / "scan" / "images").mkdir(parents=True)
+    (tmp_path / "scan" / "images" / "1.png").write_bytes(b"photo")
+    make = partial(Pages, directory=str(tmp_path))
+    with ThreadingHTTPServer(("127.0.0.1", 0), make) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        url = f"http://127.0.0.1:{server.server_port}/scan"
+        if silent:
+            with pytest.raises(StoreError, match="does not tell how large"):
+                mirror(url, QUIET)
+        else:
+            folder = mirror(url, QUIET)
+            files = [p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()]
+            assert files == ["images/1.png"]
+        server.shutdown()
+
+
+def test_a_run_folder_in_use_stays_although_the_clock_jumps(
+    store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs = [tmp_path / "home" / "runs" / ("a" * 20) / name for name in ("hall", "attic")]
+    for run in runs:
+        make_copy(run)
+        (run / "result.ply").write_bytes(bytes(5000))
+    monkeypatch.setenv("ROIGS_CACHE_GB", "0")
+    with locked(runs[0]):
+        later = time.time() + 1e5
+        monkeypatch.setattr(time, "time", lambda: later)
+        enforce_quota()
+    assert [run.exists() for run in runs] == [True, False]
+
+
+def test_errors_of_stores_do_not_tell_secrets() -> None:
+    url = "http://me:hidden@host:9000/museum?token=hidden"
+    said = reason(ValueError(f'Could not connect to the endpoint URL: "{url}" (x)'))
+    assert said == 'Could not connect to the endpoint URL: "http://...@host:9000/museum?..." (x)'
