@@ -196,7 +196,7 @@ def test_each_model_that_is_read_is_a_sign_of_life(folder: Path) -> None:
     assert [(e.step, e.total) for e in heard if isinstance(e, Progress)] == [(1, 2), (2, 2)]
 
 
-@pytest.mark.parametrize("out", ["/", "..", "a\0b", "\ud800", 5])
+@pytest.mark.parametrize("out", ["/", "a\0b", "\ud800", 5])
 def test_a_picture_needs_a_name(
     folder: Path, out: object, capsys: pytest.CaptureFixture[str]
 ) -> None:
