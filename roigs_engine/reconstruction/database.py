@@ -64,6 +64,13 @@ def feature_counts(database: Path) -> dict[str, int]:
         return dict(_rows(file, query, str, int))
 
 
+def numbers(database: Path) -> dict[str, tuple[int, int]]:
+    """Photo's name -> its id, and the number of its features, of those that have any."""
+    query = "SELECT name, image_id, rows FROM images JOIN keypoints USING (image_id)"
+    with _opened(database) as file:
+        return {name: (key, rows) for name, key, rows in _rows(file, query, str, int, int)}
+
+
 def camera_ids(database: Path) -> dict[str, int]:
     """Photo's name -> id of its camera."""
     with _opened(database) as file:

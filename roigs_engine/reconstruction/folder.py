@@ -103,6 +103,7 @@ class Folder:
                 why = "Photos were changed or removed, so features are found again."
         if why:
             self.forget()
+            state["apart"] = True  # the model's numbers of photos and features are not those here
         state |= {"version": VERSION, "features": features, "photos": digests}
         write_json(self._record, state)
         return why
@@ -143,11 +144,25 @@ class Folder:
 
     def is_done(self, key: str) -> bool:
         """Whether the model that is there was made with this key."""
-        return read_record(self._record).get("done") == key and model_suffix(self.model) is not None
+        return self._was_finished() and read_record(self._record).get("done") == key
+
+    @property
+    def finished_model(self) -> Path | None:
+        """The model that this command has made here; None: it has made none."""
+        return self.model if self._was_finished() else None
+
+    @property
+    def can_grow(self) -> bool:
+        """Whether there is a finished model, and the database is the one that it was made from."""
+        return self._was_finished() and not read_record(self._record).get("apart")
+
+    def _was_finished(self) -> bool:
+        done = read_record(self._record).get("done")
+        return bool(done) and model_suffix(self.model) is not None
 
     def finish(self, key: str) -> None:
         """Record that the model was made with this key."""
-        write_json(self._record, read_record(self._record) | {"done": key})
+        write_json(self._record, read_record(self._record) | {"done": key, "apart": False})
 
     def take_model(self, source: Path) -> None:
         """Make the model in `source` the result; an earlier result is kept beside it."""

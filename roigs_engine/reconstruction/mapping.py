@@ -40,8 +40,11 @@ def map_models(
 ) -> list[Mapped]:
     """The models, the largest first; empty: no two photos could be registered.
 
-    `settings`: `seed` and `threads` of the task. After a stop, snapshots stay, from which the next
-    call resumes. SceneError: pycolmap failed.
+    Args:
+        settings: `seed` and `threads` of the task; `earlier`: the folder of an earlier model of
+            this place, onto which these are laid, or empty.
+
+    After a stop, snapshots stay, from which the next call resumes. SceneError: pycolmap failed.
     """
     out = folder.emptied("models")
     snapshots = folder.work("snapshots")
@@ -57,6 +60,15 @@ def map_models(
         found = _map(folder, out / "second", options, settings, total, context)
     shutil.rmtree(snapshots, ignore_errors=True)
     return found
+
+
+def add_photos(
+    folder: Folder, total: int, settings: dict[str, Any], context: Context
+) -> list[Mapped]:
+    """The earlier model with more photos; its own cameras stay as they are. See `map_models`."""
+    out = folder.emptied("models", "more")
+    options = STRICT | {"": STRICT[""] | {"multiple_models": False}}
+    return _map(folder, out, options, settings, total, context, settings["earlier"])
 
 
 def map_rest(

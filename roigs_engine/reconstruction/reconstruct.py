@@ -26,7 +26,7 @@ from .child import run_stage
 from .convert import converted
 from .feature_masks import write_masks
 from .folder import Folder
-from .mapping import MAPPING, map_models, map_rest
+from .mapping import MAPPING, add_photos, map_models, map_rest
 from .photo_checks import Found, Photo, camera_groups, look_at, unread_in_words, warnings_of
 from .report import NOTHING, Reconstruction, as_markdown, findings, warnings_of_matches
 from .video import take_frames
@@ -130,11 +130,14 @@ def choose_pairs(
 def solve(folder: Folder, found: Found, request: Reconstruct, context: Context) -> Reconstruction:
     """Features, matches and models of photos that lie in the folder; SceneError if pycolmap fails.
 
-    After a stop, the next call resumes.
+    Models stand where an earlier one of the folder stands; if that can grow, its cameras do not
+    move at all. After a stop, the next call resumes.
     """
     names = [photo.name for photo in found.photos]
     seconds: dict[str, float] = {}
     settings = {"seed": request.seed, "threads": threads_of(request)}
+    grows = folder.can_grow
+    place = {"earlier": str(folder.finished_model or ""), "grows": grows} | settings
     with _timed(seconds, FEATURES):
         find_features(folder, found, request, context)
     with _timed(seconds, MATCHING):
@@ -144,15 +147,17 @@ def solve(folder: Folder, found: Found, request: Reconstruct, context: Context) 
     warnings = warnings_of_matches(names, matched, database.pair_kinds(folder.database))
     for text in warnings:
         context.warn(text)
+    if grows:
+        context.info("New photos are added to the model: its cameras stay where they are.")
     with _timed(seconds, MAPPING):
-        models = map_models(folder, len(names), settings, context)
+        models = (add_photos if grows else map_models)(folder, len(names), place, context)
     missing = set(names) - models[0].photos.keys() if models else set()
     if missing:
         with _timed(seconds, MATCHING):
             rest = [pair for pair in pairs.all_pairs(names) if missing & {*pair}]
             match(folder, rest[:REST_PAIRS], settings, context)
         with _timed(seconds, MAPPING):
-            models = map_rest(folder, models, names, settings, context)
+            models = map_rest(folder, models, names, place, context)
     return Reconstruction(
         found=found,
         features=database.feature_counts(folder.database),

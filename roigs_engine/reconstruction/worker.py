@@ -19,11 +19,12 @@ from ..colmap.library import pycolmap_module
 from ..errors import EngineError
 from ..formats.gravity import Matrix, Vector, gravity_alignment
 from ..model.scene import origin
-from .database import camera_ids, show_spaces, spaces_hidden
+from .database import camera_ids, numbers, show_spaces, spaces_hidden
 
 Task = dict[str, Any]
 NEEDED = ("FeatureExtractionOptions", "FeatureMatchingOptions", "match_image_pairs")
 DISTANCE = 2.0  # from the cameras to what they see, in units of the scene; a guess at metres
+LAID = 0.02  # of the photos' extent: photos that two models place so near each other agree
 LAYERS = 200  # of the height, in the search for the floor
 FLOOR = 3.0  # times the points of the median layer that has any: a layer with more is a floor
 LOWEST = 0.02  # share of the points below the floor, where no layer stands out
@@ -104,6 +105,14 @@ def map_photos(colmap: Any, task: Task) -> list[dict[str, Any]]:
     out = Path(task["out"])
     out.mkdir(parents=True, exist_ok=True)
     start = task.get("start", "")
+    before = colmap.Reconstruction(task["earlier"]) if task.get("earlier") else None
+    grows = bool(before and task.get("grows"))
+    if before and grows:
+        if _is_of(before, Path(task["database"])):
+            options.fix_existing_frames = True
+            options.constant_cameras = set(before.cameras)
+        else:  # the database or the model is another by now
+            grows, start = False, ""
     registered = colmap.Reconstruction(start).num_reg_images() if start else 0
 
     def step() -> None:
@@ -120,13 +129,61 @@ def map_photos(colmap: Any, task: Task) -> list[dict[str, Any]]:
         initial_image_pair_callback=step,
         next_image_callback=step,
     )
+    for model in found.values():
+        if not (grows or (before and _laid_onto(model, before))):
+            _normalise(model)
     records = [_written(model, out / f"model-{key}") for key, model in found.items()]
     return sorted(records, key=lambda record: -len(record["photos"]))
 
 
+def _is_of(model: Any, database: Path) -> bool:
+    """Whether a model's photos have the ids and the features of a database."""
+    own = {image.name: (key, len(image.points2D)) for key, image in model.images.items()}
+    return own.items() <= numbers(database).items()
+
+
+def _laid_onto(model: Any, earlier: Any) -> bool:
+    """Move a model to where an earlier one of the same photos is; False: that cannot be found."""
+    here, there = _marks(model), _marks(earlier)
+    both = sorted(here.keys() & there.keys())
+    if len(both) < 2:
+        return False
+    options = colmap_module().RANSACOptions()
+    target = np.concatenate([there[name] for name in both])
+    options.max_error = LAID * float(np.linalg.norm(np.ptp(target, axis=0)))
+    options.random_seed = 0
+    source = np.concatenate([here[name] for name in both])
+    found = colmap_module().estimate_sim3d_robust(source, target, options)
+    if found is None or 2 * found["num_inliers"] < len(target):
+        return False
+    model.transform(found["tgt_from_src"])
+    return True
+
+
+def _marks(model: Any) -> dict[str, Matrix]:
+    """Name of a photo -> (3, 3): its place, and how far it sees, before it and above it."""
+    marks = {}
+    for image, seen in _looks(model):
+        pose = image.cam_from_world().matrix()
+        eye, ways = image.projection_center(), pose[(2, 1), :3] * ((1.0,), (-1.0,))
+        marks[image.name] = np.vstack([eye, eye + seen * ways])
+    return marks
+
+
+def _looks(model: Any) -> list[tuple[Any, float]]:
+    """Each photo that observes points, and their median distance from it."""
+    points = {key: point.xyz for key, point in model.points3D.items()}
+    looks = []
+    for image in (model.images[key] for key in model.reg_image_ids()):
+        seen = [points[spot.point3D_id] for spot in image.points2D if spot.has_point3D()]
+        if seen:
+            away = np.linalg.norm(np.array(seen) - image.projection_center(), axis=1)
+            looks.append((image, float(np.median(away))))
+    return looks
+
+
 def _written(model: Any, folder: Path) -> dict[str, Any]:
-    """Normalise a model and write it; returns what it is as plain values."""
-    _normalise(model)
+    """Write a model; returns what it is as plain values."""
     folder.mkdir()
     model.write_binary(str(folder))
     images = [model.images[key] for key in sorted(model.reg_image_ids())]
@@ -141,17 +198,13 @@ def _written(model: Any, folder: Path) -> dict[str, Any]:
 
 def _normalise(model: Any) -> None:
     images = [model.images[key] for key in model.reg_image_ids()]
-    points = {key: point.xyz for key, point in model.points3D.items()}
     poses = np.tile(np.eye(4), (len(images), 1, 1))
-    distances = []
     for pose, image in zip(poses, images, strict=True):
         pose[:3] = image.cam_from_world().matrix()
-        seen = [points[spot.point3D_id] for spot in image.points2D if spot.has_point3D()]
-        if seen:
-            eye = image.projection_center()
-            distances.append(float(np.median(np.linalg.norm(np.array(seen) - eye, axis=1))))
+    distances = [distance for _, distance in _looks(model)]
     if distances:
-        matrix = normalisation(poses, np.array(list(points.values())), float(np.median(distances)))
+        points = np.array([point.xyz for point in model.points3D.values()])
+        matrix = normalisation(poses, points, float(np.median(distances)))
         model.transform(colmap_module().Sim3d(matrix))
 
 

@@ -32,6 +32,9 @@ SIZE = (1040, 980)
 CLOSE = "close/vase_02.jpg"
 """A photo of the vase."""
 
+WIDE = "wide/wide_020.jpg"
+"""A photo of the table with vase and tin."""
+
 SELECT, DELETE = 0.55, 0.8
 """Where in the sidebar's width the two buttons of a tool are."""
 
@@ -108,9 +111,14 @@ def confidence(blender: Blender, picture: Callable[..., None]) -> None:
     blender.pause(6.0)
     said = blender.ask(STATE + ".outcome")
     check(f"confidence: {said}", "directions" in str(said))
+    blender.ask("call('roigs.look_through', photo=WIDE)".replace("WIDE", repr(WIDE)))
+    blender.ask("bpy.context.scene.camera.data.show_background_images = False")
+    blender.pause(4.0)
     picture("18-confidence")
     blender.click(blender.find("roigs.show_heat_map", x=0.8))
     blender.pause(3.0)
+    blender.ask("call('view3d.view_camera')")
+    look_at_boxes(blender)
 
 
 def brush(blender: Blender, button: str) -> None:

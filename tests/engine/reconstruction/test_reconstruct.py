@@ -134,14 +134,21 @@ def test_it_resumes_where_it_was_stopped_and_takes_new_photos(resumed: Path) -> 
     make(photos, out, Context(emit=emit))
     assert started == ["look at photos", "mapping"]
     assert len(load_colmap(out, pixels=False).images) == 4
-    first = matched_pairs(out / "database.db")
+    first, places = matched_pairs(out / "database.db"), centres(out)
     copy_photos(photos, demo_photos("wide/*.jpg", 5)[4:], NAMES[4:5], SMALL)
     make(photos, out)
+    extent = np.linalg.norm(np.ptp([*places.values()], axis=0))
+    for name, place in centres(out).items():  # boxes and results stay where they belong
+        assert name not in places or np.linalg.norm(place - places[name]) < 1e-6 * extent
     assert first.items() <= matched_pairs(out / "database.db").items()
     with closing(sqlite3.connect(out / "database.db")) as file:
         assert file.execute("SELECT COUNT(DISTINCT camera_id) FROM images").fetchone() == (1,)
     assert len(load_colmap(out, pixels=False).images) == 5
     assert (out / "reconstruction/earlier/0/images.bin").exists()
+
+
+def centres(project: Path) -> dict[str, np.ndarray]:
+    return {image.name: image.centre for image in load_colmap(project, pixels=False).images}
 
 
 def test_photos_that_match_nothing_are_one_line_and_a_report(
