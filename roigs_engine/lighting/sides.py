@@ -5,7 +5,8 @@ But it lights one side of what stands there. An object with a mesh is a light pr
 that face one way, the bright ones are about as white as the bright ones that face another way, so
 their ratio is that of the light on them (a white patch for each direction, and for each object of
 its own). The light is multiplied by exp(a · d) of the direction d, the smoothest gain that has a
-side, with the `a` that explains these ratios best.
+side, with the `a` that explains these ratios best. Only what is above the horizon is: lamps, windows
+and the sky are there, and what is below is lit itself, as bright as photos show it.
 
 How much light there is, shading cannot tell: a white thing in half of the light looks like a grey
 one. But nothing is much whiter than white paint or paper. Where the bright parts of what is there
@@ -19,12 +20,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import brentq, least_squares
 
 from ..model.scene import Float64
 from ..rasterize.instances import NOTHING
 from .highlights import BRIGHTEST, MOST, Brightness, Surfaces
-from .panorama import Float32, Panorama, directions, solid_angles
+from .panorama import RAMP, Float32, Panorama, directions, solid_angles
 
 NEAR = 0.5  # of the usual distance above the horizon: nearer objects have the same light
 WAYS, CONE = 64, 0.85  # directions; cosine between a normal and the direction that it counts for
@@ -33,7 +34,7 @@ SAMPLES = 4000  # surfaces of a probe whose albedo is looked at
 WHITE = 0.8  # albedo of white paint and paper
 FEWEST = 0.005  # share of an object's surface that faces a way, at least
 NOISE, INDEPENDENT = 0.25, 12  # of logarithms of ratios; of that many ways each says its own
-USUAL = 0.7  # standard deviation of `a`: usual places have no strong side
+USUAL = 1.4  # standard deviation of `a`: usual places have no strong side
 ROWS = 32  # of the picture that is summed
 HALVINGS = 8  # of the range of a factor that is sought, in its logarithm: to 1 %
 
@@ -80,7 +81,7 @@ def shading(
         )
         light = panorama.brightened(raised.highlights, raised.unseen)
         sides = _gain(light, near)
-        return Shading(light=light * sides[..., None], factors=raised, sides=sides)
+        return Shading(light=_sided(light, sides), factors=raised, sides=sides)
 
     found = lit(1.0)
     white = 1.0 if given else whiteness(found.light, probes)
@@ -113,6 +114,17 @@ def gain(light: Float32, distance: Float32, place: Float64, objects: Sequence[Su
     return _gain(light, _near(distance, place, objects))
 
 
+def _sided(light: Float32, sides: Float32) -> Float32:
+    """A light (H, W, 3) with its side. What is added is neutral, as with light that none shows."""
+    less, more = np.minimum(sides, 1)[..., None], np.maximum(sides - 1, 0)
+    return np.asarray(less * light + (more * light.mean(axis=-1))[..., None], np.float32)
+
+
+def _above(ways: Float64) -> Float64:
+    """How far directions (..., 3) are above the horizon: from 0 there to 1 and on."""
+    return np.asarray(np.clip(np.degrees(np.arcsin(np.clip(ways[..., 2], -1, 1))) / RAMP, 0, 1))
+
+
 Told = list[tuple[Float64, Float64]]
 """Of each object, what `_told` says."""
 
@@ -136,12 +148,20 @@ def _gain(light: Float32, found: Told) -> Float32:
     side = _fitted(found, ways, flux)
     if not side.any():
         return np.ones(light.shape[:2], np.float32)
-    factors = np.exp(directions(len(light)) @ side)
     facing = np.concatenate([normals for normals, _ in found])
-    seen = np.maximum(facing @ ways.T, 0)
-    before, after = seen @ flux, seen @ (flux * np.exp(ways @ side))
-    kept = np.exp(np.mean(np.log(before / after)))
-    return np.asarray(kept * factors, np.float32)
+    seen, high = np.maximum(facing @ ways.T, 0), _above(ways)
+    whole, low, lit = (
+        seen @ (flux * part) for part in (1 + 0 * high, 1 - high, high * np.exp(ways @ side))
+    )
+
+    def brighter(kept: float) -> float:
+        return float(np.mean(np.log((low + np.exp(kept) * lit) / whole)))
+
+    most = np.linalg.norm(side)  # of the gain's logarithm: with it, all is brighter or darker
+    kept = np.exp(brentq(brighter, -most, most))
+    every = directions(len(light))
+    above = _above(every)
+    return np.asarray(1 - above + above * kept * np.exp(every @ side), np.float32)
 
 
 def whiteness(light: Float32, probes: Sequence[Surfaces]) -> float:
@@ -201,8 +221,10 @@ def _fitted(found: Sequence[tuple[Float64, Float64]], ways: Float64, flux: Float
     if not seen or not flux.sum() > 0:
         return np.zeros(3)
 
+    high = _above(ways)
+
     def off(side: Float64) -> Float64:
-        lit = flux * np.exp(ways @ side)
+        lit = flux * (1 - high + high * np.exp(ways @ side))
         parts = [side / USUAL]
         for each, bright in zip(seen, values, strict=True):
             rest = np.log(np.maximum(each @ lit, 1e-12)) - bright

@@ -34,17 +34,44 @@ def ball(light: np.ndarray, *, at: float = 0.5, white: float = 0.6) -> Surfaces:
     return Surfaces(places=places, normals=normals, colours=albedos * lit(normals, light))
 
 
+def side_above() -> np.ndarray:
+    """(H, 2 H) a gain with a side, above the horizon."""
+    ways = directions(HEIGHT)
+    return np.where(ways[..., 2] > 0, np.exp(ways @ SIDE), 1.0)
+
+
 def test_shading_tells_the_side_whatever_the_colours() -> None:
-    factors = np.exp(directions(HEIGHT) @ SIDE)
+    factors = side_above()
     light = (EVEN * factors[..., None]).astype(np.float32)
     found = gain(EVEN, FAR, HERE, [ball(light), ball(light, at=-0.5, white=0.2)])
-    likeness = np.corrcoef(np.log(found).ravel(), np.log(factors).ravel())[0, 1]
+    above = directions(HEIGHT)[..., 2] > 0.25
+    likeness = np.corrcoef(np.log(found[above]), np.log(factors[above]))[0, 1]
     assert likeness > 0.98
-    ratio = np.log(found.max() / found.min()) / np.log(factors.max() / factors.min())
+    there, true = (np.ptp(np.log(each[above])) for each in (found, factors))
+    ratio = there / true
     assert ratio == pytest.approx(0.85, abs=0.15)  # usual places have no side: it is held back
     normals = ball(EVEN).normals
     before, after = lit(normals, EVEN), lit(normals, EVEN * found[..., None])
     assert np.log(after / before).mean() == pytest.approx(0, abs=0.02)  # it is not brighter
+
+
+def test_what_is_below_the_horizon_is_as_bright_as_it_is_shown() -> None:
+    light = (EVEN * side_above()[..., None]).astype(np.float32)
+    found = gain(EVEN, FAR, HERE, [ball(light)])
+    assert (found[HEIGHT // 2 :] == 1).all()
+    assert found[: HEIGHT // 2].max() > 1.5
+
+
+def test_light_of_a_side_is_neutral() -> None:
+    red = (EVEN * (1.0, 0.5, 0.25)).astype(np.float32)
+    grey = (EVEN * red.mean() * (6 * side_above() - 5).clip(0.05)[..., None]).astype(np.float32)
+    panorama = under_a_ceiling(1.0)[0]
+    panorama = replace(panorama, shown=red, guessed=0 * red, unseen=0 * panorama.unseen)
+    found = shading(panorama, Brightness(), HERE, [ball(grey)], None, given=True)
+    added = (found.light - red)[found.sides > 1.1]
+    assert len(added) and np.ptp(added, axis=1).max() < 1e-5
+    less = (found.light / red)[found.sides < 1]
+    assert len(less) and np.ptp(less, axis=1).max() < 1e-5
 
 
 def test_a_light_without_a_side_stays() -> None:
@@ -53,7 +80,7 @@ def test_a_light_without_a_side_stays() -> None:
 
 
 def test_objects_that_are_far_away_tell_nothing() -> None:
-    light = (EVEN * np.exp(directions(HEIGHT) @ SIDE)[..., None]).astype(np.float32)
+    light = (EVEN * side_above()[..., None]).astype(np.float32)
     for objects in ([], [ball(light, at=3.0)]):
         assert (gain(EVEN, FAR, HERE, objects) == 1).all()
 
