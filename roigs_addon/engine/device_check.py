@@ -12,10 +12,17 @@ SECONDS = 300.0
 """How long it may take: kernels are compiled and checked at the first use of a GPU."""
 
 
-def ask(engine: Engine) -> str:
-    """Which device 'auto' chooses, and why; empty if the engine does not say."""
+FAILED = "Cannot train: "
+"""How an answer begins if a chosen device cannot be used."""
+
+
+def ask(engine: Engine, device: str) -> str:
+    """Which device a training would use, and why; empty if the engine does not say.
+
+    `device`: of the preferences; 'auto' is the engine's choice.
+    """
     try:
-        process = EngineProcess(engine, ["check-gpu", "--brief"])
+        process = EngineProcess(engine, ["check-gpu", "--brief", "--device", device])
     except (OSError, EngineError):
         return ""
     said, end = "", time.monotonic() + SECONDS
@@ -26,5 +33,5 @@ def ask(engine: Engine) -> str:
     for event in process.events():
         if event["event"] == "device":
             said = events.device_in_words(event)
-    process.result()
-    return said
+    ended = process.result()
+    return f"{FAILED}{ended.message}" if ended.failed and not running else said

@@ -31,18 +31,20 @@ class DeviceCheck:
 
     Attributes:
         answer: what it said; empty if it was not asked, or could not answer.
+        device: what the preferences said when it was asked.
         thread: the one that asks; None before the first question.
     """
 
     def __init__(self) -> None:
         """Nothing is known yet."""
-        self.answer = ""
+        self.answer = self.device = ""
         self.thread: threading.Thread | None = None
 
     def ask(self) -> None:
         """Begin to ask, unless that is under way."""
         if self.busy():
             return
+        self.device = settings.get().device
         question = settings.chosen_python(), settings.environments()
         self.thread = threading.Thread(target=self._look, args=question, daemon=True)
         self.thread.start()
@@ -53,7 +55,7 @@ class DeviceCheck:
 
     def _look(self, chosen: str, environments: tuple[Path, ...]) -> None:
         engine, _ = python.find(chosen, environments, python.FOR_TRAINING)
-        self.answer = "" if engine is None else device_check.ask(engine)
+        self.answer = "" if engine is None else device_check.ask(engine, self.device)
 
 
 _check = DeviceCheck()
@@ -69,16 +71,16 @@ def ask() -> None:
 
 
 def asked() -> str:
-    """What the engine has answered to `ask`, or the device that the preferences demand."""
+    """What the engine has answered to `ask`; empty if another device is chosen since."""
     if _check.busy():
         return "…"
-    if _check.answer and settings.get().device == "cpu":
-        return f"{events.CPU_NAME} (chosen below)"
-    return _check.answer
+    return _check.answer if settings.get().device == _check.device else ""
 
 
 def in_words(device: str) -> str:
     """'Trains on NVIDIA RTX 4070 (checked)', and what to do for a card that torch cannot use."""
+    if device.startswith(device_check.FAILED):
+        return device
     if device.startswith(WITHOUT_CUDA):
         hint = "" if sys.platform == "darwin" else " For an NVIDIA card: Set Up the Engine"
         return f"{DEVICE}{events.CPU_NAME}.{hint}"
@@ -90,7 +92,7 @@ def of_run(scene: bpy.types.Scene) -> str:
     if said := current.device():
         return said
     log = own_files.log_file(run_folders.run_folder(scene))
-    return _in_log(log) or ("" if _check.busy() else _check.answer)
+    return _in_log(log) or ("" if _check.busy() else asked())
 
 
 def _in_log(log: Path) -> str:

@@ -113,7 +113,7 @@ def test_check_asks_the_engine(
     training_device.forget()
     assert blender.ops.roigs.check_engine() == {"FINISHED"}
     assert until(lambda: not training_device._check.busy())
-    assert asked.read_text() == "check-gpu --brief --events;"
+    assert asked.read_text() == "check-gpu --brief --device auto --events;"
     assert training_device.asked() == "NVIDIA RTX 4070 (checked)"
     assert panel(blender)[0].startswith("Trains on NVIDIA RTX 4070")
     drawn: list[str] = []
@@ -125,7 +125,13 @@ def test_check_asks_the_engine(
     assert "Trains on NVIDIA RTX 4070 (checked)" in drawn
     chosen = SimpleNamespace(device="cpu", engine_python="")
     monkeypatch.setattr(settings, "get", lambda: chosen)
-    assert training_device.asked() == "the processor (chosen below)"
+    assert not training_device.asked()  # of another device, nothing is known
+    refused = 'say(event="failed", message="There is no GPU.", hint="")\nsys.exit(2)'
+    monkeypatch.setattr(python, "find", lambda *_: (fake(tmp_path / "2", refused), ""))
+    training_device.ask()
+    assert until(lambda: not training_device._check.busy())
+    said = training_device.in_words(training_device.asked())
+    assert said.startswith("Cannot train: There is no GPU.")
     monkeypatch.setattr(python, "find", lambda *_: (None, "none"))
     training_device.forget()
     training_device.ask()
