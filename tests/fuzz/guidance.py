@@ -175,10 +175,25 @@ def adapt(dice: random.Random, folder: Path) -> Case:
     return Case([*line, "--out", str(out / "adapted.ply")])
 
 
+def confidence(dice: random.Random, folder: Path) -> Case:
+    """What the photos of a damaged run know of its Gaussians, or of a damaged model's."""
+    scene, out = good_scene(folder), folder / "out"
+    good_boxes(folder)
+    run_folder(dice, out / "run", scene)
+    line = ["confidence", str(out / "run"), *CPU]
+    if dice.random() < 0.3:
+        data = bytes_damaged(dice, models()["result.ply"])
+        line += ["--model", str(write(folder / "in" / "a.ply", data))]
+    line += dice.choice(([], [], ["--scene", str(scene)], ["--heat-map"]))
+    name = dice.choice(("a.ply", "a.npy", "a.txt", "run/result.ply", ".ply", "a\x1b[31m.npy"))
+    return Case([*line, "--out", str(out / name)])
+
+
 FAMILIES: dict[str, tuple[Callable[[random.Random, Path], Case], int]] = {
     "certify": (certify, 200),
     "suggest": (suggest, 100),
     "panorama": (panorama, 250),
     "panorama_list": (listed, 100),
     "adapt": (adapt, 150),
+    "confidence": (confidence, 150),
 }
