@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,12 +16,25 @@ ISOLATED = "-I"
 """Python's option: nothing is imported from the working folder or where variables lead."""
 
 
-def variables() -> dict[str, str]:
-    """This process's environment without Python's own variables.
+SEARCHED = re.compile("PATH|LD_LIBRARY_PATH|DYLD_(FALLBACK_)?(LIBRARY|FRAMEWORK)_PATH")
+"""Variables with folders in which systems look for programs and libraries."""
 
-    They lead another Python to Blender's packages, or to code that the user did not choose.
+
+def variables() -> dict[str, str]:
+    """This process's environment without what leads to code that the user did not choose.
+
+    Python's own variables lead another Python to Blender's packages. In lists of folders, an entry
+    that is no full path is one in the working folder, where a stranger's .blend may be; an empty
+    one, as of `LD_LIBRARY_PATH=$LD_LIBRARY_PATH:/opt/lib`, is the working folder itself.
     """
-    return {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    found = {name: _full(kept[name]) for name in kept if SEARCHED.fullmatch(name.upper())}
+    return {name: value for name, value in (kept | found).items() if value or name not in found}
+
+
+def _full(folders: str) -> str:
+    """The entries of a list of folders that are full paths."""
+    return os.pathsep.join(each for each in folders.split(os.pathsep) if os.path.isabs(each))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from .command import HIDDEN
+from .command import HIDDEN, variables
 from .programs import find_program
 
 SECONDS = 20.0
@@ -134,6 +134,7 @@ def _ask(program: str, fields: str) -> list[str]:
     try:
         result = subprocess.run(
             [program, f"--query-gpu={fields}", "--format=csv,noheader"],
+            env=variables(),
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import bpy
 
-from ..engine import report, run_status
+from ..engine import own_files, report, run_status
 from ..engine.earlier_results import EarlierResult, earlier_results
 from ..engine.run_settings import RunSettings
 from ..engine.run_status import RunStatus
 from ..jobs import run_folders
 from ..properties import object_props
 from ..scene import edits, lookup, rois
-from ..shared import clean_up
+from ..shared import clean_up, files, run_files
 
 SECONDS, DISK_SECONDS = 1.0, 30.0
 """How long what was found is used again; adding up files takes longer."""
@@ -82,10 +82,16 @@ def disk(scene: bpy.types.Scene) -> Disk:
     folder = run_folders.run_folder(scene)
     if is_old(_disk.get(folder), DISK_SECONDS):
         _disk.clear()
-        total, removable = clean_up.disk_size([folder]), clean_up.removable(folder)
+        # Only what is of a run: who made the .blend may have named any folder, such as `/`.
+        own = [path for path in files.matching(folder, "*") if _is_of_run(path.name)]
+        total, removable = clean_up.disk_size(own), clean_up.removable(folder)
         found = Disk(total=total, removable=clean_up.disk_size(removable))
         _disk[folder] = time.monotonic(), found
     return _disk[folder][1]
+
+
+def _is_of_run(name: str) -> bool:
+    return run_files.is_own(name) or name == own_files.OWN
 
 
 def is_file(path: Path) -> bool:

@@ -69,7 +69,7 @@ def settle(scene: bpy.types.Scene) -> Path:
 
 def _is_left_behind(folder: Path) -> bool:
     """Whether a folder was made before the file was first saved, and nothing was trained in it."""
-    kept = bpy.data.filepath and folder.is_relative_to(settings.unsaved_folder())
+    kept = bpy.data.filepath and folder.parent == settings.unsaved_folder()
     trained = run_files.MANIFEST, run_files.STAGES, run_files.LOCK
     return bool(kept) and not any((folder / name).exists() for name in trained)
 

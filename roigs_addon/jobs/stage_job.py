@@ -101,7 +101,7 @@ def _panorama(scene: bpy.types.Scene, wanted: Wanted, folder: Path, picture: Pat
     """
     assert wanted.light is not None
     root = lookup.matrix_world(scene_props(scene).root)
-    back, scale = np.linalg.inv(root), transforms.scale_of(root) or 1.0
+    back, scale = lookup.from_world(scene), transforms.scale_of(root) or 1.0
     depsgraph = bpy.context.evaluated_depsgraph_get()
     models = models_of(shown(scene), instances.instances(depsgraph), depsgraph)
     if not models:

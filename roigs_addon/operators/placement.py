@@ -113,7 +113,8 @@ class SetFloor(PlaceTool):
     def _poses(context: bpy.types.Context) -> Matrix:
         """(V, 4, 4) of the cameras in the world."""
         cameras = lookup.cameras(scene_of(context)).values()
-        poses = [world_to_camera(lookup.matrix_world(item), np.eye(4)) for item in cameras]
+        places = (lookup.matrix_world(item) for item in cameras)
+        poses = [world_to_camera(each, np.eye(4)) for each in places if np.isfinite(each).all()]
         return np.array(poses).reshape(-1, 4, 4)
 
     def take(self, points: list[Vector]) -> None:

@@ -66,7 +66,7 @@ class Shape:
 def to_frame(roi: bpy.types.Object, points: Vectors) -> Vectors:
     """Points of the world (N, 3) in the box's frame."""
     world = lookup.matrix_world(roi)
-    inverse, sides = np.linalg.inv(world), np.linalg.norm(world[:3, :3], axis=0)
+    inverse, sides = lookup.inverse(world, roi.name), np.linalg.norm(world[:3, :3], axis=0)
     return np.asarray((points @ inverse[:3, :3].T + inverse[:3, 3]) * sides)
 
 

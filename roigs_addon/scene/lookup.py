@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 
 import bpy
 import numpy as np
@@ -139,6 +140,25 @@ def _unseen(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Matrix:
         return basis
     place: Matrix = stands(item.parent, depsgraph) @ np.array(item.matrix_parent_inverse, float)
     return place @ basis
+
+
+def inverse(matrix: Matrix, name: str) -> Matrix:
+    """The inverse of where an object stands.
+
+    Raises:
+        AddonError: it stands nowhere, or has no size, as in a .blend that is damaged.
+    """
+    with suppress(np.linalg.LinAlgError):
+        found: Matrix = np.linalg.inv(matrix)
+        if np.isfinite(found).all():
+            return found
+    raise AddonError(f"'{name}' stands nowhere, or has no size. Clear its transformation.")
+
+
+def from_world(scene: bpy.types.Scene) -> Matrix:
+    """(4, 4) from the world to the COLMAP frame; AddonError: the root stands nowhere."""
+    root = scene_props(scene).root
+    return inverse(matrix_world(root), root.name if root is not None else "COLMAP")
 
 
 def root_scale(scene: bpy.types.Scene) -> float:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..blender import mesh_of, scene_of
 from ..errors import AddonError
-from ..properties import object_props, scene_props
+from ..properties import object_props
 from . import clouds, lookup
 from .splat_attributes import hidden, values
 
@@ -87,7 +87,7 @@ def opacities(item: bpy.types.Object) -> NDArray[np.float32]:
 
 def inside(item: bpy.types.Object, box: bpy.types.Object, scene: bpy.types.Scene) -> Mask:
     """(N,) which points are in a box; raises AddonError if it is none."""
-    root = np.linalg.inv(lookup.matrix_world(scene_props(scene).root))
+    root = lookup.from_world(scene)
     placed = places(item) @ root[:3, :3].T + root[:3, 3]
     return lookup.box(box, scene).contains(placed.astype(np.float32))
 

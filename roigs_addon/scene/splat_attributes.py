@@ -30,6 +30,13 @@ SH_NAMES = tuple(f"radiance:sh_{index}" for index in range(15))
 PLACE = "imported"
 """Attribute: where a point was imported."""
 
+NUMBERS = {
+    **dict(zip(SHAPE, (3, 4, 4), strict=True)),
+    **dict.fromkeys((*SH_NAMES, PLACE, "position"), 3),
+    "opacity": 1,
+}
+"""How many numbers these attributes have; who made a .blend may have given them others."""
+
 
 FAR = 1e15
 """As for boxes and placements."""
@@ -54,8 +61,8 @@ def imported_frame(mesh: bpy.types.Mesh) -> Matrix:
     except (ValueError, TypeError):
         return np.eye(4)
     # What a .blend says may be anything; a map that cannot be turned back is none of ours.
-    usable = (np.abs(frame) < FAR).all() and np.linalg.cond(frame) < 1 / np.finfo(float).eps
-    return frame if usable else np.eye(4)
+    usable = (np.abs(frame) < FAR).all() and np.linalg.matrix_rank(frame[:3, :3]) == 3
+    return frame if usable and (frame[3] == (0, 0, 0, 1)).all() else np.eye(4)
 
 
 def move_to_frame(mesh: bpy.types.Mesh, frame: Matrix) -> None:
@@ -181,11 +188,13 @@ def drawn(mesh: bpy.types.Mesh) -> NDArray[np.bool_]:
 
 
 def values(data: Points, name: str) -> Float32 | None:
-    """(N, numbers) of a point attribute; None if there is none of that name."""
+    """(N, numbers) of a point attribute; None if there is none of that name, or of another kind."""
     attribute: Any = data.attributes.get(name)
     if attribute is None or attribute.domain != "POINT" or attribute.data_type not in WIDTHS:
         return None
     width = WIDTHS[attribute.data_type]
+    if width != NUMBERS.get(name, width):
+        return None
     points = data.vertices if isinstance(data, bpy.types.Mesh) else data.points
     flat = np.empty(width * len(points), np.float32)
     attribute.data.foreach_get(clouds.ATTRIBUTE_KEYS[attribute.data_type], flat)

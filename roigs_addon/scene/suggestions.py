@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import bpy
-import numpy as np
 
 from ..blender import camera_of
 from ..errors import AddonError
@@ -183,7 +182,7 @@ def _lines(
 ) -> bpy.types.Object:
     """A line from each photo's place to the middle of the box, in the COLMAP frame."""
     eyes = [-photo.pose[:3, :3].T @ photo.pose[:3, 3] for photo in photos]
-    inverse = np.linalg.inv(lookup.matrix_world(root))
+    inverse = lookup.inverse(lookup.matrix_world(root), root.name)
     middle = (inverse @ lookup.matrix_world(roi))[:3, 3]
     mesh = bpy.data.meshes.new(f"{roi.name} Lines")
     points = [middle.tolist(), *(eye.tolist() for eye in eyes)]

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from roigs_addon.engine import base_python, graphics_card, install, install_steps, programs, python
+from roigs_addon.engine import (
+    base_python,
+    command,
+    graphics_card,
+    install,
+    install_steps,
+    programs,
+    python,
+)
 from roigs_addon.engine.install_steps import Plan, Step
 
 MODULES = ("venv", "pip", "ensurepip", "importlib", "json", "numpy", "torch", "tomllib")
@@ -28,6 +37,7 @@ def strangers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         program = folder / (f"{name}.exe" if os.name == "nt" else name)
         program.write_text(f"#!/bin/sh\necho run >> '{left}'\n")
         program.chmod(0o755)
+    (folder / "libstranger.so").write_bytes(b"no library")  # the loader would say so
     monkeypatch.chdir(folder)
     monkeypatch.setenv("PYTHONPATH", str(folder))
     monkeypatch.setenv("PYTHONSTARTUP", str(startup))
@@ -41,8 +51,8 @@ def test_a_python_is_asked_in_isolation(strangers: Path) -> None:
     found = python.ability(Path(sys.executable))
     assert not found.fault and "numpy" not in found.missing
     assert base_python._version([sys.executable])[0] in (0, 3)
-    for command in base_python._pythons():
-        assert os.path.isabs(command[0]), command
+    for words in base_python._pythons():
+        assert os.path.isabs(words[0]), words
     assert not strangers.exists()
 
 
@@ -52,6 +62,29 @@ def test_programs_of_the_working_folder_are_not_found(strangers: Path) -> None:
         assert found is None or found.parent != Path.cwd()
     graphics_card.find()
     assert not strangers.exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="variables of POSIX")
+def test_the_working_folder_is_not_searched_for_libraries(
+    strangers: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An empty entry is the working folder, and looks harmless."""
+    monkeypatch.setenv("LD_LIBRARY_PATH", ":/opt/a:lib:/opt/b:")
+    monkeypatch.setenv("DYLD_LIBRARY_PATH", "")
+    monkeypatch.setenv("PATH", f":bin:{os.environ['PATH']}:.")
+    for given in (command.variables(), command.Engine(python=Path("p"), source=Path("s"))):
+        found = given if isinstance(given, dict) else given.environment()
+        assert found["LD_LIBRARY_PATH"] == "/opt/a:/opt/b" and "DYLD_LIBRARY_PATH" not in found
+        assert all(map(os.path.isabs, found["PATH"].split(":")))
+    code = "import ctypes; ctypes.CDLL('libstranger.so')"
+    run = subprocess.run(
+        [sys.executable, "-I", "-c", code],
+        env=command.variables(),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "libstranger.so: cannot open" in run.stderr or "not found" in run.stderr, run.stderr
 
 
 def test_each_step_of_the_set_up_is_isolated_and_runs_in_its_own_folder(
