@@ -83,6 +83,7 @@ class Photo:
         )
         if found.pose.shape != (4, 4) or not np.isfinite(found.pose).all():
             raise ValueError("a pose of numbers is missing")
+        found.name.encode()  # raises: Blender takes no names that are no text
         known = found.intrinsics
         if not np.isfinite((known.fx, known.fy, known.cx, known.cy)).all():
             raise ValueError("numbers of the camera are missing")

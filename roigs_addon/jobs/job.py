@@ -13,7 +13,7 @@ from ..engine.command import Engine
 from ..engine.event_log import DEVICE
 from ..engine.process import EngineProcess, JobResult
 from ..errors import AddonError
-from ..shared import EngineError, events
+from ..shared import EngineError, events, files
 from .spec import JobSpec, how_to_resume, nothing
 from .state import STOPPED, STOPPING, WAITING, JobState
 
@@ -162,6 +162,8 @@ class Job:
 
 def _started(engine: Engine, spec: JobSpec) -> EngineProcess:
     """The engine at work on it."""
+    if spec.log is not None and files.is_link(spec.log.parent):
+        raise AddonError(f"{spec.log.parent} is a link; nothing is written through links.")
     try:
         return EngineProcess(engine, spec.arguments, log=spec.log)
     except (OSError, EngineError) as error:

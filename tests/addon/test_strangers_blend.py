@@ -9,7 +9,7 @@ import json
 import os
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType, ModuleType
 from typing import Any
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from roigs_addon.errors import AddonError
 from tests.addon.panels import said
 
 pytestmark = pytest.mark.blender
@@ -234,6 +235,7 @@ def test_a_group_of_nodes_that_somebody_has_changed(
 @pytest.mark.parametrize(
     ("key", "value"),
     [
+        *(("name", value) for value in ("\ud800", "caf\udce9.png")),
         *(("fx", value) for value in (10**400, float("nan"), 0.0, "x")),
         *(("width", value) for value in (0, -1, 10**400, None)),
         *(("world_to_camera", value) for value in ([], [[1.0]], [[float("inf")] * 4] * 4)),
@@ -272,6 +274,45 @@ def test_choices_of_another_version(blender: ModuleType, shown) -> None:
     all_panels(blender)
 
 
+@pytest.mark.parametrize("name", ["scale", "rotation", "radiance:base", "radiance:sh_0"])
+@pytest.mark.parametrize("kind", ["FLOAT", "FLOAT2", "FLOAT_VECTOR", "FLOAT_COLOR", "STRING"])
+def test_attributes_of_another_kind(blender: ModuleType, shown, name: str, kind: Any) -> None:
+    from roigs_addon.scene import point_edits, splat_attributes
+
+    scene, _ = shown
+    mesh = gaussians(scene).data
+    mesh.attributes.remove(mesh.attributes[name])
+    mesh.attributes.new(name, kind, "POINT")
+    splat_attributes.cloud_of(mesh)
+    with suppress(AddonError):
+        point_edits.opacities(gaussians(scene))
+    assert splat_attributes.drawn(mesh).shape == (len(mesh.vertices),)
+
+
+@pytest.mark.parametrize("scale", [0.0, float("nan")])
+def test_a_root_that_stands_nowhere(blender: ModuleType, shown, scale: float) -> None:
+    scene, _ = shown
+    scene.roigs.root.scale = (scale,) * 3
+    blender.context.view_layer.update()
+    for name in ("set_floor", "find_floaters", "light_from_scene", "suggest_photos"):
+        operator = getattr(blender.ops.roigs, name)
+        if operator.poll():
+            with pytest.raises(RuntimeError) as error:
+                operator()
+            assert "Traceback" not in str(error.value)
+
+
+def test_the_size_of_any_folder_is_not_added_up(blender: ModuleType, shown, tmp_path: Path) -> None:
+    """Who made the .blend may have named `/` as its run folder."""
+    from roigs_addon.facts import run_facts
+
+    scene, folder = shown
+    before = run_facts.disk(scene).total
+    (folder / "mine").mkdir()
+    (folder / "mine" / "film.mov").write_bytes(bytes(10**6))
+    assert run_facts.disk(scene).total == before > 0
+
+
 # --- nothing is written elsewhere ---
 
 
@@ -292,6 +333,23 @@ def test_a_run_folder_of_another_system_is_not_made_here(
     with pytest.raises(RuntimeError, match="is not a full path on this computer"):
         blender.ops.roigs.train_roi()
     assert not [*here.iterdir()] and [*here.parent.iterdir()] == [here]
+
+
+def test_the_log_is_not_written_through_a_link(
+    blender: ModuleType, shown, tmp_path: Path, engine: object
+) -> None:
+    from roigs_addon.jobs import current
+    from roigs_addon.jobs.spec import LEVELS, JobSpec
+
+    _, folder = shown
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "engine.log").write_text("mine")
+    (folder / "blender").symlink_to(mine)
+    log = folder / "blender" / "engine.log"
+    with pytest.raises(Exception, match="is a link; nothing is written through links"):
+        current.start(engine, JobSpec(title=LEVELS, arguments=["levels", str(folder)], log=log))
+    assert (mine / "engine.log").read_text() == "mine" and len([*mine.iterdir()]) == 1
 
 
 def test_a_page_that_is_a_link_is_not_opened(blender: ModuleType, shown, tmp_path: Path) -> None:
