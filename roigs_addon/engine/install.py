@@ -30,6 +30,8 @@ _CONNECTION = re.compile(
     "|(DEFAULT_)?TIMEOUT|RETRIES|KEYRING_PROVIDER)"
 )
 """pip's variables that say how to reach packages; the others may not change what is done here."""
+LEAST_FREE = 20e6
+"""Bytes: below, a step that fails has probably failed for want of space."""
 _RAW_PROGRESS = re.compile(r"Progress (\d+) of (\d+)")
 
 
@@ -93,7 +95,8 @@ class Installation:
         before = [int(path.name) for path in made([self.folder])]
         remove_replaced(self.plan.environments)
         environment = self.folder / str(max(before, default=0) + 1)
-        with self.log.open("w", encoding="utf-8") as log:
+        self.log.unlink(missing_ok=True)  # a link or a pipe in its place is not written to
+        with self.log.open("x", encoding="utf-8") as log:
             planned = steps(self.plan, base, environment)
             for number, step in enumerate(planned):
                 self.title, self.line = step.title, ""
@@ -148,7 +151,15 @@ class Installation:
             if not step.needed:
                 print("The engine works without it.", file=log, flush=True)
                 return
-            raise AddonError(f"{step.title} failed: {useful(self._said)} See the log {self.log}")
+            said = f"{step.title} failed: {useful(self._said)}{self._of_the_disk()}"
+            raise AddonError(f"{said} See the log {self.log}")
+
+    def _of_the_disk(self) -> str:
+        """What to do if the disk is full: most programs do not say that this was it."""
+        with contextlib.suppress(OSError):
+            if shutil.disk_usage(self.folder).free < LEAST_FREE:
+                return f" The disk of {self.folder} is full: free some space."
+        return ""
 
     def _variables(self, step: Step) -> dict[str, str]:
         raw = {"PIP_PROGRESS_BAR": "raw"} if step.title.startswith("Installing") else {}

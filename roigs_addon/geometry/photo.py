@@ -18,6 +18,16 @@ from .frames import Intrinsics, Matrix
 
 MOST = 1 << 20
 """Pixels of a side: more than any photo has."""
+FAR = 1e15
+"""As for boxes and placements."""
+
+
+def _is_pose(matrix: Matrix) -> bool:
+    """Whether it is a rotation, about, and a translation; False for NaN."""
+    if matrix.shape != (4, 4) or not (np.abs(matrix) < FAR).all():
+        return False
+    turns = (np.abs(matrix[:3, :3]) < 2).all() and np.linalg.det(matrix[:3, :3]) > 0.5
+    return bool(turns and (matrix[3] == (0, 0, 0, 1)).all())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +91,7 @@ class Photo:
             turn=int(record.get("turn", 1)),
             as_stored=bool(record.get("as_stored", True)),
         )
-        if found.pose.shape != (4, 4) or not np.isfinite(found.pose).all():
+        if not _is_pose(found.pose):
             raise ValueError("a pose of numbers is missing")
         found.name.encode()  # raises: Blender takes no names that are no text
         known = found.intrinsics

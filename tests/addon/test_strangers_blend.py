@@ -238,7 +238,10 @@ def test_a_group_of_nodes_that_somebody_has_changed(
         *(("name", value) for value in ("\ud800", "caf\udce9.png")),
         *(("fx", value) for value in (10**400, float("nan"), 0.0, "x")),
         *(("width", value) for value in (0, -1, 10**400, None)),
-        *(("world_to_camera", value) for value in ([], [[1.0]], [[float("inf")] * 4] * 4)),
+        *(
+            ("world_to_camera", value)
+            for value in ([], [[1.0]], [[float("inf")] * 4] * 4, [[1.0] * 4] * 4)
+        ),
     ],
 )
 def test_cameras_that_are_none(blender: ModuleType, shown, key: str, value: Any) -> None:

@@ -350,3 +350,31 @@ def test_check_says_that_an_environment_is_of_other_packages(
     other = check.check("", [tmp_path])[-1]
     assert not other.works and other.text.endswith("set up the engine again")
     check.forget()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+def test_what_is_in_the_place_of_the_log_is_not_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake_steps(monkeypatch, "print('fine')")
+    log, mine = tmp_path / environments.SETUP_LOG, tmp_path / "mine"
+    mine.write_text("mine")
+    log.symlink_to(mine)
+    for _ in range(2):
+        assert run(Installation(Plan(environments=(tmp_path,)))).message == ""
+        assert mine.read_text() == "mine" and "fine" in log.read_text(encoding="utf-8")
+        log.unlink()
+        os.mkfifo(log)
+
+
+def test_a_full_disk_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """ensurepip, say, ends with its command line alone."""
+    fake_steps(monkeypatch, "raise SystemExit('it returned 1')")
+    usage = install.shutil.disk_usage(tmp_path)
+    for free, said in ((1e9, False), (1e5, True)):
+        monkeypatch.setattr(
+            install.shutil, "disk_usage", lambda path, free=free: usage._replace(free=int(free))
+        )
+        message = run(Installation(Plan(environments=(tmp_path,)))).message
+        assert "Step 1 failed: it returned 1." in message
+        assert (f"The disk of {tmp_path} is full: free some space." in message) == said
