@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..shared import files
 from . import install_steps, python
 
 
@@ -71,12 +71,8 @@ def _place(path: Path) -> Finding:
 
 def _outdated(path: Path) -> str:
     """What is wrong with a Python of 'Set Up the Engine' for this version of the add-on."""
-    try:
-        text = (path.parent.parent / python.MARKER).read_text(encoding="utf-8")
-        wanted = json.loads(text)["requirements"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return ""
-    made_for_this = wanted == install_steps.requirements()
+    wanted = files.read_record(path.parent.parent / python.MARKER).get("requirements")
+    made_for_this = wanted in (None, install_steps.requirements())
     return "" if made_for_this else "made for other versions of packages; set up the engine again"
 
 
