@@ -19,7 +19,7 @@ def psnr(folder: Path, side: int | None = None) -> str:
         found = [box["rows"][-1]["roi_psnr"] for box in report["rois"]]  # the last row: the result
         values = [float(value) for value in found if value is not None]
         photos = text.counted(len(report["test_views"]), f"{report.get('photos', 'test')} photo")
-    except (EngineError, KeyError, TypeError, ValueError, IndexError):
+    except (EngineError, KeyError, TypeError, ValueError, IndexError, OverflowError):
         return ""
     size = f" at {side} px" if side else ""
     return f"{sum(values) / len(values):.1f} dB{size} on {photos}" if values else ""

@@ -15,6 +15,9 @@ LATER = ("exclude", "count", "steps", "recipe")
 """Not taken as they are."""
 MOST_STEPS = 10**9
 MADE_FOR = {target.name: target.title for target in targets.TARGETS.values()}
+TEXTS = ("preset", "strategy", "made_for", "method", "scene", "images")
+LONGEST = 1000
+"""Letters of one of them that are kept."""
 NAMED = 2
 """Photos that are named."""
 BOX_SETTINGS = ("method", "count")
@@ -64,17 +67,17 @@ class RunSettings:
         chosen = selection if isinstance(selection, dict) else {}
         known = {**chosen, **_of_stages(config), **config, **values}
         names = [field.name for field in fields(cls) if field.name not in LATER]
-        found = {name: _plain(known.get(name)) for name in names}
+        found = {name: _plain(name, known.get(name)) for name in names}
         if values:
             found["steps_factor"] = found["steps_factor"] or 1.0
             found["images"] = found["images"] or ""
         found |= {key: Path(found[key]).name for key in ("scene", "images") if found[key]}
-        exclude, count = values.get("exclude"), known.get("count")
+        exclude, count = values.get("exclude"), _plain("count", known.get("count"))
         listed = exclude if isinstance(exclude, list) else []
         return cls(
             **found,
             exclude=tuple(sorted(map(str, listed))) if values else None,
-            count=(count if isinstance(count, int) else 0) if known else None,
+            count=(count or 0) if known else None,
         )._with_recipe(config)
 
     def _with_recipe(self, config: Mapping[str, Any]) -> RunSettings:
@@ -109,8 +112,15 @@ def _count(value: Any) -> int | None:
     return value if good else None
 
 
-def _plain(value: Any) -> Any:
-    return value if isinstance(value, (str, int, float)) else None
+def _plain(name: str, value: Any) -> Any:
+    """The value of a setting; None if none of the kind can be: anybody may have written the file"""
+    if name in TEXTS:
+        return text.printable(value)[:LONGEST] if isinstance(value, str) else None
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return None
+    if name == "steps_factor":
+        return value if 0 < value < MOST_FACTOR else None
+    return value if isinstance(value, int) and abs(value) < MOST_STEPS else None
 
 
 def read(folder: Path, config: Mapping[str, Any] | None = None) -> RunSettings:

@@ -243,12 +243,23 @@ def _is_painted(image: bpy.types.Image) -> bool:
 
 
 def record(item: bpy.types.Object) -> dict[str, Any]:
-    """What the engine says of a mesh; lengths in units of the COLMAP model."""
+    """What the engine says of a mesh, as far as it is of the right kind; lengths in units of the
+    COLMAP model: `size` of its sides, `volume`, the share `filled`, and whether it is `watertight`.
+    """
     try:
         found = text.parse_json(object_props(item).surface.encode())
     except ValueError:
-        return {}
-    return found if isinstance(found, dict) else {}
+        found = {}
+    given = found if isinstance(found, dict) else {}
+    size = given.get("size")
+    sides = [side for side in size if _is_number(side)] if isinstance(size, list) else []
+    numbers = {k: given[k] for k in ("volume", "filled") if _is_number(given.get(k))}
+    return {"size": sides, "watertight": given.get("watertight") is True, **numbers}
+
+
+def _is_number(value: Any) -> bool:
+    kind = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return kind and abs(value) < lookup.FAR
 
 
 def _new(

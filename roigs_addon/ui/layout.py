@@ -13,12 +13,17 @@ from ..jobs import current
 from ..jobs.spec import RESUMED, TRAINING
 from ..jobs.state import JobState
 from ..operators import train
+from ..shared import text as texts
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import IconItems
 
 PIXELS_PER_LETTER = 7.5
 """Mean width of a letter of Blender's default font, at an interface scale of 1."""
+
+
+LONGEST = 2000
+"""Letters of a text that is shown."""
 
 
 class SidebarPanel(bpy.types.Panel):
@@ -38,9 +43,14 @@ def say(layout: bpy.types.UILayout, text: str, icon: IconItems) -> None:
 
 
 def wrapped(layout: bpy.types.UILayout, text: str, icon: IconItems, letters: int) -> None:
-    """A text in lines of so many letters, with an icon before the first one."""
+    """A text in lines of so many letters, with an icon before the first one.
+
+    Names in it may be anybody's: they are shown without what is no letter, and not for ever.
+    """
     column = layout.column(align=True)
-    for number, line in enumerate(textwrap.wrap(text, letters)):
+    shown = text if len(text) <= LONGEST else f"{text[:LONGEST]}…"
+    shown = texts.printable(" ".join(shown.split())).encode("utf-8", "backslashreplace").decode()
+    for number, line in enumerate(textwrap.wrap(shown, letters)):
         column.label(text=line, icon=icon if number == 0 else "BLANK1")
 
 

@@ -266,6 +266,37 @@ def test_a_lens_of_other_words(blender: ModuleType, shown, lens: str) -> None:
     assert photo is not None and masks.size_of(photo) == (64, 48)
 
 
+@pytest.mark.parametrize(
+    "surface",
+    [
+        '{"size": "abc", "volume": "x", "filled": {}, "watertight": 1}',
+        '{"size": [1, "x", null, 1e400], "volume": 1e999, "filled": [1]}',
+        '{"size": 5, "volume": ' + "9" * 5000 + "}",
+        "[" * 100_000,
+        "[]",
+        "",
+    ],
+)
+def test_any_facts_of_a_mesh(blender: ModuleType, shown, surface: str) -> None:
+    from roigs_addon.ui.surface import facts
+
+    scene, _ = shown
+    blender.ops.mesh.primitive_cube_add()
+    item = blender.context.object
+    item.roigs.kind, item.roigs.roi, item.roigs.surface = "SURFACE", "thing", surface
+    assert facts(scene, item).startswith("6 faces")
+
+
+def test_texts_are_shown_in_part_and_without_controls(blender: ModuleType, addon) -> None:
+    from roigs_addon.ui import layout
+    from tests.addon.panels import Layout
+
+    lines: list[str] = []
+    layout.wrapped(Layout(lines), "a\x1b[31m \ud800 b\u202e " + 10**6 * "word ", "INFO", 40)
+    assert len(lines) < 80 and " ".join(lines).endswith("…")
+    assert lines[0].startswith("a\\x1b[31m \\ud800 b\\u202e word")
+
+
 def test_choices_of_another_version(blender: ModuleType, shown) -> None:
     scene, _ = shown
     raw = scene.get("roigs")
