@@ -14,7 +14,6 @@ from ..blender import leave_edit_mode, mesh_of, scene_of
 from ..engine.writing import writing
 from ..errors import AddonError
 from ..geometry.splat_cloud import write_splats
-from ..properties import scene_props
 from ..scene import edits, lookup, point_edits
 from ..scene.splat_attributes import cloud_of, drawn
 from ..shared import files
@@ -103,6 +102,6 @@ def _written(
     cloud, applied = found
     path = folder / f"{name}-{mesh.session_uid}.ply"
     write_splats(path, cloud)
-    root = np.linalg.inv(lookup.matrix_world(scene_props(scene).root))
+    root = lookup.from_world(scene)
     matrix = root @ lookup.matrix_world(item) @ applied
     return (_uid(item), edits.state_of(mesh)), {"ply": str(path), "matrix": matrix.tolist()}

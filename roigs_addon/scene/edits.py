@@ -28,7 +28,7 @@ from ..errors import AddonError
 from ..geometry.frames import Matrix
 from ..geometry.splat_cloud import write_splats
 from ..properties import object_props
-from ..shared import EngineError
+from ..shared import EngineError, files
 from . import clouds
 from .splat_attributes import (
     FRAME,
@@ -129,8 +129,9 @@ def _fingerprint(path: str) -> str:
         state = os.stat(path)
         key = path, state.st_mtime_ns, state.st_size
         if key not in _fingerprints:
-            with open(path, "rb") as file:
-                _fingerprints[key] = f"{state.st_size}-{zlib.crc32(file.read(HEAD)):08x}"
+            with open(path, "rb", opener=files.regular) as file:
+                head = file.read(HEAD) or b""  # a file of the system's may have none now
+            _fingerprints[key] = f"{state.st_size}-{zlib.crc32(head):08x}"
     except OSError:
         return ""
     return _fingerprints[key]
