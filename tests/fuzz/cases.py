@@ -110,6 +110,7 @@ def all_families() -> dict[str, tuple[Family, int]]:
     from tests.fuzz import (
         command_files,
         exchange,
+        frames,
         guidance,
         levels_and_scribbles,
         masks,
@@ -133,6 +134,7 @@ def all_families() -> dict[str, tuple[Family, int]]:
         user_input,
         texts,
         exchange,
+        frames,
         guidance,
         meshes,
         masks,
