@@ -34,6 +34,7 @@ WINDOW = 9  # pixels around a patch
 ROUNDS = 10  # of fitting; the medians settle in fewer
 SHARP = 75.0  # percentile of photos that are called sharp
 FEWEST = 5  # patches that tell how sharp a photo is
+MOST = 20_000_000  # numbers of each measure; with more photos, fewer places tell
 LEAST = 1e-8  # of energies, which are of values from 0 to 1
 """Below the noise of 8 bits."""
 DARKEST, BRIGHTEST = 8 / 255, 254 / 255
@@ -48,7 +49,8 @@ class PhotoQuality:
         sharpness: (V,) resolution over that of the sharp photos, 0 to 1.
         overall: (V,) the same over the whole photo, by the scene's points elsewhere.
         exposure: (V,) of the whole photo in stops (EV) over the usual one of the same places.
-        texture: (P,) log energy of each patch's detail at the usual distance; NaN if not seen.
+        texture: (P,) log energy of each patch's detail at the usual distance; NaN if not seen, or
+            not measured, as there are many photos.
         unreadable: names of photos that cannot be read.
     """
 
@@ -68,6 +70,8 @@ def measured(
 ) -> PhotoQuality:
     """Measure photos at the patches (P, V) that they see, and at points elsewhere (N, 3)."""
     places = np.concatenate([patches.places, others])
+    step = -(-len(places) * len(images) // MOST) or 1
+    places, seen = places[::step], seen[::step]
     energy = np.full((len(places), len(images)), np.nan)
     light, density = energy.copy(), energy.copy()
     small = [_small(image) for image in images]
@@ -81,13 +85,14 @@ def measured(
                 energy[:, column], light[:, column], density[:, column] = job.result()
             except PhotoError:
                 failed.append(image.name)
-    energy[: len(patches)][~seen] = np.nan
-    light[: len(patches)][~seen] = np.nan
+    energy[: len(seen)][~seen] = np.nan
+    light[: len(seen)][~seen] = np.nan
     with np.errstate(all="ignore"):
         detail, brightness = np.log(energy + LEAST), np.log2(light)
         rho = np.log(density)
-    here, elsewhere = slice(len(patches)), slice(len(patches), None)
-    texture, sharp = _effects(detail[here], rho[here])
+    here, elsewhere = slice(len(seen)), slice(len(seen), None)
+    texture = np.full(len(patches), np.nan)
+    texture[::step], sharp = _effects(detail[here], rho[here])
     _, over = _effects(detail[elsewhere], rho[elsewhere])
     _, exposure = _effects(brightness, None)  # of whole photos: the box may be hidden in one
     return PhotoQuality(

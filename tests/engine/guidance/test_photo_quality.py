@@ -7,7 +7,8 @@ import pytest
 from PIL import Image, ImageFilter
 from scipy.ndimage import map_coordinates, uniform_filter
 
-from roigs_engine.guidance.known import KnownBox, known_box
+from roigs_engine.guidance import photo_quality
+from roigs_engine.guidance.known import ELSEWHERE, KnownBox, known_box
 from roigs_engine.guidance.pictures import from_photos
 from roigs_engine.model.scene import SfmScene
 from tests.engine.guidance.ball import BOX, CAMERA, RADIUS, VIEWS, ball_scene, pose_at
@@ -92,3 +93,19 @@ def test_an_expected_picture_is_the_nearest_photo_from_the_new_place(known: Know
     truth = uniform_filter(picture(between), 3)[middle]
     assert np.corrcoef(found.ravel(), truth.ravel())[0, 1] > 0.5
     assert not from_photos(blank, known.map, CAMERA, pose_at(0.0, 0.01, 3.0)).any()
+
+
+def test_of_many_photos_fewer_places_are_measured(
+    scene: SfmScene, known: KnownBox, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The memory does not grow with the photos, and the measures stay what they were."""
+    assert known.quality is not None
+    places = len(known.map.patches) + ELSEWHERE
+    monkeypatch.setattr(photo_quality, "MOST", places * len(scene.images) // 3)
+    fewer = known_box(scene, BOX).quality
+    assert fewer is not None
+    measured = np.isfinite(fewer.texture).sum()
+    assert 0 < measured < np.isfinite(known.quality.texture).sum() / 2
+    assert np.nanargmin(fewer.sharpness) == BLURRED
+    assert np.nanmax(np.abs(fewer.sharpness - known.quality.sharpness)) < 0.15
+    assert fewer.exposure[DARK] < -2
