@@ -71,15 +71,18 @@ class Judged:
             every = np.load(self.out, allow_pickle=False)
         except (OSError, ValueError) as error:
             raise AddonError(f"The engine's answer cannot be read ({error}).") from error
+        changed = AddonError(f"The Gaussians were changed meanwhile. {again}")
         items = {_uid(i): i for i in reversed(lookup.splats(scene)) if i.type == "MESH"}
         found: dict[bpy.types.Object, NDArray[Any]] = {}
         begin = 0
         for uid, state in self.looked_at:
             item = items.get(uid)
             if item is None or edits.state_of(mesh_of(item)) != state:
-                raise AddonError(f"The Gaussians were changed meanwhile. {again}")
+                raise changed
             there = drawn(mesh_of(item))
             count = int(there.sum())
+            if begin + count > len(every):
+                raise changed
             if item not in found and uid in self.wanted:
                 found[item] = np.full((len(there), *every.shape[1:]), otherwise, every.dtype)
                 found[item][there] = every[begin : begin + count]
