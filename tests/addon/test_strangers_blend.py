@@ -57,6 +57,15 @@ def all_panels(bpy: ModuleType) -> None:
                 said(bpy, cls)
 
 
+def refusal(operator: Callable[[], object]) -> str:
+    """What an operator says if it does not do it."""
+    try:
+        operator()
+    except RuntimeError as error:
+        return str(error)
+    return ""
+
+
 def box(scene: Any) -> Any:
     return next(item for item in scene.objects if item.roigs.kind == "ROI")
 
@@ -133,6 +142,49 @@ def test_a_photo_that_is_a_pipe_is_not_opened(blender: ModuleType, shown, tmp_pa
         assert not camera.data.background_images
         assert photo_overlay._pixels(tmp_path / "photo") is None
         assert photo_pictures.icon(scene, photo.name) == 0
+
+
+FILES = (
+    *("manifest.json", "settings.json", "report.json", "split.json", "stages.json", "levels.json"),
+    *("run.lock", "rois/thing.surface.json", "rois/thing.glb", "rois/thing.ply", "rois", "coarse"),
+    *("coarse/thing.ply", "background.ply", "result.ply", "preview.ply", "earlier", "stages"),
+    *("blender", "blender/engine.log", "blender/masks", "blender/suggested/suggestions.html"),
+)
+"""Of a run folder: files and folders that panels and **Load Results** look at."""
+
+
+@PIPES
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.slow] if k % 5 else []) for k, n in enumerate(FILES)],
+)
+def test_something_else_in_the_place_of_a_file(
+    blender: ModuleType, shown, tmp_path: Path, name: str
+) -> None:
+    from roigs_addon.facts import caches
+
+    _, folder = shown
+    path, mine = folder / name, tmp_path / "mine"
+    mine.mkdir()
+    (mine / "result.ply").write_text("mine")
+    for put in (
+        lambda: os.mkfifo(path),
+        lambda: path.symlink_to("/dev/zero"),
+        lambda: path.symlink_to(path),
+        lambda: path.symlink_to(mine),
+        lambda: path.mkdir(),
+    ):
+        if os.path.lexists(path):
+            path.rename(tmp_path / f"before {len([*tmp_path.iterdir()])}")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        put()
+        caches.forget()
+        with at_once(40):
+            all_panels(blender)
+            for operator in (blender.ops.roigs.load_results, blender.ops.roigs.clean_up):
+                assert "Traceback" not in refusal(operator)
+        assert [p.name for p in mine.iterdir()] == ["result.ply"]
+        assert (mine / "result.ply").read_text() == "mine"
 
 
 # --- odd values ---
