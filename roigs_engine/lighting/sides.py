@@ -5,8 +5,8 @@ But it lights one side of what stands there. An object with a mesh is a light pr
 that face one way, the bright ones are about as white as the bright ones that face another way, so
 their ratio is that of the light on them (a white patch for each direction, and for each object of
 its own). The light is multiplied by exp(a · d) of the direction d, the smoothest gain that has a
-side, with the `a` that explains these ratios best. Only what is above the horizon is: lamps, windows
-and the sky are there, and what is below is lit itself, as bright as photos show it.
+side, with the `a` that explains these ratios best. That is done above the horizon, where lamps,
+windows and the sky are: what is below is lit itself, as bright as photos show it.
 
 How much light there is, shading cannot tell: a white thing in half of the light looks like a grey
 one. But nothing is much whiter than white paint or paper. Where the bright parts of what is there
