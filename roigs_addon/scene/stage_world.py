@@ -132,20 +132,51 @@ def _build(own: Any, images: Pictures, turn: Any, kept: dict[str, float]) -> Non
 
 
 def _shine(own: Any, images: Pictures, turn: Any, kept: dict[str, float]) -> Any:
-    """The shader of the picture: what is brighter than the photos' white has its own factor."""
+    """The shader of the light; rays from mirrors and through glass meet the other picture."""
     nodes, link = own.node_tree.nodes, own.node_tree.links.new
-    place, picture = nodes.new("ShaderNodeTexCoord"), nodes.new("ShaderNodeTexEnvironment")
-    place.object, picture.image = turn, images[0]
-    colour = picture.outputs["Color"]
-    if images[1] is not None:
-        colour = _mirrored(own, place.outputs["Object"], colour, images[1])
+    place = nodes.new("ShaderNodeTexCoord")
+    place.object, place.location = turn, (-220 * PICTURE_NODES, -300)
+    values = [_value(own, name, kept) for name in (STRENGTH, HIGHLIGHTS)]
+    light = _of_picture(own, place.outputs["Object"], images[0], values, -300)
+    if images[1] is None:
+        return light
+    mirror = _of_picture(own, place.outputs["Object"], images[1], values, -900)
+    rays, either, choice = (
+        nodes.new(f"ShaderNode{kind}") for kind in ("LightPath", "Math", "MixShader")
+    )
+    either.operation = "MAXIMUM"
+    for source, target in (
+        (rays.outputs["Is Glossy Ray"], either.inputs[0]),
+        (rays.outputs["Is Transmission Ray"], either.inputs[1]),
+        (either.outputs[0], choice.inputs[0]),
+        (light, choice.inputs[1]),
+        (mirror, choice.inputs[2]),
+    ):
+        link(source, target)
+    for number, node in enumerate((rays, either, choice)):
+        node.location = 220 * (number - 3), -1200
+    return choice.outputs[0]
+
+
+PICTURE_NODES = 7
+"""In a row: its place, itself, three of its colours, its shader, and a gap."""
+
+
+def _of_picture(own: Any, way: Any, image: bpy.types.Image, values: list[Any], row: int) -> Any:
+    """The shader of a picture: what is brighter than the photos' white has its own factor.
+
+    Each picture has one, not only a colour: Cycles skips shaders that a ray does not need.
+    """
+    nodes, link = own.node_tree.nodes, own.node_tree.links.new
+    picture = nodes.new("ShaderNodeTexEnvironment")
+    picture.image, colour = image, picture.outputs["Color"]
     white, excess, total = (nodes.new("ShaderNodeVectorMath") for _ in range(3))
     white.operation, excess.operation, total.operation = "MINIMUM", "SUBTRACT", "MULTIPLY_ADD"
     white.inputs[1].default_value = PHOTO_WHITE
-    strength, highlights = (_value(own, name, kept) for name in (STRENGTH, HIGHLIGHTS))
+    strength, highlights = values
     shader = nodes.new("ShaderNodeBackground")
     for source, target in (
-        (place.outputs["Object"], picture.inputs["Vector"]),
+        (way, picture.inputs["Vector"]),
         (colour, white.inputs[0]),
         (colour, excess.inputs[0]),
         (white.outputs[0], excess.inputs[1]),
@@ -156,36 +187,15 @@ def _shine(own: Any, images: Pictures, turn: Any, kept: dict[str, float]) -> Any
         (strength, shader.inputs["Strength"]),
     ):
         link(source, target)
-    rows = (place, picture, white, excess, total, shader)
-    for number, node in enumerate((*rows, strength.node, highlights.node)):
-        node.location = 220 * (number - len(rows)), -300 if node in rows else -650
+    for number, node in enumerate((picture, white, excess, total, shader), start=1):
+        node.location = 220 * (number - PICTURE_NODES), row
     return shader.outputs[0]
-
-
-def _mirrored(own: Any, way: Any, colour: Any, image: bpy.types.Image) -> Any:
-    """The colour, but another picture's for rays from mirrors and through glass."""
-    nodes, link = own.node_tree.nodes, own.node_tree.links.new
-    rays, either = nodes.new("ShaderNodeLightPath"), nodes.new("ShaderNodeMath")
-    picture, choice = nodes.new("ShaderNodeTexEnvironment"), nodes.new("ShaderNodeMix")
-    picture.image, either.operation, choice.data_type = image, "MAXIMUM", "RGBA"
-    factor, matt, clear = [socket for socket in choice.inputs if socket.enabled][:3]
-    for source, target in (
-        (way, picture.inputs["Vector"]),
-        (rays.outputs["Is Glossy Ray"], either.inputs[0]),
-        (rays.outputs["Is Transmission Ray"], either.inputs[1]),
-        (either.outputs[0], factor),
-        (colour, matt),
-        (picture.outputs["Color"], clear),
-    ):
-        link(source, target)
-    for number, node in enumerate((rays, either, picture, choice)):
-        node.location = 220 * (number - 10), -900
-    return next(socket for socket in choice.outputs if socket.enabled)
 
 
 def _value(own: Any, name: str, kept: dict[str, float]) -> Any:
     """A node with a number for the user."""
     node = own.node_tree.nodes.get(name) or own.node_tree.nodes.new("ShaderNodeValue")
     node.name = node.label = name
+    node.location = -220 * PICTURE_NODES, -500 if name == STRENGTH else -650
     node.outputs[0].default_value = kept.get(name, 1.0)
     return node.outputs[0]

@@ -82,16 +82,24 @@ def test_mirrors_and_glass_see_a_picture_of_their_own(blender: ModuleType, made)
 
     stage_world.shine(scene, image, None, Vector(), mirror)
     nodes = scene.world.node_tree.nodes
-    choice = next(n for n in nodes if n.type == "MIX")
-    factor, matt, clear = [socket for socket in choice.inputs if socket.enabled][:3]
-    assert looked_at(matt).image == image and looked_at(clear).image == mirror
+    choice = next(
+        n for n in nodes if n.type == "MIX_SHADER" and looked_at(n.inputs[0]).type == "MATH"
+    )
+    factor, matt, clear = choice.inputs
     sockets = {
         link.from_socket.name for socket in looked_at(factor).inputs for link in socket.links
     }
     assert sockets == {"Is Glossy Ray", "Is Transmission Ray"}
-    assert looked_at(looked_at(clear).inputs["Vector"]) == looked_at(
-        looked_at(matt).inputs["Vector"]
-    )
+
+    def picture(socket):
+        """The picture that a shader shows, through its factor of highlights."""
+        return looked_at(
+            looked_at(looked_at(looked_at(socket).inputs["Color"]).inputs[0]).inputs[0]
+        )
+
+    assert picture(matt).image == image and picture(clear).image == mirror
+    assert looked_at(picture(matt).inputs["Vector"]) == looked_at(picture(clear).inputs["Vector"])
+    assert stage_world.picture(scene) == image
 
 
 def test_the_camera_sees_the_users_world(blender: ModuleType, made) -> None:
