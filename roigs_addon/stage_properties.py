@@ -13,6 +13,8 @@ def _proxies(stage: RoigsStage) -> list[Any]:
     return list(collection.objects) if collection is not None else []
 
 
+CLEAR = ("glossy", "transmission")
+"""Those of mirrors and glass."""
 FAR = "roigs_far"
 """Custom property of a proxy that is too far to shine."""
 RAYS = ("diffuse", "glossy", "transmission", "volume_scatter", "shadow")
@@ -35,7 +37,7 @@ def _reflects(stage: RoigsStage) -> bool:
 def _set_reflects(stage: RoigsStage, on: bool) -> None:
     for item in _proxies(stage):
         for name in RAYS:
-            setattr(item, f"visible_{name}", on and FAR not in item)
+            setattr(item, f"visible_{name}", on and (FAR not in item or name in CLEAR))
 
 
 class RoigsStage(bpy.types.PropertyGroup):

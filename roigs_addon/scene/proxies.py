@@ -3,7 +3,8 @@
 To the camera, a proxy is a shadow catcher of Cycles: it shows nothing itself. All other rays find a
 surface that shines as the photos saw it, and that hides the world behind it. So nothing is counted
 twice: near things shine themselves, with the right parallax; beyond `REACH` proxies let the world's
-light through, which shows those things from where its picture was taken, lamps included.
+light through, which shows those things from where its picture was taken, lamps included. Mirrors
+and glass, which see a picture without lamps, see proxies at any distance.
 """
 
 from __future__ import annotations
@@ -137,7 +138,7 @@ def _of_mesh(scene: bpy.types.Scene, mesh: bpy.types.Mesh, picture: bytes) -> bp
 
 
 def _part(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
-    """Give a proxy a second object for what is far: only the camera sees that.
+    """Give a proxy a second object for what is far: only cameras, mirrors and glass see that.
 
     Rays that meet nothing of it are several times as fast as those that it lets through.
     """
@@ -303,7 +304,10 @@ def _material(
 
 
 def _group() -> Any:
-    """Catches for the camera; shines for other rays, or lets them through beyond its reach."""
+    """Catches for the camera; shines for other rays, or lets them through beyond its reach.
+
+    Mirrors and glass see it at any distance: the picture that they see has no lamps to let through.
+    """
     known = bpy.data.node_groups.get(GROUP)
     if known is not None:
         return known
@@ -316,8 +320,10 @@ def _group() -> Any:
     catches, shines, clear = (
         new(f"ShaderNode{kind}") for kind in ("BsdfDiffuse", "Emission", "BsdfTransparent")
     )
-    far, shade = new("ShaderNodeMath"), new("ShaderNodeAmbientOcclusion")
-    far.operation, far.inputs[1].default_value = "GREATER_THAN", 1.0
+    shade = new("ShaderNodeAmbientOcclusion")
+    mirrored, beyond, far = (new("ShaderNodeMath") for _ in range(3))
+    mirrored.operation, beyond.operation, far.operation = "MAXIMUM", "GREATER_THAN", "GREATER_THAN"
+    beyond.inputs[1].default_value = 1.0
     shade.samples = SHADE_SAMPLES
     others, whole = new("ShaderNodeMixShader"), new("ShaderNodeMixShader")
     catches.inputs["Color"].default_value = WHITE
@@ -325,7 +331,11 @@ def _group() -> Any:
         (start.outputs["Color"], shade.inputs["Color"]),
         (start.outputs[SHADE], shade.inputs["Distance"]),
         (shade.outputs["Color"], shines.inputs["Color"]),
-        (start.outputs["Distance"], far.inputs[0]),
+        (rays.outputs["Is Glossy Ray"], mirrored.inputs[0]),
+        (rays.outputs["Is Transmission Ray"], mirrored.inputs[1]),
+        (start.outputs["Distance"], beyond.inputs[0]),
+        (beyond.outputs[0], far.inputs[0]),
+        (mirrored.outputs[0], far.inputs[1]),
         (far.outputs[0], others.inputs[0]),
         (shines.outputs[0], others.inputs[1]),
         (clear.outputs[0], others.inputs[2]),
@@ -337,7 +347,8 @@ def _group() -> Any:
         link(source, target)
     columns = (
         (start, rays),
-        (far, shade),
+        (mirrored, beyond, shade),
+        (far,),
         (catches, shines, clear),
         (others,),
         (whole,),
