@@ -17,6 +17,8 @@ FAR = 1e15  # coordinates: larger ones are no place
 AUTO = "auto"
 SECRET = re.compile(r"//[^/@\s]*:(?!\d+/)[^@\s]*@|https?://[^/\s]*@|://.*\?", re.IGNORECASE)
 """User and password in an address, a token, or a query: these are signatures, of any store."""
+HIDDEN = re.compile(r"(?<=://)[^@\s]*(?=@)|(?<=\?)[^\s\"'<>]+")
+"""What is not shown of these: user and password, and the query."""
 SCHEME = re.compile(r"([a-z][a-z0-9+.-]+)://", re.IGNORECASE)
 ALMOST = re.compile(r"[a-z][a-z0-9+.-]+:|::", re.IGNORECASE)
 """How addresses without `://` begin. One letter is a drive of Windows."""
@@ -206,9 +208,14 @@ def refuse_secret(url: str) -> None:
         )
 
 
+def without_secrets(text: str) -> str:
+    """The text without passwords and queries of addresses in it."""
+    return HIDDEN.sub("...", text) if SECRET.search(text) else text
+
+
 def shown(value: object) -> str:
-    """The value for a message, on one line and not too long."""
+    """The value for a message, on one line, not too long, without secrets."""
     try:
-        return f"{value!r:.60}"
+        return f"{without_secrets(repr(value)):.60}"
     except ValueError:  # an integer of thousands of digits
         return "a number of thousands of digits"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-import re
 import shutil
 import sys
 import time
@@ -18,7 +17,7 @@ from ..context import Context
 from ..errors import ConfigError, RunFolderError, Stopped
 from ..formats.files import LARGEST, is_link
 from ..formats.text import first_line
-from ..requests.values import SCHEME, SECRET
+from ..requests.values import SCHEME, SECRET, without_secrets
 
 LOST = ("memory",)
 """Kinds of addresses that are in the memory of this process."""
@@ -44,8 +43,6 @@ PACKAGES = {
 """What fsspec needs for which kinds of addresses."""
 ENDPOINTS = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3")
 """Environment variables: the address of a server of S3."""
-HIDDEN = re.compile(r"(?<=://)[^/@\s]*(?=@)|(?<=\?)[^\s\"'<>]+")
-"""In an address: user and password, and the query. fsspec's configuration may have such ones."""
 HOME = "ROIGS_CACHE"
 """Environment variable: the folder of this machine's copies."""
 
@@ -77,9 +74,8 @@ def guarded(place: str, *passes: type[Exception]) -> Iterator[None]:
 
 
 def reason(error: Exception) -> str:
-    """What a store says of an error, without what addresses in it may have of secrets."""
-    text = HIDDEN.sub("...", first_line(error))
-    return f"{text:.100}"
+    """What a store says of an error; fsspec's configuration may have addresses with secrets."""
+    return f"{without_secrets(first_line(error)):.100}"
 
 
 class FileSystem:

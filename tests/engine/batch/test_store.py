@@ -240,6 +240,10 @@ def test_addresses_that_cannot_be_used_are_one_line(
         assert main(["batch", str(table), "--run-dir", str(tmp_path / "run")]) == 2
         said = capsys.readouterr().err
         assert expected in said and "hidden" not in said
+    table.write_text(f"[scenes.hall]\nmade_for = '{secret}'\nseed = '{secret}'\n", encoding="utf-8")
+    assert main(["batch", str(table), "--run-dir", str(tmp_path / "run")]) == 2
+    said = capsys.readouterr().err
+    assert "ftp://...@host/runs" in said and "hidden" not in said
     with monkeypatch.context() as endpoint:
         endpoint.setenv("AWS_ENDPOINT_URL", "http://me:hidden@host:9000")
         line = refused(capsys, "batch", table, "--run-dir", "s3://bucket/runs")
