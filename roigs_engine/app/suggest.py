@@ -15,6 +15,7 @@ from ..errors import ConfigError
 from ..formats.files import own_folder, write_bytes, write_json, write_text
 from ..formats.names import safe_name
 from ..formats.scene_transform import read_transforms, transform_among, transform_file
+from ..formats.text import named
 from ..requests.projects import Suggest
 from .inputs import BoxSource, load_model, load_scene, mask_options, on_device
 from .outputs import Result, refuse_inputs, refuse_run_files
@@ -66,7 +67,8 @@ def suggest(request: Suggest, context: Context = QUIET) -> Suggested:
     for step, roi in enumerate(rois, start=1):
         known = known_box(scene, roi, context, look=not request.no_look)
         if known.quality is not None and known.quality.unreadable:
-            context.warn(f"Photos that cannot be read count as sharp: {known.quality.unreadable}.")
+            lost = named(known.quality.unreadable)
+            context.warn(f"Photos that cannot be read count as sharp: {lost}.")
         shots = suggested(known, request.count, context)
         boxes.append(_shots(known, shots, units, draw))
         context.progress(STAGE, step, len(rois), started)
