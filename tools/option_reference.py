@@ -15,6 +15,7 @@ from roigs_engine.requests import groups
 from roigs_engine.requests.declare import Option, Request, options_of
 from roigs_engine.requests.values import Choice, Flag, Number
 
+BAR = r"\|"  # in a table's cell
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "options.md"
 HEAD = """\
 # Options
@@ -68,8 +69,8 @@ def _table(options: dict[str, Option]) -> Iterator[str]:
     yield "|---|---|---|---|"
     for name, option in options.items():
         if option.hidden != "help":
-            text = option.text().replace("|", "\\|")
-            yield f"| {_flags(option)} | `{name}` | {_values(option)} | {text} |"
+            cells = (_flags(option), f"`{name}`", _values(option), option.text())
+            yield f"| {' | '.join(cell.replace('|', BAR) for cell in cells)} |"
     yield ""
 
 
