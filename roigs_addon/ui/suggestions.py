@@ -19,6 +19,9 @@ from . import layout as show
 from .cameras import CamerasPanel
 from .layout import SidebarPanel
 
+NUMBER = 0.1
+"""Of a row's width, for the number of a photo."""
+
 
 class SuggestionsPanel(SidebarPanel):
     """Where to take the next photos of the boxes."""
@@ -52,9 +55,10 @@ class SuggestionsPanel(SidebarPanel):
             if known is None:
                 continue
             row = column.row(align=True)
-            row.label(text=f"{known.number}")
+            split = row.split(factor=NUMBER, align=True)
+            split.label(text=f"{known.number}")
             gain = f"+{known.gain:.2f} dB, {known.known:.0%} known"
-            row.progress(factor=min(max(known.known, 0.0), 1.0), text=gain)
+            split.progress(factor=min(max(known.known, 0.0), 1.0), text=gain)
             look = LookThroughSuggestion.bl_idname
             row.operator(look, text="", icon="HIDE_OFF").camera = item.name
         active = next((item for item in shots if item == scene.camera), None)

@@ -90,16 +90,27 @@ def load_boxes(blender: Blender) -> None:
     blender.ask(f"call('roigs.load_rois', filepath={str(SCENE / 'rois.json')!r})")
 
 
-def open_result_panel(blender: Blender, command: str, x: float) -> None:
-    """Open the sub-panel with a button by a click on its header, below that of the export."""
-    column, row = blender.find("roigs.export_gaussians", x=0.8)
+def open_panel(blender: Blender, command: str, x: float, above: tuple[str, float]) -> None:
+    """Open the sub-panel with a button by a click on its header.
+
+    Args:
+        command: the button's, see `Blender.find`.
+        x: where in the sidebar's width it is.
+        above: command and place of the last button above the header.
+    """
+    column, row = blender.find(above[0], x=above[1])
     for below in range(24, 130, 12):
         blender.click((column, row + below))
         blender.pause(0.7)
         try:
             blender.find(command, x=x)
         except WindowError:
-            column, row = blender.find("roigs.export_gaussians", x=0.8)
+            column, row = blender.find(above[0], x=above[1])
         else:
             return
     raise WindowError("The panel did not open.")
+
+
+def open_result_panel(blender: Blender, command: str, x: float) -> None:
+    """Open the sub-panel of step 5 with a button: its header is below the export."""
+    open_panel(blender, command, x, ("roigs.export_gaussians", 0.8))
