@@ -59,6 +59,9 @@ def drawn_colours(item) -> np.ndarray:
 
 
 def test_the_answer_is_kept_and_shown(blender: ModuleType, item) -> None:
+    from roigs_addon.scene import display
+
+    display.show_as(item, "EXACT")
     own = drawn_colours(item)
     assert blender.ops.roigs.find_confidence() == {"FINISHED"}
     found = directions(item)
