@@ -150,15 +150,16 @@ def _gain(light: Float32, found: Told) -> Float32:
         return np.ones(light.shape[:2], np.float32)
     facing = np.concatenate([normals for normals, _ in found])
     seen, high = np.maximum(facing @ ways.T, 0), _above(ways)
-    whole, low, lit = (
-        seen @ (flux * part) for part in (1 + 0 * high, 1 - high, high * np.exp(ways @ side))
-    )
+    parts = (1 + 0 * high, 1 - high, high * np.exp(ways @ side))
+    levels = np.stack([seen @ (flux * part) for part in parts])
+    whole, low, lit = levels[:, levels[0] > 0]  # what no light reaches stays as it is
 
     def brighter(kept: float) -> float:
-        return float(np.mean(np.log((low + np.exp(kept) * lit) / whole)))
+        return float(np.mean(np.log((low + np.exp(kept) * lit) / whole))) if len(whole) else 0.0
 
     most = np.linalg.norm(side)  # of the gain's logarithm: with it, all is brighter or darker
-    kept = np.exp(brentq(brighter, -most, most))
+    matters = brighter(-most) < 0 < brighter(most)  # not without light above the horizon
+    kept = np.exp(brentq(brighter, -most, most)) if matters else 1.0
     every = directions(len(light))
     above = _above(every)
     return np.asarray(1 - above + above * kept * np.exp(every @ side), np.float32)

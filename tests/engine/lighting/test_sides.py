@@ -79,6 +79,18 @@ def test_a_light_without_a_side_stays() -> None:
     assert found.max() / found.min() < 1.05
 
 
+@pytest.mark.parametrize("dark", [(0.0, 0.0, 1.0), (0.3, -1.0, 0.2), (0.0, 0.6, -0.8)])
+def test_surfaces_that_no_light_reaches_tell_nothing(dark: tuple[float, float, float]) -> None:
+    """A light that is black on one side: what faces that has no ratio to keep."""
+    random = np.random.default_rng(5)
+    found = ball(EVEN)
+    noisy = found.colours * random.uniform(0.05, 1, (8000, 1))
+    black = np.where((directions(HEIGHT) @ dark)[..., None] > -0.4, 0.0, EVEN).astype(np.float32)
+    for objects in ([found], [replace(found, colours=noisy)], [ball(black)]):
+        factors = gain(black, FAR, HERE, objects)
+        assert np.isfinite(factors).all() and (factors[HEIGHT // 2 :] == 1).all()
+
+
 def test_objects_that_are_far_away_tell_nothing() -> None:
     light = (EVEN * side_above()[..., None]).astype(np.float32)
     for objects in ([], [ball(light, at=3.0)]):
