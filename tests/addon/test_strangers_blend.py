@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import json
 import os
-import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
-from types import FrameType, ModuleType
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -19,25 +18,11 @@ import pytest
 
 from roigs_addon.errors import AddonError
 from tests.addon.panels import said
+from tests.waiting import at_most
 
 pytestmark = pytest.mark.blender
 PIPES = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
-
-
-@contextmanager
-def at_once(seconds: int = 20) -> Iterator[None]:
-    """Fail if the block waits: for a pipe, say."""
-
-    def late(number: int, frame: FrameType | None) -> None:
-        raise AssertionError("it waits")
-
-    before = signal.signal(signal.SIGALRM, late)
-    signal.alarm(seconds)
-    try:
-        yield
-    finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+WAITS = AssertionError("it waits")
 
 
 @pytest.fixture
@@ -88,7 +73,7 @@ def test_panels_do_not_wait_for_a_model_that_is_a_pipe(
     os.mkfifo(tmp_path / name)
     scene.roigs.model_cache = str(tmp_path)
     caches.forget()
-    with at_once():
+    with at_most(20, WAITS):
         all_panels(blender)
 
 
@@ -137,7 +122,7 @@ def test_a_photo_that_is_a_pipe_is_not_opened(blender: ModuleType, shown, tmp_pa
     camera.roigs.photo = replace(photo, path=str(tmp_path / "photo")).to_json()
     pipe = lookup.photo_record(camera)
     assert pipe is not None
-    with at_once():
+    with at_most(20, WAITS):
         backgrounds.show(camera.data, pipe)
         assert not camera.data.background_images
         assert photo_overlay._pixels(tmp_path / "photo") is None
@@ -179,7 +164,7 @@ def test_something_else_in_the_place_of_a_file(
         path.parent.mkdir(parents=True, exist_ok=True)
         put()
         caches.forget()
-        with at_once(40):
+        with at_most(40, WAITS):
             all_panels(blender)
             for operator in (blender.ops.roigs.load_results, blender.ops.roigs.clean_up):
                 assert "Traceback" not in refusal(operator)

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -19,6 +16,7 @@ from roigs_engine.formats.splat_ply import read_ply
 from roigs_engine.training.checkpoint import load_checkpoint
 from tests.engine.killing import Request, contents, engine
 from tests.engine.runs import stage_of
+from tests.waiting import at_most
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="the engine is forked")
 MINE = b"mine, and not the engine's"
@@ -35,22 +33,6 @@ def paths(run: Path, *, folders: bool) -> list[Path]:
 
 def previewing(request: Request, run: Path) -> list[object]:
     return [*request.arguments(run), "--preview-seconds", "1e-6"]
-
-
-@contextmanager
-def at_most(seconds: int) -> Iterator[None]:
-    """What would wait for a pipe ends with an error instead."""
-
-    def ring(*_: object) -> None:
-        raise TimeoutError("it hangs")
-
-    before = signal.signal(signal.SIGALRM, ring)
-    signal.alarm(seconds)
-    try:
-        yield
-    finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
 
 
 def planted(request: Request, run: Path, elsewhere: Path, *, hard: bool) -> list[Path]:
@@ -190,7 +172,7 @@ def test_pipes_in_a_stage_are_one_line(request_: Request, tmp_path: Path, name: 
 def test_reading_a_pipe_does_not_wait(tmp_path: Path) -> None:
     path = tmp_path / "pipe"
     os.mkfifo(path)
-    with at_most(10):
+    with at_most(10, TimeoutError("it hangs")):
         for read in (read_json, read_ply, partial(load_checkpoint, fingerprint="one")):
             with pytest.raises(RunFolderError):
                 read(path)
