@@ -10,6 +10,7 @@ from .. import settings
 from ..blender import scene_of
 from ..engine.python import FOR_TRAINING
 from ..errors import AddonError
+from ..facts import run_facts
 from ..jobs import current
 from ..jobs.job import Job
 from ..jobs.spec import JobSpec
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from ..blender import OperatorResult
 
 BUSY = "The engine is busy. Wait, or stop it with Esc"
+NO_RESULT = "Train first: the run folder has no result"
 NO_BOX = "Add a box first"
 NO_CAMERAS = "Reconstruct photos or import cameras first"
 FRESH = {"SKIP_SAVE"}
@@ -53,6 +55,13 @@ def available(cls: type[bpy.types.Operator], reason: str) -> bool:
 def box_problem(context: bpy.types.Context) -> str:
     """Why an operator on the active box is not available; empty if it is."""
     return "" if lookup.active_roi(context) else NO_BOX
+
+
+def result_problem(context: bpy.types.Context) -> str:
+    """Why nothing can be made of the last result now; empty if it can."""
+    if current.busy():
+        return BUSY
+    return "" if run_facts.run(scene_of(context)).result else NO_RESULT
 
 
 def model_problem(context: bpy.types.Context) -> str:

@@ -9,16 +9,14 @@ import numpy as np
 from bpy.props import IntProperty
 from numpy.typing import NDArray
 
-from ..blender import registration, scene_of
+from ..blender import registration
 from ..errors import AddonError
-from ..facts import run_facts
-from ..jobs import confidence_job, current
+from ..jobs import confidence_job
 from ..jobs.confidence_job import Known
 from ..jobs.spec import JobSpec
 from ..scene import heat_map, point_edits
-from .base import BUSY, FRESH, EngineOperator, available, failed
+from .base import FRESH, EngineOperator, available, failed, result_problem
 from .clean_up import CleanUpTool
-from .results import NO_RESULT
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
@@ -37,11 +35,8 @@ directions, and how wrong its colours are in the test photos. Shows a heat map""
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """There must be a finished training, Gaussians, and an idle engine."""
-        if current.busy():
-            return available(cls, BUSY)
-        if not run_facts.run(scene_of(context)).result:
-            return available(cls, NO_RESULT)
-        return available(cls, "" if point_edits.targets(context) else point_edits.NONE)
+        none = "" if point_edits.targets(context) else point_edits.NONE
+        return available(cls, result_problem(context) or none)
 
     def spec(self, context: bpy.types.Context) -> JobSpec:
         """Ask, keep the answers with the points, and show them."""

@@ -5,11 +5,9 @@ from __future__ import annotations
 import bpy
 
 from ..blender import registration, scene_of
-from ..facts import run_facts
-from ..jobs import current, levels_job
+from ..jobs import levels_job
 from ..jobs.spec import JobSpec
-from .base import BUSY, EngineOperator, available
-from .results import NO_RESULT
+from .base import EngineOperator, available, result_problem
 
 
 class MakeLevels(EngineOperator):
@@ -22,9 +20,7 @@ fewer Gaussians"""
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """There must be a finished training, and an idle engine."""
-        if current.busy():
-            return available(cls, BUSY)
-        return available(cls, "" if run_facts.run(scene_of(context)).result else NO_RESULT)
+        return available(cls, result_problem(context))
 
     def spec(self, context: bpy.types.Context) -> JobSpec:
         """Make them in the scene's run folder."""

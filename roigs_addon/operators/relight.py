@@ -10,13 +10,11 @@ from bpy.props import StringProperty
 from ..blender import registration, scene_of
 from ..engine.python import FOR_TRAINING
 from ..errors import AddonError
-from ..facts import run_facts
-from ..jobs import current, relight_job
+from ..jobs import relight_job
 from ..jobs.spec import JobSpec
 from ..scene import relight, taken
 from ..windows import redraw
-from .base import BUSY, FRESH, EngineOperator, available, failed, tell
-from .results import NO_RESULT
+from .base import FRESH, EngineOperator, available, failed, result_problem, tell
 from .surface import NO_MESH, mesh_named
 
 if TYPE_CHECKING:
@@ -36,9 +34,7 @@ the photos stay in the texture"""
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """There must be a finished training, and an idle engine."""
-        if current.busy():
-            return available(cls, BUSY)
-        return available(cls, "" if run_facts.run(scene_of(context)).result else NO_RESULT)
+        return available(cls, result_problem(context))
 
     def packages(self, context: bpy.types.Context) -> tuple[str, ...]:
         """Those that draw."""

@@ -24,12 +24,11 @@ from ..jobs import current, run_folders
 from ..properties import SHOWN_AS, object_props
 from ..scene import box_surfaces, carried, compared, compositor, detail, edits, lookup, splats
 from ..windows import redraw
-from .base import FRESH, available, failed, tell
+from .base import FRESH, NO_RESULT, available, failed, tell
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
 
-NO_RESULT = "Train first: the run folder has no result"
 NO_GAUSSIANS = "This scene has no Gaussians"
 
 

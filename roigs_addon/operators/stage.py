@@ -11,14 +11,12 @@ from mathutils import Vector
 from ..blender import registration, scene_of, view_layer_of
 from ..engine.python import FOR_MASKS, FOR_SURFACES
 from ..errors import AddonError
-from ..facts import run_facts
-from ..jobs import current, run_folders, stage_job, undo
+from ..jobs import run_folders, stage_job, undo
 from ..jobs.spec import JobSpec
 from ..properties import object_props
 from ..scene import box_surfaces, lookup, stage
 from ..windows import redraw
-from .base import BUSY, FRESH, NO_BOX, EngineOperator, available, failed, tell
-from .results import NO_RESULT
+from .base import FRESH, NO_BOX, EngineOperator, available, failed, result_problem, tell
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
@@ -29,13 +27,6 @@ PLACES = (
     (CURSOR, "3D Cursor", "From the 3D cursor"),
     (BOX, "Active Box", "From the middle of the active box"),
 )
-
-
-def problem(context: bpy.types.Context) -> str:
-    """Why the engine can make nothing for the user's objects now; empty if it can."""
-    if current.busy():
-        return BUSY
-    return "" if run_facts.run(scene_of(context)).result else NO_RESULT
 
 
 class LightFromScene(EngineOperator):
@@ -50,7 +41,7 @@ seeing your own world"""
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """There must be a finished training, and an idle engine."""
-        return available(cls, problem(context))
+        return available(cls, result_problem(context))
 
     def packages(self, context: bpy.types.Context) -> tuple[str, ...]:
         """Those that draw, and write the picture."""
@@ -87,7 +78,7 @@ it. The engine makes a mesh of the background once"""
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """There must be a finished training, and an idle engine."""
-        return available(cls, problem(context))
+        return available(cls, result_problem(context))
 
     def packages(self, context: bpy.types.Context) -> tuple[str, ...]:
         """Those that make meshes."""

@@ -10,14 +10,12 @@ from bpy.props import BoolProperty, EnumProperty, StringProperty
 from ..blender import registration, scene_of, select_only, view_3d_of, view_layer_of
 from ..engine.python import FOR_SURFACES
 from ..errors import AddonError
-from ..facts import run_facts
-from ..jobs import current, surface_job
+from ..jobs import surface_job
 from ..jobs.spec import JobSpec
 from ..properties import object_props
 from ..scene import box_surfaces, splats
 from ..windows import redraw
-from .base import BUSY, FRESH, NO_BOX, EngineOperator, available, failed
-from .results import NO_RESULT
+from .base import FRESH, NO_BOX, EngineOperator, available, failed, result_problem
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
@@ -43,11 +41,8 @@ place of the Gaussians; one that was made before is replaced"""
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """There must be a finished training, and an idle engine."""
-        if current.busy():
-            return available(cls, BUSY)
-        if not run_facts.run(scene_of(context)).result:
-            return available(cls, NO_RESULT)
-        return available(cls, "" if surface_job.box_at_hand(context)[0] else NO_BOX)
+        none = "" if surface_job.box_at_hand(context)[0] else NO_BOX
+        return available(cls, result_problem(context) or none)
 
     def packages(self, context: bpy.types.Context) -> tuple[str, ...]:
         """Those that make meshes."""
