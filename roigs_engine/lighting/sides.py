@@ -157,7 +157,7 @@ def _gain(light: Float32, found: Told) -> Float32:
     def brighter(kept: float) -> float:
         return float(np.mean(np.log((low + np.exp(kept) * lit) / whole))) if len(whole) else 0.0
 
-    most = float(np.linalg.norm(side))  # of the gain's logarithm: with it, all is brighter or darker
+    most = float(np.linalg.norm(side))  # of its logarithm: with it, all is brighter or darker
     matters = brighter(-most) < 0 < brighter(most)  # not without light above the horizon
     kept = np.exp(brentq(brighter, -most, most)) if matters else 1.0
     every = directions(len(light))
