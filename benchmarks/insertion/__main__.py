@@ -29,7 +29,8 @@ def make_ours(given: argparse.Namespace) -> None:
     """Render what is missing of the rows, each in a process of its own, which needs `bpy`."""
     photos = photos_that_show_most(given.truth, _test_photos(given.run))[: given.views]
     for row in given.rows or (*ROWS, LAMP):
-        command = [sys.executable, "-m", "benchmarks.insertion.ours", str(given.run.resolve())]
+        command = [str(given.bpy), "-m", "benchmarks.insertion.ours", str(given.run.resolve())]
+        command += ["--engine-python", sys.executable]
         command += [str((given.out / row).resolve()), "--samples", str(given.samples)]
         command += ["--row", ROWS[-1], "--lamp"] if row == LAMP else ["--row", row]
         subprocess.run([*command, "--photos", *photos], check=True)
@@ -77,6 +78,9 @@ def main() -> None:
     ours.add_argument("--rows", nargs="*", choices=(*ROWS, LAMP), help="default: all")
     ours.add_argument("--views", type=int, help="so many photos; default: those of the truth")
     ours.add_argument("--samples", type=int, default=32, help="of a pixel, before the denoiser")
+    ours.add_argument(
+        "--bpy", type=Path, default=sys.executable, help="a Python with bpy; default: this one"
+    )
     ours.set_defaults(function=make_ours)
     score = parts.add_parser("score", help="compare folders of pictures with the truth")
     score.add_argument("run", type=Path, help="the run")

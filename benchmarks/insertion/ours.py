@@ -48,14 +48,20 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--width", type=int, default=320, help="pixels")
     parser.add_argument("--samples", type=int, default=64, help="Cycles' samples of a pixel")
     parser.add_argument("--lamp", action="store_true", help="the relit vase with the lamp, instead")
+    parser.add_argument(
+        "--engine-python",
+        type=Path,
+        default=Path(sys.executable),
+        help="a Python with torch; default: this one",
+    )
     return parser.parse_args()
 
 
-def captured(run: Path, photos: list[str], width: int) -> tuple[Any, dict[str, Any]]:
-    """A scene with a run's result, and a camera for each photo."""
+def captured(run: Path, photos: list[str], width: int, python: Path) -> tuple[Any, dict[str, Any]]:
+    """A scene with a run's result, and a camera for each photo; the engine runs in `python`."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene: Any = bpy.context.scene
-    engine = Engine(python=Path(sys.executable), source=ROOT)
+    engine = Engine(python=python, source=ROOT)
     settings.engine = lambda packages: engine
     props = scene_props(scene)
     props.run_dir = str(run)
@@ -148,7 +154,7 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     roigs_addon.register()
     try:
-        scene, views = captured(args.run.resolve(), args.photos, args.width)
+        scene, views = captured(args.run.resolve(), args.photos, args.width, args.engine_python)
         set_up(scene, args.samples)
         stage(scene, args.row)
         if args.lamp:
