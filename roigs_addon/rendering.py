@@ -24,7 +24,7 @@ from .engine.frame_engine import FrameEngine
 from .engine.python import FOR_TRAINING
 from .errors import AddonError
 from .jobs import options_files
-from .scene import blur, compositor, edits, shadow_pass, stage
+from .scene import blur, compositor, edits, proxies, shadow_pass, stage
 from .scene.frame_request import frame_request, picture, rays, shown
 from .shared import EngineError, frame_requests
 
@@ -49,6 +49,7 @@ def before_frame(scene: bpy.types.Scene, *_: object) -> None:
     if shadow_pass.multiplies(scene):  # the engine may be another one than when that was set
         shadow_pass.connect(scene)
         stage.free_lamps(scene)
+    proxies.settle(scene)  # the user may have chosen other ways to show boxes since
 
 
 @persistent

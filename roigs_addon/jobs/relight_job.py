@@ -14,7 +14,7 @@ from ..engine.writing import writing
 from ..errors import AddonError
 from ..geometry.frames import Matrix
 from ..properties import object_props, scene_props
-from ..scene import box_surfaces, captured_light, compared, lookup, relight
+from ..scene import box_surfaces, captured_light, compared, lookup, proxies, relight
 from ..scene.image_pixels import pixels_of
 from ..shared import files, run_files
 from ..windows import redraw
@@ -83,6 +83,7 @@ def light(scene: bpy.types.Scene, item: bpy.types.Object, picture: Path, turn: M
     """
     relight.apply(item, _pixels(picture), turn)
     box_surfaces.set_way(scene, item, box_surfaces.MESH)
+    proxies.settle(scene)
 
 
 def _pixels(path: Path) -> NDArray[np.float32]:

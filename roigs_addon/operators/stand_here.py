@@ -57,7 +57,7 @@ shadows, and reflects what is around it"""
         name="Eye", subtype="XYZ", options=FRESH, description="From where the point is looked at"
     )
 
-    _eye = Vector()
+    _eye, _way = Vector(), Vector()
     _job: Job | None = None  # type: ignore[assignment]
 
     @classmethod
@@ -66,8 +66,13 @@ shadows, and reflects what is around it"""
         return available(cls, problem(context))
 
     def take(self, points: list[Vector]) -> None:
-        """The place, and from where it was seen."""
+        """The place, and from where it was seen.
+
+        A click finds a Gaussian near the mouse. The place is that deep, but right at the mouse.
+        """
         self.point, self.eye = points[0], self._eye
+        if self._way.length_squared:
+            self.point = self._eye + (points[0] - self._eye).dot(self._way) * self._way
 
     def taken(self) -> bool:
         """Whether they are given."""
@@ -85,6 +90,7 @@ shadows, and reflects what is around it"""
         if place is not None:
             (region, view), at = place
             self._eye = view3d_utils.region_2d_to_origin_3d(region, view, at)
+            self._way = view3d_utils.region_2d_to_vector_3d(region, view, at)
         return PickTool.modal(self, context, event)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:

@@ -67,6 +67,9 @@ def bring(scene: bpy.types.Scene, background: Path | None) -> list[bpy.types.Obj
         scene: that they stand in.
         background: the mesh of what is outside the boxes; None: there is none.
 
+    Returns:
+        Those that are there for renders.
+
     Raises:
         AddonError: the file is damaged.
     """
@@ -77,30 +80,33 @@ def bring(scene: bpy.types.Scene, background: Path | None) -> list[bpy.types.Obj
     for item in old:
         for each in (*item.children, item):
             stage.delete_with_materials(each)
-    made = [_of_box(scene, item) for item in _unseen(scene)]
+    made = [_of_box(scene, item) for item in box_surfaces.surfaces(scene)]
     if mesh is not None:
         made.append(_of_mesh(scene, mesh, picture))
     for item in made:
         _link(scene, item)
     stage_props(scene).catches, stage_props(scene).reflects = catches, reflects
     set_reach(scene, stage_props(scene).radius or usual_radius(scene))
-    return made
+    settle(scene)
+    return [item for item in made if not item.hide_render]
+
+
+def settle(scene: bpy.types.Scene) -> None:
+    """Leave out the proxies of boxes that renders show as a mesh: that is lit itself."""
+    for item in of_scene(scene):
+        source = item.parent
+        if source is None or object_props(source).kind != "SURFACE":
+            continue
+        gaussians = box_surfaces.gaussians_of(scene, object_props(item).roi)
+        there = source.hide_render and gaussians is not None and not gaussians.hide_render
+        if item.hide_render == there:
+            item.hide_render = not there
 
 
 def _ways(scene: bpy.types.Scene) -> tuple[bool, bool]:
     """Whether proxies catch and reflect: as before, else both."""
     group = stage_props(scene)
     return (group.catches, group.reflects) if of_scene(scene) else (True, True)
-
-
-def _unseen(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The boxes' meshes that renders do not show: those that they show are lit themselves."""
-    found = []
-    for item in box_surfaces.surfaces(scene):
-        gaussians = box_surfaces.gaussians_of(scene, object_props(item).roi)
-        if item.hide_render and gaussians is not None and not gaussians.hide_render:
-            found.append(item)
-    return found
 
 
 def _of_box(scene: bpy.types.Scene, source: bpy.types.Object) -> bpy.types.Object:

@@ -37,6 +37,7 @@ class StagePanel(SidebarPanel):
         layout, scene = layout_of(self), scene_of(context)
         group = stage_props(scene)
         layout.operator(StandHere.bl_idname, icon="TRACKER")
+        show.job(layout, STAGING)
         column = layout.column(align=True)
         column.label(text=f"{LightFromScene.bl_label}:")
         row = column.row(align=True)
@@ -62,7 +63,6 @@ class StagePanel(SidebarPanel):
             layout.operator(RemoveStage.bl_idname, icon="X")
         elif not current.busy():
             show.todo(layout, "Add a mesh, then click Stand Here, and where it is to stand")
-        show.job(layout, STAGING)
 
 
 register, unregister = registration(StagePanel)
