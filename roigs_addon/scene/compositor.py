@@ -40,6 +40,80 @@ def link(scene: bpy.types.Scene) -> None:
     tree[LINKED] = True
 
 
+def before(scene: Any) -> dict[str, Any] | None:
+    """What `link` would change, as JSON, for `unlink`; None if it would change nothing."""
+    if find(scene) is not None or not display.in_layer(scene):
+        return None
+    return {
+        "trees": len(trees(scene)),
+        "used": len(trees(scene, used=True)),
+        "linked": was_linked(scene),
+        "layers": any(n.type == "R_LAYERS" for tree in trees(scene) for n in tree.nodes),
+        "depth": {layer.name: layer.use_pass_z for layer in scene.view_layers},
+    }
+
+
+def unlink(scene: Any, before: dict[str, Any]) -> None:
+    """Take the Gaussians out of renders again, where `link` has put them in.
+
+    Nodes that the user has added since stay, and then a compositor that was added, too.
+
+    Args:
+        scene: whose compositor it is.
+        before: what `before` gave. Parts of it may be missing: a .blend may hold anything.
+    """
+    for tree in trees(scene):
+        for node in [n for n in tree.nodes if _is_ours(n)]:
+            source = next((link.from_socket for link in node.inputs[0].links), None)
+            for link in list(node.outputs[0].links) if source is not None else []:
+                tree.links.new(source, link.to_socket)
+            _remove_group(tree, node)
+        for node in [n for n in tree.nodes if n.type == "R_LAYERS"]:
+            if not before.get("layers", True) and not any(o.is_linked for o in node.outputs):
+                tree.nodes.remove(node)
+        if not before.get("linked") and LINKED in tree:
+            del tree[LINKED]
+    depth: Any = before.get("depth")
+    for layer in scene.view_layers if isinstance(depth, dict) else ():
+        layer.use_pass_z = bool(depth.get(layer.name, layer.use_pass_z))
+    if not before.get("used"):
+        _switch_off(scene, made=not before.get("trees"))
+
+
+def _is_ours(node: Any) -> bool:
+    group = getattr(node, "node_tree", None)
+    return group is not None and bool(group.get(MARK))
+
+
+def _remove_group(tree: Any, node: Any) -> None:
+    """Delete a node of the group, and the group with its images if nothing else uses them."""
+    group = node.node_tree
+    tree.nodes.remove(node)
+    if group.users:
+        return
+    images = [n.image for n in group.nodes if n.type == "IMAGE" and n.image is not None]
+    bpy.data.node_groups.remove(group)
+    bpy.data.batch_remove([image for image in images if not image.users])
+
+
+def _switch_off(scene: Any, *, made: bool) -> None:
+    """Do without the compositor, as before; one that was `made` for the group is deleted."""
+    if hasattr(scene, "compositor_effects") or hasattr(scene, "compositing_node_group"):
+        for tree in trees(scene) if made else []:
+            if any(node.type not in (*ENDS, "R_LAYERS") for node in tree.nodes):
+                continue
+            bpy.data.node_groups.remove(tree)
+            for effect in list(getattr(scene, "compositor_effects", ())):
+                if effect.node_group is None:
+                    scene.compositor_effects.remove(effect)
+        return
+    if not made:
+        scene.use_nodes = False
+    elif all(node.type in (*ENDS, "R_LAYERS") for node in scene.node_tree.nodes):
+        scene.node_tree.nodes.clear()  # Blender keeps a tree that a scene once had
+        scene.use_nodes = False
+
+
 def was_linked(scene: Any) -> bool:
     """Whether `link` has changed the scene's compositor, whatever the user did with it since."""
     return any(tree.get(LINKED) for tree in trees(scene))

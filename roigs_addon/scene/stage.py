@@ -30,6 +30,8 @@ SETTINGS = {
     "persistent": "use_persistent_data",
 }
 """Of renders: their names in what is remembered, and Blender's."""
+COMPOSITOR = "compositor"
+"""What was changed of it, in what is remembered."""
 COLLECTION, TURN, HERE = "ROI-GS Stage", "ROI-GS Light", "ROI-GS Here"
 
 
@@ -139,6 +141,8 @@ def multiply(scene: bpy.types.Scene) -> None:
     scene.render.use_persistent_data = True  # else each frame builds the proxies again
     clear_film(scene)
     show_exactly(scene)
+    if (compositing := compositor.before(scene)) is not None:
+        keep(scene, COMPOSITOR, compositing)
     compositor.link(scene)
     for layer in scene.view_layers:
         keep(scene, f"pass {layer.name}", shadow_pass.is_on(layer))
@@ -150,6 +154,8 @@ def remove(scene: bpy.types.Scene) -> None:
     """Take all back: what was added is gone, and settings are as they were."""
     stage, before = stage_props(scene), _before(scene)
     shadow_pass.disconnect(scene)
+    if isinstance(before.get(COMPOSITOR), dict):
+        compositor.unlink(scene, before[COMPOSITOR])
     for name, setting in SETTINGS.items():
         if isinstance(before.get(name), bool):
             setattr(scene.render, setting, before[name])

@@ -90,11 +90,14 @@ def state(bpy: ModuleType, scene) -> dict[str, object]:
         "persistent": scene.render.use_persistent_data,
         "engine": scene.render.engine,
         "layers": {
-            layer.name: (shadow_pass.is_on(layer), layer.use, layer.samples)
-            + tuple(getattr(layer, name) for name in dir(layer) if name.startswith("use_pass_"))
+            layer.name: [
+                *(shadow_pass.is_on(layer), layer.use, layer.samples),
+                *(getattr(layer, name) for name in dir(layer) if name.startswith("use_pass_")),
+            ]
             for layer in scene.view_layers
         },
         "lamps": {i.name: i.is_shadow_catcher for i in scene.objects if i.type == "LIGHT"},
+        "compositors": (len(compositor.trees(scene)), len(compositor.trees(scene, used=True))),
         "compositor": [tree_state(tree) for tree in compositor.trees(scene)],
         "collections": sorted(each.name for each in bpy.data.collections),
         "objects": sorted(each.name for each in scene.objects),

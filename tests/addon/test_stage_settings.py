@@ -1,4 +1,4 @@
-"""Nothing of the user's is lost: Remove and undo bring all settings back, in files of many kinds."""
+"""Nothing of the user's is lost: Remove and undo bring back all settings of files of many kinds."""
 
 from __future__ import annotations
 
@@ -53,6 +53,21 @@ def no_compositor(bpy: ModuleType, scene: Any) -> None:
         layer.use_pass_z = False
 
 
+def fresh_compositor(bpy: ModuleType, scene: Any) -> None:
+    """Renders without a compositor, as in Blender 5.3 with its own splats."""
+    if hasattr(scene, "compositor_effects"):
+        scene.compositor_effects.clear()
+    elif hasattr(scene, "compositing_node_group"):
+        scene.compositing_node_group = None
+    else:
+        scene.node_tree.nodes.clear()
+        scene.use_nodes = False
+    bpy.data.batch_remove([g for g in bpy.data.node_groups if not g.users])
+    bpy.data.batch_remove([i for i in bpy.data.images if i.get("roigs_layer") and not i.users])
+    for layer in scene.view_layers:
+        layer.use_pass_z = False
+
+
 def layers_of_its_own(bpy: ModuleType, scene: Any) -> None:
     """Three view layers, one of which leaves the Gaussians out, and one that is not rendered."""
     more = scene.view_layers.new("Third")
@@ -63,7 +78,15 @@ def layers_of_its_own(bpy: ModuleType, scene: Any) -> None:
 
 
 FILES: dict[str, Callable[[ModuleType, Any], None]] = {
-    each.__name__: each for each in (eevee, no_world, plain_world, no_compositor, layers_of_its_own)
+    each.__name__: each
+    for each in (
+        eevee,
+        no_world,
+        plain_world,
+        no_compositor,
+        fresh_compositor,
+        layers_of_its_own,
+    )
 }
 
 
