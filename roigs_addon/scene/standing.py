@@ -23,6 +23,8 @@ LEVEL = 5.0
 """Degrees: a surface that is as level as that is level; what is measured of one errs by 1 to 3."""
 FEWEST = 30
 """Gaussians that tell how a surface lies."""
+GRAZING = 0.17
+"""Sine of 10 degrees, between a plane and the direction in which it is looked at."""
 RING = 12
 """Places around a point at which a mesh is felt."""
 NEAR = 0.2
@@ -110,8 +112,7 @@ def _on_mesh(
     plane = placing.plane_through(np.array(felt, float))
     if plane is not None and len(felt) > RING:
         normal = _towards(Vector(plane.normal.tolist()), along)
-        middle = Vector(plane.point.tolist())
-        point = point + ((middle - point) @ normal) * normal
+        point = _seen_on(point, along, Vector(plane.point.tolist()), normal)
     return Spot(point=point, normal=_levelled(normal), on_mesh=True)
 
 
@@ -127,8 +128,17 @@ def _on_gaussians(eye: Vector, point: Vector, radius: float, found: Sequence[Poi
         raise AddonError("These Gaussians are no surface. Click on one that is larger.")
     along = (point - eye).normalized()
     normal = _levelled(_towards(Vector(plane.normal.tolist()), along))
-    middle = Vector(plane.point.tolist())
-    return Spot(point=point + ((middle - point) @ normal) * normal, normal=normal, on_mesh=False)
+    place = _seen_on(point, along, Vector(plane.point.tolist()), normal)
+    return Spot(point=place, normal=normal, on_mesh=False)
+
+
+def _seen_on(point: Vector, along: Vector, middle: Vector, normal: Vector) -> Vector:
+    """Where the plane through `middle` is seen in the direction of a point near it.
+
+    Looked at along the plane, small errors of it would move that far: the foot of the point.
+    """
+    away, slope = (middle - point) @ normal, along @ normal
+    return point + (away / slope * along if abs(slope) > GRAZING else away * normal)
 
 
 def _towards(normal: Vector, along: Vector) -> Vector:

@@ -220,6 +220,25 @@ def test_a_box_without_a_mesh_is_named(blender: ModuleType, made) -> None:
     assert "No mesh of thing" in panel(blender)
 
 
+def test_a_box_that_is_shown_as_a_mesh_does_not_catch(blender: ModuleType, made) -> None:
+    """Its proxy would hide it: both are in the same place."""
+    from roigs_addon import rendering
+    from roigs_addon.scene import box_surfaces
+
+    scene, folder, _ = made
+    write_ball(folder / "rois" / "thing.glb")
+    blender.ops.roigs.load_results()
+    blender.ops.roigs.catch_shadows()
+    mesh, proxy = box_surfaces.surface_of(scene, "thing"), scene.objects["thing Proxy"]
+    assert not proxy.hide_render
+    for way, hidden in (("MESH", True), ("GAUSSIANS", False), ("BOTH", True)):
+        box_surfaces.set_way(scene, mesh, way)
+        rendering.before_frame(scene)
+        assert proxy.hide_render == hidden, way
+    blender.ops.roigs.catch_shadows()
+    assert scene.objects["thing Proxy"].hide_render
+
+
 def test_remove_brings_all_back(blender: ModuleType, made) -> None:
     scene, folder, _ = made
     write_ball(folder / "rois" / "thing.glb")

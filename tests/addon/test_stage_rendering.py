@@ -132,3 +132,35 @@ def test_a_mirror_shows_the_captured_room(blender: ModuleType, shot, tmp_path: P
     scene.roigs.stage.reflects = False
     grey = f12("not reflected")[middle].mean(axis=(0, 1))
     assert grey[0] < 2 * grey[1]
+
+
+def test_what_it_stands_on_does_not_lie_over_its_foot(blender: ModuleType, shot) -> None:
+    """Gaussians some millimetres above it are those of the table, not something in front."""
+    scene, f12 = shot
+    (floor,) = (i for i in scene.objects if i.name.startswith("Plane Proxy"))
+    floor.location.z = -0.2
+    item = ball(blender, -0.45, (1.0, 0.0, 0.0), mirror=False)  # its top is 5 cm below the floor
+    item.scale = 3 * [0.98]
+    middle = np.s_[SIDE // 2 - 2 : SIDE // 2 + 2, SIDE // 2 - 2 : SIDE // 2 + 2]
+    seen = []
+    for radius in (0.0, 0.6):
+        scene.roigs.stage.radius = radius
+        red, green, *_ = f12(f"{radius}")[middle].mean(axis=(0, 1))
+        seen.append(red > 2 * green)
+    assert seen == [False, True]
+
+
+def test_its_rim_is_smooth(blender: ModuleType, shot) -> None:
+    """Pixels that it covers in part show it and what is behind it."""
+    scene, f12 = shot
+    scene.roigs.stage.radius = 0.4
+    item = ball(blender, 0.5, (1.0, 0.0, 0.0), mirror=False)
+    item.scale = 3 * [0.7]
+    picture = f12("rim")
+    share = np.clip((picture[..., 0] - picture[..., 1]) / picture[..., 0].max(), 0, 1)
+    whole = share > 0.6 * share.max()
+    beside = whole.copy()
+    for axis in (0, 1):
+        beside |= np.roll(whole, 1, axis) | np.roll(whole, -1, axis)
+    beside &= ~whole
+    assert np.mean(share[beside] > 0.3 * share.max()) > 0.6, "else it ends with whole pixels"

@@ -35,8 +35,8 @@ PHOTO = "wide/wide_045.jpg"
 SURFACE, STAGE = ("roigs.export_gaussians", 0.8, 50), ("roigs.export_gaussians", 0.8, 72)
 RELIGHT = ("roigs.make_surface", 0.5, 47)
 """Headers of closed panels: a button above, where in the sidebar's width, pixels below it."""
-LIMIT = 0.012
-"""Metres, 2 pixels: how far from its place a thing may stand, and above or below the table."""
+LIMIT = 0.015
+"""Metres, 3 pixels: how far from its place a thing may stand, and above or below the table."""
 RENDERING = "bpy.app.is_job_running('RENDER')"
 
 INSIDE = f"""
