@@ -5,12 +5,12 @@ from __future__ import annotations
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from ..context import QUIET, Context
 from ..errors import ConfigError, EngineError, SceneError
 from ..formats.events import StageStarted
+from ..formats.scratch import new_scratch, remove_scratch
 from ..formats.splat_ply import check_ply
 from ..formats.targets import TARGETS, Target
 from ..formats.text import counted
@@ -137,14 +137,16 @@ def _with_source(request: Adapt) -> Adapt:
 def _undistorted() -> Iterator[Path]:
     """A folder for undistorted photos, removed in the end; EngineError: there can be none."""
     try:
-        folder = TemporaryDirectory(prefix="roigs-adapt-", ignore_cleanup_errors=True)
+        folder, owner = new_scratch("roigs-adapt-")
     except OSError as error:
         raise EngineError(
             f"There is no folder for temporary files ({error.strerror}).",
             "Free some space, or set TMPDIR to another folder.",
         ) from error
-    with folder as path:
-        yield Path(path)
+    try:
+        yield folder
+    finally:
+        remove_scratch(folder, owner)
 
 
 def _training_photos(scene: SfmScene, request: Adapt, context: Context) -> SfmScene:

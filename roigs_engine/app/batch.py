@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -90,7 +91,10 @@ def run_batch(request: Batch, context: Context = QUIET) -> Result:
         for name in (BATCH_ROWS, BATCH_OUTPUTS, *(row.name for row in rows)):
             own_folder(folder, name)  # refuses a link
         record = _record(folder, store, rows)
+        if store is None:
+            _refuse_foreign_files(record, rows)
         device, scenes = checked_plans(table, rows, record, context)
+        record.begin()
         for row in rows:
             write_json(row.options_file, row.options)
         executor = _executor(request, folder, store, device, context)
@@ -147,6 +151,20 @@ def _record(folder: Path, store: Store | None, rows: Sequence[Row]) -> BatchReco
         return BatchRecord(folder)
     store.open(row.name for row in rows)
     return StoredRecord(store)
+
+
+def _refuse_foreign_files(record: BatchRecord, rows: Sequence[Row]) -> None:
+    """Raise ConfigError if a batch would replace files that are not a batch's."""
+    folder = record.folder
+    if record.was_there or any(is_run_folder(row.run_dir) for row in rows):
+        return
+    names = (REPORT_PAGE, BATCH, BATCH_OUTPUTS, *(f"{BATCH_ROWS}/{row.name}.json" for row in rows))
+    found = next((name for name in names if os.path.lexists(folder / name)), None)
+    if found is not None:
+        raise ConfigError(
+            f"{folder} is not the folder of a batch, and one would replace {folder / found}.",
+            "Move away what is there, or choose another --run-dir.",
+        )
 
 
 def _executor(

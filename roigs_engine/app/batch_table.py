@@ -348,7 +348,8 @@ def _table_row(name: str, scene: Path, home: Path) -> str:
 
 def _quoted(text: str) -> str:
     """A TOML string; JSON's are, but for surrogates, which no TOML file can hold."""
-    return json.dumps(text.encode("utf-8", "replace").decode(), ensure_ascii=False)
+    text = json.dumps(text.encode("utf-8", "replace").decode(), ensure_ascii=False)
+    return text.replace("\x7f", "\\u007f")  # JSON takes it as it is, TOML does not
 
 
 def _shell(name: str) -> str:

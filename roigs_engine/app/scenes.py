@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..context import QUIET, Context
 from ..errors import ConfigError
-from ..formats.files import write_json
+from ..formats.files import own_folder, write_json
 from ..formats.text import counted
 from ..model.roi import OrientedBox
 from ..requests.projects import Export, Inspect, Reconstruct, RefineCameras, Select, ShowPhoto
@@ -130,11 +130,15 @@ def refine_cameras(request: RefineCameras, context: Context = QUIET) -> Refined:
     """Fit the cameras of a model better; EngineError if it cannot be used."""
     from ..colmap import refine
     from ..colmap.project import find_model
-    from ..formats.projects import refined_folder
+    from ..formats.projects import refined_folder, top_folder
 
     refuse_run_files(request.out)
     model = find_model(request.scene, context)
-    out: Path = request.out or refined_folder(model)
+    out = request.out
+    if out is None:  # the project may be somebody else's, and have links
+        out = refined_folder(model)
+        project = request.scene if out.is_relative_to(request.scene) else top_folder(model)
+        own_folder(project, str(out.relative_to(project)))
     done = refine.refine_cameras(
         model, out, context, images=request.images, look=not request.tracks_only
     )

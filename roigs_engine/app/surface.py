@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -79,11 +80,12 @@ def make_surfaces(request: MakeSurface, context: Context = QUIET) -> Surfaces:
         run, context = asked.defined(context)
         names = request.only or (() if request.background else asked.boxes.names)
         gaussians = _gaussians(run, context)
-        work = [_of_box(gaussians, run, roi, options) for roi in run.rois if roi.name in names]
+        rois = [roi for roi in run.rois if roi.name in names]
+        work = [partial(_of_box, gaussians, run, roi, options) for roi in rois]
         if work:
             _say_before(gaussians, run, names, context)
         if request.background:
-            work.append(_of_background(gaussians, run, options))
+            work.append(partial(_of_background, gaussians, run, options))
         return _made(work, run, request.format, context)
 
 
@@ -91,7 +93,7 @@ def surfaces_of_run(run: Run, options: SurfaceOptions, context: Context = QUIET)
     """The surfaces of a run's boxes, written to its folder, which is locked; see `make_surfaces`"""
     gaussians = _gaussians(run, context)
     _say_before(gaussians, run, [roi.name for roi in run.rois], context)
-    work = [_of_box(gaussians, run, roi, options) for roi in run.rois]
+    work = [partial(_of_box, gaussians, run, roi, options) for roi in run.rois]
     return _made(work, run, (), context)
 
 
@@ -147,15 +149,19 @@ def _of_background(gaussians: Gaussians, run: Run, options: SurfaceOptions) -> _
     )
 
 
-def _made(work: Sequence[_Work], run: Run, formats: Sequence[str], context: Context) -> Surfaces:
+def _made(
+    work: Sequence[Callable[[], _Work]], run: Run, formats: Sequence[str], context: Context
+) -> Surfaces:
     """Do the work that is not done, and say where all is.
 
     Args:
+        work: what each is, asked when its turn comes: the background depends on the boxes' meshes.
         formats: endings of further files to write.
     """
     folder = own_folder(run.folder, run_files.FINE)
     records, files, failed = [], {}, None
-    for each in work:
+    for planned in work:
+        each = planned()
         path = folder / f"{each.name}{GLB}"
         record = _finished(path, each.inputs, formats)
         if record is not None:

@@ -30,18 +30,30 @@ class Output:
 
 
 class BatchRecord:
-    """The finished scenes of a batch's folder."""
+    """The finished scenes of a batch's folder.
+
+    Attributes:
+        folder: the batch's.
+        was_there: whether an earlier batch has written the record.
+    """
 
     def __init__(self, folder: Path) -> None:
         """Read the record; one that is missing or damaged counts as empty."""
         self.folder = folder
         self._scenes: dict[str, Any] = {}
+        self.was_there = False
         try:
             found = read_json(folder / BATCH)
             if found["version"] == VERSION:
                 self._scenes = dict(found["scenes"])
+                self.was_there = True
         except (EngineError, KeyError, TypeError, ValueError):
             pass
+
+    def begin(self) -> None:
+        """Write the record, unless it is there: it tells whose the folder is."""
+        if not self.was_there:
+            self._write()
 
     def is_done(self, name: str, row: str, run: Run, files: Iterable[Path]) -> bool:
         """Whether the run of a scene is finished as the table has it now.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections import Counter
 from collections.abc import Collection, Sequence
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..formats.scratch import scratch
 from .records import PARAMETER_COUNT
 
 Observation = tuple[int, int, int]
@@ -129,9 +129,8 @@ def with_own_cameras(colmap: Any, scene: Any, photos: Collection[int]) -> Any:
     scene = colmap.Reconstruction(scene)
     for key, image in scene.images.items():
         image.name = str(key)
-    with tempfile.TemporaryDirectory(prefix="roigs-cameras-") as name:
-        folder = Path(name)
-        scene.write_text(name)
+    with scratch("roigs-cameras-") as folder:
+        scene.write_text(str(folder))
         cameras = {line.split()[0]: line.split()[1:] for line in _lines(folder / "cameras.txt")}
         free = max(map(int, cameras)) + 1
         images = _lines(folder / "images.txt")
@@ -146,7 +145,7 @@ def with_own_cameras(colmap: Any, scene: Any, photos: Collection[int]) -> Any:
         (folder / "images.txt").write_text("\n".join(images) + "\n", encoding="utf-8")
         for rest in ("rigs.txt", "frames.txt"):  # made anew: each photo by itself
             (folder / rest).unlink(missing_ok=True)
-        return colmap.Reconstruction(name)
+        return colmap.Reconstruction(str(folder))
 
 
 def has_rigs(scene: Any) -> bool:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..context import QUIET, Context
 from ..errors import SceneError
-from ..formats.files import UNREADABLE
+from ..formats.files import UNREADABLE, read_bytes, regular
 from ..formats.projects import model_suffix
 from ..formats.text import decode_text
 from ..model.scene import Int64
@@ -95,10 +95,10 @@ def count_images(folder: Path) -> int:
     path = folder / f"images{model_suffix(folder)}"
     try:
         if path.suffix == ".bin":
-            with path.open("rb") as file:
+            with open(path, "rb", opener=regular) as file:
                 number = int(struct.unpack("<Q", file.read(8))[0])
             return number if number * SMALLEST_IMAGE <= path.stat().st_size else 0
-        return sum(1 for _ in _image_lines(path.read_bytes()))
+        return sum(1 for _ in _image_lines(read_bytes(path, most=None)))
     except (OSError, ValueError, struct.error):
         return 0
 
@@ -106,7 +106,7 @@ def count_images(folder: Path) -> int:
 def _read(path: Path, parse: Callable[[bytes], T]) -> T:
     """`parse` of the file's bytes; any error becomes a SceneError that names the file."""
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, most=None)
     except OSError as error:
         raise SceneError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
     try:

@@ -8,7 +8,7 @@ without them with COLMAP's own loss. Then cameras are fitted to points that are 
 
 from __future__ import annotations
 
-import tempfile
+import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -20,6 +20,7 @@ import numpy as np
 
 from ..context import QUIET, Context
 from ..errors import SceneError
+from ..formats.scratch import scratch
 from ..model.scene import Float64
 from ..photos.files import find_photos
 from . import adjustment
@@ -156,18 +157,22 @@ def _explained(model: Path) -> Iterator[None]:
 def _write(scene: Any, out: Path) -> None:
     """Write all files, or none."""
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}-") as folder:
-            scene.write(folder)
+        out = Path(os.path.realpath(out))  # a link that the user names
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with scratch(f".{out.name}-", out.parent) as folder:
+            model = folder / "model"
+            model.mkdir()
+            scene.write(str(model))
             # pycolmap does not say when a disk is full
             counts = (scene.num_reg_images(), scene.num_points3D())
-            if _counts(Path(folder)) != counts:
+            if _counts(model) != counts:
                 raise SceneError(
                     f"Cannot write {out}: its files came out too short.",
                     "Free some space on the disk.",
                 )
-            for path in Path(folder).iterdir():
-                path.replace(out / path.name)
+            with suppress(FileNotFoundError):
+                out.rmdir()  # it is empty
+            model.rename(out)
     except (OSError, ValueError, RuntimeError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise SceneError(f"Cannot write {out} ({reason}).", "Give another --out.") from error

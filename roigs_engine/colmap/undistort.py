@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import atexit
 import hashlib
-import shutil
-import tempfile
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
@@ -21,6 +19,7 @@ from ..context import QUIET, Context
 from ..errors import EngineError, SceneError
 from ..formats.files import atomic_write, cannot_write, own_folder
 from ..formats.run_files import UNDISTORTED
+from ..formats.scratch import new_scratch, remove_scratch
 from ..formats.text import in_gb
 from ..machine import ENGINE, disk_message, machine_memory, release_freed_memory
 from ..model.scene import Camera, Float64, PosedImage
@@ -284,9 +283,9 @@ def undistorted_camera(camera: ModelCamera) -> Camera:
 
 def temporary_folder() -> Path:
     """A folder that is deleted at the end of this process."""
-    folder = tempfile.mkdtemp(prefix="roigs-photos-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return Path(folder)
+    folder, owner = new_scratch("roigs-photos-")
+    atexit.register(remove_scratch, folder, owner)
+    return folder
 
 
 def undistorted_places(lens: ModelCamera, camera: Camera, places: Float64) -> Float64:

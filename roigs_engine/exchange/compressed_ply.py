@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..formats.files import write_bytes
+from ..formats.files import read_bytes, regular, write_bytes
 from ..formats.splat_ply import read_header, target_lines
 from ..formats.targets import PLAIN, Target
 from ..machine import package
@@ -46,7 +46,7 @@ def read(path: Path) -> Arrays:
     gsply: Any = package("gsply", TITLE)
     if _check(path) == BYTES["chunk"][0]:
         return arrays_of(gsply.plyread(path))
-    return arrays_of(gsply.decompress_from_bytes(_with_colours(path.read_bytes())))
+    return arrays_of(gsply.decompress_from_bytes(_with_colours(read_bytes(path, most=None))))
 
 
 def _with_colours(data: bytes) -> bytes:
@@ -82,7 +82,7 @@ def arrays_of(data: Any) -> Arrays:
 
 def _check(path: Path) -> int:
     """Compare what the header promises with the file's size: gsply trusts it; bytes of a chunk."""
-    with open(path, "rb") as file:
+    with open(path, "rb", opener=regular) as file:
         form, elements = read_header(file, path)
         there = os.fstat(file.fileno()).st_size - file.tell()
     counts = {element.name: element.count for element in elements}

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from ..formats.files import read_bytes
 from ..formats.names import inner_path
 from ..model.scene import Float64
 from .libraries import MOST_PARTS, NotSupportedError, read_beside, refuse_bomb
@@ -101,7 +102,7 @@ class GltfFile:
     def __init__(self, path: Path) -> None:
         """Read a GLB, or the JSON of a .gltf; ValueError: it is neither."""
         self.path = path
-        raw = path.read_bytes()
+        raw = read_bytes(path, most=None)
         self.size, self.values_read = len(raw), 0
         self.buffers: dict[int, bytes] = {}
         self.beside: dict[str, bytes] = {}  # content of files by their names

@@ -18,6 +18,7 @@ from ..errors import EngineError, RunFolderError
 from ..formats.contents import FIRST_BYTES, held_instead
 from ..formats.files import read_bytes, regular
 from ..formats.names import inner_path
+from ..formats.scratch import scratch as temporary
 from ..formats.text import in_gb
 from ..machine import is_memory_full
 
@@ -119,8 +120,8 @@ def scratch(title: str) -> Iterator[Path]:
     EngineError: there is no such folder, or the library could not write to it.
     """
     try:
-        with tempfile.TemporaryDirectory() as folder:
-            yield Path(folder)
+        with temporary(f"roigs-{title.lower()}-") as folder:
+            yield folder
     except (OSError, RuntimeError) as error:  # OpenUSD raises the latter
         if is_memory_full(error):
             raise

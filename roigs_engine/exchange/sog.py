@@ -18,7 +18,7 @@ from PIL import Image
 from sklearn.cluster import KMeans
 
 from ..errors import ConfigError
-from ..formats.files import atomic_write
+from ..formats.files import atomic_write, read_bytes, regular
 from ..formats.names import inner_path
 from ..formats.splat_ply import Check, nothing
 from ..machine import package
@@ -269,16 +269,20 @@ def read(path: Path) -> Arrays:
 def is_antialiased(path: Path) -> bool:
     """Whether a file says that its Gaussians are drawn with anti-aliasing."""
     if path.name.lower() == META:
-        meta = json.loads(path.read_bytes()[:MOST_META])
+        meta = json.loads(read_bytes(path, most=None)[:MOST_META])
     else:
-        with zipfile.ZipFile(path) as packed, packed.open(META) as file:
+        with (
+            open(path, "rb", opener=regular) as whole,
+            zipfile.ZipFile(whole) as packed,
+            packed.open(META) as file,
+        ):
             meta = json.loads(file.read(MOST_META))
     return bool(meta.get("model") == ANTIALIASED)
 
 
 def _packed(path: Path) -> bytes:
     """The bytes of a .sog; of a `meta.json` those of a .sog of it and of the files it names."""
-    data = path.read_bytes()
+    data = read_bytes(path, most=None)
     if path.name.lower() != META:
         return data
     meta = json.loads(data[:MOST_META])

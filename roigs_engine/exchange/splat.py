@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..formats.files import write_bytes
+from ..formats.files import read_bytes, write_bytes
 from ..model.gaussians import SH_C0
 from .arrays import Arrays, Float32, logits, opacities, unit_quats
 
@@ -33,7 +33,7 @@ def write(path: Path, arrays: Arrays) -> int:
 
 def read(path: Path) -> Arrays:
     """See `FileFormat`."""
-    data = path.read_bytes()
+    data = read_bytes(path, most=None)
     if len(data) % ROW.itemsize:
         raise ValueError(f"{len(data)} bytes are no multiple of {ROW.itemsize}")
     rows = np.frombuffer(data, ROW)

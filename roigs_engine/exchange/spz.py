@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..errors import ConfigError
 from ..formats.drawable import FLAT
-from ..formats.files import write_bytes
+from ..formats.files import read_bytes, regular, write_bytes
 from ..formats.splat_ply import Check, nothing
 from ..machine import package
 from ..model.scene import Float64
@@ -150,20 +150,20 @@ def _enough(log_scales: Float32) -> int:
 
 def read(path: Path) -> Arrays:
     """See `FileFormat`: as the file has them, whatever coordinate system it names."""
-    return unpacked(path.read_bytes())[0]
+    return unpacked(read_bytes(path, most=None))[0]
 
 
 def frame(path: Path) -> Float64:
     """(3, 3) from a file's axes to right, up and back, which those of SPZ are by default."""
-    with open(path, "rb") as file:
+    with open(path, "rb", opener=regular) as file:
         if not _flags(file.read(HEAD)) & EXTENDED:
             return np.eye(3)
-    return unpacked(path.read_bytes())[1]
+    return unpacked(read_bytes(path, most=None))[1]
 
 
 def is_antialiased(path: Path) -> bool:
     """Whether a file's header says that its Gaussians are drawn with anti-aliasing."""
-    with open(path, "rb") as file:
+    with open(path, "rb", opener=regular) as file:
         return bool(_flags(file.read(HEAD)) & ANTIALIASED)
 
 

@@ -96,6 +96,11 @@ def holder(path: Path) -> int:
         return 0
 
 
+def is_lock(path: Path) -> bool:
+    """Whether a file is what an engine locks, not one of another program that is called so."""
+    return {"pid", "started", "events_from"} <= _read_record(path).keys()
+
+
 def _hold(path: Path, warn: Callable[[str], object]) -> BinaryIO:
     """The file, locked and with its record; BlockingIOError if another process has it."""
     while True:

@@ -262,7 +262,10 @@ def _transparent(photo: Image.Image) -> NDArray[np.bool_] | None:
     colour = photo.info.get("transparency")
     if photo.format != "PNG" or photo.mode == "P" or isinstance(colour, bytes) or colour is None:
         return None
-    with Image.open(getattr(photo, "filename", ""), formats=("PNG",)) as fresh:  # not decoded yet
+    with (
+        open(getattr(photo, "filename", ""), "rb", opener=regular) as file,
+        Image.open(file, formats=("PNG",)) as fresh,  # not decoded yet
+    ):
         stored = packing(fresh)
         values: NDArray[Any] | None = deep_values(fresh)
         if values is None:

@@ -14,6 +14,7 @@ from PIL import Image
 from torch import Tensor
 
 from ..context import QUIET, Context
+from ..errors import EngineError
 from ..formats.events import Preview, StageStarted
 from ..formats.files import atomic_write
 from ..formats.frame_requests import png
@@ -55,7 +56,13 @@ def save_light(path: Path, light: NDArray[np.float32]) -> None:
     EngineError: OpenCV is not installed.
     """
     cv2: Any = package("cv2", "A panorama", "opencv-python-headless")
-    done, data = cv2.imencode(".hdr", np.ascontiguousarray(light[..., ::-1], dtype=np.float32))
+    try:
+        done, data = cv2.imencode(".hdr", np.ascontiguousarray(light[..., ::-1], dtype=np.float32))
+    except cv2.error as error:  # it writes through a temporary file of its own
+        raise EngineError(
+            f"{path} cannot be written to the folder for temporary files.",
+            "Free some space there, or set TMPDIR to another folder.",
+        ) from error
     assert done
     with atomic_write(path) as file:
         file.write(data.tobytes())

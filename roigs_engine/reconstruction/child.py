@@ -12,11 +12,12 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from ..context import Context
 from ..errors import EngineError, SceneError
 from ..formats.events import StageStarted
+from ..formats.files import cannot_write, unlinked
 from ..machine import child_environment
 
 Record = dict[str, Any]
@@ -56,9 +57,10 @@ def run_task(
 
     Raises:
         SceneError: pycolmap failed.
+        RunFolderError: the log cannot be written.
         EngineError: pycolmap is missing or too old, or cannot be started.
     """
-    with open(log, "ab") as messages:
+    with _opened(log) as messages:
         child = subprocess.Popen(
             WORKER,
             stdin=subprocess.PIPE,
@@ -78,6 +80,14 @@ def run_task(
                 if stream is not None:
                     with suppress(OSError):
                         stream.close()
+
+
+def _opened(log: Path) -> BinaryIO:
+    """The log, to append to; RunFolderError if it cannot be written, or is a pipe or a link."""
+    try:
+        return open(log, "ab", opener=unlinked)
+    except OSError as error:
+        raise cannot_write(log, error) from error
 
 
 def _result(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from ..context import Context
 from ..errors import SceneError
-from ..formats.files import atomic_write, own_file, read_record, write_json
+from ..formats.files import atomic_write, own_file, read_bytes, read_record, write_json
 from ..formats.text import counted
 from ..machine import package
 from ..photos.colours import colours_of, say_srgb
@@ -112,7 +112,7 @@ def _convert(source: Path, target: Path, known: str) -> str:
     if not target.exists() or known.removesuffix(SRGB) == digest:
         with atomic_write(target, durable=False) as file:
             file.write(data)
-    elif target.read_bytes() != data:
+    elif read_bytes(target, most=None) != data:
         raise SceneError(
             f"{target} is another photo than {source}.", "Remove it, or give another --out."
         )

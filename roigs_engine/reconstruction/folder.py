@@ -25,6 +25,7 @@ from ..formats.files import (
     own_folder,
     read_record,
     refuse_linked_folders,
+    regular,
     write_json,
 )
 from ..formats.lock import locked
@@ -34,7 +35,7 @@ from ..photos.mask_paths import MASKS
 from .photo_checks import Photo, unread_in_words
 
 IMAGES, DATABASE, REPORT = PHOTO_FOLDERS[0], "database.db", "reconstruction.md"
-WORK = RECONSTRUCTION
+WORK, EARLIER = RECONSTRUCTION, "earlier"
 VERSION = 1  # of the record; increase it if features or matches of older engines are of no use
 
 
@@ -85,6 +86,7 @@ class Folder:
         with locked(self.work(), warn, "--out"):
             own_folder(self.root, SPARSE, self.model.name)
             refuse_linked_folders(self.work(), self.log, *self._replaced())
+            self._bring_back()
             yield
 
     def begin(self, photos: Sequence[Photo], features: Mapping[str, Any]) -> str:
@@ -162,19 +164,39 @@ class Folder:
 
     def finish(self, key: str) -> None:
         """Record that the model was made with this key."""
-        write_json(self._record, read_record(self._record) | {"done": key, "apart": False})
+        self._note(done=key, apart=False, moved="")
+
+    def _note(self, **values: Any) -> None:
+        write_json(self._record, read_record(self._record) | values)
+
+    def _bring_back(self) -> None:
+        """Move back the model that an engine had moved away when it was killed.
+
+        Without it, cameras and boxes would lose their place.
+        """
+        moved = read_record(self._record).get("moved")
+        if not (isinstance(moved, str) and moved.isdecimal()) or os.path.lexists(self.model):
+            return
+        kept = own_folder(self.root, WORK, EARLIER, moved)
+        if kept.is_dir():
+            try:
+                kept.rename(self.model)
+            except OSError as error:
+                raise cannot_write(self.model, error) from error
 
     def take_model(self, source: Path) -> None:
         """Make the model in `source` the result; an earlier result is kept beside it."""
         own_folder(self.root, SPARSE)
+        kept = own_folder(self.root, WORK, EARLIER)
         try:
             self.model.parent.mkdir(exist_ok=True)
             if self.model.exists():
-                kept = self.work("earlier")
                 kept.mkdir(exist_ok=True)
                 places = (kept / str(number) for number in count())
                 # The first free name: users may have deleted some of the earlier models.
-                self.model.rename(next(path for path in places if not os.path.lexists(path)))
+                place = next(path for path in places if not os.path.lexists(path))
+                self._note(moved=place.name)
+                self.model.rename(place)
             source.rename(self.model)
         except OSError as error:
             raise cannot_write(self.model, error) from error
@@ -243,5 +265,8 @@ class Folder:
                 os.link(os.path.realpath(photo.path), target)
                 continue
             # Some file systems have no second names, and none is of a file of another one.
-            with atomic_write(target, durable=False) as copy, open(photo.path, "rb") as file:
+            with (
+                atomic_write(target, durable=False) as copy,
+                open(photo.path, "rb", opener=regular) as file,
+            ):
                 shutil.copyfileobj(file, copy)

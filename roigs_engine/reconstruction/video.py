@@ -32,6 +32,7 @@ CONTAINERS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg"
 """FFmpeg's names of what `projects.VIDEOS` are."""
 ENDS_EARLY = 0.98  # of the frames that the file's header promises
 NARROWEST, WIDEST = 0.25, 4.0  # pixels, width by height
+CONVERT = "Copy it again, or convert it to MP4."
 FLAGGING = ("h264", "mpeg1video", "mpeg2video", "vc1")  # codecs that flag each interlaced frame
 # FFmpeg's field orders: the field shown first
 INTERLACED = {2: "tff", 3: "bff", 4: "bff", 5: "tff"}
@@ -73,10 +74,15 @@ class Video:
             # playlist that is called a video from naming other files.
             name, only = f"file:{self.path.absolute()}", {"format_whitelist": CONTAINERS}
             most = {"max_pixels": str(MAX_PIXELS)}
-            with self._av.open(name, options=most, container_options=only) as file:
+            # Names in it may be no text, and are of no use.
+            with self._av.open(
+                name, options=most, container_options=only, metadata_errors="replace"
+            ) as file:
                 if not file.streams.video:
                     raise SceneError(f"{self.path} has no pictures.", "Give a video.")
                 stream = file.streams.best("video") or file.streams.video[0]
+                if stream.codec_context is None:
+                    raise SceneError(f"{self.path} has a codec that is unknown.", CONVERT)
                 stream.codec_context.options = most  # a frame may have another size
                 stream.thread_type = "AUTO"
                 self.expected, self.damaged, self.deinterlaced = stream.frames, False, False
@@ -93,10 +99,7 @@ class Video:
                     yield number, frame
         except (self._av.error.FFmpegError, OSError) as error:
             reason = getattr(error, "strerror", None) or str(error)
-            raise SceneError(
-                f"Cannot read the video {self.path} ({reason}).",
-                "Copy it again, or convert it to MP4.",
-            ) from error
+            raise SceneError(f"Cannot read the video {self.path} ({reason}).", CONVERT) from error
         if number < 0:
             limit = f"of up to {MAX_PIXELS // 10**6} million pixels"
             text = f"No frame of {self.path} can be decoded ({limit})."

@@ -17,7 +17,7 @@ from ..context import QUIET, Context
 from ..errors import RunFolderError
 from ..evaluation.views import EvaluatedModel
 from ..formats.files import matching, write_json
-from ..formats.lock import holder, locked
+from ..formats.lock import holder, is_lock, locked
 from ..formats.run_files import LOCK, MANIFEST, SPLIT
 from ..model.gaussians import Gaussians
 from ..model.scene_checks import scene_warnings
@@ -42,7 +42,7 @@ def held(folder: Path, context: Context, patience: float = 0.0) -> Iterator[None
     with ExitStack() as stack:
         _patiently(lambda: stack.enter_context(locked(folder, context.warn)), context, patience)
         for path in matching(folder, STAGE_LOCKS):
-            if path.name != LOCK:
+            if path.name != LOCK and is_lock(path):  # others have poetry.lock, and the like
                 _patiently(partial(_refuse_holder, path), context, patience)
                 path.unlink(missing_ok=True)  # a killed engine left it
         yield

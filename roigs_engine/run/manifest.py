@@ -9,8 +9,9 @@ from typing import Any
 
 from ..context import QUIET, Context
 from ..errors import RunFolderError
-from ..formats.files import read_json, write_json
-from ..formats.run_files import MANIFEST, PROVENANCE, RESULTS, SPLIT
+from ..formats.clean_up import is_run_folder
+from ..formats.files import read_json, read_record, write_json
+from ..formats.run_files import MANIFEST, PREVIEW, PROVENANCE, RESULTS, SPLIT
 from ..formats.text import json_digest
 from .definition import MANIFEST_VERSION
 from .earlier import bring_back, set_aside
@@ -104,9 +105,12 @@ def check_version(folder: Path) -> None:
 
 def refuse_foreign_files(folder: Path) -> None:
     """Raise RunFolderError if a run would replace files that are not a run's."""
-    if any((folder / name).exists() for name in (MANIFEST, SPLIT, PROVENANCE)):
+    if (folder / MANIFEST).exists() or is_run_folder(folder):
+        return
+    if {"evaluate_on", "test"} <= read_record(folder / SPLIT).keys():
         return  # without a manifest, the results of a run are verified and kept
-    found = next((name for name in RESULTS if (folder / name).exists()), None)
+    names = (*RESULTS, PREVIEW, PROVENANCE)
+    found = next((name for name in names if (folder / name).exists()), None)
     if found is not None:
         raise RunFolderError(
             f"{folder} is not a run folder, and a run would replace {folder / found}.",

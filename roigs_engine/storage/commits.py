@@ -22,7 +22,7 @@ from typing import Any
 from urllib.parse import quote
 
 from ..errors import RunFolderError, Stopped
-from ..formats.files import LEFTOVER, own_file
+from ..formats.files import LEFTOVER, own_file, regular
 from ..formats.names import inner_path
 from ..formats.run_files import CACHE, PREVIEW, UNDISTORTED
 from ..formats.text import json_digest, parse_json
@@ -158,7 +158,7 @@ class StoredRun:
 
     def _put(self, path: Path, name: str) -> Entry:
         """Store a file that may be replaced here meanwhile, by its hash or under its own name."""
-        with open(path, "rb") as file:
+        with open(path, "rb", opener=regular) as file:
             sha = hashlib.file_digest(file, "sha256").hexdigest()
             size = file.tell()
             at = name or f"{OBJECTS}/{sha}"
@@ -256,7 +256,7 @@ def _fits(path: Path, entry: Entry) -> bool:
     try:
         if path.stat().st_size != entry["size"]:
             return False
-        with open(path, "rb") as file:
+        with open(path, "rb", opener=regular) as file:
             return bool(hashlib.file_digest(file, "sha256").hexdigest() == entry["sha"])
     except OSError:
         return False

@@ -80,7 +80,10 @@ def enforce_quota(context: Context = QUIET) -> None:
     What cannot be removed stays, for another time.
     """
     left = limit()
-    removed = home() / REMOVED
+    try:
+        removed = own_folder(home(), REMOVED)  # what a link leads to is not ours
+    except RunFolderError:
+        return
     with suppress(OSError, RunFolderError), alone(home(), LOCK, context):
         copies = {path: _last_used(path) for kind in KINDS for path in home().glob(kind)}
         folders = [path for path in copies if path.is_dir() and _is_ours(path)]

@@ -252,3 +252,26 @@ def test_tens_of_thousands_of_mistakes(tmp_path: Path, capsys: pytest.CaptureFix
     assert len(said.splitlines()) == 101
     assert "line 102: 'k99' is no key" in said
     assert "has 20,00" in said
+
+
+def test_init_writes_toml_whatever_folders_are_called(tmp_path: Path) -> None:
+    names = ["a\x7fb", 'c"d', "e\x1bf", "g\u0085h"]
+    for name in names:
+        write_project(tmp_path / "scans" / name, names=EIGHT[:2])
+    table = tmp_path / "t.toml"
+    assert main(["batch", str(table), "--init", str(tmp_path / "scans")]) == 0
+    scenes = {row.options["scene"] for row in Table(table, tmp_path).rows}
+    assert scenes == {str(tmp_path / "scans" / name) for name in names}
+
+
+@pytest.mark.parametrize("name", ["report.html", "batch.json", "rows/hall.json", "outputs/a.glb"])
+def test_files_of_others_are_not_replaced(
+    scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    table, theirs = tmp_path / "t.toml", tmp_path / "project" / name
+    table.write_text(f"[scenes.hall]\nscene = '{scans / 'hall'}'\nroi = ['{BOX}']\n")
+    theirs.parent.mkdir(parents=True)
+    theirs.write_text("theirs")
+    said = refused(capsys, "batch", table, "--run-dir", tmp_path / "project")
+    assert "is not the folder of a batch" in said
+    assert theirs.read_text() == "theirs"

@@ -220,3 +220,14 @@ def test_reports_get_a_line_and_a_picture_of_each_surface(run: Path) -> None:
     (run / "rois/ball.surface.json").write_text('{"box": "ball", "faces": "<b>"}')
     add_to_reports(run)  # a damaged record: the reports say nothing of it
     assert (run / "report.md").read_text() == "# Evaluation\n"
+
+
+def test_a_background_knows_the_meshes_that_the_same_command_makes(run: Path) -> None:
+    """It leaves out what they show; the same command again finds nothing to do."""
+    words = ["surface", str(run), "--only", "ball", "--background", "--device", "cpu"]
+    words += ["--faces", "2000", "--texture-size", "64"]
+    made = run / "rois/background.glb"
+    assert main(words) == 0
+    first = made.read_bytes(), made.stat().st_mtime_ns
+    assert main(words) == 0
+    assert (made.read_bytes(), made.stat().st_mtime_ns) == first

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,8 @@ from roigs_engine.context import QUIET
 from roigs_engine.errors import RunFolderError, SceneError
 from roigs_engine.reconstruction.folder import Folder
 from roigs_engine.reconstruction.photo_checks import Photo, look_at
+from tests.engine.exchanged_models import grown
+from tests.engine.killing import killed_everywhere
 from tests.engine.reconstruction.photo_sets import write_noise
 
 
@@ -228,3 +231,41 @@ def test_photos_in_other_formats_are_counted(tmp_path: Path) -> None:
     (photos / "4.jpg").unlink()
     with pytest.raises(SceneError, match=r"no photos\. 1 \.CR2, 1 \.DNG, 2 \.NEF files were not"):
         folder.photos_of(photos)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows has no such pipes")
+def test_a_pipe_in_place_of_the_log_is_not_waited_for(
+    photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = Folder(tmp_path / "scene").log
+    log.parent.mkdir(parents=True)
+    os.mkfifo(log)
+    assert main(["reconstruct", str(photos), "--out", str(tmp_path / "scene")]) == 2
+    assert f"Cannot write {log}" in capsys.readouterr().err.splitlines()[-1]
+
+
+def written(model: Path, text: str) -> Path:
+    model.mkdir(parents=True)
+    for name in ("cameras.bin", "images.bin"):
+        (model / name).write_text(text)
+    return model
+
+
+@pytest.mark.skipif(os.name != "posix", reason="SIGKILL is POSIX's")
+def test_killed_while_models_are_exchanged_it_still_knows_the_earlier_one(tmp_path: Path) -> None:
+    """Else the next engine would place cameras anew, and boxes would lose their place."""
+    start, root = tmp_path / "start", tmp_path / "scene"
+    first = Folder(start)
+    written(first.model, "first")
+    written(first.work("models", "more"), "second")
+    first.finish("first")
+    for number in killed_everywhere(start, root, partial(grown, root)):
+        folder = Folder(root)
+        with folder.held(QUIET.warn):
+            assert folder.finished_model is not None, f"killed before change {number}"
+            assert (folder.model / "images.bin").read_text() in ("first", "second")
+    assert number > 8 and (folder.model / "images.bin").read_text() == "second"
+    assert (folder.work("earlier", "0") / "images.bin").read_text() == "first"
+    shutil.rmtree(folder.model)  # by the user, who wants another
+    with folder.held(QUIET.warn):
+        assert folder.finished_model is None

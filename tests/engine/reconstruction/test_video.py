@@ -389,3 +389,24 @@ def test_a_missing_pyav_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(EngineError, match="Reading videos needs av"):
         Video(tmp_path / "walk.mp4")
+
+
+def test_an_unknown_codec_is_one_line(tmp_path: Path) -> None:
+    path = film(tmp_path / "a.mkv", list(range(0, 80, 8)))
+    path.write_bytes(path.read_bytes().replace(b"V_MPEG4/ISO/ASP", b"V_MPEG4/ISO/XXX"))
+    with pytest.raises(SceneError, match="codec that is unknown"):
+        taken(path, tmp_path / "scene")
+
+
+def test_a_title_that_is_no_text_does_no_harm(tmp_path: Path) -> None:
+    path = tmp_path / "a.mp4"
+    with av.open(str(path), "w") as video:
+        video.metadata["title"] = "TITLE"
+        stream = video.add_stream("mpeg4", rate=Fraction(10))
+        stream.width, stream.height, stream.pix_fmt = *SIZE, "yuv420p"
+        for left in range(0, 160, 8):
+            picture = Image.fromarray(texture()[: SIZE[1], left : left + SIZE[0]])
+            video.mux(stream.encode(av.VideoFrame.from_image(picture.convert("RGB"))))
+        video.mux(stream.encode(None))
+    path.write_bytes(path.read_bytes().replace(b"TITLE", b"\xfd\xfe\xff\xfd\xf0"))
+    assert len(taken(path, tmp_path / "scene", 4)) >= 2

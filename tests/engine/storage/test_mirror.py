@@ -194,6 +194,21 @@ def test_files_of_others_beside_removed_copies_stay(
     assert [path.name for path in (home / REMOVED).iterdir()] == ["mine"]
 
 
+def test_folders_behind_a_link_in_place_of_the_removed_copies_stay(
+    store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROIGS_CACHE_GB", "0")
+    copy = mirror(URL.format("hall"), QUIET).parent
+    theirs = tmp_path / "theirs" / f"{5:032x}" / "a.jpg"
+    theirs.parent.mkdir(parents=True)
+    theirs.write_bytes(b"mine")
+    (copy.parents[1] / REMOVED).symlink_to(tmp_path / "theirs")
+    os.utime(copy, (0, 0))
+    enforce_quota()
+    assert theirs.read_bytes() == b"mine" and copy.exists()
+    assert len(list((tmp_path / "theirs").iterdir())) == 1
+
+
 class Pages(SimpleHTTPRequestHandler):
     """A web server of folders; `silent` ones do not tell sizes."""
 

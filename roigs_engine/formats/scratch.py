@@ -1,0 +1,86 @@
+"""Temporary folders that outlive no process for long: the next one removes those of killed ones."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+from . import os_lock
+from .files import is_link, matching, unlinked
+
+OWNER = ".roigs-owner"
+"""A file in each of these folders, which its process keeps locked."""
+RANDOM = r"[a-z0-9_]{8}"  # what `mkdtemp` appends
+
+
+@contextmanager
+def scratch(prefix: str, place: Path | None = None) -> Iterator[Path]:
+    """A new folder `PREFIX...` for temporary files, removed in the end.
+
+    Those of the same name that killed processes of this user have left are removed, too.
+
+    Args:
+        prefix: of its name.
+        place: where it is; None: in the system's folder for temporary files.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    folder, owner = new_scratch(prefix, place)
+    try:
+        yield folder
+    finally:
+        remove_scratch(folder, owner)
+
+
+def new_scratch(prefix: str, place: Path | None = None) -> tuple[Path, BinaryIO]:
+    """As `scratch`, for a folder that `remove_scratch` removes with what is returned."""
+    place = Path(tempfile.gettempdir()) if place is None else place
+    for abandoned in matching(place, f"{prefix}*"):
+        if re.fullmatch(re.escape(prefix) + RANDOM, abandoned.name):
+            with suppress(OSError, os_lock.NoLocksError):
+                _remove_abandoned(abandoned)
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=prefix, dir=place))
+        try:
+            owner = open(folder / OWNER, "wb")  # noqa: SIM115 - open while the folder is there
+        except FileNotFoundError:  # another process took it for abandoned
+            continue
+        with suppress(os_lock.NoLocksError):
+            if not os_lock.take(owner):  # another process is about to remove it
+                owner.close()
+                continue
+        if (folder / OWNER).exists():
+            return folder, owner
+        owner.close()
+
+
+def remove_scratch(folder: Path, owner: BinaryIO) -> None:
+    """Remove a folder of `new_scratch`; what cannot be removed stays."""
+    with suppress(OSError):
+        owner.close()
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def _remove_abandoned(folder: Path) -> None:
+    """Remove a folder of this user's whose process has ended; OSError: it is another's, or none."""
+    status = os.lstat(folder)
+    if is_link(folder) or not stat.S_ISDIR(status.st_mode):
+        return
+    if hasattr(os, "getuid") and status.st_uid != os.getuid():
+        return
+    try:
+        with open(folder / OWNER, "r+b", opener=unlinked) as owner:
+            if not os_lock.take(owner):
+                return
+    except FileNotFoundError:
+        folder.rmdir()  # if it is empty: its process was killed before it had the mark
+        return
+    shutil.rmtree(folder, ignore_errors=True)
