@@ -11,7 +11,7 @@ import pytest
 
 from roigs_engine.errors import SceneError
 from roigs_engine.formats.projects import is_refined_model
-from tests.engine.colmap.test_refine import bent
+from tests.engine.colmap.bent_models import bent
 from tests.engine.commands.command_line import refused
 from tests.engine.exchanged_models import refined
 from tests.engine.killing import killed_everywhere
