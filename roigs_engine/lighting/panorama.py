@@ -58,18 +58,23 @@ class Panorama:
         """(H, 2 H, 3) as the photos show it."""
         return self.shown + self.guessed
 
-    def brightened(self, highlights: float, unseen: float = 1.0) -> Float32:
+    def brightened(self, highlights: float, unseen: float | None = None) -> Float32:
         """(H, 2 H, 3) the light, with two parts of it multiplied.
 
-        Light that is added to what is not shown is neutral: cameras make the usual light white.
+        The light of what is not shown is neutral: cameras make the usual light white, and what
+        stands around, such as a red cloth, is no lamp.
 
         Args:
             highlights: factor of what is clipped.
-            unseen: factor of what is not shown, above the horizon.
+            unseen: factor of what is not shown, above the horizon; None: it stays as it is guessed,
+                which is what mirrors are to show.
         """
         bright = np.where(self.clipped[..., None], np.float32(highlights), np.float32(1))
-        more = (unseen - 1) * (self.unseen * self.guessed.mean(axis=-1))[..., None]
-        return np.asarray(bright * self.shown + self.guessed + more, np.float32)
+        guessed = self.guessed
+        if unseen is not None:
+            neutral = unseen * guessed.mean(axis=-1, keepdims=True)
+            guessed = guessed + self.unseen[..., None] * (neutral - guessed)
+        return np.asarray(bright * self.shown + guessed, np.float32)
 
     def parts(self, rows: int) -> Float64:
         """(3, h, 2 h) brightness: of what is shown, of what is clipped, of what is unseen.

@@ -66,7 +66,7 @@ def on_screen(place):
     found = view()
     data = found["area"].spaces.active.region_3d
     at = view3d_utils.location_3d_to_region_2d(found["region"], data, Vector(place))
-    return found["region"].x + at.x, found["window"].height - found["region"].y - at.y
+    return found["region"].x + at.x, found["window"].height - 1 - found["region"].y - at.y
 
 def select(name):
     for item in scene().objects:

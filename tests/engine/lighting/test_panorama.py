@@ -69,6 +69,17 @@ def test_holes_get_what_is_around_them() -> None:
     assert bright[HEIGHT // 2 :] == pytest.approx(found.light[HEIGHT // 2 :])
 
 
+def test_light_that_no_photo_shows_is_neutral() -> None:
+    """A red room has no red lamps; mirrors go on showing red."""
+    red = room(hole=(0, 0, 1))
+    red.sh[:, 0, 1:] -= 1.0
+    found = panorama([placed(red)], np.zeros(3), HEIGHT)
+    light, mirrored = found.brightened(1.0, 2.0), found.brightened(1.0)
+    assert light[0] == pytest.approx(np.full(light[0].shape, 2 * found.light[0].mean()), rel=0.05)
+    assert mirrored == pytest.approx(found.light)
+    assert (mirrored[0, :, 0] > 3 * mirrored[0, :, 1]).all()
+
+
 def test_the_left_and_the_right_edge_meet() -> None:
     light, alpha = np.zeros((8, 16, 3), np.float32), np.zeros((8, 16), np.float32)
     light[:, 15], alpha[:, 15] = 1.0, 1.0
