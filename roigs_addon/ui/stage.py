@@ -9,7 +9,7 @@ from ..jobs import current
 from ..jobs.spec import STAGING
 from ..operators.stage import PLACES, CatchShadows, LightFromScene, RemoveStage
 from ..operators.stand_here import StandHere
-from ..scene import lookup, proxies, stage, stage_world
+from ..scene import display, lookup, proxies, stage, stage_world
 from ..stage_properties import stage_props
 from . import layout as show
 from .layout import SidebarPanel
@@ -57,6 +57,8 @@ class StagePanel(SidebarPanel):
             column.prop(group, "reflects")
             if names := proxies.lacking(scene):
                 show.todo(layout, f"No mesh of {', '.join(names)}: Make Surface, then click again")
+            if any(display.is_native(item) for item in lookup.splats(scene)):
+                show.wrong(layout, "Blender's own splats take no shadows: choose Exact Look")
         if stage.is_set(scene):
             if scene.render.engine != CYCLES:
                 show.wrong(layout, "Shadows on captured things need Cycles")
