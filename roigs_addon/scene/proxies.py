@@ -24,7 +24,7 @@ from ..geometry.glb import read_glb
 from ..properties import object_props, scene_props
 from ..shared import files, transforms
 from ..stage_properties import FAR, stage_props
-from . import box_surfaces, lookup, stage, textured_meshes
+from . import box_surfaces, lookup, shadow_pass, stage, textured_meshes
 
 BACKGROUND = "Background"
 GROUP = "ROI-GS Captured Surface"
@@ -67,9 +67,6 @@ def bring(scene: bpy.types.Scene, background: Path | None) -> list[bpy.types.Obj
         scene: that they stand in.
         background: the mesh of what is outside the boxes; None: there is none.
 
-    Returns:
-        Those that are there for renders.
-
     Raises:
         AddonError: the file is damaged.
     """
@@ -88,19 +85,24 @@ def bring(scene: bpy.types.Scene, background: Path | None) -> list[bpy.types.Obj
     stage_props(scene).catches, stage_props(scene).reflects = catches, reflects
     set_reach(scene, stage_props(scene).radius or usual_radius(scene))
     settle(scene)
-    return [item for item in made if not item.hide_render]
+    return made
 
 
 def settle(scene: bpy.types.Scene) -> None:
-    """Leave out the proxies of boxes that renders show as a mesh: that is lit itself."""
+    """Have renders leave out the proxies that they cannot use.
+
+    These are boxes that they show as a mesh, which is lit itself, and with another engine than
+    Cycles all: it knows no shadow catchers, and would show them.
+    """
     for item in of_scene(scene):
-        source = item.parent
-        if source is None or object_props(source).kind != "SURFACE":
-            continue
-        gaussians = box_surfaces.gaussians_of(scene, object_props(item).roi)
-        there = source.hide_render and gaussians is not None and not gaussians.hide_render
-        if item.hide_render == there:
-            item.hide_render = not there
+        source, there = item.parent, scene.render.engine == shadow_pass.CYCLES
+        if source is not None and object_props(source).kind == "SURFACE":
+            gaussians = box_surfaces.gaussians_of(scene, object_props(item).roi)
+            shown = gaussians is not None and not gaussians.hide_render
+            there = there and source.hide_render and shown
+        for each in (item, *item.children):
+            if each.hide_render == there:
+                each.hide_render = not there
 
 
 def _ways(scene: bpy.types.Scene) -> tuple[bool, bool]:

@@ -14,6 +14,8 @@ import bpy
 from ..stage_properties import stage_props
 from . import compositor
 
+CYCLES = "CYCLES"
+"""The render engine that has shadow catchers."""
 SOCKET = "Shadows"
 """Input of the group that merges Gaussians with Blender's picture."""
 PASS = "Shadow Catcher"
@@ -50,7 +52,8 @@ def multiplies(scene: bpy.types.Scene) -> bool:
 def connect(scene: bpy.types.Scene) -> None:
     """Render the pass, and multiply the Gaussians by it. Does nothing twice.
 
-    Render engines without the pass do not have it at their nodes; `connect` again in Cycles.
+    Other render engines do not have the pass: to them, the Gaussians stay as they are, and a link
+    to it would make them black. `connect` again when the engine is another one.
     """
     group: Any = compositor.find(scene)
     for tree, node in _nodes(scene):
@@ -63,7 +66,12 @@ def connect(scene: bpy.types.Scene) -> None:
             continue
         _bring_nearer(group, NEAR * stage_props(scene).radius)
         source, target = layers.outputs.get(PASS), node.inputs.get(SOCKET)
-        if source is not None and target is not None and not target.is_linked:
+        if target is not None:
+            target.default_value = (1.0, 1.0, 1.0, 1.0)  # a node that was there first has black
+        if scene.render.engine != CYCLES:
+            for link in list(target.links) if target is not None else []:
+                tree.links.remove(link)
+        elif source is not None and target is not None and not target.is_linked:
             tree.links.new(source, target)
 
 

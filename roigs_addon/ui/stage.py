@@ -9,13 +9,11 @@ from ..jobs import current
 from ..jobs.spec import STAGING
 from ..operators.stage import PLACES, CatchShadows, LightFromScene, RemoveStage
 from ..operators.stand_here import StandHere
-from ..scene import display, lookup, proxies, stage, stage_world
+from ..scene import display, lookup, proxies, shadow_pass, stage, stage_world
 from ..stage_properties import stage_props
 from . import layout as show
 from .layout import SidebarPanel
 from .result import ResultPanel
-
-CYCLES = "CYCLES"
 
 
 class StagePanel(SidebarPanel):
@@ -60,7 +58,7 @@ class StagePanel(SidebarPanel):
             if any(display.is_native(item) for item in lookup.splats(scene)):
                 show.wrong(layout, "Blender's own splats take no shadows: choose Exact Look")
         if stage.is_set(scene):
-            if scene.render.engine != CYCLES:
+            if scene.render.engine != shadow_pass.CYCLES:
                 show.wrong(layout, "Shadows on captured things need Cycles")
             layout.operator(RemoveStage.bl_idname, icon="X")
         elif not current.busy():

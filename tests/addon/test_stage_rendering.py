@@ -164,3 +164,17 @@ def test_its_rim_is_smooth(blender: ModuleType, shot) -> None:
         beside |= np.roll(whole, 1, axis) | np.roll(whole, -1, axis)
     beside &= ~whole
     assert np.mean(share[beside] > 0.3 * share.max()) > 0.6, "else it ends with whole pixels"
+
+
+def test_other_engines_show_what_was_captured(blender: ModuleType, shot) -> None:
+    """They have no shadow catchers: no proxies, no pass to multiply by; then Cycles again."""
+    from roigs_addon.scene import proxies
+
+    scene, f12 = shot
+    before = f12("cycles")[SIDE // 2 :, :, :3]
+    scene.render.engine = "BLENDER_WORKBENCH"
+    found = f12("workbench")[SIDE // 2 :, :, :3]
+    assert np.median(found) == pytest.approx(np.median(before), rel=0.1) and np.median(found) > 0.1
+    scene.render.engine = "CYCLES"
+    assert f12("again")[SIDE // 2 :, :, :3] == pytest.approx(before, abs=0.02)
+    assert not any(item.hide_render for item in proxies.of_scene(scene))

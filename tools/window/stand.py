@@ -262,6 +262,7 @@ def main() -> int:
             remove(story)
         except Exception:
             blender.screen.picture(given.out / "failed.png")
+            print(blender.log.read_text("utf-8", "replace")[-4000:], file=sys.stderr)
             raise
     return 0
 
