@@ -64,6 +64,12 @@ def result_problem(context: bpy.types.Context) -> str:
     return "" if run_facts.run(scene_of(context)).result else NO_RESULT
 
 
+def own_problem(context: bpy.types.Context) -> str:
+    """Why the scene cannot be changed; empty if it can."""
+    linked = scene_of(context).library is not None
+    return "This scene is of another file: open that, or make it local" if linked else ""
+
+
 def model_problem(context: bpy.types.Context) -> str:
     """Why nothing can be done with the model now; empty if it can."""
     if current.busy():

@@ -16,7 +16,16 @@ from ..jobs.spec import JobSpec
 from ..properties import object_props
 from ..scene import box_surfaces, lookup, stage
 from ..windows import redraw
-from .base import FRESH, NO_BOX, EngineOperator, available, failed, result_problem, tell
+from .base import (
+    FRESH,
+    NO_BOX,
+    EngineOperator,
+    available,
+    failed,
+    own_problem,
+    result_problem,
+    tell,
+)
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
@@ -41,7 +50,7 @@ seeing your own world"""
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """There must be a finished training, and an idle engine."""
-        return available(cls, result_problem(context))
+        return available(cls, own_problem(context) or result_problem(context))
 
     def packages(self, context: bpy.types.Context) -> tuple[str, ...]:
         """Those that draw, and write the picture."""
@@ -78,7 +87,7 @@ it. The engine makes a mesh of the background once"""
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """There must be a finished training, and an idle engine."""
-        return available(cls, result_problem(context))
+        return available(cls, own_problem(context) or result_problem(context))
 
     def packages(self, context: bpy.types.Context) -> tuple[str, ...]:
         """Those that make meshes."""
@@ -119,7 +128,8 @@ class RemoveStage(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """There must be something to remove."""
-        return available(cls, "" if stage.is_set(scene_of(context)) else "There is none")
+        nothing = "" if stage.is_set(scene_of(context)) else "There is none"
+        return available(cls, own_problem(context) or nothing)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Remove it."""

@@ -20,7 +20,7 @@ from ..scene import lookup, proxies, stage_world, standing
 from ..scene.surfaces import TYPES
 from ..stage_properties import stage_props
 from ..windows import redraw
-from .base import BUSY, FRESH, EngineOperator, available, failed, tell
+from .base import BUSY, FRESH, EngineOperator, available, failed, own_problem, tell
 from .picking import PickTool, place_in_view, shown_points
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ shadows, and reflects what is around it"""
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """There must be Gaussians, a mesh of the user's, and an idle engine."""
-        return available(cls, problem(context))
+        return available(cls, own_problem(context) or problem(context))
 
     def take(self, points: list[Vector]) -> None:
         """The place, and from where it was seen.

@@ -163,3 +163,23 @@ def test_blenders_own_splats_come_back(blender: ModuleType, file: Any) -> None:
     display.show_as(items[0], "EXACT")
     blender.ops.roigs.remove_stage()
     assert all(display.is_native(item) for item in items) and state(blender, file) == before
+
+
+@pytest.mark.exact_look
+@pytest.mark.parametrize("file", ["of Blender 5.3"], indirect=True)
+def test_a_scene_of_another_file_is_left_alone(
+    blender: ModuleType, file: Any, tmp_path: Path
+) -> None:
+    """Blender does not save what is changed in it."""
+    path, name = tmp_path / "other.blend", file.name
+    blender.ops.wm.save_as_mainfile(filepath=str(path))
+    blender.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    with blender.data.libraries.load(str(path), link=True) as (_, wanted):
+        wanted.scenes = [name]
+    scene = next(each for each in blender.data.scenes if each.library)
+    blender.context.window.scene = scene
+    before = state(blender, scene)
+    for work in ("catch_shadows", "light_from_scene", "stand_here"):
+        with pytest.raises(RuntimeError, match="another file"):
+            getattr(blender.ops.roigs, work)()
+    assert state(blender, scene) == before
