@@ -126,7 +126,7 @@ class Story:
         began = time.monotonic()
         self.blender.until(BUSY, 60)
         if picture:
-            self.blender.pause(4.0)
+            self.blender.scroll(100)
             self.picture(picture)
         self.blender.until(f"not {BUSY}", 1800)
         if error := self.ask(f"{STATE}.error"):
