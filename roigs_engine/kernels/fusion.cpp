@@ -56,14 +56,18 @@ void roigs_fuse_depth(const float* points, int64_t count, const roigs::DepthPhot
             const float truncation =
                 std::max(photo->truncation, photo->footprints * found.depth);
             const float distance = (found.depth - z) * found.slope / truncation;
+            // Behind what it shows, a photo counts as its pixels do there: else photos of something
+            // near would outvote, far behind that, all others.
+            const float nearer = std::min(found.depth / z, 1.0f);
+            const float weight = found.weight * nearer * nearer;
             float* sum = sums + 5 * i;
             if (distance <= -1) {
-                sum[3] += found.weight;
+                sum[3] += weight;
                 continue;
             }
-            sum[0] += found.weight * std::min(distance, 1.0f);
-            sum[1] += found.weight;
-            if (distance < 1) sum[2] += found.weight, sum[4] += 1;
+            sum[0] += weight * std::min(distance, 1.0f);
+            sum[1] += weight;
+            if (distance < 1) sum[2] += weight, sum[4] += 1;
         }
     });
 }

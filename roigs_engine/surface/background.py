@@ -42,8 +42,9 @@ AROUND = 0.5  # of its diagonal: so far around a box the grid is fine
 FINEST = 4  # voxels of a fine grid in one of the coarse grid's, along a side
 WALL = 4.0  # voxels: height of what holds a rim while the mesh is simplified
 SMALLEST = 10  # voxels along a side: parts of a smaller area fly about
-DOUBLE = 2.5  # voxels: so near a box's own mesh, and facing alike, ..
-ALIKE = 0.3  # .. by the cosine of the normals, it is the same surface
+DOUBLE = 2.5  # voxels: so far above or below a box's own mesh, and facing alike, ..
+ALIKE = 0.3  # .. by the cosine of the normals, it is the same surface, ..
+BESIDE = 0.3  # .. unless it is so many voxels beside its rim: there, it goes on
 TEXTURE = 1024  # texels along a side
 PICTURES, MOST_STEP = 40, 4  # photos that it is made of, and how much smaller, at most
 CHARTS = 200 << 20  # bytes for charts, and what reading the scene leaves
@@ -140,8 +141,8 @@ def make_background(
         gaussians: the trained scene, on the context's device.
         scene: the photos, in the frame of the Gaussians and the boxes.
         rois: the boxes, around which the mesh is finer.
-        own: box -> (V, 3) points and their unit normals, of the mesh that the box has: there, the
-            background has none.
+        own: box -> (N, 3) points all over the mesh that the box has, and their unit normals: there,
+            the background has none.
         load: returns a photo, (H, W, 3) uint8 sRGB.
 
     Raises:
@@ -336,16 +337,18 @@ def _without_doubles(
     own: Mapping[str, tuple[Float64, Float64]],
     voxel: float,
 ) -> Mesh:
-    """Without what the boxes' own meshes show."""
-    middles, normals = mesh.vertices[mesh.faces].mean(axis=1), mesh.crosses
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    double = np.zeros(len(middles), bool)
+    """Without the faces that the boxes' own meshes cover whole, so that no gap is left between."""
+    normals, covered = mesh.normals(), np.zeros(len(mesh.vertices), bool)
     for roi in rois:
         points, facing = own.get(roi.name, (np.zeros((0, 3)),) * 2)
-        rows = np.flatnonzero(roi.distance(middles) < DOUBLE * voxel)
+        rows = np.flatnonzero(roi.distance(mesh.vertices) < DOUBLE * voxel)
         if not len(points) or not len(rows):
             continue
-        away, nearest = cKDTree(points).query(middles[rows])
-        alike = (facing[nearest] * normals[rows]).sum(axis=1) > ALIKE
-        double[rows] |= (away < DOUBLE * voxel) & alike
+        nearest = cKDTree(points).query(mesh.vertices[rows])[1]
+        away, up = mesh.vertices[rows] - points[nearest], facing[nearest]
+        height = (away * up).sum(axis=1)
+        beside = np.linalg.norm(away - height[:, None] * up, axis=1)
+        near = (np.abs(height) < DOUBLE * voxel) & (beside < BESIDE * voxel)
+        covered[rows] |= near & ((up * normals[rows]).sum(axis=1) > ALIKE)
+    double = covered[mesh.faces].all(axis=1)
     return mesh.kept(~double) if double.any() else mesh

@@ -25,6 +25,7 @@ USD = (".usda", ".usdc", ".usdz")
 UP = {".glb": "y", ".obj": "y", ".ply": "z", ".stl": "z", **dict.fromkeys(USD, "y")}
 """Endings of files, and the axis that points up, as most readers of the format have it."""
 FILLED = "_filled"  # attribute of vertices in glTF and PLY: 1 where no photo has shown the surface
+POINTS = 200_000  # of a surface: closer together than the voxels of any mesh beside it
 
 
 def write_mesh(
@@ -79,16 +80,20 @@ def convert_mesh(source: Path, path: Path, up: str | None = None) -> int:
 
 
 def read_points(path: Path, frame: LocalFrame) -> tuple[Float64, Float64]:
-    """(V, 3) points of a surface's .glb in a frame: vertices and middles of faces; their normals.
+    """(N, 3) points all over a surface's .glb, in a frame, and their normals.
 
     Raises:
         EngineError: the file cannot be read, or a package is not installed.
     """
     with reading(path, "glTF"):
         meshes = [mesh for _, mesh in _read(path)]
-        points = [np.concatenate([m.vertices, m.triangles_center]) for m in meshes]
-        normals = [np.concatenate([m.vertex_normals, m.face_normals]) for m in meshes]
-    return frame.points(np.concatenate(points)), np.concatenate(normals)
+        corners = np.concatenate([np.asarray(mesh.triangles) for mesh in meshes])
+        normals = np.concatenate([np.asarray(mesh.face_normals) for mesh in meshes])
+        areas = np.concatenate([np.asarray(mesh.area_faces) for mesh in meshes])
+        rng = np.random.default_rng(0)
+        faces = rng.choice(len(areas), POINTS, p=areas / areas.sum())
+    shares = rng.dirichlet((1.0, 1.0, 1.0), POINTS)
+    return frame.points(np.einsum("nk,nkd->nd", shares, corners[faces])), normals[faces]
 
 
 def sampled_surface(path: Path, count: int) -> tuple[Float64, Float64, Float64]:

@@ -248,7 +248,7 @@ def _blurred(picture: Float32, mask: Float32, size: float) -> Float32:
     """
     part = ndimage.gaussian_filter(picture * mask[..., None], (size, size, 0))
     share = ndimage.gaussian_filter(mask, size)
-    return np.asarray(part / np.maximum(share, 1e-3)[..., None], dtype=np.float32)
+    return np.asarray(part / np.maximum(share, 1e-12)[..., None], dtype=np.float32)
 
 
 def _texels(charts: Charts) -> tuple[NDArray[np.int64], NDArray[np.int64], Float64]:

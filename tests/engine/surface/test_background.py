@@ -11,7 +11,7 @@ from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, PosedImage, SfmScene
 from roigs_engine.surface import background
-from roigs_engine.surface.background import make_background, surroundings
+from roigs_engine.surface.background import _without_doubles, make_background, surroundings
 from roigs_engine.surface.make import SurfaceOptions
 from roigs_engine.surface.mesh import Mesh
 from tests.engine.lighting.room import ball_around
@@ -131,3 +131,24 @@ def test_a_box_with_its_own_mesh_has_no_second_one(whole: tuple[Mesh, float]) ->
     middles = mesh.vertices[mesh.faces].mean(axis=1)
     under = (np.abs(middles[:, 2]) < 0.5 * voxel) & (np.linalg.norm(middles[:, :2], axis=1) < 0.3)
     assert under.any()  # the table in the box stays
+
+
+def test_the_table_begins_where_the_plate_of_a_box_ends(whole: tuple[Mesh, float]) -> None:
+    """The box's mesh has a plate of the table: no gap around it, and little is twice there."""
+    low, high = np.array([-0.5, -0.6]), np.array([0.3, -0.3])
+    plate = np.random.default_rng(0).uniform([*low, 0], [*high, 0], (50_000, 3))
+    box = OrientedBox.between("plate", [*low, -0.1], [*high, 0.1])
+    mesh, voxel = whole
+    found = _without_doubles(
+        mesh, [box], {"plate": (plate, np.tile([0, 0, 1.0], (50_000, 1)))}, voxel
+    )
+    gone = ~np.isin(_keys(mesh), _keys(found))
+    corners = mesh.vertices[mesh.faces[gone]]
+    assert (corners[..., :2] > low - 0.3 * voxel).all()
+    assert (corners[..., :2] < high + 0.3 * voxel).all()
+    assert mesh.areas[gone].sum() > 0.6 * np.prod(high - low)
+
+
+def _keys(mesh: Mesh) -> np.ndarray:
+    """A number for each face, by its middle."""
+    return mesh.vertices[mesh.faces].mean(axis=1).round(6) @ np.array([1.0, 1e3, 1e6])

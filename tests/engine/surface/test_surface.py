@@ -10,12 +10,14 @@ import pytest
 
 from roigs_engine.errors import SceneError
 from roigs_engine.model.local_frame import LocalFrame
+from roigs_engine.model.roi import OrientedBox
 from roigs_engine.surface.depth import DepthMap
 from roigs_engine.surface.files import convert_mesh, write_mesh
 from roigs_engine.surface.fusion import fuse, slopes
 from roigs_engine.surface.mesh import Mesh, mesh_of, simplified
 from roigs_engine.surface.texture import Textured, _texels, textured
 from tests.engine.surface.ball import BOX, CAMERA, RADIUS, colour_at, depth_map, images, photo
+from tests.poses import look_at
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("skimage")
@@ -73,6 +75,29 @@ def test_wrong_depths_of_a_few_photos_make_no_layer(maps: list[DepthMap], ball: 
     away = np.abs(np.linalg.norm(found.vertices, axis=1) - RADIUS)
     assert len(np.unique(found.parts())) == 1
     assert away.max() < 2 * VOXEL
+
+
+def test_close_photos_do_not_fill_the_air_behind_what_they_show() -> None:
+    """A floor that twelve photos show; six more stand there, close to something of their own."""
+    flat = OrientedBox.between("floor", [-0.5, -0.5, -0.2], [0.5, 0.5, 1.0])
+    maps = [floor_map((2 * np.cos(a), 2 * np.sin(a), 1.6)) for a in np.arange(12) * np.pi / 6]
+    for place in np.linspace(-0.5, 0.5, 6):
+        close = floor_map((place, 0.1, 2.0))
+        maps.append(replace(close, depth=np.full_like(close.depth, 0.2)))
+    mesh = mesh_of(fuse(maps, flat, 0.05), flat, maps)
+    assert np.abs(mesh.vertices[:, 2]).max() < 0.05
+    assert mesh.areas.sum() > 0.9
+
+
+def floor_map(eye: tuple[float, float, float]) -> DepthMap:
+    """What a perfect model says of the plane z = 0."""
+    image = replace(images(1)[0], world_to_camera=look_at(eye, (0, 0, 0)))
+    camera, pose = image.camera, image.world_to_camera
+    x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+    y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
+    rays = np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], axis=-1)
+    depth = (-eye[2] / (rays @ pose[:3, 2])).astype(np.float32)
+    return DepthMap(image=image, x=0, y=0, camera=camera, depth=depth, weight=np.ones_like(depth))
 
 
 def test_what_no_photo_shows_stays_open_or_is_filled() -> None:
