@@ -22,12 +22,14 @@ PASS = "Shadow Catcher"
 """Output of a render layer's node."""
 NODE = "ROI-GS Shadows"
 """Name of the node in the group that multiplies."""
-CONTACT, RIM, NEAR = "ROI-GS Contact", "ROI-GS Rim", 0.2
-"""Names of two nodes that bring Blender's surfaces nearer to the camera than they are, and by how
+CONTACT, NEAR = "ROI-GS Contact", 0.2
+"""Label of the nodes that bring Blender's surfaces nearer to the camera than they are, and by how
 many radii of the user's object. The Gaussians of what it stands on are some millimetres above or
 below its foot, and would lie over that, without its shadow. At 0.2, they may err by 3 degrees, seen
-from 15. A pixel of its rim has the depth of what catches behind it; the least depth of the pixels
-beside it is its own."""
+from 15."""
+WHOLE, NOWHERE = 0.9, 1e10
+"""Alpha of a pixel that shows the user's things alone, and the depth of one that does not. A pixel
+of their rim can have the depth of what catches behind; that of a whole one beside it is its own."""
 
 
 def is_on(layer: bpy.types.ViewLayer) -> bool:
@@ -85,8 +87,12 @@ def disconnect(scene: bpy.types.Scene) -> None:
     for link in list(product.outputs[_result(product)].links) if colours else []:
         group.links.new(colours[0].from_socket, link.to_socket)
     group.nodes.remove(product)
-    _take_out(group, CONTACT)
-    _take_out(group, RIM)
+    for node in [n for n in group.nodes if n.label == CONTACT]:
+        for link in list(node.outputs[0].links):
+            if link.to_node.label != CONTACT:
+                group.links.new(_start(group).outputs["Depth"], link.to_socket)
+    for node in [n for n in group.nodes if n.label == CONTACT]:
+        group.nodes.remove(node)
     for item in [i for i in group.interface.items_tree if i.name == SOCKET]:
         group.interface.remove(item)
 
@@ -137,38 +143,55 @@ def _insert(group: Any) -> bool:
     return True
 
 
+def _start(group: Any) -> Any:
+    return next(node for node in group.nodes if node.type == "GROUP_INPUT")
+
+
 def _bring_nearer(group: Any, by: float) -> None:
     """Have Gaussians lie over Blender's surfaces only where they are nearer by that much."""
     contact = group.nodes.get(CONTACT)
     if contact is None:
-        nearer = next((n for n in group.nodes if getattr(n, "operation", "") == "LESS_THAN"), None)
-        if nearer is None or not nearer.inputs[1].is_linked:
-            return
-        rim = group.nodes.new("CompositorNodeDilateErode")
-        contact = compositor.either(group, "ShaderNodeMath", "CompositorNodeMath")
-        contact.operation = "SUBTRACT"
-        if "Size" in rim.inputs:
-            rim.inputs["Size"].default_value = -1
-        else:  # before Blender 4.5
-            rim.distance = -1
-        source = nearer.inputs[1].links[0].from_socket
-        for number, (node, name) in enumerate(((rim, RIM), (contact, CONTACT))):
-            node.name = node.label = name
-            node.location = nearer.location.x - 300 + 150 * number, nearer.location.y + 250
-            group.links.new(source, node.inputs[0])
-            source = node.outputs[0]
-        group.links.new(source, nearer.inputs[1])
-    contact.inputs[1].default_value = by
+        contact = _contact(group)
+    if contact is not None:
+        contact.inputs[1].default_value = by
 
 
-def _take_out(group: Any, name: str) -> None:
-    """Remove a node, and link what is behind its first input to what follows it."""
-    node = group.nodes.get(name)
-    if node is None:
-        return
-    for link in list(node.outputs[0].links) if node.inputs[0].is_linked else []:
-        group.links.new(node.inputs[0].links[0].from_socket, link.to_socket)
-    group.nodes.remove(node)
+def _contact(group: Any) -> Any | None:
+    """New nodes between Blender's depth and its comparison; the last one subtracts a distance.
+
+    None: somebody has changed the group.
+    """
+    found = [n for n in group.nodes if getattr(n, "operation", "") == "LESS_THAN"]
+    if not found or not found[0].inputs[1].is_linked:
+        return None
+    contact, part, whole, least = (
+        compositor.either(group, "ShaderNodeMath", "CompositorNodeMath") for _ in range(4)
+    )
+    alpha, rim = (group.nodes.new(f"CompositorNode{k}") for k in ("SeparateColor", "DilateErode"))
+    for number, node in enumerate((contact, alpha, part, whole, rim, least)):
+        node.name = node.label = CONTACT
+        node.location = found[0].location.x - 150 * number, found[0].location.y + 250
+    contact.operation, part.operation, least.operation = "SUBTRACT", "LESS_THAN", "MINIMUM"
+    whole.operation = "MULTIPLY_ADD"
+    part.inputs[1].default_value, whole.inputs[1].default_value = WHOLE, NOWHERE
+    if "Size" in rim.inputs:
+        rim.inputs["Size"].default_value = -1
+    else:  # before Blender 4.5
+        rim.distance = -1
+    picture, depth = (_start(group).outputs[name] for name in ("Image", "Depth"))
+    for source, target in (
+        (picture, alpha.inputs[0]),
+        (alpha.outputs["Alpha"], part.inputs[0]),
+        (part.outputs[0], whole.inputs[0]),
+        (depth, whole.inputs[2]),
+        (whole.outputs[0], rim.inputs[0]),
+        (rim.outputs[0], least.inputs[0]),
+        (depth, least.inputs[1]),
+        (least.outputs[0], contact.inputs[0]),
+        (contact.outputs[0], found[0].inputs[1]),
+    ):
+        group.links.new(source, target)
+    return contact
 
 
 def _shows_colour(node: Any) -> bool:

@@ -31,7 +31,9 @@ from .scenario import (
 )
 
 SIZE = (1280, 980)
-PHOTO = "wide/wide_045.jpg"
+PHOTO, OTHER = "wide/wide_045.jpg", "wide/wide_005.jpg"
+"""From there, the first three things are put on the table; from the other side the monkey, whose
+place the vase hides, and there renders are made."""
 SURFACE, STAGE = ("roigs.export_gaussians", 0.8, 50), ("roigs.export_gaussians", 0.8, 72)
 RELIGHT = ("roigs.make_surface", 0.5, 47)
 """Headers of closed panels: a button above, where in the sidebar's width, pixels below it."""
@@ -157,6 +159,8 @@ def stand(story: Story) -> None:
     story.ask("bpy.ops.ed.undo_push(message='things')")
     story.ask("before = state()")
     for number, name in enumerate(story.ask("list(goals)")):
+        if name == "monkey":
+            look_through(story, OTHER)
         put(story, name, "1-progress" if not number else "")
         if not number:
             story.ask("staged = state()")
@@ -165,6 +169,16 @@ def stand(story: Story) -> None:
             story.over_view("ctrl+shift+z")
             story.until_state("staged", "Ctrl-Shift-Z brings it again")
     story.picture("2-standing")
+
+
+def look_through(story: Story, photo: str) -> None:
+    """Look through a photo's camera, at the result."""
+    blender = story.blender
+    blender.ask(f"call('roigs.look_through', photo={photo!r})")
+    blender.until(f"not {BUSY}", 120)
+    blender.ask("scene().roigs.compare_photo = False")
+    blender.ask("scene().camera.data.show_background_images = False")
+    blender.pause(5.0)
 
 
 def put(story: Story, name: str, picture: str) -> None:
@@ -242,7 +256,7 @@ def main() -> int:
     options = parser(__doc__)
     options.add_argument("--run", type=Path, required=True, help="a finished run of the demo")
     options.add_argument("--out", type=Path, default=Path("build/window"))
-    options.add_argument("--width", type=int, default=480, help="pixels of renders")
+    options.add_argument("--size", type=int, default=75, help="of renders, percent of the photos'")
     options.add_argument("--samples", type=int, default=32, help="of a pixel, before the denoiser")
     given = options.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
@@ -251,11 +265,10 @@ def main() -> int:
         steps: list[Callable[[Story], None]] = [stand, switches]
         try:
             begin(story, shutil.copytree(given.run, Path(temporary, "run"), symlinks=True))
-            story.ask(f"scene().cycles.samples = {given.samples}")
-            story.ask(f"scene().render.resolution_x = {given.width}")
-            story.ask(f"scene().render.resolution_y = round({given.width} * 428 / 640)")
             for step in steps:
                 step(story)
+            story.ask(f"scene().cycles.samples = {given.samples}")
+            story.ask(f"scene().render.resolution_percentage = {given.size}")
             f12(story, "4-things")
             relight(story)
             f12(story, "6-lamp")
@@ -279,11 +292,7 @@ def begin(story: Story, run: Path) -> None:
     blender.ask("call('roigs.load_results')", 120)
     blender.ask(INSIDE)
     blender.ask(OWN)
-    blender.ask(f"call('roigs.look_through', photo={PHOTO!r})")
-    blender.until(f"not {BUSY}", 120)
-    blender.ask("scene().roigs.compare_photo = False")
-    blender.ask("scene().camera.data.show_background_images = False")
-    blender.pause(5.0)
+    look_through(story, PHOTO)
     story.open(STAGE)
 
 
