@@ -9,11 +9,8 @@ here does not freeze it.
 
 from __future__ import annotations
 
-import shutil
-import tempfile
-from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import bpy
 import numpy as np
@@ -26,7 +23,7 @@ from .errors import AddonError
 from .jobs import options_files
 from .scene import blur, compositor, edits, proxies, shadow_pass, stage
 from .scene.frame_request import frame_request, picture, rays, shown
-from .shared import EngineError, frame_requests
+from .shared import EngineError, frame_requests, scratch
 
 NAME = "roigs-splats"
 """Of the frame's files, before its number."""
@@ -38,7 +35,7 @@ _waiting = False
 """Whether a frame is about to be rendered and its layer is not drawn yet."""
 
 _engine: FrameEngine | None = None
-_requests: Path | None = None
+_requests: tuple[Path, BinaryIO] | None = None
 
 
 @persistent
@@ -102,9 +99,9 @@ def _draw(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> str:
 
 def _started() -> FrameEngine:
     global _requests
-    _requests = Path(tempfile.mkdtemp(prefix="roigs-frames-"))
+    _requests = scratch.new_scratch("roigs-frames-")
     engine, options = settings.engine(FOR_TRAINING), options_files.machine_options()
-    return FrameEngine(engine, _requests, options)
+    return FrameEngine(engine, _requests[0], options)
 
 
 @persistent
@@ -121,8 +118,7 @@ def _end_engine() -> None:
         _engine.close()
         _engine = None
     if _requests is not None:
-        with suppress(OSError):
-            shutil.rmtree(_requests)
+        scratch.remove_scratch(*_requests)
         _requests = None
 
 

@@ -90,6 +90,30 @@ def test_the_test_above_would_find_them() -> None:
         assert RUNS_CODE.fullmatch(name)
 
 
+# What these files open plainly is their own, or the system's.
+OWN_FILES = {
+    *("formats/lock.py", "machine.py", "reconstruction/worker.py"),  # /proc, /sys, descriptors
+    *("kernels/build.py", "cuda/compiler.py", "gpu/program.py", "exchange/page.py"),  # sources
+    *("colmap/adjustment.py", "exchange/usd.py", "formats/scratch.py"),  # in a temporary folder
+}
+
+
+def test_no_pipe_is_waited_for() -> None:
+    """Whatever was looked at before may be a pipe by the time that it is opened."""
+    plain = []
+    for path in sorted((ROOT / "roigs_engine").rglob("*.py")):
+        name = path.relative_to(ROOT / "roigs_engine").as_posix()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call) or name in OWN_FILES:
+                continue
+            called = dotted(node.func)
+            if called == "open" and not any(key.arg == "opener" for key in node.keywords):
+                plain.append(f"{name}:{node.lineno}: open")
+            elif re.fullmatch(r"(?!made\.).+\.(read_bytes|read_text)", called):
+                plain.append(f"{name}:{node.lineno}: {called}")
+    assert not plain
+
+
 # --- the engine's process ---
 
 

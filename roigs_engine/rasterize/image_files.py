@@ -53,17 +53,15 @@ def save_layer(colour: Path, depth: Path, layer: Layer) -> None:
 def save_light(path: Path, light: NDArray[np.float32]) -> None:
     """Write (H, W, 3) linear light as a Radiance .hdr to `path`, atomically.
 
-    EngineError: OpenCV is not installed.
+    EngineError: OpenCV is not installed, or has no space for a temporary file.
     """
     cv2: Any = package("cv2", "A panorama", "opencv-python-headless")
-    try:
-        done, data = cv2.imencode(".hdr", np.ascontiguousarray(light[..., ::-1], dtype=np.float32))
-    except cv2.error as error:  # it writes through a temporary file of its own
+    done, data = cv2.imencode(".hdr", np.ascontiguousarray(light[..., ::-1], dtype=np.float32))
+    if not done:  # it writes through a temporary file of its own
         raise EngineError(
             f"{path} cannot be written to the folder for temporary files.",
             "Free some space there, or set TMPDIR to another folder.",
-        ) from error
-    assert done
+        )
     with atomic_write(path) as file:
         file.write(data.tobytes())
 

@@ -110,6 +110,7 @@ def all_families() -> dict[str, tuple[Family, int]]:
     from tests.fuzz import (
         command_files,
         exchange,
+        foreign_folders,
         frames,
         guidance,
         levels_and_scribbles,
@@ -122,6 +123,7 @@ def all_families() -> dict[str, tuple[Family, int]]:
         stores,
         texts,
         user_input,
+        videos,
         work_folders,
         working_folders,
     )
@@ -134,12 +136,14 @@ def all_families() -> dict[str, tuple[Family, int]]:
         user_input,
         texts,
         exchange,
+        foreign_folders,
         frames,
         guidance,
         meshes,
         masks,
         stores,
         names,
+        videos,
         work_folders,
         working_folders,
     )

@@ -32,7 +32,15 @@ from roigs_engine.errors import EngineError
 from roigs_engine.requests.declare import Request, option
 from roigs_engine.requests.runs import Train
 from roigs_engine.requests.values import PATH
-from tests.fuzz import cases, exchange, run_folders, stores, work_folders, working_folders
+from tests.fuzz import (
+    cases,
+    exchange,
+    run_folders,
+    stores,
+    videos,
+    work_folders,
+    working_folders,
+)
 
 MEMORY = 2 << 30  # bytes above what the imported packages take
 SECONDS = 60.0
@@ -109,6 +117,7 @@ COMMANDS |= {
     "decode": _command(Decode, decode),
     "splats": _command(Splats, splats),
     "beside": _command(working_folders.Beside, working_folders.beside),
+    "frames": _command(videos.Frames, videos.take),
     "resume": _command(work_folders.Resumed, work_folders.resume),
     "store": _command(stores.StoreWork, stores.work_on_store),
 }

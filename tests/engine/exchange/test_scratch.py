@@ -6,12 +6,14 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from roigs_engine.cli import main
 from roigs_engine.errors import EngineError
 from roigs_engine.exchange import formats
 from roigs_engine.exchange.libraries import scratch
+from roigs_engine.rasterize.image_files import save_light
 from tests.engine.exchange.format_cases import arrays, needed
 from tests.engine.other_process import in_the_middle
 
@@ -90,3 +92,13 @@ def test_the_next_export_removes_what_a_killed_one_left(suffix: str, tmp_path: P
         formats.write(out, arrays())
         assert len(list(tmp_path.iterdir())) == 3
         assert len(formats.read(out)["means"]) == 400
+
+
+def test_light_on_a_full_disk_is_one_line(tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    """OpenCV writes it through a file of its own."""
+    pytest.importorskip("cv2")
+    light = np.random.default_rng(0).random((128, 256, 3), np.float32)
+    request.getfixturevalue("small_disk")
+    with pytest.raises(EngineError, match="cannot be written"):
+        save_light(tmp_path / "a.hdr", light)
+    assert not list(tmp_path.iterdir())
