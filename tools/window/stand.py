@@ -218,7 +218,7 @@ def relight(story: Story) -> None:
     story.ask("things.put_lamp()")
     story.open(SURFACE)
     story.open(RELIGHT)
-    story.button('name="vase Mesh"', 0.3)
+    story.button('roigs.relight(name="vase Mesh"', 0.3)
     check(f"Relight: {story.until_done():.0f} s", True)
     story.picture("5-relight")
 
