@@ -243,6 +243,7 @@ def f12(story: Story, name: str) -> None:
 def remove(story: Story) -> None:
     """Remove by a click, then Ctrl-Z."""
     story.ask("staged = state()")
+    story.blender.scroll(100)  # below the long panel of surfaces
     story.button("roigs.remove_stage", 0.5)
     story.ask("before['objects'] = sorted({*before['objects'], 'lamp'})")
     story.until_state("before", "Remove brings all back")
