@@ -30,7 +30,7 @@ from ..formats.files import regular
 from ..model.scene import PosedImage
 from .colours import Colours, colours_of, deep_to_srgb, kind_of, packing, to_srgb
 from .exposures import levelled
-from .headers import PhotoError, check_unchanged, open_photo
+from .headers import PhotoError, check_unchanged, open_photo, open_png
 from .jpeg import jpeg_segments
 from .profiles import PART, Deep
 from .rotation import AS_STORED, turned, turned_size
@@ -262,10 +262,7 @@ def _transparent(photo: Image.Image) -> NDArray[np.bool_] | None:
     colour = photo.info.get("transparency")
     if photo.format != "PNG" or photo.mode == "P" or isinstance(colour, bytes) or colour is None:
         return None
-    with (
-        open(getattr(photo, "filename", ""), "rb", opener=regular) as file,
-        Image.open(file, formats=("PNG",)) as fresh,  # not decoded yet
-    ):
+    with open_png(Path(getattr(photo, "filename", ""))) as fresh:  # not decoded yet
         stored = packing(fresh)
         values: NDArray[Any] | None = deep_values(fresh)
         if values is None:

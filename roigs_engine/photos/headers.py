@@ -146,6 +146,16 @@ def open_photo(path: Path) -> Iterator[Image]:
         raise unreadable(path, error) from error
 
 
+@contextmanager
+def open_png(path: Path) -> Iterator[Image]:
+    """A PNG, opened by Pillow, which raises nearly anything; OSError: it is a pipe."""
+    from PIL import Image
+
+    with open(path, "rb", opener=regular) as file, Image.open(file, formats=("PNG",)) as image:
+        setattr(image, "filename", str(path))  # noqa: B010 - by it, a part is read again
+        yield image
+
+
 def _opened(path: Path) -> Image:
     """The photo, opened by Pillow, or by tifffile if Pillow does not read it rightly."""
     from PIL import Image, UnidentifiedImageError

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from ..errors import SceneError
-from ..formats.files import atomic_write, regular
+from ..formats.files import atomic_write
 from ..model.scene import PhotoMask, PosedImage
 from .decode import Pixels, deep_values, load_as_taken, opacity
 from .exposures import levelled, not_clipped
-from .headers import MAX_PIXELS, PhotoError, open_photo
+from .headers import MAX_PIXELS, PhotoError, open_photo, open_png
 from .rotation import AS_STORED, turned, turned_size
 
 Mask = NDArray[np.bool_]
@@ -54,10 +54,7 @@ def read_mask(
         MaskError: the file cannot be read, is an animation, or has another shape; names it.
     """
     try:
-        with (
-            open(path, "rb", opener=regular) as file,
-            Image.open(file, formats=("PNG",)) as image,
-        ):
+        with open_png(path) as image:
             stored = turned_size(photo, turn)
             as_file = stored != photo and _fits(image.size, stored) > _fits(image.size, photo)
             _check(path, image, stored if as_file else photo)
@@ -158,10 +155,7 @@ def _loaded(mask: PhotoMask, image: PosedImage, least: int) -> Mask:
 def stored_mask(path: Path) -> Mask:
     """A mask that `write_mask` has written; MaskError if it is damaged."""
     try:
-        with (
-            open(path, "rb", opener=regular) as file,
-            Image.open(file, formats=("PNG",)) as image,
-        ):
+        with open_png(path) as image:
             return np.array(image.convert("1"))
     except (MemoryError, FileNotFoundError):
         raise

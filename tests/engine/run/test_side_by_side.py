@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -76,7 +77,8 @@ def test_an_engine_at_work_is_seen_from_both_sides(
 
 
 def test_locks_of_killed_engines_are_removed(tmp_path: Path) -> None:
-    (tmp_path / "scene.lock").write_text("{}", encoding="utf-8")
+    record = {"pid": 0, "started": 0, "events_from": 0}
+    (tmp_path / "scene.lock").write_text(json.dumps(record), encoding="utf-8")
     with held(tmp_path, QUIET):
         assert [path.name for path in tmp_path.iterdir()] == ["run.lock"]
     with locked(tmp_path, name="batch.lock"):
