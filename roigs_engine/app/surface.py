@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 GLB = ".glb"
 STEEP = 0.7  # cosine between up and a hole that is above or below
-VERSION = 2  # increase it if the same inputs become another mesh
+VERSION = 3  # increase it if the same inputs become another mesh
 
 
 @dataclass(frozen=True, kw_only=True)
