@@ -86,12 +86,14 @@ for number, thing in enumerate(made.values()):
 """
 """The things, far from their places."""
 
-SINCE = """
-before["objects"] = sorted({*before["objects"], "lamp"})
-before["materials"] = sorted({*before["materials"], "vase Mesh Relit"})
-before["lamps"] = {"lamp": True}
+SINCE = f"""
+before["images"] = sorted({{*before["images"], {Path(OTHER).name!r}}})
+before["objects"] = sorted({{*before["objects"], "lamp"}})
+before["materials"] = sorted({{*before["materials"], "vase Mesh Relit"}})
+before["lamps"] = {{"lamp": True}}
 """
-"""What has come since, and stays: the lamp, as Blender makes it, and the relit vase."""
+"""What has come since, and stays: the photo that was looked at, the lamp, as Blender makes it, and
+the relit vase."""
 
 OWN = """
 stage_cases.own_things(bpy, scene())
