@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from ..exchange.arrays import turn
@@ -90,9 +91,7 @@ def read_points(path: Path, frame: LocalFrame) -> tuple[Float64, Float64]:
         corners = np.concatenate([np.asarray(mesh.triangles) for mesh in meshes])
         normals = np.concatenate([np.asarray(mesh.face_normals) for mesh in meshes])
         areas = np.concatenate([np.asarray(mesh.area_faces) for mesh in meshes])
-        rng = np.random.default_rng(0)
-        faces = rng.choice(len(areas), POINTS, p=areas / areas.sum())
-    shares = rng.dirichlet((1.0, 1.0, 1.0), POINTS)
+        faces, shares = _spread(areas, POINTS)
     return frame.points(np.einsum("nk,nkd->nd", shares, corners[faces])), normals[faces]
 
 
@@ -113,13 +112,22 @@ def sampled_surface(path: Path, count: int) -> tuple[Float64, Float64, Float64]:
         columns = mesh.vertices, mesh.vertex_normals, mesh.visual.uv
         values = np.concatenate([np.asarray(column, float) for column in columns], axis=1)
         filled = np.asarray(mesh.vertex_attributes[FILLED]).ravel()
-        rng, areas = np.random.default_rng(0), np.asarray(mesh.area_faces)
-        corners = np.asarray(mesh.faces)[rng.choice(len(areas), count, p=areas / areas.sum())]
-    shares = rng.dirichlet((1.0, 1.0, 1.0), count)
+        faces, shares = _spread(np.asarray(mesh.area_faces), count)
+        corners = np.asarray(mesh.faces)[faces]
     found = np.einsum("nk,nkd->nd", shares, values[corners])[filled[corners].max(axis=1) == 0]
     side = np.array(picture.shape[1::-1])
     x, y = (found[:, 6:] * (1, -1) * side + (0, side[1])).astype(int).clip(0, side - 1).T
     return found[:, :3], found[:, 3:6], picture[y, x] / 255
+
+
+def _spread(areas: Float64, count: int) -> tuple[NDArray[np.int64], Float64]:
+    """Places all over a mesh: (count,) the face of each, (count, 3) shares of its corners.
+
+    ValueError: the mesh has no area.
+    """
+    rng = np.random.default_rng(0)
+    faces = rng.choice(len(areas), count, p=areas / areas.sum())
+    return faces, rng.dirichlet((1.0, 1.0, 1.0), count)
 
 
 def page_meshes(path: Path, matrix: Float64) -> list[PageMesh]:

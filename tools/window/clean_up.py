@@ -24,6 +24,7 @@ from .scenario import (
     load_boxes,
     open_result_panel,
     parser,
+    pictured_failure,
     prepare,
     window,
 )
@@ -180,7 +181,7 @@ def main() -> int:
             blender.pause(2.0)
             blender.screen.picture(given.out / f"{name}.png", crop, *COLOURS)
 
-        try:
+        with pictured_failure(blender, given.out):
             prepare(blender)
             blender.ask(LOOK + IN_WINDOW)
             import_demo(blender)
@@ -194,9 +195,6 @@ def main() -> int:
             confidence(blender, picture)
             clean_up(blender, picture)
             leave_and_return(blender, folder, picture)
-        except Exception:
-            blender.screen.picture(given.out / "failed.png")
-            raise
     return 0
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -62,6 +63,17 @@ def window(given: argparse.Namespace, width: int, height: int) -> Iterator[Blend
                 yield blender
         finally:
             screen.close()
+
+
+@contextmanager
+def pictured_failure(blender: Blender, out: Path) -> Iterator[None]:
+    """If the block fails, `out` gets a picture of the window, and the end of the log is shown."""
+    try:
+        yield
+    except Exception:
+        blender.screen.picture(out / "failed.png")
+        print(blender.log.read_text("utf-8", "replace")[-4000:], file=sys.stderr)
+        raise
 
 
 def prepare(blender: Blender) -> None:

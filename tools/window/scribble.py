@@ -29,7 +29,7 @@ from roigs_engine.formats.scribbles import BACKGROUND, Scribble, read_scribbles
 from .clean_up import IN_WINDOW, SIZE, check
 from .driver import REPOSITORY, Blender, WindowError
 from .pictures import COLOURS, LOOK
-from .scenario import BUSY, SCENE, STATE, addon, parser, prepare, window
+from .scenario import BUSY, SCENE, STATE, addon, parser, pictured_failure, prepare, window
 
 DEMO = Path(__file__).with_name("scribbles.json")
 """Strokes on photos of the demo."""
@@ -280,7 +280,7 @@ def main() -> int:
             blender.pause(2.0)
             blender.screen.picture(given.out / f"{name}.png", "1040x958+0+0", *COLOURS)
 
-        try:
+        with pictured_failure(blender, given.out):
             prepare(blender)
             blender.ask(LOOK + IN_WINDOW)
             blender.ask(f"call('roigs.import_colmap', directory={str(scene)!r})")
@@ -290,9 +290,6 @@ def main() -> int:
             blender.pause(2.0)
             play(blender, story, shot)
             train(blender, story.box, given.side, folder / "trained", shot)
-        except Exception:
-            blender.screen.picture(given.out / "failed.png")
-            raise
     return 0
 
 

@@ -13,7 +13,6 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +25,7 @@ from .scenario import (
     import_demo,
     load_boxes,
     parser,
+    pictured_failure,
     prepare,
     window,
 )
@@ -273,21 +273,16 @@ def main() -> int:
     given.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as temporary, window(given, *SIZE) as blender:
         story = Story(blender, given.out)
-        steps: list[Callable[[Story], None]] = [stand, switches]
-        try:
+        with pictured_failure(blender, given.out):
             begin(story, shutil.copytree(given.run, Path(temporary, "run"), symlinks=True))
-            for step in steps:
-                step(story)
+            stand(story)
+            switches(story)
             story.ask(f"scene().cycles.samples = {given.samples}")
             story.ask(f"scene().render.resolution_percentage = {given.size}")
             f12(story, "4-things")
             relight(story)
             f12(story, "6-lamp")
             remove(story)
-        except Exception:
-            blender.screen.picture(given.out / "failed.png")
-            print(blender.log.read_text("utf-8", "replace")[-4000:], file=sys.stderr)
-            raise
     return 0
 
 

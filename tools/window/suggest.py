@@ -19,6 +19,7 @@ from .scenario import (
     load_boxes,
     open_panel,
     parser,
+    pictured_failure,
     prepare,
     window,
 )
@@ -55,13 +56,9 @@ def main() -> int:
     options.add_argument("--out", type=Path, default=Path("build/window"))
     given = options.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    with window(given, *SIZE) as blender:
-        try:
-            prepare(blender)
-            suggest(blender, given.out)
-        except Exception:
-            blender.screen.picture(given.out / "failed.png")
-            raise
+    with window(given, *SIZE) as blender, pictured_failure(blender, given.out):
+        prepare(blender)
+        suggest(blender, given.out)
     return 0
 
 
