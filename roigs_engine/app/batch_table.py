@@ -30,7 +30,7 @@ OUTPUTS, OBJECT_OUTPUTS = "outputs", "object_outputs"
 NO_KEYS = {"run_dir", "update", "dry_run", "part", "threads", "cluster"}
 OF_OUTPUTS = {"up", "from_up", "sh_degree"}  # options of `convert`
 NO_RESULT = {"device", "image_cache", "preview_seconds"}  # these options change no result
-HEADER, KEY = re.compile(r"\s*\[+([^\]]*)\]"), re.compile(r"\s*(\"[^\"]*\"|'[^']*'|[\w-]+)\s*=")
+HEADER, KEY = re.compile(r"\s*\[{1,2}([^\]]*)\]"), re.compile(r"\s*(\"[^\"]*\"|'[^']*'|[\w-]+)\s*=")
 MOST_TABLE = 4 << 20  # bytes, of some 20,000 scenes; TOML is read in 2 s a million
 BETWEEN_KEYS, MOST_PARTS = re.compile(r"[^\w\s.\"'-]"), 200
 

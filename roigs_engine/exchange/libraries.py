@@ -32,6 +32,8 @@ CONVERT = "Save it as .ply with the program that it is from, or with SuperSplat.
 MOST_RATIO, SMALL = 100, 64 << 20
 """Files of Gaussians unpack to some ten times their size; bombs to a thousand times."""
 MOST_PARTS = 4096  # of a file; each takes some milliseconds
+MOST_WORDS = 4000
+"""Letters of an error that are looked at: it may quote the file."""
 OPENUSD = re.compile(r" at line \d+ in file .*? : '(.*?)\n?'(?:\n|$)", re.DOTALL)
 """Its errors begin with the place in its source."""
 
@@ -68,7 +70,7 @@ def reading(path: Path, title: str) -> Iterator[None]:
 def _words(error: Exception) -> str:
     """What an error says, else its kind: OpenUSD's may quote bytes that are no text."""
     with suppress(UnicodeError):
-        if text := str(error).strip():
+        if text := str(error).strip()[:MOST_WORDS]:
             found = OPENUSD.search(text)
             return found[1] if found else text
     return type(error).__name__

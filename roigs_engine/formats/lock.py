@@ -26,7 +26,7 @@ from typing import Any, BinaryIO
 
 from ..errors import RunFolderError
 from . import os_lock
-from .files import cannot_write, is_link, new_temporary, read_bytes, unlinked
+from .files import LARGEST, cannot_write, is_link, new_temporary, read_bytes, unlinked
 from .run_files import EVENTS, LOCK
 
 _held: dict[Path, BinaryIO] = {}
@@ -52,11 +52,12 @@ def locked(
         name: of the lock file.
 
     Raises:
-        RunFolderError: another process holds it, or the folder cannot be written to.
+        RunFolderError: another process holds it, the folder cannot be written to, or the file is
+            not of the engine.
     """
     path = Path(os.path.abspath(folder), name)
     try:
-        file = _hold(path, warn)
+        file = _hold(path, warn, option)
     except BlockingIOError as error:
         raise _in_use(path, error, option) from error
     except OSError as error:
@@ -98,11 +99,32 @@ def holder(path: Path) -> int:
 
 def is_lock(path: Path) -> bool:
     """Whether a file is what an engine locks, not one of another program that is called so."""
-    return {"pid", "started", "events_from"} <= _read_record(path).keys()
+    return _is_of_engine(_read_record(path))
 
 
-def _hold(path: Path, warn: Callable[[str], object]) -> BinaryIO:
-    """The file, locked and with its record; BlockingIOError if another process has it."""
+def _is_of_engine(record: dict[str, Any]) -> bool:
+    return {"pid", "started", "events_from"} <= record.keys()
+
+
+def _refuse_others(path: Path, file: BinaryIO, option: str | None) -> None:
+    """Raise RunFolderError for a file of somebody else; an empty one, or of zeros, holds nothing.
+
+    A crash of the computer may leave such a one of ours.
+    """
+    file.seek(0)
+    found = file.read(LARGEST).strip(b"\0 \r\n")
+    if found and not _is_of_engine(_parsed(found)):
+        other = f", or choose another folder ({option})" if option else ""
+        raise RunFolderError(
+            f"{path} is not of the engine, which has its lock there.", f"Move it{other}."
+        )
+
+
+def _hold(path: Path, warn: Callable[[str], object], option: str | None) -> BinaryIO:
+    """The file, locked and with its record; BlockingIOError if another process has it.
+
+    RunFolderError: it is somebody else's.
+    """
     while True:
         path.parent.mkdir(parents=True, exist_ok=True)
         if is_link(path):
@@ -120,6 +142,7 @@ def _hold(path: Path, warn: Callable[[str], object]) -> BinaryIO:
             names = os.fstat(file.fileno()).st_nlink
             # The last holder may have removed the file between the lines above.
             if _is_at(path, file) and names <= 1:  # some file systems count none
+                _refuse_others(path, file, option)
                 _write_record(file, _record_of_now(path))
                 return file
             if names > 1 and _is_at(path, file):  # a hard link: what it names is not ours to write

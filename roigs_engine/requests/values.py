@@ -20,6 +20,8 @@ SECRET = re.compile(r"//[^/@\s]*:(?!\d+/)[^@\s]*@|https?://[^/\s]*@|://.*\?", re
 HIDDEN = re.compile(r"(?<=://)[^@\s]*(?=@)|(?<=\?)[^\s\"'<>]+")
 """What is not shown of these: user and password, and the query."""
 SCHEME = re.compile(r"([a-z][a-z0-9+.-]+)://", re.IGNORECASE)
+LONGEST = 2000
+"""Letters of an address, and of a text that is searched for one: the search takes the square."""
 ALMOST = re.compile(r"[a-z][a-z0-9+.-]+:|::", re.IGNORECASE)
 """How addresses without `://` begin. One letter is a drive of Windows."""
 
@@ -201,6 +203,8 @@ def begins_as_url(text: object) -> bool:
 
 def refuse_secret(url: str) -> None:
     """Raise ArgumentTypeError if an address has a password or key, which would be shown."""
+    if len(url) > LONGEST:
+        raise ArgumentTypeError(f"it is too long for an address ({len(url):,} letters)")
     if SECRET.search(url):
         raise ArgumentTypeError(
             "it has a password or key, which logs would show; use fsspec's configuration instead"
@@ -209,7 +213,11 @@ def refuse_secret(url: str) -> None:
 
 
 def without_secrets(text: str) -> str:
-    """The text without passwords and queries of addresses in it."""
+    """The text, or the beginning of a long one, without passwords and queries of addresses."""
+    if len(text) > LONGEST:
+        words, space, last = text[:LONGEST].rpartition(" ")
+        # An address whose end is not known may have a password in it.
+        text = f"{words}{space}{'...' if '//' in last else last}"
     return HIDDEN.sub("...", text) if SECRET.search(text) else text
 
 

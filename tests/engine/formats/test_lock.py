@@ -16,6 +16,7 @@ import pytest
 from roigs_engine.errors import RunFolderError
 from roigs_engine.formats import lock
 from roigs_engine.formats.lock import check_held, holder, locked
+from roigs_engine.formats.run_files import BATCH_LOCK, CLUSTER_LOCK, LOCK
 from tests.engine.other_process import in_the_middle
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -210,3 +211,23 @@ def test_without_locks_one_of_many_gets_it(
         with ThreadPoolExecutor(8) as pool:
             assert sum(pool.map(hold, range(8))) == 1
         assert not (tmp_path / "run").exists()
+
+
+TEXTS = ('{"name": "of another program"}', "mine", "[]", "5", '{"pid": 1}')
+
+
+@pytest.mark.parametrize("text", TEXTS)
+@pytest.mark.parametrize("name", [LOCK, BATCH_LOCK, CLUSTER_LOCK, "lod-meta.lock"])
+def test_a_file_of_another_program_stays(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(RunFolderError, match="is not of the engine"), locked(tmp_path, name=name):
+        pass
+    assert (tmp_path / name).read_text() == text
+
+
+@pytest.mark.parametrize("content", [b"", bytes(80), b"\n"])
+def test_what_a_crash_has_left_of_a_record_is_taken_over(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / LOCK).write_bytes(content)
+    with locked(tmp_path):
+        assert holder(tmp_path / LOCK) == os.getpid()
+    assert not list(tmp_path.glob("*"))
