@@ -5,7 +5,6 @@ A missing library, a damaged file and a full folder for temporary files become o
 
 from __future__ import annotations
 
-import os
 import re
 import tempfile
 from collections.abc import Iterator
@@ -47,7 +46,8 @@ def reading(path: Path, title: str) -> Iterator[None]:
     """
     try:
         # Libraries would wait for a pipe, and have their own errors for a missing file.
-        refuse_holes(path)
+        with open(path, "rb", opener=regular):
+            pass
         with np.errstate(all="ignore"):  # what is not finite is left out later
             yield
     except (EngineError, MemoryError):
@@ -82,18 +82,6 @@ def refuse_bomb(size: int, unpacked: int) -> None:
         raise ValueError(f"it would unpack to {in_gb(unpacked)}")
 
 
-def refuse_holes(path: Path) -> None:
-    """Raise ValueError for a file far larger than the disk has of it: one of holes, all zeros.
-
-    OSError: it cannot be read, or is not a regular file.
-    """
-    with open(path, "rb", opener=regular) as file:
-        state = os.fstat(file.fileno())
-        on_disk = 512 * getattr(state, "st_blocks", 0)
-        if on_disk or not any(file.read(4096)):  # some file systems say 0 of every file
-            refuse_bomb(on_disk, state.st_size)
-
-
 def read_beside(path: Path, name: object) -> bytes:
     """The content of a file that another names, in its folder or below.
 
@@ -106,7 +94,6 @@ def read_beside(path: Path, name: object) -> bytes:
             "Keep all files of the model in one folder.",
         )
     try:
-        refuse_holes(path.parent / inner)
         return read_bytes(path.parent / inner, most=None)
     except OSError as error:
         raise RunFolderError(

@@ -137,16 +137,40 @@ def cannot_write(path: Path, error: OSError) -> RunFolderError:
 def regular(path: str, flags: int) -> int:
     """The `opener` of everything that is read: OSError for a pipe, a device or a socket.
 
-    Opening one of these never waits.
+    Opening one of these never waits. OSError also for a file of holes: a few bytes of a download
+    would fill the memory.
     """
     descriptor = os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o666)
-    kind = os.fstat(descriptor).st_mode
-    if not stat.S_ISREG(kind):
-        os.close(descriptor)
-        if stat.S_ISDIR(kind):
+    try:
+        state = os.fstat(descriptor)
+        if stat.S_ISDIR(state.st_mode):
             raise IsADirectoryError(errno.EISDIR, "Is a directory", path)
-        raise OSError(errno.EINVAL, "Not a file", path)
+        if not stat.S_ISREG(state.st_mode):
+            raise OSError(errno.EINVAL, "Not a file", path)
+        if state.st_size > MOST_HOLES and _is_hole(descriptor, state):
+            raise OSError(errno.EFBIG, "Nothing but holes", path)
+    except BaseException:
+        os.close(descriptor)
+        raise
     return descriptor
+
+
+MOST_HOLES, LEAST_ON_DISK = 64 << 20, 100
+"""Bytes of a file that is read whatever the disk has of it; of a larger one it has more than this
+part."""
+
+
+def _is_hole(descriptor: int, state: os.stat_result) -> bool:
+    """Whether a file is far larger than what the disk has of it; the rest is zeros."""
+    on_disk = 512 * getattr(state, "st_blocks", 0)
+    if on_disk:
+        return LEAST_ON_DISK * on_disk < state.st_size
+    try:  # some systems say 0 of every file
+        start = os.read(descriptor, 4096)
+        os.lseek(descriptor, 0, os.SEEK_SET)
+    except OSError:  # it is open to write
+        return False
+    return not any(start)
 
 
 def unlinked(path: str, flags: int) -> int:

@@ -295,7 +295,7 @@ def _check_lines(
     for index in range(sum(element.count for element in elements[:-1])):
         if not index % LINES:
             check()
-        if not file.readline():
+        if not _line(file, path):
             raise _truncated(path, 0, count)
 
 
@@ -304,7 +304,7 @@ def _text_rows(
 ) -> Iterator[NDArray[np.void]]:
     """The vertices of an ASCII PLY, each in a line of its own, in parts."""
     names = row.names or ()
-    lines = (line for line in file if line.strip())
+    lines = (line for line in iter(lambda: _line(file, path), b"") if line.strip())
     for start in range(0, count, LINES):
         part = [*islice(lines, min(LINES, count - start))]
         # Before memory is taken for so many numbers in every row.
@@ -325,6 +325,15 @@ def _text_rows(
             for index, name in enumerate(names):
                 table[name] = numbers[:, index]
         yield table
+
+
+def _line(file: BinaryIO, path: str | Path) -> bytes:
+    """The next line of an ASCII PLY, empty at the end; RunFolderError: it is far too long."""
+    line = file.readline(MAX_HEADER)
+    if len(line) == MAX_HEADER:
+        text = f"{path} is damaged: a line is longer than {MAX_HEADER >> 20} MB."
+        raise RunFolderError(text, HINT_DAMAGED)
+    return line
 
 
 def read_header(file: BinaryIO, path: str | Path) -> tuple[str, list[Element]]:

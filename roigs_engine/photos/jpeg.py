@@ -12,6 +12,8 @@ FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 PROGRESSIVE = {0xC2, 0xC6, 0xCA, 0xCE}
 BARE = {0x01, *range(0xD0, 0xD8)}
 JPEG_END, SCAN = b"\xff\xd9", b"\xff\xda"
+PER_PIXEL, BESIDE = 8, 64 << 20
+"""Bytes that a JPEG may have for each pixel, and besides: for headers, and a film behind it."""
 MOST_SCANS = 100  # of a JPEG, in each of which all pixels may change; usual ones have up to 20
 
 
@@ -26,18 +28,21 @@ def jpeg_size(file: BinaryIO) -> tuple[int, int]:
 def check_scans(file: BinaryIO) -> None:
     """Raise ValueError if a JPEG has so many scans that decoding it would take minutes or hours.
 
-    The file is read to its end only if its first scan does not hold the whole photo.
+    The file is read to the photo's end only if its first scan does not hold the whole photo.
     """
+    most, width, height = BESIDE, 0, 0
     with suppress(ValueError, IndexError, struct.error):  # others say what is damaged
         progressive, components = False, 0
         for marker in jpeg_segments(file):
             if marker in FRAMES:
                 progressive = marker in PROGRESSIVE
-                components = file.read(8)[-1]
+                height, width, components = struct.unpack(">3xHHB", file.read(8))
+                most = BESIDE + PER_PIXEL * width * height
         if not progressive and file.read(3)[-1] >= components:
             return
-    data = file.read()
-    if data.count(SCAN) < MOST_SCANS:  # also in other parts of the file
+    data = file.read(most)
+    cut_off = len(data) == most
+    if not cut_off and data.count(SCAN) < MOST_SCANS:  # also in other parts of the file
         return
     at, scans = data.find(b"\xff"), 1
     while 0 <= at < len(data) - 3 and data[at + 1] != JPEG_END[1]:
@@ -48,6 +53,8 @@ def check_scans(file: BinaryIO) -> None:
         at = data.find(b"\xff", at + length)
     if scans > MOST_SCANS:
         raise ValueError(f"a JPEG of {scans} scans")
+    if cut_off and not 0 <= at < len(data) - 3:
+        raise ValueError(f"a JPEG of more than {most >> 20} MB, for {width} x {height} pixels")
 
 
 def jpeg_segments(file: BinaryIO) -> Iterator[int]:

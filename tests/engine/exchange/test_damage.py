@@ -259,14 +259,14 @@ def test_a_list_with_a_name_that_is_none(name: object, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="files have holes there")
-@pytest.mark.parametrize("suffix", [".spz", ".splat", ".glb", ".gltf", ".sog", ".usda"])
+@pytest.mark.parametrize("suffix", [".spz", ".splat", ".glb", ".gltf", ".sog", ".usda", ".ply"])
 def test_a_file_of_holes_is_not_read(suffix: str, tmp_path: Path) -> None:
     """It takes no disk, and took all of the memory."""
     path = tmp_path / f"a{suffix}"
     for head in (b"", b"x" * 5000):
         path.write_bytes(head)
         os.truncate(path, 6 << 30)
-        with pytest.raises(EngineError, match=r"unpack to 6\.4 GB"):
+        with pytest.raises(EngineError, match="Nothing but holes"):
             formats.read(path)
 
 

@@ -9,8 +9,12 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
+from roigs_addon.engine.exported_model import read_numbers
+from roigs_engine.cli import main
 from roigs_engine.errors import RunFolderError
 from roigs_engine.formats.files import (
     ABANDONED,
@@ -22,9 +26,12 @@ from roigs_engine.formats.files import (
     read_bytes,
     read_json,
     remove_leftovers,
+    sha256,
     write_json,
     write_text,
 )
+from roigs_engine.photos.contents import read_contents
+from tests.addon.colmap_project import write_project
 from tests.engine.other_process import in_the_middle
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -214,7 +221,7 @@ def test_text_of_gigabytes_is_not_read(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     with path.open("wb") as file:
         file.truncate(1 << 40)
-    with pytest.raises(RunFolderError, match=r"a\.json \(File too large\)"):
+    with pytest.raises(RunFolderError, match=r"a\.json \((File too large|Nothing but holes)\)"):
         read_json(path)
     with path.open("wb") as file:
         file.truncate(LARGEST + 1)
@@ -253,3 +260,55 @@ def test_a_name_may_have_folders(tmp_path: Path) -> None:
     (tmp_path / "a").symlink_to(tmp_path)
     with pytest.raises(RunFolderError, match="is a link"):
         own_file(tmp_path, "a/x")
+
+
+# --- files of holes: a download of a few bytes that would fill the memory ---
+
+POSIX = pytest.mark.skipif(os.name != "posix", reason="files have holes there")
+
+
+def made_of_holes(path: Path, head: bytes = b"") -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(head)
+    os.truncate(path, 6 << 30)
+    return path
+
+
+@POSIX
+@pytest.mark.parametrize("head", [b"", b"x" * 5000])
+def test_a_file_of_holes_is_not_read(tmp_path: Path, head: bytes) -> None:
+    path = made_of_holes(tmp_path / "a", head)
+    for read in (lambda: read_bytes(path, most=None), lambda: sha256(path)):
+        with pytest.raises(OSError, match="Nothing but holes"):
+            read()
+    os.truncate(path, 60 << 20)  # so much is read, whatever is in it
+    assert len(read_bytes(path, most=None)) == 60 << 20
+
+
+@POSIX
+@pytest.mark.parametrize("name", ["cameras", "images", "points3D"])
+def test_a_model_with_a_hole_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    model = write_project(tmp_path / "scene") / "sparse" / "0"
+    (path,) = model.glob(f"{name}.*")
+    made_of_holes(path, path.read_bytes())
+    assert main(["inspect", str(tmp_path / "scene")]) == 2
+    assert "Nothing but holes" in capsys.readouterr().err
+
+
+@POSIX
+def test_a_photo_with_a_hole_is_unreadable(tmp_path: Path) -> None:
+    path = tmp_path / "a.jpg"
+    Image.new("RGB", (64, 64)).save(path, progressive=True)
+    found = read_contents({"a.jpg": made_of_holes(path, path.read_bytes())})
+    assert found["a.jpg"].whole is False
+
+
+@POSIX
+def test_numbers_of_a_stranger_with_a_hole(tmp_path: Path) -> None:
+    path = tmp_path / "points.npy"
+    np.save(path, np.zeros((2, 3), np.float32))
+    made_of_holes(path, path.read_bytes().replace(b"(2, 3)", b"(200000000, 3)"))
+    with pytest.raises(OSError, match="Nothing but holes"):
+        read_numbers(tmp_path, "points.npy", 3)

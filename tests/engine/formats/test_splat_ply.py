@@ -477,3 +477,18 @@ def test_an_ascii_file_without_its_rows(tmp_path: Path) -> None:
     (tmp_path / "a.ply").write_bytes(head + end + b"\n" * len(rows))
     with pytest.raises(RunFolderError, match="truncated: it has 0 of 3"):
         read_ply(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("element", ["", "element x 1\nproperty float a\n"])
+def test_an_ascii_file_without_line_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, element: str
+) -> None:
+    """A line is not read whole: a file may be one of gigabytes."""
+    monkeypatch.setattr(splat_ply, "MAX_HEADER", 10_000)
+    path = tmp_path / "a.ply"
+    write_ply(path, arrays(1))
+    head = path.read_bytes().partition(b"end_header\n")[0].decode()
+    head = head.replace("binary_little_endian", "ascii").replace("element", f"{element}element", 1)
+    path.write_text(head + "end_header\n" + "1 " * 10**6)
+    with pytest.raises(RunFolderError, match="a line is longer"):
+        read_ply(path)

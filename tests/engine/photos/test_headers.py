@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from roigs_engine.photos import jpeg
 from roigs_engine.photos.headers import (
     MAX_PIXELS,
     PhotoError,
@@ -99,3 +100,17 @@ def test_a_jpeg_of_hundreds_of_scans_is_not_decoded(tmp_path: Path, progressive:
             continue
         with pytest.raises(PhotoError, match=r"a\.jpg \(a JPEG of 3\d\d scans\)"), open_photo(path):
             pass
+
+
+def test_a_jpeg_far_longer_than_its_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is not read whole: what follows its end does not count, and it must have one."""
+    monkeypatch.setattr(jpeg, "BESIDE", 20_000)
+    path = tmp_path / "a.jpg"
+    Image.effect_noise((64, 48), 80).convert("RGB").save(path, progressive=True)
+    data = path.read_bytes()
+    path.write_bytes(data + bytes(10**6))
+    with open_photo(path):
+        pass
+    path.write_bytes(data[:-2] + bytes(10**6))
+    with pytest.raises(PhotoError, match=r"for 64 x 48 pixels"), open_photo(path):
+        pass
