@@ -32,6 +32,7 @@ def train_on_cluster(request: Train, context: Context) -> Trained:
     from ..batch.ray_executor import RayExecutor
     from ..batch.record import BatchRecord
     from ..batch.schedule import Scheduler
+    from ..run.manifest import check_version
 
     if isinstance(request, TrainAndEvaluate) and request.part:
         raise ConfigError("--part is for one machine.", "Leave it out with --cluster.")
@@ -42,6 +43,7 @@ def train_on_cluster(request: Train, context: Context) -> Trained:
     folder, options = row.run_dir, row.options_file
     with locked(folder, context.warn, name=CLUSTER_LOCK):
         refuse_linked_folders(folder)
+        check_version(folder)
         scene = plan_row(row, BatchRecord(folder), context).scene
         write_json(options, row.options)
         executor = RayExecutor(request.cluster, options, context)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from ..context import QUIET, Context
 from ..errors import ConfigError
 from ..formats.files import own_folder, read_json
+from ..formats.others import first_other
 from ..formats.run_files import CACHE, REPORT, REPORT_DATA, REPORT_PAGE, SPLIT, STAGES
 from ..formats.splat_ply import check_ply
 from ..formats.stage_list import read_stage_list
@@ -18,6 +19,7 @@ from ..model.scene import SfmScene
 from ..requests.choices import PHOTOS, TEST, VALIDATION
 from ..requests.runs import Evaluate
 from ..run.config import RunConfig
+from ..run.manifest import CACHED
 from .inputs import boxes_of, load_model, load_scene, mask_options, on_device
 from .outputs import Evaluated, named_files, refuse_inputs, refuse_run_files
 from .surface_record import add_to_reports
@@ -57,6 +59,8 @@ def evaluate(request: Evaluate, context: Context = QUIET) -> Evaluated:
         _check_test_photos(test, split, cameras)
 
     masks = mask_options(request, [roi.name for roi in rois])
+    if (other := first_other(request.out, CACHED)) is not None:
+        raise ConfigError(f"{other} would be replaced.", "Move it, or choose another --out.")
     cache = own_folder(request.out, CACHE)
     scene = load_scene(request, context, cache, check=check, masks=masks)
     scene = with_useful_masks(scene, rois, context)

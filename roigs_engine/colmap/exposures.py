@@ -23,7 +23,7 @@ from ..formats.text import counted, json_digest, named
 from ..model.scene import Float64, Int64, PosedImage, SfmScene, project
 from ..photos.exposures import LEAST_SPREAD, MOST_STOPS, relative_exposures
 
-FILE = "exposures.json"
+FILE, KEYS = "exposures.json", ("key", "stops")
 VERSION = 1  # increase it if the same photos get other exposures
 SIDE = 256  # pixels of the photos that are looked at
 DARK, BRIGHT = 8, 245  # of 255: outside, a value says little of the light

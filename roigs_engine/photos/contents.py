@@ -20,7 +20,7 @@ from ..formats.text import counted, json_digest, named
 from .headers import CONVERTED, DAMAGED, PhotoError, content_digest, photo_size
 from .parallel import decoding_bytes, in_parallel
 
-FILE = "photos.json"
+FILE, KEYS = "photos.json", ("version", "photos")
 VERSION = 4  # increase it if what is found of a photo changes
 STAGE = "photos"
 CHECKSUM = "checksum"  # key of the file

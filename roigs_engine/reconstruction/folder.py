@@ -19,8 +19,10 @@ from typing import Any
 
 from ..errors import SceneError
 from ..formats.files import (
+    LEFTOVER,
     atomic_write,
     cannot_write,
+    matching,
     own_file,
     own_folder,
     read_record,
@@ -29,13 +31,17 @@ from ..formats.files import (
     write_json,
 )
 from ..formats.lock import locked
+from ..formats.others import first_other
 from ..formats.projects import PHOTO_FOLDERS, RECONSTRUCTION, SPARSE, model_suffix
+from ..formats.run_files import LOCK
 from ..photos.files import EXTENSIONS, HEIC, UNREAD, PhotoFolder
 from ..photos.mask_paths import MASKS
 from .photo_checks import Photo, unread_in_words
 
 IMAGES, DATABASE, REPORT = PHOTO_FOLDERS[0], "database.db", "reconstruction.md"
 WORK, EARLIER = RECONSTRUCTION, "earlier"
+RECORD, PHOTOS = "state.json", "photos"
+"""The record, in the engine's own folder, and its key of the photos."""
 VERSION = 1  # of the record; increase it if features or matches of older engines are of no use
 
 
@@ -76,18 +82,30 @@ class Folder:
         Raises:
             RunFolderError: another engine is at work here, the folder cannot be written, or what
                 would be written is a link.
-            SceneError: it has a model or a database that this command did not make.
+            SceneError: it has a model, or files called like ours, that this command did not make.
         """
-        if not self._record.exists():
-            if model_suffix(self.model):
-                raise SceneError(f"{self.root} has a model already.", "Give another --out.")
-            for path in filter(os.path.lexists, self._replaced()):
-                raise SceneError(f"{path} is not of this command.", "Give another --out.")
+        is_new = not self._record.exists()
+        if is_new and model_suffix(self.model):
+            raise SceneError(f"{self.root} has a model already.", "Give another --out.")
+        for path in self._of_others(is_new=is_new):
+            raise SceneError(f"{path} is not of this command.", "Give another --out.")
         with locked(self.work(), warn, "--out"):
             own_folder(self.root, SPARSE, self.model.name)
             refuse_linked_folders(self.work(), self.log, *self._replaced())
             self._bring_back()
+            if is_new:  # from now on, all that is called like ours is
+                write_json(self._record, {"version": VERSION, PHOTOS: {}})
             yield
+
+    def _of_others(self, *, is_new: bool) -> Iterator[Path]:
+        """What is called like a file of ours, and is none."""
+        if not is_new:
+            yield from filter(None, [first_other(self.work(), {RECORD: ("version", PHOTOS)})])
+            return
+        yield from filter(os.path.lexists, (*self._replaced(), self.report))
+        for path in matching(self.work(), "*"):
+            if not path.name.lstrip(".").startswith(LOCK) and not LEFTOVER.fullmatch(path.name):
+                yield path
 
     def begin(self, photos: Sequence[Photo], features: Mapping[str, Any]) -> str:
         """Prepare for these photos; what is of use stays, and the rest begins again.
@@ -96,7 +114,7 @@ class Folder:
         Returns a sentence on what begins again, and why; empty: nothing, or this is the first time.
         """
         state = read_record(self._record)
-        digests, known = {photo.name: photo.digest for photo in photos}, state.get("photos", {})
+        digests, known = {photo.name: photo.digest for photo in photos}, state.get(PHOTOS, {})
         why = ""
         if self.database.exists():
             if state.get("version") != VERSION or state.get("features") != features:
@@ -106,7 +124,7 @@ class Folder:
         if why:
             self.forget()
             state["apart"] = True  # the model's numbers of photos and features are not those here
-        state |= {"version": VERSION, "features": features, "photos": digests}
+        state |= {"version": VERSION, "features": features, PHOTOS: digests}
         write_json(self._record, state)
         return why
 
@@ -142,7 +160,7 @@ class Folder:
     @property
     def _record(self) -> Path:
         """Settings and photos; it is written before anything else that takes time to make."""
-        return self.work("state.json")
+        return self.work(RECORD)
 
     def is_done(self, key: str) -> bool:
         """Whether the model that is there was made with this key."""

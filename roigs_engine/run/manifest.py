@@ -7,16 +7,33 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from ..colmap import exposures
 from ..context import QUIET, Context
 from ..errors import RunFolderError
 from ..formats.clean_up import is_run_folder
 from ..formats.files import read_json, read_record, write_json
-from ..formats.run_files import MANIFEST, PREVIEW, PROVENANCE, RESULTS, SPLIT
+from ..formats.others import first_other, is_other
+from ..formats.run_files import (
+    CACHE,
+    CLUSTER_OPTIONS,
+    EVENTS,
+    MANIFEST,
+    PREVIEW,
+    PROVENANCE,
+    RESULTS,
+    SPLIT,
+)
 from ..formats.text import json_digest
+from ..photos import contents
 from .definition import MANIFEST_VERSION
 from .earlier import bring_back, set_aside
 
 CONTENTS = "contents"  # the key of the photos' digests
+CACHED = {
+    f"{CACHE}/{contents.FILE}": contents.KEYS,
+    f"{CACHE}/{exposures.FILE}": exposures.KEYS,
+}
+"""What is remembered of photos: file of a run folder -> the keys that it has."""
 FIRST = ("sizes", CONTENTS)  # say more than what follows from them
 LEFT_OUT = ("config", "selection", "mechanisms")  # of the keys that lead to a setting, in texts
 OTHER_SCENE = "its photos are those of another scene"
@@ -110,10 +127,14 @@ def refuse_foreign_files(folder: Path) -> None:
     if {"evaluate_on", "test"} <= read_record(folder / SPLIT).keys():
         return  # without a manifest, the results of a run are verified and kept
     names = (*RESULTS, PREVIEW, PROVENANCE)
-    found = next((name for name in names if (folder / name).exists()), None)
+    there = next((folder / name for name in names if (folder / name).exists()), None)
+    # An engine that was killed at its start has left these.
+    found = there or first_other(folder, {**CACHED, CLUSTER_OPTIONS: ("scene",)})
+    if found is None and is_other(folder / EVENTS, ("event",), lines=True):
+        found = folder / EVENTS
     if found is not None:
         raise RunFolderError(
-            f"{folder} is not a run folder, and a run would replace {folder / found}.",
+            f"{folder} is not a run folder, and a run would replace {found}.",
             "Move away what is there, or choose another run folder (--run-dir).",
         )
 

@@ -239,6 +239,7 @@ def test_a_pipe_in_place_of_the_log_is_not_waited_for(
 ) -> None:
     log = Folder(tmp_path / "scene").log
     log.parent.mkdir(parents=True)
+    (log.parent / "state.json").write_text('{"version": 1, "photos": {}}')
     os.mkfifo(log)
     assert main(["reconstruct", str(photos), "--out", str(tmp_path / "scene")]) == 2
     assert f"Cannot write {log}" in capsys.readouterr().err.splitlines()[-1]
@@ -256,6 +257,8 @@ def test_killed_while_models_are_exchanged_it_still_knows_the_earlier_one(tmp_pa
     """Else the next engine would place cameras anew, and boxes would lose their place."""
     start, root = tmp_path / "start", tmp_path / "scene"
     first = Folder(start)
+    first.work().mkdir(parents=True)
+    first.begin([], {})
     written(first.model, "first")
     written(first.work("models", "more"), "second")
     first.finish("first")
@@ -269,3 +272,37 @@ def test_killed_while_models_are_exchanged_it_still_knows_the_earlier_one(tmp_pa
     shutil.rmtree(folder.model)  # by the user, who wants another
     with folder.held(QUIET.warn):
         assert folder.finished_model is None
+
+
+OTHERS = (
+    *("reconstruction.md", "database.db", "reconstruction/log.txt", "reconstruction/photos.json"),
+    *("reconstruction/state.json", "reconstruction/run.lock", "reconstruction/masks/0.png"),
+    *("reconstruction/events.jsonl", "reconstruction/notes.txt", "reconstruction/models/a"),
+)
+
+
+@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("text", ["mine", '{"version": 3}'])
+def test_files_of_others_that_are_called_like_ours(
+    photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, text: str
+) -> None:
+    path = tmp_path / "scene" / name
+    path.parent.mkdir(parents=True)
+    path.write_text(text)
+    database = tmp_path / "scene" / "database.db"
+    database.write_text("mine")
+    assert main(["reconstruct", str(photos), "--out", str(tmp_path / "scene")]) == 2
+    assert "is not of" in capsys.readouterr().err.splitlines()[-1]
+    assert database.read_text() == "mine"
+    assert name == "database.db" or path.read_text() == text
+
+
+def test_a_start_that_was_killed_goes_on(photos: Path, tmp_path: Path) -> None:
+    """Before anything else is written, the record says whose the folder is."""
+    folder = Folder(tmp_path / "scene")
+    folder.work().mkdir(parents=True)
+    folder.work("run.lock").touch()
+    with folder.held(QUIET.warn):
+        folder.work("photos.json").write_text("half")
+    with folder.held(QUIET.warn):
+        assert folder.begin(looked(folder, photos), {}) == ""

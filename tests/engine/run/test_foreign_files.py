@@ -9,8 +9,13 @@ import pytest
 from roigs_engine.context import QUIET
 from roigs_engine.errors import RunFolderError
 from roigs_engine.formats.lock import LOCK
+from roigs_engine.formats.splat_ply import write_ply
+from roigs_engine.run.definition import MANIFEST_VERSION
 from roigs_engine.run.folder import held
 from roigs_engine.run.manifest import check_version
+from tests.addon.colmap_project import write_project
+from tests.engine.commands.command_line import refused
+from tests.engine.formats.gaussian_arrays import arrays
 
 MINE = '{"name": "of another program"}'
 
@@ -49,3 +54,50 @@ def test_a_run_that_has_lost_its_manifest_is_one(tmp_path: Path, marker: str) ->
     (tmp_path / name).write_text(text)
     (tmp_path / "result.ply").touch()
     check_version(tmp_path)
+
+
+NAMES = ("events.jsonl", "cache/photos.json", "cache/exposures.json", "cluster.json")
+EARLY = {
+    "events.jsonl": '{"event": "message", "text": "x"}\n{"event": "half',
+    "cache/photos.json": '{"version": 1, "photos": {}}',
+    "cache/exposures.json": '{"key": "", "stops": {}}',
+    "cluster.json": '{"scene": "garden"}',
+}
+"""What an engine may have left that was killed before it wrote its manifest."""
+
+
+@pytest.mark.parametrize("text", [MINE, "mine", "[" * 9, '{"event": 5', "5"])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_run_refuses_a_folder_with_logs_and_caches_of_others(
+    tmp_path: Path, name: str, text: str
+) -> None:
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text(text)
+    with pytest.raises(RunFolderError, match=f"a run would replace .*{name}"):
+        check_version(tmp_path)
+    (tmp_path / "manifest.json").write_text(f'{{"config": {{}}, "version": {MANIFEST_VERSION}}}')
+    check_version(tmp_path)  # now it is a run's, and damaged
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("cut", [None, 0])
+def test_what_a_killed_engine_has_left_is_its_own(
+    tmp_path: Path, name: str, cut: int | None
+) -> None:
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text(EARLY[name][:cut])
+    check_version(tmp_path)
+
+
+def test_evaluate_keeps_the_caches_of_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, model = write_project(tmp_path / "scene"), tmp_path / "a.ply"
+    write_ply(model, arrays(5))
+    mine = tmp_path / "out" / "cache" / "photos.json"
+    mine.parent.mkdir(parents=True)
+    mine.write_text(MINE)
+    box = ["--roi", "thing=-0.5,-0.5,-0.5,0.5,0.5,0.5"]
+    words = ["evaluate", scene, *box, "--model", f"A={model}", "--out", tmp_path / "out"]
+    assert "photos.json would be replaced" in refused(capsys, *words, "--test-every", "2")
+    assert mine.read_text() == MINE

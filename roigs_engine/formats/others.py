@@ -1,0 +1,44 @@
+"""Files of others that are called like ours: a file is ours by what it says, not by its name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from .files import LARGEST, regular
+from .text import parse_json
+
+LINE = 1 << 16
+"""Bytes of the first line of a log that are looked at."""
+
+
+def is_other(path: Path, keys: Iterable[str], *, lines: bool = False) -> bool:
+    """Whether there is something that is none of ours: no JSON object with these keys.
+
+    What is empty, or has zeros alone, as after a crash of the computer, holds nothing of anybody.
+
+    Args:
+        path: of a file; nothing needs to be there.
+        keys: that all of ours have.
+        lines: whether ours has an object in each line, of which the first is looked at.
+    """
+    try:
+        with open(path, "rb", opener=regular) as file:
+            data = file.readline(LINE) if lines else file.read(LARGEST)
+    except FileNotFoundError:
+        return False
+    except OSError:  # a folder, a pipe, or a file that may not be read
+        return True
+    if not data.strip(b"\0 \r\n\t"):
+        return False
+    with suppress(ValueError):
+        record = parse_json(data)
+        return not (isinstance(record, dict) and set(keys) <= record.keys())
+    return True
+
+
+def first_other(folder: Path, files: Mapping[str, Iterable[str]]) -> Path | None:
+    """The first of these files, name -> keys of ours, that is somebody else's; None: none is."""
+    paths = ((folder / name, keys) for name, keys in files.items())
+    return next((path for path, keys in paths if is_other(path, keys)), None)
