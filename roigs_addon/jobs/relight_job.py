@@ -45,7 +45,8 @@ def spec(scene: bpy.types.Scene, item: bpy.types.Object) -> JobSpec:
     picture, roi = options_files.own_folder(scene) / PICTURE, object_props(item).roi
     models = picture.with_name(MODELS)
     with writing(picture.parent, "Run Folder"):
-        picture.unlink(missing_ok=True)
+        for file in (picture, run_files.mirrored(picture)):
+            file.unlink(missing_ok=True)
         upright = {"ply": str(result), "matrix": root.tolist()}  # as levelled in Blender: z is up
         files.write_json(models, {"models": [upright]})
     place = root @ np.array((*captured_light.middle_of(item), 1.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -44,6 +45,10 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
     records, to_upright = _models(request, folder, context)
     inputs = [request.options_file, request.model, *(Path(each.file) for each in records)]
     refuse_inputs([*files, *map(run_files.mirrored, files)], inputs)
+    for file in files:
+        mirrored = run_files.mirrored(file)
+        if os.path.lexists(mirrored) and not os.path.lexists(file):
+            raise ConfigError(f"{mirrored} would be replaced.", "Move it, or choose another --out.")
     use_threads(request.threads)
     context = on_device(context, request.device)
 

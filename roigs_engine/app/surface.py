@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     from ..surface.mesh import Mesh
 
 GLB = ".glb"
+BESIDE = {".obj": (".mtl", ".png"), ".usda": (".png",), ".usdc": (".png",)}
+"""Endings of the files that those of a mesh have beside them."""
 STEEP = 0.7  # cosine between up and a hole that is above or below
 VERSION = 3  # increase it if the same inputs become another mesh
 
@@ -293,7 +295,9 @@ def _write(path: Path, made: Surface, run: Run, formats: Sequence[str]) -> dict[
         convert_mesh(first, file)
     picture = path.with_suffix(PICTURE)
     save_png(picture, clay(made.mesh, up[:3, :3]))
-    return {file.name: sha256(file) for file in (first, *others, picture)}
+    beside = (file.with_suffix(end) for file in others for end in BESIDE.get(file.suffix, ()))
+    whole = (first, *others, picture, *filter(Path.is_file, dict.fromkeys(beside)))
+    return {file.name: sha256(file) for file in whole}
 
 
 def _upright(run: Run) -> NDArray[np.float64]:

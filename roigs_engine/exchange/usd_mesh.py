@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..formats.files import write_bytes
+from ..formats.others import write_beside
 from ..model.scene import Float64
 from .usd import pxr_modules, write_stage
 
@@ -47,7 +47,7 @@ def write_mesh(
             (folder / texture).write_bytes(picture)
 
     if uv is not None and not packed:  # before the file that names it
-        write_bytes(path.with_name(texture), picture)
+        write_beside(path, {texture: picture})
     write_stage(path, "mesh", fill)
 
 

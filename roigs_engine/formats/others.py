@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from .files import LARGEST, regular
+from ..errors import RunFolderError
+from .files import LARGEST, read_bytes, regular, write_bytes
 from .text import parse_json
 
 LINE = 1 << 16
@@ -42,3 +44,26 @@ def first_other(folder: Path, files: Mapping[str, Iterable[str]]) -> Path | None
     """The first of these files, name -> keys of ours, that is somebody else's; None: none is."""
     paths = ((folder / name, keys) for name, keys in files.items())
     return next((path for path, keys in paths if is_other(path, keys)), None)
+
+
+def write_beside(path: Path, files: Mapping[str, bytes]) -> None:
+    """Write files, name -> content, that belong to `path`, which is written after them.
+
+    RunFolderError: one of that name is there without `path`, so it is somebody else's.
+    """
+    for name, data in files.items() if not os.path.lexists(path) else ():
+        beside = path.with_name(name)
+        # A process that was killed before it wrote `path` has left the same.
+        if os.path.lexists(beside) and not _has(beside, data):
+            raise RunFolderError(
+                f"{path} needs {beside.name} beside it, which would be replaced.",
+                "Move that file, or choose another name.",
+            )
+    for name, data in files.items():
+        write_bytes(path.with_name(name), data)
+
+
+def _has(path: Path, data: bytes) -> bool:
+    with suppress(OSError):
+        return read_bytes(path, len(data)) == data
+    return False

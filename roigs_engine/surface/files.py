@@ -16,6 +16,7 @@ from ..exchange.gltf_file import GltfFile, shown
 from ..exchange.libraries import NotSupportedError, reading, refuse_bomb
 from ..exchange.page import PageMesh
 from ..formats.files import write_bytes
+from ..formats.others import write_beside
 from ..machine import package
 from ..model.local_frame import LocalFrame
 from ..model.scene import Float64
@@ -244,8 +245,7 @@ def _write_obj(path: Path, mesh: Any) -> None:
     text, files = trimesh.exchange.obj.export_obj(
         mesh, return_texture=True, mtl_name=f"{path.stem}.mtl", include_normals=True
     )
-    for name, content in files.items():
-        write_bytes(path.with_name(name), content)
+    write_beside(path, files)
     write_bytes(path, text.encode())
 
 

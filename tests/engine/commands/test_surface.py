@@ -126,6 +126,12 @@ def test_a_stopped_command_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert (folder / "rois/half.glb").read_bytes() == first
     make_surfaces(replace(request, faces=1000))
     assert calls[6:] == ["half", "ball"]
+    as_obj = replace(request, faces=1000, format=("obj",))
+    make_surfaces(as_obj)
+    (folder / "rois/half.png").unlink()  # the texture of half.obj
+    make_surfaces(as_obj)
+    assert calls[8:] == ["half", "ball", "half"]
+    assert (folder / "rois/half.png").is_file()
 
 
 def test_masks_decide_what_is_the_object(

@@ -132,9 +132,14 @@ def test_the_command_writes_a_file_for_each_point(
         for end in ("", "-mirror")
     )
     assert five > 1.5 * mirror  # what is only guessed is not mirrored brighter
+    (run / "six-mirror.hdr").write_text("mine")
+    capsys.readouterr()
+    assert main([*words, "--at", "0,0,0", "--out", str(run / "six.hdr")]) == 2
+    assert "six-mirror.hdr would be replaced" in capsys.readouterr().err
+    assert (run / "six-mirror.hdr").read_text() == "mine" and not (run / "six.hdr").exists()
     more = ["--at", "0,0,0", "--at=-1,0,0", "--without", "red", "--out", str(run / "two.hdr")]
     assert main([*words, *more]) == 0
-    assert capsys.readouterr().out.count("Light at ") == 4
+    assert capsys.readouterr().out.count("Light at ") == 2
     for k in (1, 2):
         grey = cv2.imread(str(run / f"two-{k}.hdr"), cv2.IMREAD_UNCHANGED)
         assert grey[32, 64] == pytest.approx([LINEAR] * 3, rel=0.05)

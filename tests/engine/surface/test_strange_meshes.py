@@ -81,3 +81,26 @@ def test_meshes_are_placed_by_their_nodes(tmp_path: Path) -> None:
     found = np.array([line.split()[1:4] for line in lines if line.startswith("v ")], float)
     assert found.min(axis=0) == pytest.approx([0, 10, 0])
     assert found.max(axis=0) == pytest.approx([2, 12, 2])
+
+
+@pytest.mark.parametrize(
+    ("suffix", "beside"), [(".obj", "a.png"), (".obj", "a.mtl"), (".usda", "a.png")]
+)
+def test_files_of_others_beside_a_mesh_stay(tmp_path: Path, suffix: str, beside: str) -> None:
+    if suffix == ".usda":
+        pytest.importorskip("pxr")
+    source, out = tmp_path / "mesh.glb", tmp_path / f"a{suffix}"
+    source.write_bytes(glb_of(*mesh_record(picture())))
+    (tmp_path / beside).write_text("mine")
+    with pytest.raises(RunFolderError, match=f"needs {beside} beside it, which would be replaced"):
+        convert_mesh(source, out)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([beside, "mesh.glb"])
+    assert (tmp_path / beside).read_text() == "mine"
+    (tmp_path / beside).unlink()
+    convert_mesh(source, out)
+    made = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    out.unlink()  # as if the process had been killed before it
+    convert_mesh(source, out)
+    (tmp_path / beside).write_text("of an earlier mesh")
+    convert_mesh(source, out)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == made
