@@ -181,8 +181,11 @@ class _Maker:
         if made is None:
             return None
         check_held(self.folder)
+        claims = read_record(record)
+        if claims.pop(ply, None):  # of a file that is about to be another, though a kill may come
+            write_json(record, claims)
         made.save_ply(path, self.frame)
-        write_json(record, read_record(record) | {ply: digest})
+        write_json(record, claims | {ply: digest})
         return Gaussians.load_ply(path, self.frame)
 
 

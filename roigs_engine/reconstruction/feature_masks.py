@@ -76,6 +76,9 @@ def write_masks(
         write_mask(_place(folder, name), mask)
         return bool(mask.any())
 
+    if stale := known.keys() & set(missing):  # files that are about to be others: a kill may come
+        kept = {name: asdict(known[name]) for name in sorted(known.keys() - stale)}
+        write_json(folder.work(RECORD), kept)
     sizes = (decoding_bytes(plan.photo, plan.size) for plan in plans.values())
     with in_parallel(make, missing, max(sizes, default=1), context) as work:
         used = {name: job.result() for name, job in work}

@@ -33,14 +33,15 @@ def mirror(url: str, context: Context) -> Path:
     with alone(folder, LOCK, context):
         files = _listed(found, place, url)
         known = _index(folder)
-        for name, sign in files.items():
+        changed = [n for n, sign in files.items() if not _is_here(folder, n, sign, known.get(n))]
+        if known.keys() & set(changed):  # copies that are about to be others: a kill may come
+            known = {name: sign for name, sign in known.items() if name not in set(changed)}
+            write_json(folder / INDEX, known)
+        for name in changed:
             context.check_cancelled()
-            target = _target(folder, name)
-            here = target.stat().st_size if target.is_file() else -1
-            if known.get(name) != sign or here != sign[0]:
-                with guarded(f"{url} ({name})"):
-                    _copy(found, f"{place}/{name}", target, sign[0])
-                known[name] = sign
+            with guarded(f"{url} ({name})"):
+                _copy(found, f"{place}/{name}", _target(folder, name), files[name][0])
+            known[name] = files[name]
         for name in filter(inner_path, known.keys() - files.keys()):
             with suppress(EngineError, OSError):
                 _target(folder, name).unlink()
@@ -48,6 +49,12 @@ def mirror(url: str, context: Context) -> Path:
         keep(folder)
     enforce_quota(context)
     return folder / FILES
+
+
+def _is_here(folder: Path, name: str, sign: list[Any], known: Any) -> bool:
+    """Whether the copy of a file is there, and as the store has it now."""
+    target = _target(folder, name)
+    return known == sign and target.is_file() and target.stat().st_size == sign[0]
 
 
 def _target(folder: Path, name: str) -> Path:

@@ -13,6 +13,7 @@ import torch
 from roigs_engine.context import Context
 from roigs_engine.errors import RunFolderError, Stopped
 from roigs_engine.formats.levels import FADE, read_ladders
+from roigs_engine.levels import make
 from roigs_engine.levels.make import (
     LONGEST,
     SHARE,
@@ -279,3 +280,26 @@ def test_a_small_part_has_fewer_levels(run: Path) -> None:
     }
     assert not (run / "levels/2/rois/pin.ply").exists()
     assert len(ladders["pin"].levels) <= 2
+
+
+def test_a_level_of_a_killed_engine_is_not_taken_for_another(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Some steps, then others until the engine is killed, then the first again."""
+    images, frame, ply = around(20), LocalFrame.world(), "levels/1/rois/vase.ply"
+    make_levels(run, images, frame, levels=2, steps=4)
+    first = (run / ply).read_bytes()
+    with monkeypatch.context() as killed:
+        write = make.write_json
+
+        def killed_by(path: Path, value: dict[str, str]) -> None:
+            if ply in value:
+                raise KeyboardInterrupt
+            write(path, value)
+
+        killed.setattr(make, "write_json", killed_by)
+        killed.setattr(make, "parts_of_run", lambda *given: parts_of_run(*given)[::-1])
+        with pytest.raises(KeyboardInterrupt):
+            make_levels(run, images, frame, levels=2, steps=6)
+    make_levels(run, images, frame, levels=2, steps=4)
+    assert (run / ply).read_bytes() == first

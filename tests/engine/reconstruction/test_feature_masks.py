@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from roigs_engine.formats.files import sha256
 from roigs_engine.photos import mask_images
 from roigs_engine.photos.mask_images import stored_mask
 from roigs_engine.photos.mask_paths import MaskFiles, MaskOptions
+from roigs_engine.reconstruction import feature_masks
 from roigs_engine.reconstruction.feature_masks import write_masks
 from roigs_engine.reconstruction.folder import Folder
 from roigs_engine.reconstruction.photo_checks import look_at
@@ -155,3 +157,24 @@ def test_a_record_names_no_file_outside(tmp_path: Path) -> None:
     folder.work("masks.json").write_text(json.dumps({"../../masks/a.png": entry}))
     write_masks(photos, folder.images, MaskOptions(used=False), folder, QUIET)
     assert other.exists()
+
+
+def test_masks_of_a_killed_engine_are_not_taken_for_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A mask, then another until the engine is killed, then the first again."""
+    folder = scene(tmp_path)
+    photos = look_at(folder.photos_of(folder.images), tmp_path / "photos.json", QUIET).photos
+    file = tmp_path / "scene/masks/a.png.png"
+    first, other = file.read_bytes(), Image.fromarray(np.eye(30, 40) > 0)
+    write_masks(photos, folder.images, MaskOptions(), folder, QUIET)
+    made = sha256(folder.masks / "a.png.png")
+    other.save(file)
+    with monkeypatch.context() as killed:
+        killed.setattr(feature_masks, "_forget", Mock(side_effect=KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            write_masks(photos, folder.images, MaskOptions(), folder, QUIET)
+    assert sha256(folder.masks / "a.png.png") != made
+    file.write_bytes(first)
+    write_masks(photos, folder.images, MaskOptions(), folder, QUIET)
+    assert sha256(folder.masks / "a.png.png") == made

@@ -19,6 +19,7 @@ from roigs_engine.errors import ConfigError, RunFolderError
 from roigs_engine.formats.lock import locked
 from roigs_engine.formats.run_files import BATCH_LOCK
 from roigs_engine.requests.values import is_url
+from roigs_engine.storage import mirror as mirror_module
 from roigs_engine.storage.mirror import mirror
 from roigs_engine.storage.quota import REMOVED, claim, enforce_quota, keep, make_copy
 from roigs_engine.storage.urls import StoreError, reason
@@ -57,6 +58,37 @@ def test_a_file_is_read_once_until_it_changes(store: Any) -> None:
     (folder / "images" / "1.png").write_bytes(b"cut")  # as a full disk leaves it
     mirror(URL.format("hall"), QUIET)
     assert (folder / "images" / "1.png").read_bytes() == b"other"
+
+
+def test_a_copy_of_a_killed_engine_is_not_taken_for_another(
+    store: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A, then B until it is killed, then A again, which some stores tell by its content alone."""
+    name, (a, b) = "/museum/scans/hall/images/1.png", (b"a" * 9, b"b" * 9)
+
+    def put(data: bytes) -> None:
+        store.pipe(name, data)
+        monkeypatch.setattr(mirror_module, "sign", lambda facts: [facts["size"], str(marks[data])])
+
+    marks = {a: "a", b: "b"}
+    put(a)
+    folder = mirror(URL.format("hall"), QUIET)
+    put(b)
+    with monkeypatch.context() as killed:
+        real = mirror_module.write_json
+
+        def write(path: Path, value: Any) -> None:
+            if "images/1.png" in value:
+                raise KeyboardInterrupt
+            real(path, value)
+
+        killed.setattr(mirror_module, "write_json", write)
+        with pytest.raises(KeyboardInterrupt):
+            mirror(URL.format("hall"), QUIET)
+    assert (folder / "images" / "1.png").read_bytes() == b
+    put(a)
+    mirror(URL.format("hall"), QUIET)
+    assert (folder / "images" / "1.png").read_bytes() == a
 
 
 @pytest.mark.parametrize("marker", ["images/", "images", "empty/", ""])
