@@ -28,6 +28,10 @@ MOVED = ("ROOT", "CAMERA", "POINTS", "ROI", "SPLATS")
 _written: dict[Path, str] = {}
 """File -> the text that this session has written; empty: it has removed the file."""
 
+_own: dict[Path, set[str]] = {}
+"""File -> all texts that this session has written. A .blend may bring another one, which was never
+in the file, or is no longer."""
+
 _found: dict[Path, str] = {}
 """File -> its text before this session wrote it; empty: there was none."""
 
@@ -142,6 +146,7 @@ def keep(scene: bpy.types.Scene) -> Path:
     except (EngineError, OSError) as error:
         raise AddonError(str(error)) from error
     _found.setdefault(path, before)
+    _own.setdefault(path, set()).add(text)
     _written[path], _scenes[path] = text, scene.session_uid
     props = scene_props(scene)
     props.placement, props.placement_key = text, _key(scene, root)
@@ -198,7 +203,8 @@ def _after_undo(scene: bpy.types.Scene, *_: object) -> None:
     path = _file(scene) if isinstance(scene, bpy.types.Scene) else None
     if path is None or path not in _written or _scenes[path] != scene.session_uid:
         return
-    wanted = scene_props(scene).placement or _found[path]
+    text = scene_props(scene).placement
+    wanted = text if text in _own[path] else _found[path]
     if wanted == _written[path]:
         return
     with suppress(EngineError, OSError):
@@ -217,7 +223,7 @@ def _after_undo(scene: bpy.types.Scene, *_: object) -> None:
 @persistent
 def _forget(*_: object) -> None:
     """The steps of another .blend say nothing of the files that this one has written."""
-    for known in (_written, _found, _scenes, _roots):
+    for known in (_written, _own, _found, _scenes, _roots):
         known.clear()
 
 

@@ -130,7 +130,8 @@ def faults_of(scene: bpy.types.Scene, roi: bpy.types.Object) -> list[tuple[str, 
 @lru_cache(maxsize=1 << 6)
 def _faults(line: str, box: str) -> tuple[tuple[str, str], ...]:
     try:
-        return tuple((photo, said) for photo, said in text.parse_json(line.encode())[box])
+        found = [(photo, said) for photo, said in text.parse_json(line.encode())[box]]
+        return tuple(pair for pair in found if all(isinstance(part, str) for part in pair))
     except (ValueError, KeyError, TypeError, OverflowError):
         return ()
 

@@ -210,6 +210,21 @@ def test_any_frame_of_a_mesh(blender: ModuleType, shown, value: Any) -> None:
     assert blender.ops.roigs.load_results() == {"FINISHED"}
 
 
+@pytest.mark.parametrize(
+    "faults",
+    ['[[5, {}], ["a", "b"]]', '[["a", null], ["a", "b"]]', '[[["a"], "x"], ["a", "b"], [[], 1]]'],
+)
+def test_any_faults_of_photos(blender: ModuleType, shown, faults: str) -> None:
+    from roigs_addon.scene import suggestions
+
+    scene, _ = shown
+    collection = blender.data.collections.new("any")
+    collection[suggestions.MARK] = True
+    collection[suggestions.FAULTS] = f'{{"{box(scene).name}": {faults}}}'
+    scene.collection.children.link(collection)
+    assert suggestions.faults_of(scene, box(scene)) == [("a", "b")]
+
+
 def test_any_number_of_steps(blender: ModuleType) -> None:
     from roigs_addon.engine.training_steps import training_steps
 

@@ -93,6 +93,25 @@ def test_a_placement_of_another_file_survives_undo(blender: ModuleType, garden) 
     assert (folder / FILE).read_text() == others
 
 
+@pytest.mark.parametrize("there", [False, True])
+def test_undo_does_not_write_what_a_blend_brings(blender: ModuleType, garden, there: bool) -> None:
+    """A .blend may be somebody else's, or older than the file."""
+    bpy, (scene, folder) = blender, garden
+    if there:
+        (folder / FILE).write_text('{"placements": []}')
+    bpy.context.preferences.edit.use_global_undo = True
+    scene.roigs.placement = "of a stranger"
+    bpy.ops.ed.undo_push(message="opened")
+    bpy.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=7)
+    bpy.ops.ed.undo_push(message="placed")
+    placed = (folder / FILE).read_text()
+    bpy.ops.ed.undo()
+    now = (folder / FILE).read_text() if (folder / FILE).exists() else None
+    assert now == ('{"placements": []}' if there else None)
+    bpy.ops.ed.redo()
+    assert (folder / FILE).read_text() == placed
+
+
 def test_a_folder_that_cannot_be_written(blender: ModuleType, garden, capfd) -> None:
     """The scene is placed all the same, and one line says so."""
     from roigs_addon.scene import placement
