@@ -11,6 +11,8 @@ REFINE_SHARE = 0.2
 """Of the boxes' steps, for the joint stage after boxes that were trained one by one."""
 CUTOUT_SHARE = 0.6
 """Of the boxes' steps, for the stage that cuts objects out, which only masks of objects bring."""
+MORE_WHOLE_SHARE = 1 / 3
+"""Of the boxes' steps in one go: at most so many more, on whole photos, if boxes are small."""
 PAPER = "paper"
 MOST_FACTOR = 1e6
 
@@ -30,9 +32,10 @@ def stage_steps(preset: str, factor: float) -> tuple[int, int]:
 def training_steps(
     preset: str, strategy: str, factor: float, boxes: int, *, masks: bool = False
 ) -> int:
-    """The steps of all stages; `masks`: whether there are masks of objects."""
+    """The steps of all stages, at most; `masks`: whether there are masks of objects."""
     scene, roi = stage_steps(preset, factor)
     if strategy == "joint":
-        return scene + roi + (max(1, round(CUTOUT_SHARE * roi)) if masks else 0)
+        more = round((1 + MORE_WHOLE_SHARE) * roi)
+        return scene + more + (max(1, round(CUTOUT_SHARE * roi)) if masks else 0)
     refine = 0 if preset == PAPER else round(REFINE_SHARE * roi)
     return scene + boxes * (roi - refine) + refine

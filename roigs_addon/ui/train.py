@@ -55,11 +55,12 @@ def _draw_length(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     boxes = max(1, len(lookup.rois(scene)))
     cut_out = masks.are_there(scene, run_folders.run_folder(scene))
     steps = training_steps(props.preset, props.strategy, props.steps_factor, boxes, masks=cut_out)
+    length = f"Up to {steps:,} steps" if props.strategy == "joint" else f"{steps:,} steps"
     if time := estimate_job.known(scene):
-        show.say(layout, f"{steps:,} steps, {time}", "TIME")
+        show.say(layout, f"{length}, {time}", "TIME")
         return
     row = layout.split(factor=0.62, align=True)
-    row.label(text=f"{steps:,} steps", icon="TIME")
+    row.label(text=length, icon="TIME")
     row.operator(EstimateTime.bl_idname)
 
 

@@ -104,7 +104,7 @@ def _scene_mechanisms(steps: int, threshold: float) -> tuple[Mechanism, ...]:
 def _box_mechanisms(steps: int) -> tuple[Mechanism, ...]:
     """The mechanisms of the joint recipe's box stage."""
     return (
-        MaskedSteps(full_every=3, view_weighting=1.5),
+        MaskedSteps(reinvested=0.5, view_weighting=1.5),
         SpacedShRate(limit=25.0),
         MeasuredShRate(),
         # 3 would make up for the fewer steps, but loses where SH learn fast.

@@ -101,7 +101,7 @@ def cutout_stage(config: RunConfig) -> TrainConfig:
     stage = replace(
         config.roi, steps=steps, sh_start=config.roi.sh_degree, lr_means=config.roi.lr_means / 10
     )
-    stage = stage.only(MaskedSteps, SpacedShRate, MeasuredShRate)
+    stage = _no_more(stage.only(MaskedSteps, SpacedShRate, MeasuredShRate))
     return stage.using(CutoutSteps(), ModelAveraging(steps=steps // 2))
 
 
@@ -121,8 +121,16 @@ def surface_stage(config: RunConfig) -> TrainConfig:
     stage = stage.only(SpacedShRate, MeasuredShRate)
     masks = config.roi.get(MaskedSteps) or MaskedSteps()
     return stage.using(
-        replace(masks, full_every=max(2, steps)), SurfaceLosses(), ModelAveraging(steps=steps // 4)
+        replace(masks, whole_share=0.0, reinvested=0.0),
+        SurfaceLosses(),
+        ModelAveraging(steps=steps // 4),
     )
+
+
+def _no_more(stage: TrainConfig) -> TrainConfig:
+    """A short stage after the box stage: as many steps as it says, whatever masks leave out."""
+    masks = stage.get(MaskedSteps)
+    return stage if masks is None else stage.using(replace(masks, reinvested=0.0))
 
 
 def shortened(config: TrainConfig, share: float) -> TrainConfig:
@@ -186,10 +194,10 @@ def block_stage(config: TrainConfig, share: float, photos: float) -> TrainConfig
     masks = config.get(MaskedSteps)
     if masks is None:
         return shortened(config, max(share, photos))
-    masked = (1 - 1 / masks.full_every) * share
+    masked = (1 - masks.whole_share) * share
     whole = WHOLE_SHARE * photos
-    every = max(2, round((masked + whole) / whole))
-    return shortened(config.using(replace(masks, full_every=every)), masked + whole)
+    masks = replace(masks, whole_share=whole / (masked + whole), reinvested=0.0)
+    return shortened(config.using(masks), masked + whole)
 
 
 def _densify_steps(config: RunConfig) -> int:
@@ -212,5 +220,7 @@ def refine_stage(config: RunConfig) -> TrainConfig:
         sh_start=config.roi.sh_degree,
         made_for=config.roi.made_for,
     )
-    stage = stage.only(MaskedSteps, SpacedShRate, MeasuredShRate, ModelAveraging, FloaterPruning)
+    stage = _no_more(
+        stage.only(MaskedSteps, SpacedShRate, MeasuredShRate, ModelAveraging, FloaterPruning)
+    )
     return stage.using(ModelAveraging(steps=steps // 2))

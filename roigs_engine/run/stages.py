@@ -135,7 +135,7 @@ def _order(
         selected=tuple(row for row, image in enumerate(images) if image.name in selected),
         drawn=masks.seeing if masks else tuple(range(len(images))),
         share=photos.run.config.selected_share,
-        full_every=masks.full_every if masks else 1,
+        whole_share=masks.whole_share if masks else 0.0,
     )
 
 

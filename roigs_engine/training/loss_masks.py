@@ -86,17 +86,14 @@ class LossMasks:
         context: Context = QUIET,
     ) -> None:
         self._images, self._rois, self._device = images, rois, device
-        self._weighting = view_weighting
+        self._weighting, self._context = view_weighting, context
         self._tiles: dict[int, NDArray[np.bool_]] = {}
         self._masks: dict[int, LossMask | None] = {}
         self._mean_share = 0.0  # the geometric mean
         if view_weighting:
-            shares = []
-            for index in drawn:
-                context.check_cancelled()
-                shares.append(self._mask(index).mean())
-            if shown := [share for share in shares if share > 0]:
-                self._mean_share = float(np.exp(np.mean(np.log(shown))))
+            shares = self.shares(drawn)
+            if (shown := shares[shares > 0]).size:
+                self._mean_share = float(np.exp(np.log(shown).mean()))
 
     def __getitem__(self, index: int) -> LossMask | None:
         """The mask of photo `index`; None if it sees no box."""
@@ -112,6 +109,14 @@ class LossMasks:
             loss_weight=self._loss_weight(float(self._mask(index).mean())),
         )
         return self._masks.setdefault(index, made)
+
+    def shares(self, rows: Sequence[int]) -> NDArray[np.float64]:
+        """The share of its photo's pixels that the mask of each of these photos has."""
+        found = []
+        for row in rows:
+            self._context.check_cancelled()
+            found.append(self._mask(row).mean())
+        return np.array(found)
 
     def _loss_weight(self, share: float) -> float:
         if not self._weighting:

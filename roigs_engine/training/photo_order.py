@@ -26,7 +26,7 @@ class PhotoOrder:
         seed: of the epochs.
         drawn: of `mixed`: photos that steps with a mask draw from.
         selected, share: of `mixed`: selected photos, and the share of these steps that draw one.
-        full_every: of `mixed`: one step in so many draws from all photos; 1: none does.
+        whole_share: of `mixed`: the share of steps that draw from all photos.
     """
 
     kind: str
@@ -35,7 +35,7 @@ class PhotoOrder:
     selected: tuple[int, ...] = ()
     drawn: tuple[int, ...] = ()
     share: float = 0.0
-    full_every: int = 1
+    whole_share: float = 0.0
 
     def photo_at(self) -> PhotoAt:
         """The function step -> position of its photo."""
@@ -45,10 +45,8 @@ class PhotoOrder:
             return shuffled(range(self.count), self.seed)
         selected = shuffled(self.selected, self.seed + 1)
         photo_at = mixed(shuffled(self.drawn, self.seed), selected, self.share)
-        if self.full_every == 1:
-            return photo_at
         whole = shuffled(range(self.count), self.seed + 2)
-        return with_whole(whole, photo_at, self.full_every)
+        return mixed(photo_at, whole, self.whole_share)
 
 
 def shuffled(photos: Sequence[int], seed: int) -> PhotoAt:
@@ -72,21 +70,6 @@ def mixed(first: PhotoAt, second: PhotoAt, share: float) -> PhotoAt:
     def photo_at(step: int) -> int:
         drawn = int(step * share + 1e-9)
         return second(drawn) if in_even_share(step, share) else first(step - drawn)
-
-    return photo_at
-
-
-def is_whole(step: int, every: int) -> bool:
-    """Whether a step is the one in `every` that uses a whole photo."""
-    return step % every == 0
-
-
-def with_whole(whole: PhotoAt, partial: PhotoAt, every: int) -> PhotoAt:
-    """Two orders mixed: steps with `is_whole` draw from `whole`, the others from `partial`."""
-
-    def photo_at(step: int) -> int:
-        before = -(-step // every)  # whole steps before this one
-        return whole(before) if is_whole(step, every) else partial(step - before)
 
     return photo_at
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
-from ...errors import ConfigError
-from ..config import Mechanism, PlannedViews, TrainConfig, limited, planned
-from ..photo_order import is_whole
+from ...selection.split import in_even_share
+from ..config import Mechanism, PlannedViews, TrainConfig, limited, planned, with_steps
 from ..running import Running
 
 if TYPE_CHECKING:
@@ -27,7 +26,8 @@ class MaskedSteps(Mechanism):
         (notebook/leave_one_out.md).
 
     Attributes:
-        full_every: one step in `full_every` uses a whole photo, drawn from all photos.
+        whole_share: share of the steps that use a whole photo, drawn from all photos.
+        reinvested: share of the time that masks save which more steps on whole photos take.
         view_weighting: loss weights of masks (`LossMasks`). 0: a pixel weighs as much as in a
             whole photo. 1: all photos weigh the same, however large the boxes are in them. Up to
             2: photos that show the boxes small weigh more.
@@ -37,34 +37,37 @@ class MaskedSteps(Mechanism):
     name: ClassVar[str] = "masked_steps"
     uses_object_masks: ClassVar[bool] = True
 
-    full_every: int = 3
+    whole_share: float = limited(1 / 3, least=0, below=1)
+    reinvested: float = limited(0.0, least=0, most=1)
     view_weighting: float = limited(0.0, least=0, most=2)
     seeing: tuple[int, ...] = planned(())
 
-    def check(self, config: TrainConfig) -> None:
-        """As usual; the hint says how to have whole photos alone."""
-        if self.full_every < 2:
-            raise ConfigError(
-                f"{self.name}: full_every is {self.full_every}.",
-                f"Use 2 or more, or leave out {self.name}: then all steps use whole photos.",
-            )
-        super().check(config)
-
     def planned(self, config: TrainConfig, views: PlannedViews) -> TrainConfig:
-        return config.using(replace(self, seeing=views.rows_seeing))
+        """With more steps, on whole photos: a step on a mask costs the share of its pixels."""
+        from ..loss_masks import LossMasks
+
+        seeing = views.rows_seeing
+        masked = (1 - self.whole_share) * config.steps
+        whole = self.whole_share * config.steps
+        if self.reinvested and seeing:
+            masks = LossMasks(views.images, views.rois, seeing, context=views.context)
+            whole += self.reinvested * (1 - masks.shares(seeing).mean()) * masked
+        share = whole / (masked + whole)
+        config = with_steps(config, round(masked + whole))
+        return config.using(replace(self, whole_share=share, seeing=seeing))
 
     def begin(self, config: TrainConfig, training: Training) -> Running:
         from ..loss_masks import LossMasks
 
         data = training.data
         given = data.rois, self.seeing, data.device, self.view_weighting, training.context
-        return _Running(self.full_every, LossMasks(data.images, *given))
+        return _Running(self.whole_share, LossMasks(data.images, *given))
 
 
 class _Running(Running):
-    def __init__(self, full_every: int, masks: LossMasks) -> None:
-        self._full_every, self._masks = full_every, masks
+    def __init__(self, whole_share: float, masks: LossMasks) -> None:
+        self._whole_share, self._masks = whole_share, masks
 
     def mask(self, step: int, photo: int) -> LossMask | None:
         """The photo's mask; None: the step uses a whole photo, or the photo sees no box."""
-        return None if is_whole(step, self._full_every) else self._masks[photo]
+        return None if in_even_share(step, self._whole_share) else self._masks[photo]

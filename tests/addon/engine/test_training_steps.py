@@ -22,6 +22,7 @@ def test_steps_are_the_engines(preset: str, strategy: str, factor: float) -> Non
     from roigs_engine.app.asked import run_config
     from roigs_engine.requests.runs import Train
     from roigs_engine.run.stage_configs import cutout_stage, object_stage
+    from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
 
     asked = Train(
         scene=Path("garden"),
@@ -33,7 +34,10 @@ def test_steps_are_the_engines(preset: str, strategy: str, factor: float) -> Non
     config = run_config(asked)
     boxes, cutout = 3, 0
     if strategy == "joint":
-        steps, cutout = config.scene.steps + config.roi.steps, cutout_stage(config).steps
+        masks = config.roi.of(MaskedSteps)
+        more = masks.reinvested * (1 - masks.whole_share)
+        steps = config.scene.steps + round((1 + more) * config.roi.steps)
+        cutout = cutout_stage(config).steps
     else:
         steps = config.scene.steps + boxes * object_stage(config).steps + config.refine_steps
     assert training_steps(preset, strategy, factor, boxes) == steps

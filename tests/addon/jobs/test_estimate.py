@@ -20,17 +20,17 @@ def test_steps_and_minutes(
     from roigs_addon.ui.train import TrainPanel
 
     bpy, scene = blender, ready(blender, project, tmp_path / "run")
-    assert "20 steps" in said(bpy, TrainPanel)
+    assert "Up to 24 steps" in said(bpy, TrainPanel)
     scene.roigs.steps_factor = 1.0
-    assert "5,000 steps" in said(bpy, TrainPanel)
+    assert "Up to 6,000 steps" in said(bpy, TrainPanel)
     assert bpy.ops.roigs.estimate_time() == {"FINISHED"}
     time = estimate_job.known(scene)
     assert time.startswith("about ") and "thread" in time
     shown = " ".join(said(bpy, TrainPanel))
-    assert "5,000 steps, about" in shown
+    assert "Up to 6,000 steps, about" in shown
     assert not status(scene).done and not status(scene).unfinished
     scene.roigs.preset = "standard"  # the time is of other settings
-    assert estimate_job.known(scene) == "" and "8,500 steps" in said(bpy, TrainPanel)
+    assert estimate_job.known(scene) == "" and "Up to 10,000 steps" in said(bpy, TrainPanel)
     scene.roigs.preset = "draft"
     assert estimate_job.known(scene) == time
     scene.roigs.active_roi.scale.x *= 2

@@ -39,7 +39,7 @@ from tests.engine.synthetic_scene import BOX, make_scene
 Inputs = Callable[[SfmScene], dict[str, Any]]
 VIEWS = 2
 CONFIG = TrainConfig(steps=100)
-MASKS = MaskedSteps(full_every=2, seeing=(0, 1))
+MASKS = MaskedSteps(whole_share=0.5, seeing=(0, 1))
 
 
 @pytest.fixture(scope="module")

@@ -33,10 +33,10 @@ def test_boxes_and_whole_photos_have_their_shares() -> None:
     whole = PRESETS["standard"]().roi
     near = block_stage(whole, share=1.0, photos=0.5)
     far = block_stage(whole, share=0.1, photos=0.5)
-    assert near.of(MaskedSteps).full_every > far.of(MaskedSteps).full_every >= 2
+    assert near.of(MaskedSteps).whole_share < far.of(MaskedSteps).whole_share < 1
     for config in (near, far):
-        full_every = config.of(MaskedSteps).full_every
-        assert config.steps / full_every == pytest.approx(0.3 * whole.steps, rel=0.4)
+        masks = config.of(MaskedSteps)
+        assert config.steps * masks.whole_share == pytest.approx(0.3 * whole.steps, rel=0.01)
         assert config.get(SurroundingsRate) is None is not whole.get(SurroundingsRate)
     none = surroundings_stage(whole, 0.5)
     assert none.get(MaskedSteps) is None and none.steps == pytest.approx(0.3 * whole.steps, abs=1)

@@ -56,5 +56,5 @@ def test_its_steps_are_on_masks(scene: SfmScene, tmp_path: Path) -> None:
     config = production("independent")
     stage = plan_surface(define_run(tmp_path, scene, [BOX], config)).stages[-1]
     assert stage.name == "surface" and stage.config.get(SurfaceLosses)
-    assert stage.config.of(MaskedSteps).full_every >= stage.config.steps
+    assert stage.config.of(MaskedSteps).whole_share == 0
     assert stage.config.steps < config.roi.steps

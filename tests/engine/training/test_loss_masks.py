@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 
 from roigs_engine.errors import ConfigError
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, PosedImage
 from roigs_engine.rasterize.tiles import active_tiles
-from roigs_engine.training import photo_order
-from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.config import PlannedViews, TrainConfig
 from roigs_engine.training.loss_masks import LossMask, LossMasks
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
@@ -126,23 +126,35 @@ def test_a_tiny_mask_does_not_outweigh_all_others() -> None:
     assert weights[0] < weights[3]
 
 
-@pytest.mark.parametrize("every", [2, 3, 7])
-def test_whole_steps_and_others_draw_from_their_own_source_in_turn(every: int) -> None:
-    drawn = [photo_order.with_whole(lambda k: k, lambda k: 1000 + k, every)(s) for s in range(50)]
-    whole = [d for d in drawn if d < 1000]
-    others = [d - 1000 for d in drawn if d >= 1000]
-    assert whole == list(range(len(whole))) and others == list(range(len(others)))
-    assert [s for s, d in enumerate(drawn) if d < 1000] == list(range(0, 50, every))
+def test_what_masks_save_is_spent_on_whole_photos() -> None:
+    near, far = np.eye(4), np.eye(4)
+    near[2, 3], far[2, 3] = -4.0, 12.0  # in the box, and far from it
+    masks = MaskedSteps(whole_share=0.25, reinvested=0.5)
+    config = TrainConfig(steps=400, mechanisms=(masks,))
+
+    def planned(*poses: NDArray[np.float64]) -> tuple[float, float]:
+        """Steps with a mask, and on whole photos."""
+        images = [photo(pose) for pose in poses]
+        views = PlannedViews(images=images, rois=[BOX], seen=lambda roi: images)
+        found = config.planned(views)
+        share = found.of(MaskedSteps).whole_share
+        return (1 - share) * found.steps, share * found.steps
+
+    shares = LossMasks([photo(near), photo(far)], [BOX], ()).shares([0, 1])
+    assert shares[0] == 1 and shares[1] < 0.5
+    assert planned(near) == pytest.approx((300, 100))  # a box that fills the photos
+    saved = 300 * (1 - shares.mean())
+    assert planned(near, far) == pytest.approx((300, 100 + saved / 2), abs=1)
 
 
 def test_settings_that_do_not_go_together_are_refused() -> None:
-    config = TrainConfig(steps=10, mechanisms=(MaskedSteps(full_every=4),))
+    config = TrainConfig(steps=10, mechanisms=(MaskedSteps(),))
     with pytest.raises(ConfigError, match="idle_pruning needs steps that use whole photos"):
         config.using(IdlePruning(every=100))
     with pytest.raises(ConfigError, match="view_weighting is -1"):
         config.using(MaskedSteps(view_weighting=-1.0))
-    with pytest.raises(ConfigError, match="full_every is 1"):
-        config.using(MaskedSteps(full_every=1))
+    with pytest.raises(ConfigError, match="whole_share is 1"):
+        config.using(MaskedSteps(whole_share=1.0))
     with pytest.raises(ConfigError, match="factor is -1"):
         config.using(SurroundingsRate(factor=-1.0))
     with pytest.raises(ConfigError, match="surroundings_rate needs masked_steps"):

@@ -20,7 +20,7 @@ from tests.engine.synthetic_scene import BOX, make_scene, stage_data, truth
 SIDE, FOCAL = 24, 30.0
 LENS = torch.tensor([[FOCAL, 0.0, SIDE / 2], [0.0, FOCAL, SIDE / 2], [0.0, 0.0, 1.0]])
 NORMAL = torch.nn.functional.normalize(torch.tensor([0.3, -0.2, -1.0]), dim=0)
-CONFIG = TrainConfig(steps=40, lr_means=1.6e-5, mechanisms=(MaskedSteps(full_every=40),))
+CONFIG = TrainConfig(steps=40, lr_means=1.6e-5, mechanisms=(MaskedSteps(whole_share=0.0),))
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from roigs_engine.training.mechanisms.surroundings_rate import SurroundingsRate
 from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import BOX, make_scene, stage_data
 
-PLAIN = TrainConfig(steps=30, mechanisms=(MaskedSteps(full_every=3),))
+PLAIN = TrainConfig(steps=30, mechanisms=(MaskedSteps(),))
 CONFIG = PLAIN.using(SurroundingsRate(factor=4.0))
 
 

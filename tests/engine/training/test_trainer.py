@@ -47,7 +47,7 @@ from tests.engine.training.short import DENSITY, PLAIN, SHORT, first_model, same
 
 IN_BOXES = BoxDensityControl(start=10, until=50, every=10, grad_threshold=1e-5, reset_every=0)
 RESTING = TrainConfig(steps=20)
-MASKED = PLAIN.using(MaskedSteps(full_every=3), SurroundingsRate(factor=2.0), DENSITY)
+MASKED = PLAIN.using(MaskedSteps(), SurroundingsRate(factor=2.0), DENSITY)
 AVERAGED = PLAIN.using(replace(DENSITY, until=30), ModelAveraging(steps=25))
 RESTARTED = SHORT.using(replace(DENSITY, until=25), WarmRestarts(count=2))
 FADING = AVERAGED.using(OpacityDecay(share=0.1))
