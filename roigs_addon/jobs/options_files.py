@@ -15,8 +15,17 @@ from ..engine.writing import made_folder, writing
 from ..errors import AddonError
 from ..properties import object_props, scene_props
 from ..scene import exclusions, lookup, masks, rois
-from ..shared import files, run_files
+from ..shared import files, others, run_files
 from . import run_folders
+
+OF_A_LIST = ("roi", "names")
+"""Keys of a list of photos."""
+
+
+def _refuse_others(path: Path, *keys: str) -> None:
+    """Raise AddonError for a file with none of these keys: it is not of the add-on."""
+    if others.is_other(path, keys):
+        raise AddonError(f"{path} is not of this add-on. Move it, or choose another Run Folder.")
 
 
 def common_options(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> dict[str, Any]:
@@ -172,6 +181,7 @@ def _write(
 ) -> Path:
     folder = own_folder(scene)
     path = folder / name
+    _refuse_others(path, "scene")
     with writing(folder, "Run Folder"):
         values["rois"] = str(rois.write(folder, boxes, scene))
         files.write_json(path, values)
@@ -202,8 +212,10 @@ def _write_selections(scene: bpy.types.Scene, lists: dict[bpy.types.Object, list
     folder = made_folder(own_folder(scene), own_files.MANUAL_SELECTION)
     with writing(folder, "Run Folder"):
         for old in folder.glob("*.json"):
-            old.unlink()
+            if not others.is_other(old, OF_A_LIST):
+                old.unlink()
         for box, names in lists.items():
             path = folder / f"{rois.file_name(box)}.json"
+            _refuse_others(path, *OF_A_LIST)
             files.write_json(path, {"roi": box.name, "names": names})
     return folder

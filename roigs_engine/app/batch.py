@@ -91,8 +91,7 @@ def run_batch(request: Batch, context: Context = QUIET) -> Result:
         for name in (BATCH_ROWS, BATCH_OUTPUTS, *(row.name for row in rows)):
             own_folder(folder, name)  # refuses a link
         record = _record(folder, store, rows)
-        if store is None:
-            _refuse_foreign_files(record, rows)
+        _refuse_foreign_files(record, rows, store)
         device, scenes = checked_plans(table, rows, record, context)
         record.begin()
         for row in rows:
@@ -153,16 +152,21 @@ def _record(folder: Path, store: Store | None, rows: Sequence[Row]) -> BatchReco
     return StoredRecord(store)
 
 
-def _refuse_foreign_files(record: BatchRecord, rows: Sequence[Row]) -> None:
+def _refuse_foreign_files(record: BatchRecord, rows: Sequence[Row], store: Store | None) -> None:
     """Raise ConfigError if a batch would replace files that are not a batch's."""
-    folder = record.folder
-    if record.was_there or any(is_run_folder(row.run_dir) for row in rows):
+    if record.was_there:
         return
-    names = (REPORT_PAGE, BATCH, BATCH_OUTPUTS, *(f"{BATCH_ROWS}/{row.name}.json" for row in rows))
-    found = next((name for name in names if os.path.lexists(folder / name)), None)
+    place, names = str(record.folder), (REPORT_PAGE, BATCH, BATCH_OUTPUTS)
+    if store is not None:
+        place, found = store.url, store.file_of_others(names, [row.name for row in rows])
+    elif any(is_run_folder(row.run_dir) for row in rows):
+        return
+    else:
+        files = (*names, *(f"{BATCH_ROWS}/{row.name}.json" for row in rows))
+        found = next((name for name in files if os.path.lexists(record.folder / name)), None)
     if found is not None:
         raise ConfigError(
-            f"{folder} is not the folder of a batch, and one would replace {folder / found}.",
+            f"{place} is not the folder of a batch, and one would replace {place}/{found}.",
             "Move away what is there, or choose another --run-dir.",
         )
 

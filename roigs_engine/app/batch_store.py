@@ -68,6 +68,19 @@ class Store:
         for name in names:
             self.fetch(name)
 
+    def file_of_others(self, names: Sequence[str], runs: Sequence[str]) -> str | None:
+        """The first file or folder there that a batch would replace; None: all is a batch's.
+
+        Args:
+            names: of a batch's own files and folders.
+            runs: names of the folders of its runs, in which engines have files with a dot first.
+        """
+        listed = self._found.find(self._place)
+        inner = [str(path)[len(self._place) :].strip("/").split("/", 2) for path in listed]
+        if any(len(parts) > 1 and parts[0] in runs and parts[1][0] == "." for parts in inner):
+            return None
+        return next(("/".join(parts) for parts in inner if parts[0] in {*names, *runs}), None)
+
     def run(self, name: str) -> StoredRun:
         """A run folder on the store."""
         return stored_run(self.url, name, self._should_stop)

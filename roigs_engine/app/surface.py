@@ -72,6 +72,8 @@ def make_surfaces(request: MakeSurface, context: Context = QUIET) -> Surfaces:
             raise RoiError(f"There is no box '{name}'.", f"The boxes are: {boxes}.")
     if request.background:
         _check_background(request, asked.boxes.names)
+    if request.format:
+        _check_names(asked.boxes.names)
     options = SurfaceOptions(
         faces=request.faces,
         watertight=request.watertight,
@@ -199,6 +201,18 @@ def _check_background(request: MakeSurface, boxes: Sequence[str]) -> None:
             f"A box is called '{run_files.SURROUNDINGS}', as the background's files are.",
             "Rename the box, and train again.",
         )
+
+
+def _check_names(boxes: Sequence[str]) -> None:
+    """RoiError: a box is called as further files of another one's mesh are."""
+    ending = Path(RECORD).stem
+    taken = {f"{same_name(name)}{ending}": name for name in boxes}
+    for name in boxes:
+        if (other := taken.get(same_name(name))) is not None:
+            raise RoiError(
+                f"The box '{name}' is called as files of the mesh of '{other}' are.",
+                "Rename it, and train again; or leave out --format.",
+            )
 
 
 def _gaussians(run: Run, context: Context) -> Gaussians:

@@ -13,7 +13,15 @@ from ..colmap.photo_pixels import PhotoPixels
 from ..context import QUIET, Context
 from ..errors import ConfigError, SceneError
 from ..formats.files import atomic_write, own_file, remove_leftovers, sha256
-from ..formats.mask_record import generated_masks, made_of, mask_name, record_masks
+from ..formats.mask_record import (
+    KEY,
+    MADE,
+    generated_masks,
+    made_of,
+    mask_name,
+    record_masks,
+)
+from ..formats.others import first_other
 from ..formats.scribbles import Stroke
 from ..formats.text import counted
 from ..model.roi import OrientedBox
@@ -60,6 +68,8 @@ class BoxMasks:
             RunFolderError: a mask cannot be written.
             Stopped: on request; no mask has changed then.
         """
+        if (other := first_other(self.folder, {MADE: (KEY,)})) is not None:
+            raise ConfigError(f"{other} would be replaced.", "Move it, or choose another --out.")
         remove_leftovers(self.folder)
         made = generated_masks(self.folder)
         views = self._views(made, context)

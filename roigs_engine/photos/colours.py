@@ -17,18 +17,19 @@ from __future__ import annotations
 
 import io
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from PIL import Image, ImageCms
 
 from ..formats.files import regular
 from .headers import CONVERTED, DAMAGED, open_photo, png_chunk
+from .jpeg2000 import boxes
 from .profiles import (
     ADOBE_GAMMA,
     ADOBE_RGB,
@@ -224,29 +225,13 @@ def _of_jpeg2000(path: str) -> bytes:
     """The profile in a JPEG 2000 file (ISO/IEC 15444-1, I.5.3.3), or empty."""
     with open(path, "rb", opener=regular) as file:
         end = file.seek(0, 2)
-        for kind, start, stop in _boxes(file, 0, end):
+        for kind, start, stop in boxes(file, 0, end):
             if kind == b"jp2h":
-                for inner, first, last in _boxes(file, start, stop):
+                for inner, first, last in boxes(file, start, stop):
                     file.seek(first)
                     if inner == b"colr" and file.read(3)[:1] in (b"\2", b"\3"):
                         return file.read(last - first - 3)
     return b""
-
-
-def _boxes(file: BinaryIO, at: int, end: int) -> Iterator[tuple[bytes, int, int]]:
-    """The kinds of boxes in a part of a file, and where their data begin and end."""
-    while at + 8 <= end:
-        file.seek(at)
-        length, kind = struct.unpack(">I4s", file.read(8))
-        start = at + 8
-        if length == 1:
-            (length,) = struct.unpack(">Q", file.read(8))
-            start += 8
-        stop = end if length == 0 else at + length
-        if not start <= stop <= end:
-            return
-        yield kind, start, stop
-        at = stop
 
 
 def _of_bmp(path: str) -> bytes:

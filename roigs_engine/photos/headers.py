@@ -21,6 +21,7 @@ from ..errors import EngineError, SceneError
 from ..formats.contents import LFS
 from ..formats.files import regular
 from .jpeg import JPEG_END, check_scans, jpeg_segments, jpeg_size
+from .jpeg2000 import check_tiles
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -170,6 +171,9 @@ def _opened(path: Path) -> Image:
             tiff.check_tags(io.BytesIO((photo.info.get("exif") or b"").removeprefix(EXIF)))
         except ValueError:  # the pixels are good
             del photo.info["exif"]
+        if photo.format == "JPEG2000":
+            with open(path, "rb", opener=regular) as file:
+                check_tiles(file)
         if photo.format in ("JPEG", "MPO"):
             with open(path, "rb", opener=regular) as file:
                 check_scans(file)

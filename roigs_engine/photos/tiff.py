@@ -24,6 +24,7 @@ from PIL import Image, ImageFile, TiffImagePlugin
 from ..formats.files import regular
 from ..machine import package
 from .jpeg import check_scans, jpeg_size
+from .jpeg2000 import START, picture_of
 from .profiles import parts_of
 
 MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
@@ -342,11 +343,11 @@ def _own_size(inner: BinaryIO, compression: int, samples: int) -> tuple[int, int
         with Image.open(inner, formats=("WEBP", "PNG")) as picture:
             return picture.size
     data, largest = inner.read(), (0, 0)
-    for found in re.finditer(rb"\xff\x4f\xff\x51", data):
-        right, low, left, top, count = struct.unpack_from(">4x4I16xH", data, found.end())
+    for found in re.finditer(START, data):
+        width, height, count = picture_of(data, found.end())
         if count > samples:
             raise ValueError(f"a part has {count} channels, not {samples}")
-        largest = max(largest[0], right - left), max(largest[1], low - top)
+        largest = max(largest[0], width), max(largest[1], height)
     return largest
 
 

@@ -160,3 +160,34 @@ def test_the_name_of_a_box_cannot_lead_elsewhere(
         with pytest.raises(AddonError, match="cannot name a file"):
             options_files.write_select_options(scene, [roi])
     assert {path.name for path in tmp_path.iterdir()} <= {"run"}
+
+
+def test_files_of_others_in_the_run_folder_stay(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    """The user may have chosen a project of another program, with a folder `blender` in it."""
+    from roigs_addon.errors import AddonError
+    from roigs_addon.jobs import options_files
+    from roigs_addon.scene import lookup
+
+    scene = ready(blender, project, tmp_path / "run")
+    roi = lookup.rois(scene)[0]
+    roi.roigs.selection.add().name = "photo 0.png"
+    own = tmp_path / "run" / "blender"
+    options_files.write_train_options(scene, [roi], 0.0)
+    theirs = (
+        own / "selection" / "notes.json",
+        own / "selection" / "thing.json",
+        own / "train.json",
+    )
+    gone = own / "selection" / "gone.json"
+    gone.write_text('{"roi": "gone", "names": []}')
+    theirs[0].write_text("[]")
+    options_files.write_train_options(scene, [roi], 0.0)
+    assert theirs[0].read_text() == "[]" and not gone.exists()
+    for path in theirs[1:]:
+        path.write_text('{"name": "mine"}')
+        with pytest.raises(AddonError, match=f"{path.name} is not of this add-on"):
+            options_files.write_train_options(scene, [roi], 0.0)
+        assert path.read_text() == '{"name": "mine"}'
+        path.unlink()

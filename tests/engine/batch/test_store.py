@@ -253,6 +253,18 @@ def test_addresses_that_cannot_be_used_are_one_line(
     assert "s3://bucket/runs needs fsspec, which is not installed" in line
 
 
+@pytest.mark.parametrize(
+    "name", ["report.html", "batch.json", "outputs/hall.glb", "hall/report.md"]
+)
+def test_files_of_others_on_a_store_are_not_replaced(
+    table: Path, memory_store: Any, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    memory_store.pipe(f"/museum/runs/{name}", b"theirs")
+    line = refused(capsys, "batch", table, "--run-dir", RUNS)
+    assert f"is not the folder of a batch, and one would replace {RUNS}/{name}" in line
+    assert memory_store.cat(f"/museum/runs/{name}") == b"theirs"
+
+
 def test_what_an_address_needs_is_named(
     table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

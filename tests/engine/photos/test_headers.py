@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import struct
 from pathlib import Path
 
 import pytest
@@ -100,6 +102,44 @@ def test_a_jpeg_of_hundreds_of_scans_is_not_decoded(tmp_path: Path, progressive:
             continue
         with pytest.raises(PhotoError, match=r"a\.jpg \(a JPEG of 3\d\d scans\)"), open_photo(path):
             pass
+
+
+@pytest.mark.parametrize("kind", ["jp2", "raw", "tiff"])
+def test_a_jpeg_2000_of_tiny_tiles(tmp_path: Path, kind: str) -> None:
+    """Each tile takes 12 kB of memory: 265 bytes took 800 MB."""
+    if kind == "tiff":
+        pytest.importorskip("imagecodecs")
+    file = io.BytesIO()
+    image = Image.new("RGB", (255, 255))
+    image.save(file, "JPEG2000", no_jp2=kind != "jp2", quality_mode="rates")
+    data = bytearray(file.getvalue())
+    at = data.index(b"\xff\x4f\xff\x51") + 4
+    path = tmp_path / ("a.tif" if kind == "tiff" else "a.jp2")
+    for side in (16, 1):
+        struct.pack_into(">II", data, at + 20, side, side)
+        if kind == "tiff":
+            path.write_bytes(tiff_of(bytes(data)))
+        else:
+            path.write_bytes(data)
+        if side == 16 and kind != "tiff":
+            with open_photo(path):
+                pass
+        if side == 1:
+            with pytest.raises(PhotoError, match="65,025 tiles"), open_photo(path) as photo:
+                photo.load()
+
+
+def tiff_of(strip: bytes) -> bytes:
+    """A TIFF of 255 x 255 RGB in one strip of JPEG 2000."""
+    tags = (
+        *((256, 4, 1, 255), (257, 4, 1, 255), (258, 3, 1, 8), (259, 3, 1, 34712)),
+        *((262, 3, 1, 2), (273, 4, 1, 8), (277, 3, 1, 3), (278, 4, 1, 255)),
+        (279, 4, 1, len(strip)),
+    )
+    strip += bytes(len(strip) % 2)
+    head = struct.pack("<2sHI", b"II", 42, 8 + len(strip))
+    rows = b"".join(struct.pack("<HHII", *tag) for tag in tags)
+    return head + strip + struct.pack("<H", len(tags)) + rows + bytes(4)
 
 
 def test_a_jpeg_far_longer_than_its_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
