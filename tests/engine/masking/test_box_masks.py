@@ -288,3 +288,12 @@ def test_which_photos_get_masks() -> None:
     seeing = [str(k) for k in range(9)]
     assert masked_photos(["7", "8"], seeing, ["3"]) == ["3", "7", "8", "0", "1", "2"]
     assert masked_photos(seeing, seeing, ["3"]) == ["3", "0", "1", "2", "4", "5", "6", "7", "8"]
+
+
+@pytest.mark.parametrize("text", ["mine", "[]", '{"name": "of another program"}'])
+def test_a_record_of_another_program_stays(ball: BallScene, tmp_path: Path, text: str) -> None:
+    (tmp_path / "made.json").write_text(text)
+    wanted = work(ball, tmp_path, {"0.png": strokes(ball.true["0.png"])})
+    with pytest.raises(ConfigError, match=r"made\.json would be replaced"):
+        wanted.make(PointVotes(ball.scene, BOX))
+    assert [path.read_text() for path in tmp_path.iterdir()] == [text]
