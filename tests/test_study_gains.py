@@ -112,3 +112,22 @@ def test_near_far_and_single_photos_are_over_the_tuned_baseline_too() -> None:
     # One box has no tuned baseline, so there is no mean of all.
     mean = [cell.strip() for cell in lines[-1].split("|")[1:-1]]
     assert mean == ["mean", "all", *["-"] * 6, "0"]
+
+
+def test_all_boxes_show_gains_of_objects_corrected_colours_detail_and_images() -> None:
+    def record(row: str, model: str, **scores: float) -> dict[str, Any]:
+        return by_hand([20.0, 22.0], row=row, model=model, **scores)
+
+    tuned = record("full-scene-tuned", "Full Scene, tuned", corrected_psnr=20.0, detail_psnr=30.0)
+    ours = record("joint", "Joint", corrected_psnr=21.5, detail_psnr=29.0)
+    results = Results([tuned, ours])
+    found = {
+        metric: results.stat("made", "box", "joint", "Joint", metric).values
+        for metric in ("corrected_gain", "detail_gain", "image_gain", "object_gain")
+    }
+    assert found == {
+        "corrected_gain": {0: 1.5},
+        "detail_gain": {0: -1.0},
+        "image_gain": {0: 0.0},
+        "object_gain": {},  # records that do not know it
+    }

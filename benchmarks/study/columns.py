@@ -63,6 +63,12 @@ TABLE_ONE_PHOTOS: tuple[Column, ...] = (
     ("worst gain", "worst_gain", "+.2f"),
     ("photos won", "won_share", ".0%"),
 )
+TABLE_TWO_GAINS: tuple[Column, ...] = (
+    ("corrected gain", "corrected_gain", "+.2f"),
+    ("object gain", "object_gain", "+.2f"),
+    ("detail gain", "detail_gain", "+.2f"),
+    ("image gain", "image_gain", "+.2f"),
+)
 TABLE_TWO_PHOTOS: tuple[Column, ...] = (
     ("near gain", "near_gain", "+.2f"),
     ("far gain", "far_gain", "+.2f"),
@@ -84,9 +90,10 @@ TABLE_THREE: tuple[Column, ...] = (
 NOTES = """\
 Gains are over {baseline} of the same seed, in dB. ROI: the silhouette of the box; object: those of
 its pixels whose expected depth in Full Scene is in the box, the same in every row of a scene and
-seed; peak and worst gain: the largest and the least on one {photos} photo; photos won: the share
-with a gain; near, far: on the third of the {photos} photos with the nearest cameras, and on the
-farthest third (none for fewer than three photos, and the mean of all boxes is then that of the
+seed; corrected: ROI PSNR after a correction of each photo's colours; detail: of what a blur of 2 px
+takes away; peak and worst gain: the largest and the least on one {photos} photo; photos won: the
+share with a gain; near, far: on the third of the {photos} photos with the nearest cameras, and on
+the farthest third (none for fewer than three photos, and the mean of all boxes is then that of the
 others); FLIP: mean error over the silhouette, lower is better. ± is the sample's standard deviation
 over seeds; † one seed only; - not measured. s: training, wall-clock; CPU s: the same by the
 process's clock, all threads; CPU × and Gaussians ×: relative to {baseline}; over matched: relative

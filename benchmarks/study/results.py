@@ -158,6 +158,8 @@ METRICS: dict[str, Number] = {
     "ssim_gain": _gain(lambda e: e.score.roi_ssim),
     "flip_gain": _gain(lambda e: e.score.roi_flip),
     "object_gain": _gain(lambda e: e.score.object_psnr),
+    "corrected_gain": _gain(lambda e: e.score.corrected_psnr),
+    "detail_gain": _gain(lambda e: e.score.detail_psnr),
     "image_gain": _gain(lambda e: e.score.image_psnr),
     "peak_gain": lambda e: e.summary.peak_gain,
     "worst_gain": lambda e: e.summary.worst_gain,

@@ -17,6 +17,7 @@ from benchmarks.study.columns import (
     TABLE_ONE,
     TABLE_ONE_PHOTOS,
     TABLE_THREE,
+    TABLE_TWO_GAINS,
     TABLE_TWO_PHOTOS,
     THREE_NOTES,
     Column,
@@ -160,7 +161,7 @@ class Study:
         ]
         head = [*("scene", "box"), *(label for label, _, _ in shown)]
         over = ["gain", "over Full Scene"] if results.tuned else ["gain"]
-        head += [*over, "over matched", "object gain", "image over Scene-GS"]
+        head += [*over, "over matched", *_headings(TABLE_TWO_GAINS)]
         head += ["Gaussians ×", "CPU ×", "seeds"]
         columns = [
             [
@@ -169,7 +170,8 @@ class Study:
             ]
             for place in results.boxes
         ]
-        forms = [".2f"] * len(shown) + ["+.2f"] * (3 + len(over)) + [".2f"] * 2
+        forms = [".2f"] * len(shown) + ["+.2f"] * (len(over) + 1)
+        forms += [*(form for _, _, form in TABLE_TWO_GAINS), ".2f", ".2f"]
         title = f"## Table II: all boxes, ours = {ours}"
         parts = ["", title, "", *table(head, self._two(columns, forms, len(shown)), names=2)]
         return [*parts, *self._two_photos()]
@@ -221,7 +223,7 @@ class Study:
 
     def _comparisons(self, place: tuple[str, str]) -> list[Stat]:
         """The columns of Table II that compare ours with others, in one box."""
-        ours, scene_gs = RESULT[self.own]
+        ours = RESULT[self.own][0]
 
         def stat(metric: str, row: str = self.own, model: str = ours) -> Stat:
             return self.results.stat(*place, row, model, metric)
@@ -232,8 +234,7 @@ class Study:
             stat("gain"),
             *plain,
             stat("roi_psnr").minus(stat("roi_psnr", *matched)),
-            stat("object_gain"),
-            stat("image_psnr").minus(stat("image_psnr", self.own, scene_gs)),
+            *(stat(metric) for _, metric, _ in TABLE_TWO_GAINS),
             stat("gaussians_ratio"),
             stat("cpu_ratio"),
         ]
