@@ -13,7 +13,6 @@ from ..errors import ConfigError, RoiError
 from ..exchange import formats, gltf
 from ..exchange.arrays import turn
 from ..formats.drawable import usable
-from ..formats.files import remove_leftovers_of
 from ..formats.gravity import gravity_alignment
 from ..formats.targets import Target, target_with
 from ..formats.text import counted
@@ -106,7 +105,6 @@ def _mesh(request: Convert) -> Result:
             f"{option} is for Gaussians alone; {request.source} is a mesh.", "Leave it out."
         )
     _refuse_page_options(request, plain=False)
-    remove_leftovers_of(request.out)
     faces = convert_mesh(request.source, request.out, request.up)
     size = request.out.stat().st_size / 1e6
     text = f"{counted(faces, 'face')}, {size:.1f} MB in {request.out}"

@@ -19,7 +19,6 @@ from ..formats.files import (
     own_folder,
     read_record,
     refuse_linked_folders,
-    remove_leftovers_of,
     sha256,
     write_json,
 )
@@ -302,8 +301,6 @@ def _write(path: Path, made: Surface, run: Run, formats: Sequence[str]) -> dict[
     up = np.eye(4)
     up[:3, :3] = _upright(run)
     first, *others = [path.parent / name for name in _names(path, formats)]
-    for file in (first, *others):
-        remove_leftovers_of(file)
     write_mesh(first, made.textured, run.frame, up)
     for file in others:
         convert_mesh(first, file)

@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import ConfigError, RunFolderError
 from ..formats import splat_ply
 from ..formats.drawable import usable
-from ..formats.files import regular, remove_leftovers_of
+from ..formats.files import regular
 from ..formats.splat_ply import Check, nothing
 from ..formats.targets import PLAIN, Target, target_with
 from ..model.scene import Float64
@@ -140,7 +140,6 @@ def write(
         more: what the module's `write` takes besides these; nothing for a plain PLY.
     """
     form = writable(path)
-    remove_leftovers_of(path)
     if not form.module:
         splat_ply.write_ply(path, arrays, target)
         return len(arrays["means"])

@@ -25,7 +25,6 @@ from ..formats.files import (
     read_json,
     read_record,
     remove_leftovers,
-    remove_leftovers_of,
     write_bytes,
     write_json,
 )
@@ -115,7 +114,6 @@ def _cleaned_up(path: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        remove_leftovers_of(path)
         named = _named(matching(path.parent, f"*{NAME}"))
         for folder in matching(path.parent, "*_*/"):
             if FOLDER.fullmatch(folder.name) and not is_link(folder):

@@ -242,6 +242,7 @@ def atomic_write(
     temporary, owner = path, None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        _tidy(path.parent)
         with suppress(FileNotFoundError):
             kind = os.lstat(path).st_mode
             if not (stat.S_ISREG(kind) or stat.S_ISLNK(kind) or stat.S_ISDIR(kind)):
@@ -297,12 +298,20 @@ def remove_leftovers(folder: Path) -> None:
             _remove_leftover(Path(parent, name))
 
 
-def remove_leftovers_of(path: Path) -> None:
-    """Delete the temporary files that killed processes have left when they wrote this file."""
-    with suppress(OSError):
-        for name in os.listdir(path.parent):
-            if name.startswith(f".{path.name}."):
-                _remove_leftover(path.with_name(name))
+_tidied: set[Path] = set()
+"""Folders that this process has written to."""
+
+
+def _tidy(folder: Path) -> None:
+    """Delete what killed processes have left in a folder, before the first file is written there.
+
+    Users give a command again after it was killed, whichever it is.
+    """
+    if folder not in _tidied:
+        _tidied.add(folder)
+        with suppress(OSError):
+            for name in os.listdir(folder):
+                _remove_leftover(folder / name)
 
 
 def _remove_leftover(path: Path) -> None:

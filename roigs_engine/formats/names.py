@@ -11,6 +11,7 @@ from pathlib import PurePosixPath, PureWindowsPath
 
 MAX_NAME = 100  # characters; endings are added to it
 LONGEST, MAX_BYTES = 87, 167  # characters and bytes of a `safe_name`; file systems allow 255 bytes
+LONG = 255  # characters of a part of a path, on any file system
 ADDED = 8  # of these, `_` and the checksum with its `-`
 WINDOWS = os.name == "nt"
 # These names open devices on Windows, with any extension.
@@ -83,14 +84,23 @@ def _is_device(name: str) -> bool:
 
 def same_name(name: str) -> str:
     """What two names share that differ in case, slashes or the form of accents alone."""
-    return unicodedata.normalize("NFC", name.replace("\\", "/")).casefold()
+    return _composed(name.replace("\\", "/")).casefold()
+
+
+def _composed(name: str) -> str:
+    """The name with its accents in one form (NFC).
+
+    That takes the square of the number of marks in a row; no part of a path is as long as this.
+    """
+    parts = name.split("/")
+    return "/".join(unicodedata.normalize("NFC", p) if len(p) <= LONG else p for p in parts)
 
 
 def first_taken(names: Iterable[str]) -> str | None:
     """The first name that repeats an earlier one, ignoring case: their files would collide."""
     seen: set[str] = set()
     for name in names:
-        key = unicodedata.normalize("NFC", name).casefold()
+        key = _composed(name).casefold()
         if key in seen:
             return name
         seen.add(key)

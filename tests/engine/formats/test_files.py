@@ -312,3 +312,14 @@ def test_numbers_of_a_stranger_with_a_hole(tmp_path: Path) -> None:
     made_of_holes(path, path.read_bytes().replace(b"(2, 3)", b"(200000000, 3)"))
     with pytest.raises(OSError, match="Nothing but holes"):
         read_numbers(tmp_path, "points.npy", 3)
+
+
+def test_the_first_file_of_a_process_tidies_its_folder(tmp_path: Path) -> None:
+    """Whatever command it is, and whatever another one was about to write when it was killed."""
+    dead = tmp_path / ".points.npy.4000000-0123abcd.part"
+    others = (tmp_path / ".points.npy.part", tmp_path / "a.part", tmp_path / "below" / dead.name)
+    for path in (dead, *others):
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(b"half")
+    write_text(tmp_path / "scene.json", "x")
+    assert not dead.exists() and all(path.exists() for path in others)
