@@ -44,6 +44,7 @@ from tests.fuzz import (
 
 MEMORY = 2 << 30  # bytes above what the imported packages take
 SECONDS = 60.0
+LARGE = 1 << 30  # bytes: no case has so large a file that is no hole
 # What no terminal may get of names; only progress bars may go back to the start of a line.
 CONTROLS = re.compile(r"[\x00-\x09\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202e]")
 HEAVY = ("torch", "scipy.spatial", "sklearn.gaussian_process", "pycolmap", "PIL.Image", "tqdm",
@@ -159,7 +160,13 @@ def contents(folder: Path, names: Iterable[str]) -> dict[str, bytes | None]:
     """Each file of the input, and those of these names, with its bytes; None: it is gone."""
     found = {str(p.relative_to(folder)) for p in (folder / "in").rglob("*") if is_file(p)}
     paths = {name: folder / name for name in sorted({*found, *names})}
-    return {name: path.read_bytes() if is_file(path) else None for name, path in paths.items()}
+    return {name: _content(path) if is_file(path) else None for name, path in paths.items()}
+
+
+def _content(path: Path) -> bytes:
+    """Of a file; of one of holes, its size."""
+    size = path.stat().st_size
+    return path.read_bytes() if size < LARGE else str(size).encode()
 
 
 def is_file(path: Path) -> bool:
