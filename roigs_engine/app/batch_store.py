@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -75,11 +75,21 @@ class Store:
             names: of a batch's own files and folders.
             runs: names of the folders of its runs, in which engines have files with a dot first.
         """
-        listed = self._found.find(self._place)
-        inner = [str(path)[len(self._place) :].strip("/").split("/", 2) for path in listed]
-        if any(len(parts) > 1 and parts[0] in runs and parts[1][0] == "." for parts in inner):
-            return None
-        return next(("/".join(parts) for parts in inner if parts[0] in {*names, *runs}), None)
+        others = []
+        for run in runs:
+            inner = self._listed(run)
+            if any(name.removeprefix(f"{run}/").startswith(".") for name in inner):
+                return None
+            others += inner[:1]
+        own = [found for name in names for found in self._listed(name)]
+        return next(iter([*own, *others]), None)
+
+    def _listed(self, name: str) -> list[str]:
+        """The files at or below a place of the batch's folder, by their names in it."""
+        with suppress(FileNotFoundError):
+            found = sorted(map(str, self._found.find(f"{self._place}/{name}")))
+            return [path[len(self._place) :].strip("/") for path in found]
+        return []
 
     def run(self, name: str) -> StoredRun:
         """A run folder on the store."""
