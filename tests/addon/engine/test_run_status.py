@@ -32,7 +32,7 @@ def test_a_run_is_read_from_its_folder(tmp_path: Path) -> None:
 
 
 def test_a_running_engine_is_told_from_a_leftover_lock(tmp_path: Path) -> None:
-    write(tmp_path / "run.lock", '{"pid": 1}')
+    write(tmp_path / "run.lock", '{"pid": 1, "started": 1.0, "events_from": 0}')
     assert run_status.read(tmp_path).holder == 0
     with subprocess.Popen(
         [sys.executable, "-c", HOLD, tmp_path],

@@ -239,7 +239,7 @@ def test_an_unusable_folder_gives_one_line(
     for name in ("rois.json", "train.json"):
         (tmp_path / "run" / "blender" / name).mkdir()
     for name in ("rois.json", "train.json"):
-        with pytest.raises(AddonError, match=UNWRITABLE):
+        with pytest.raises(AddonError, match=f"{UNWRITABLE}|is not of this add-on.* Run Folder"):
             options_files.write_train_options(scene, lookup.rois(scene), 0.0)
         (tmp_path / "run" / "blender" / name).rmdir()
     (tmp_path / "run" / "blender" / "selection").touch()
@@ -282,17 +282,22 @@ def test_links_are_not_written_through(
     scene, run = boxed(blender, project), tmp_path / "run"
     scene.roigs.run_dir = str(run)
     lookup.rois(scene)[0].roigs.selection.add().name = "photo 0.png"
-    mine = tmp_path / "mine"
+    mine, nowhere = tmp_path / "mine", tmp_path / "nowhere"
     mine.write_text("mine")
     own = ("rois.json", "train.json", "selection/thing.json", "engine.log")
     for name in own:
         (run / "blender" / name).parent.mkdir(parents=True, exist_ok=True)
         (run / "blender" / name).symlink_to(mine)
+    for name in ("selection/thing.json", "train.json"):  # in the order in which they are written
+        with pytest.raises(AddonError, match=f"{name} is not of this add-on"):
+            options_files.write_train_options(scene, lookup.rois(scene), 0.0)
+        (run / "blender" / name).unlink()
+        (run / "blender" / name).symlink_to(nowhere)
     options_files.write_train_options(scene, lookup.rois(scene), 0.0)
     log = _Log(log_file(run))
     log.write("a line")
     log.close()
-    assert mine.read_text() == "mine"
+    assert mine.read_text() == "mine" and not nowhere.exists()
     assert not any((run / "blender" / name).is_symlink() for name in own)
     shutil.rmtree(run)
     run.mkdir()
