@@ -27,7 +27,11 @@ from typing import Any, BinaryIO
 from ..errors import RunFolderError
 from . import os_lock
 from .files import LARGEST, cannot_write, is_link, new_temporary, read_bytes, unlinked
+from .others import says_other
 from .run_files import EVENTS, LOCK
+
+KEYS = {"pid", "started", "events_from"}
+"""Keys that all locks of engines have."""
 
 _held: dict[Path, BinaryIO] = {}
 """Lock files that this process holds."""
@@ -99,21 +103,13 @@ def holder(path: Path) -> int:
 
 def is_lock(path: Path) -> bool:
     """Whether a file is what an engine locks, not one of another program that is called so."""
-    return _is_of_engine(_read_record(path))
-
-
-def _is_of_engine(record: dict[str, Any]) -> bool:
-    return {"pid", "started", "events_from"} <= record.keys()
+    return _read_record(path).keys() >= KEYS
 
 
 def _refuse_others(path: Path, file: BinaryIO, option: str | None) -> None:
-    """Raise RunFolderError for a file of somebody else; an empty one, or of zeros, holds nothing.
-
-    A crash of the computer may leave such a one of ours.
-    """
+    """Raise RunFolderError for a file of somebody else."""
     file.seek(0)
-    found = file.read(LARGEST).strip(b"\0 \r\n")
-    if found and not _is_of_engine(_parsed(found)):
+    if says_other(file.read(LARGEST).strip(b"\0"), KEYS):
         other = f", or choose another folder ({option})" if option else ""
         raise RunFolderError(
             f"{path} is not of the engine, which has its lock there.", f"Move it{other}."

@@ -16,9 +16,7 @@ LINE = 1 << 16
 
 
 def is_other(path: Path, keys: Iterable[str], *, lines: bool = False) -> bool:
-    """Whether there is something that is none of ours: no JSON object with these keys.
-
-    What is empty, or has zeros alone, as after a crash of the computer, holds nothing of anybody.
+    """Whether there is something that is none of ours, by what it `says_other`.
 
     Args:
         path: of a file; nothing needs to be there.
@@ -27,12 +25,19 @@ def is_other(path: Path, keys: Iterable[str], *, lines: bool = False) -> bool:
     """
     try:
         with open(path, "rb", opener=regular) as file:
-            data = file.readline(LINE) if lines else file.read(LARGEST)
+            return says_other(file.readline(LINE) if lines else file.read(LARGEST), keys)
     except FileNotFoundError:
         return False
     except OSError:  # a folder, a pipe, or a file that may not be read
         return True
-    if not data.strip(b"\0 \r\n\t"):
+
+
+def says_other(data: bytes, keys: Iterable[str]) -> bool:
+    """Whether a file's bytes are none of ours: no JSON object with these keys.
+
+    What is empty, or has zeros alone, as after a crash of the computer, holds nothing of anybody.
+    """
+    if not data.strip(b"\0 \r\n"):
         return False
     with suppress(ValueError):
         record = parse_json(data)
