@@ -19,7 +19,7 @@ import numpy as np
 from torch import Tensor
 
 from benchmarks.markdown import table
-from roigs_engine.app.convert import turned
+from roigs_engine.app.conversion.axes import turned
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.exchange import formats
 from roigs_engine.exchange.arrays import Arrays, turn

@@ -59,6 +59,7 @@ class FileFormat:
         return self.suffix.endswith(".ply")
 
 
+PAGE = ".html"
 USD = FileFormat(
     title="OpenUSD", suffix=".usdc", up="y", module="usd", says_axes=True, keeps_antialiased=False
 )
@@ -72,7 +73,7 @@ FORMATS = (
     replace(USD, suffix=".usda"),
     replace(USD, suffix=".usdz"),
     FileFormat(title=".splat", suffix=".splat", up="-y", module="splat", keeps_antialiased=False),
-    FileFormat(title="web page", suffix=".html", up="y", module="page", reads=False),
+    FileFormat(title="web page", suffix=PAGE, up="y", module="page", reads=False),
 )
 
 READ_ONLY = (

@@ -1,0 +1,74 @@
+"""Which way the axes of a file of Gaussians point, and how they are turned for another one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...context import Context
+from ...errors import ConfigError
+from ...exchange import formats
+from ...exchange.arrays import turn
+from ...formats.drawable import usable
+from ...requests.models import Convert
+from ..run_scene import up_in_run
+
+if TYPE_CHECKING:
+    from ...exchange.arrays import Arrays
+    from ...model.scene import Float64
+
+SCENE_UP = "-y"
+"""The axis that points up in formats that keep the frame of a scene."""
+
+
+def to_upright(request: Convert, path: Path, context: Context) -> Float64:
+    """(4, 4) from a file's frame to one in which -y points up.
+
+    By --from-up, else by what the file says, else as its format has it. A file that says that its
+    axes are left-handed is mirrored in both cases.
+    """
+    said = context.interruptible(lambda: formats.frame(path))
+    if request.from_up is None:
+        matrix: Float64 = turn(formats.format_of(path).up, SCENE_UP) @ said
+    else:
+        mirror = np.diag((np.linalg.det(said).round(), 1, 1, 1))
+        matrix = turn(request.from_up, SCENE_UP) @ mirror
+    return matrix
+
+
+def to_home(request: Convert, path: Path, upright: Float64) -> Float64:
+    """(4, 4) from a file's frame to that of the scene, in which boxes and photos are.
+
+    Formats with -y up keep the scene's frame, whichever axis points up in it. A file of another
+    format was turned; OUT, if it is one that keeps the scene's frame, tells how to turn it back.
+    `upright`: see `to_upright`.
+    """
+    if formats.format_of(path).up == SCENE_UP:
+        return np.eye(4)
+    own = formats.format_of(request.out).up == SCENE_UP
+    up = request.up if request.up and own else SCENE_UP
+    return turn(SCENE_UP, up) @ upright
+
+
+def warn_of_axes(source: Path, before: str, context: Context) -> None:
+    """Say so if a run's model would lie on its side: some COLMAP models have another axis up."""
+    up = up_in_run(source)
+    if up not in (None, before):
+        context.warn(
+            f"In this model, {up} points up, and not {before}, so it lies on its side now."
+            f" Choose {up} as its axis that points up (--from-up={up})."
+        )
+
+
+def turned(arrays: Arrays, matrix: Float64) -> Arrays:
+    """The model after a rotation; bit for bit the same if that changes nothing."""
+    from ...exchange.transform import moved
+
+    if (matrix == np.eye(4)).all():
+        return arrays
+    arrays = usable(arrays)
+    if not len(arrays["means"]):
+        raise ConfigError("The model has no Gaussians that can be drawn.", "Give another model.")
+    return moved(arrays, matrix)
