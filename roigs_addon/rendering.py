@@ -72,7 +72,8 @@ def _draw(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> str:
         old.unlink()
     frame = out.with_name(f"{out.name}{max(scene.frame_current, 0):04d}")
     _, _, width, height = picture(scene.render)
-    frame_requests.write_nothing(frame, width, height)
+    mattes = compositor.uses_mattes(scene)
+    frame_requests.write_nothing(frame, width, height, mattes=mattes)
     compositor.point_to(scene, out)
     try:
         moments = blur.moments(scene, depsgraph)
@@ -90,7 +91,7 @@ def _draw(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> str:
             _end_engine()
             _engine = _started()
         items = shown(scene)
-        drawn = _engine.draw(request)
+        drawn = _engine.draw(request | {"mattes": mattes})
         lost = blur.remark(scene, depsgraph, moments)
         return drawn or lost or edits.problem(items) or edits.remark(items)
     finally:

@@ -26,6 +26,7 @@ def let_in(scene: bpy.types.Scene) -> None:
         display.refresh(item)
     if scene.library is None and not compositor.was_linked(scene):
         compositor.link(scene)
+    compositor.connect_indices(scene)
     backgrounds.follow(scene)
 
 
@@ -44,6 +45,8 @@ def _on_change(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
     if _counted.get(scene.session_uid) != count:
         _counted[scene.session_uid] = count
         let_in(scene)
+    else:
+        compositor.connect_indices(scene)
 
 
 @persistent

@@ -1,7 +1,6 @@
-"""The node group that merges the engine's layer with Blender's picture, by depth.
+"""The scene's compositor, and the group in it that merges the engine's layer (layer_group.py).
 
-The scene's compositor gets the group behind its first render layer; other nodes stay as they are.
-Where Gaussians are nearer than Blender's surface they lie over it, elsewhere below it.
+The compositor gets the group behind its first render layer; other nodes stay as they are.
 """
 
 from __future__ import annotations
@@ -12,22 +11,21 @@ from typing import Any
 import bpy
 
 from ..shared import frame_requests
-from . import display
+from . import display, layer_group
+from .layer_group import MARK
 
-NAME = "ROI-GS Gaussians"
 ENDS = ("COMPOSITE", "GROUP_OUTPUT")
-MARK = "roigs_layer"
-"""Custom property of the group."""
 LINKED = "roigs_linked"
 """Custom property of a compositor that got the group."""
-LAST_FRAME = 1048574
-SOCKETS = (
-    ("Image", "INPUT", "Color"),
-    ("Depth", "INPUT", "Float"),
-    ("Image", "OUTPUT", "Color"),
-    ("Depth", "OUTPUT", "Float"),
-    ("Gaussians", "OUTPUT", "Float"),
-)
+FILES = {
+    "colour": frame_requests.colour_file,
+    "depth": frame_requests.depth_file,
+    "index": frame_requests.index_file,
+    "share": frame_requests.share_file,
+}
+"""Of the engine's answer, by the kind of the image that shows it."""
+PASSES = ("Object Index", "IndexOB")
+"""Names of Blender's pass of object indices: from 5.0 on, before."""
 
 
 def link(scene: bpy.types.Scene) -> None:
@@ -36,7 +34,7 @@ def link(scene: bpy.types.Scene) -> None:
         return
     tree = _made_tree(scene)
     if find(scene) is None:
-        _insert(scene, tree, _group())
+        _insert(scene, tree, layer_group.new_group())
     tree[LINKED] = True
 
 
@@ -137,18 +135,57 @@ def lacking(scene: bpy.types.Scene) -> str:
     return ""
 
 
+def uses_mattes(scene: bpy.types.Scene) -> bool:
+    """Whether something is linked to an output that tells objects apart: the engine then draws."""
+    return any(
+        socket.is_linked
+        for _, node in nodes(scene)
+        for socket in node.outputs
+        if socket.name in layer_group.OF_OBJECTS
+    )
+
+
+def connect_indices(scene: bpy.types.Scene) -> None:
+    """Give the group Blender's pass of object indices, if it is rendered and would be used.
+
+    In some Blenders a render layer's node has the output only as long as the pass is on.
+    """
+    for tree, node in nodes(scene):
+        target, used = (s.get(layer_group.INDEX) for s in (node.inputs, node.outputs))
+        depth = next((link.from_node for s in node.inputs[1:2] for link in s.links), None)
+        if target is None or target.is_linked or not used.is_linked or depth is None:
+            continue
+        found = [depth.outputs.get(name) for name in PASSES if depth.type == "R_LAYERS"]
+        for source in [socket for socket in found if socket is not None and socket.enabled][:1]:
+            tree.links.new(source, target)
+
+
+def nodes(scene: bpy.types.Scene) -> list[tuple[Any, Any]]:
+    """The nodes of the scene's compositor that merge, with their tree."""
+    group = find(scene)
+    return [
+        (tree, node)
+        for tree in trees(scene, used=True)
+        for node in tree.nodes
+        if group is not None and getattr(node, "node_tree", None) == group
+    ]
+
+
 def point_to(scene: bpy.types.Scene, out: Path) -> None:
     """Have the group read the files of `out`."""
     for image in _images(scene):
-        path = str(_file(out, image[MARK]))
+        # The file of the sequence's first frame.
+        path = str(FILES[image[MARK]](out.with_name(f"{out.name}{1:04d}")))
         if bpy.path.abspath(image.filepath) != path:
             image.filepath = path
 
 
 def reload(scene: bpy.types.Scene) -> None:
     """Have the group read its files again: Blender keeps those of the last frame in memory."""
+    mattes = uses_mattes(scene)
     for image in _images(scene):
-        image.reload()
+        if mattes or image[MARK] not in layer_group.MATTES:  # else there is no such file
+            image.reload()
 
 
 def _images(scene: bpy.types.Scene) -> list[Any]:
@@ -156,14 +193,7 @@ def _images(scene: bpy.types.Scene) -> list[Any]:
     group = find(scene)
     found = [node.image for node in group.nodes if node.type == "IMAGE"] if group else []
     # Others are of somebody who has changed the group.
-    return [i for i in found if i is not None and i.get(MARK) in ("colour", "depth")]
-
-
-def _file(out: Path, kind: str) -> Path:
-    """The file of the sequence's first frame."""
-    first = out.with_name(f"{out.name}{1:04d}")
-    of = frame_requests.colour_file if kind == "colour" else frame_requests.depth_file
-    return of(first)
+    return [i for i in found if i is not None and i.get(MARK) in FILES]
 
 
 def trees(scene: Any, *, used: bool = False) -> list[Any]:
@@ -226,85 +256,3 @@ def _insert(scene: bpy.types.Scene, tree: Any, group: Any) -> None:
     tree.links.new(layers.outputs["Depth"], node.inputs[1])
     for socket in followers:
         tree.links.new(node.outputs[0], socket)
-
-
-def _group() -> Any:
-    """A new group: picture and depth in; merged picture and depth, and the Gaussians' alpha, out.
-
-    Where a depth of the engine's is negative, what Blender's surfaces hide is left out already.
-    """
-    group: Any = bpy.data.node_groups.new(NAME, "CompositorNodeTree")
-    group[MARK] = True
-    for name, way, kind in SOCKETS:
-        group.interface.new_socket(name, in_out=way, socket_type=f"NodeSocket{kind}")
-    start, end = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
-    colour, depth = (_image_node(group, kind) for kind in ("colour", "depth"))
-    nearer, distance, least = (_math_node(group, op) for op in ("LESS_THAN", "ABSOLUTE", "MINIMUM"))
-    below, above = (group.nodes.new("CompositorNodeAlphaOver") for _ in range(2))
-    chosen, (factor, if_not, if_so), merged = _choice_node(group)
-    for source, target in (
-        (depth.outputs["Image"], nearer.inputs[0]),
-        (start.outputs[1], nearer.inputs[1]),
-        *zip((colour.outputs["Image"], start.outputs[0]), _colours(below), strict=True),
-        *zip((start.outputs[0], colour.outputs["Image"]), _colours(above), strict=True),
-        (nearer.outputs[0], factor),
-        (below.outputs[0], if_not),
-        (above.outputs[0], if_so),
-        (merged, end.inputs[0]),
-        (depth.outputs["Image"], distance.inputs[0]),
-        (distance.outputs[0], least.inputs[0]),
-        (start.outputs[1], least.inputs[1]),
-        (least.outputs[0], end.inputs[1]),
-        (colour.outputs["Alpha"], end.inputs[2]),
-    ):
-        group.links.new(source, target)
-    columns = (start, colour, depth), (nearer, below, above), (chosen, distance, least), (end,)
-    for x, column in enumerate(columns):
-        for y, node in enumerate(column):
-            node.location = 300 * x, -350 * y
-    return group
-
-
-# Blender 5 has the shader nodes in the compositor, in the place of its own.
-
-
-def _math_node(group: Any, operation: str) -> Any:
-    node = either(group, "ShaderNodeMath", "CompositorNodeMath")
-    node.operation = operation
-    return node
-
-
-def _choice_node(group: Any) -> tuple[Any, tuple[Any, Any, Any], Any]:
-    """A node that takes one of two colours; its factor, the colours for 0 and 1, its output."""
-    node = either(group, "ShaderNodeMix", "CompositorNodeMixRGB")
-    if node.bl_idname == "ShaderNodeMix":
-        node.data_type = "RGBA"
-    factor, if_not, if_so = [socket for socket in node.inputs if socket.enabled][:3]
-    return node, (factor, if_not, if_so), next(o for o in node.outputs if o.enabled)
-
-
-def _colours(over: Any) -> tuple[Any, Any]:
-    """Background and foreground of an Alpha Over node."""
-    below, above = [socket for socket in over.inputs if socket.type == "RGBA"]
-    return below, above
-
-
-def either(group: Any, new: str, old: str) -> Any:
-    """A node of the kind that this Blender has."""
-    return group.nodes.new(old if hasattr(bpy.types, old) else new)
-
-
-def _image_node(group: Any, kind: str) -> Any:
-    """A node with the files of a kind, one for each frame."""
-    image: Any = bpy.data.images.new(f"{NAME} {kind}", 1, 1)
-    image.source = "SEQUENCE"
-    image[MARK] = kind
-    image.colorspace_settings.name = "sRGB" if kind == "colour" else "Non-Color"
-    if kind == "colour":
-        image.alpha_mode = "STRAIGHT"
-    node = group.nodes.new("CompositorNodeImage")
-    node.image = image
-    node.frame_duration = LAST_FRAME
-    node.frame_start, node.frame_offset = 1, 0
-    node.use_auto_refresh = True
-    return node

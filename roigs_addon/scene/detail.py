@@ -76,6 +76,7 @@ def set_detail(scene: bpy.types.Scene, pair: Pair, fine: bool, *, auto: bool | N
         target.hide_render = seen is not None and seen.hide_render
         if seen is not None:
             _stand(target, seen)
+            target.pass_index = seen.pass_index  # masks go on with it
     if seen is not None:
         switch_off(seen)
 

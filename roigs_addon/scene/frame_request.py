@@ -128,7 +128,8 @@ def _model(
     item: bpy.types.Object, ply: str, matrix: frames.Matrix, shown_as: bpy.types.Object
 ) -> Model:
     placed = matrix @ edits.frame_of(item)
-    return {"ply": ply, "matrix": placed.tolist(), "gains": look.gains(shown_as)}
+    own = {"gains": look.gains(shown_as), "object_index": shown_as.pass_index}
+    return {"ply": ply, "matrix": placed.tolist(), **own}
 
 
 def standing(

@@ -12,7 +12,7 @@ from typing import Any
 import bpy
 
 from ..stage_properties import stage_props
-from . import compositor
+from . import compositor, layer_group
 
 CYCLES = "CYCLES"
 """The render engine that has shadow catchers."""
@@ -58,7 +58,7 @@ def connect(scene: bpy.types.Scene) -> None:
     to it would make them black. `connect` again when the engine is another one.
     """
     group: Any = compositor.find(scene)
-    for tree, node in _nodes(scene):
+    for tree, node in compositor.nodes(scene):
         layers = _layers(scene, tree, node)
         if layers is None:
             continue
@@ -97,17 +97,6 @@ def disconnect(scene: bpy.types.Scene) -> None:
         group.interface.remove(item)
 
 
-def _nodes(scene: bpy.types.Scene) -> list[tuple[Any, Any]]:
-    """The nodes of the scene's compositor that merge, with their tree."""
-    group = compositor.find(scene)
-    return [
-        (tree, node)
-        for tree in compositor.trees(scene, used=True)
-        for node in tree.nodes
-        if group is not None and getattr(node, "node_tree", None) == group
-    ]
-
-
 def _layers(scene: bpy.types.Scene, tree: Any, node: Any) -> Any | None:
     """The render layer whose picture a node merges; what lies between does not matter."""
     found = [n for n in tree.nodes if n.type == "R_LAYERS" and n.scene in (scene, None)]
@@ -127,7 +116,7 @@ def _insert(group: Any) -> bool:
         return False
     socket = group.interface.new_socket(SOCKET, in_out="INPUT", socket_type="NodeSocketColor")
     socket.default_value = (1.0, 1.0, 1.0, 1.0)
-    product = compositor.either(group, "ShaderNodeMix", "CompositorNodeMixRGB")
+    product = layer_group.either(group, "ShaderNodeMix", "CompositorNodeMixRGB")
     product.name = product.label = NODE
     if product.bl_idname == "ShaderNodeMix":
         product.data_type = "RGBA"
@@ -165,7 +154,7 @@ def _contact(group: Any) -> Any | None:
     if not found or not found[0].inputs[1].is_linked:
         return None
     contact, part, whole, least = (
-        compositor.either(group, "ShaderNodeMath", "CompositorNodeMath") for _ in range(4)
+        layer_group.either(group, "ShaderNodeMath", "CompositorNodeMath") for _ in range(4)
     )
     alpha, rim = (group.nodes.new(f"CompositorNode{k}") for k in ("SeparateColor", "DilateErode"))
     for number, node in enumerate((contact, alpha, part, whole, rim, least)):
@@ -197,7 +186,7 @@ def _contact(group: Any) -> Any | None:
 def _shows_colour(node: Any) -> bool:
     """Whether a node reads the Gaussians' colours."""
     image = node.image if node.type == "IMAGE" else None
-    return image is not None and image.get(compositor.MARK) == "colour"
+    return image is not None and image.get(layer_group.MARK) == "colour"
 
 
 def _colours(product: Any) -> tuple[int, int]:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 HINT = "docs/files.md describes requests."
 LIST = ".json"
+MOST_INDEX = 2**15 - 1  # as in Blender
 MOST = 2.0**20  # gain of a colour: 16 stops of a tint of 16
 FAR = 1e15  # as for boxes
 
@@ -41,6 +42,7 @@ class InstanceRecord(NamedTuple):
     matrix: Float64  # (4, 4) from its own world to that of the list
     gains: tuple[float, float, float] = (1.0, 1.0, 1.0)  # factors on red, green and blue
     density: float = 1.0  # how much of it is there, above 0 and at most 1, see `faded`
+    object_index: int = 0  # of the object that it is, or is a part of
 
     def of(self, gaussians: Gaussians, frame: LocalFrame, into: Float64 | None = None) -> Instance:
         """The model that its file holds, in the list's world, or `into` another (4, 4)."""
@@ -52,6 +54,7 @@ class InstanceRecord(NamedTuple):
             matrix=self.matrix if into is None else into @ self.matrix,
             gains=self.gains,
             density=self.density,
+            object_index=self.object_index,
         )
 
 
@@ -89,6 +92,7 @@ def instances(record: Any, folder: Path, context: Context = QUIET) -> list[Insta
             _affine(_needed(item, "matrix", "a model")),
             _gains(item.get("gains", (1, 1, 1))),
             _density(item.get("density", 1)),
+            _object_index(item.get("object_index", 0)),
         )
         wanted.append(model)
     if not wanted:
@@ -187,3 +191,10 @@ def _density(number: Any) -> float:
     if not 0 < density <= 1:  # catches NaN too
         raise ValueError("density must be a number above 0, at most 1")
     return density
+
+
+def _object_index(number: Any) -> int:
+    """The object index of a request; ValueError unless Blender has such."""
+    if type(number) is not int or not 0 <= number <= MOST_INDEX:
+        raise ValueError(f"object_index must be a whole number from 0 to {MOST_INDEX}")
+    return number

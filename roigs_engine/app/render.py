@@ -14,7 +14,7 @@ from ..context import QUIET, Context
 from ..errors import ConfigError, EngineError, Stopped
 from ..formats.events import Preview
 from ..formats.files import read_json, regular
-from ..formats.frame_requests import REQUEST, colour_file, depth_file
+from ..formats.frame_requests import REQUEST, colour_file
 from ..formats.names import usable_path
 from ..formats.text import counted, first_line
 from ..requests.models import Render, RenderFrames
@@ -208,10 +208,10 @@ def answer(request: Path, models: Models, context: Context) -> Path:
             raise ValueError("samples have no rays")
     except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{request} is malformed ({error}).", HINT) from error
-    layers = _layers(samples, models, context)
+    layers = _layers(samples, models, context, mattes=record.get("mattes") is True)
     below = record.get("transparent") is True
     layer = mean_layer(layers, below=below) if blurred else next(layers)[0]
-    save_layer(colour_file(out), depth_file(out), layer)
+    save_layer(out, layer)
     return colour_file(out)
 
 
@@ -228,7 +228,7 @@ def _sample(record: Any, folder: Path) -> Sample:
 
 
 def _layers(
-    samples: list[Sample], models: Models, context: Context
+    samples: list[Sample], models: Models, context: Context, *, mattes: bool
 ) -> Iterator[tuple[Layer, Tensor]]:
     """Each sample's layer, and the depth of its surfaces."""
     import torch
@@ -248,11 +248,12 @@ def _layers(
         shown = triangles if sample.surfaces is not None else triangles[:0]
         posed = [item.of(*read[item.file]) for item in sample.models]
         if sample.rays is None:
-            layer = render_instances(posed, sample.camera, sample.pose, device)
+            layer = render_instances(posed, sample.camera, sample.pose, device, mattes=mattes)
         else:
             size = sample.camera.height, sample.camera.width
             rays = torch.from_numpy(_floats(sample.rays, (*size, 3), "rays of the picture's size"))
-            layer = render_panorama(posed, rays, sample.camera.fx, sample.pose, device)
+            density, pose = sample.camera.fx, sample.pose
+            layer = render_panorama(posed, rays, density, pose, device, mattes=mattes)
         yield layer, surface_depth(shown, sample.camera, sample.pose)
         context.progress(SAMPLES, step, len(samples), started)
 

@@ -6,8 +6,13 @@ import struct
 import zlib
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 REQUEST = ".json"
-COLOUR, DEPTH = ".png", ".tif"
+COLOUR, DEPTH, INDEX, SHARE = ".png", ".tif", "-index.tif", "-share.tif"
+RANKS = 3
+"""Objects of which an answer has the share in a pixel: those with the largest ones."""
 
 
 def colour_file(out: Path) -> Path:
@@ -20,14 +25,54 @@ def depth_file(out: Path) -> Path:
     return out.with_name(out.name + DEPTH)
 
 
-def write_nothing(out: Path, width: int, height: int) -> None:
-    """Write an answer without any Gaussians: a transparent PNG of the picture's size, twice.
+def index_file(out: Path) -> Path:
+    """Of an answer with mattes: the indices of the objects with the largest shares in a pixel."""
+    return out.with_name(out.name + INDEX)
+
+
+def share_file(out: Path) -> Path:
+    """Of an answer with mattes: these objects' shares of the picture, from 0 to 1."""
+    return out.with_name(out.name + SHARE)
+
+
+def write_nothing(out: Path, width: int, height: int, *, mattes: bool = False) -> None:
+    """Write an answer without any Gaussians: a transparent PNG of the picture's size for each file.
 
     A missing file is black in some Blenders, and one of another size would crop the render.
     """
     nothing = png(bytes((1 + 4 * width) * height), width, height)
-    for file in (depth_file(out), colour_file(out)):
+    more = (index_file(out), share_file(out)) if mattes else ()
+    for file in (depth_file(out), colour_file(out), *more):
         file.write_bytes(nothing)
+
+
+def tiff(values: NDArray[np.float32]) -> bytes:
+    """A TIFF of (H, W) or (H, W, 3) 32-bit numbers without compression, in one strip."""
+    height, width, channels = *values.shape[:2], values.size // (values.shape[0] * values.shape[1])
+    data = values.astype("<f4").tobytes()
+    short, long = 3, 4
+    tags = [  # in the order of their numbers (TIFF 6.0)
+        (256, long, [width]),
+        (257, long, [height]),
+        (258, short, [32] * channels),
+        (259, short, [1]),  # not compressed
+        (262, short, [1 if channels == 1 else 2]),  # grey or red, green, blue
+        (273, long, [0]),  # where the strip begins: below
+        (277, short, [channels]),
+        (278, long, [height]),
+        (279, long, [len(data)]),
+        (339, short, [3] * channels),  # floating point
+    ]
+    begin = 8 + 2 + 12 * len(tags) + 4
+    entries, more = b"", b""
+    start = begin + sum(2 * len(v) for _, kind, v in tags if kind == short and len(v) > 2)
+    for tag, kind, numbers in tags:
+        numbers = [start] if tag == 273 else numbers
+        packed = struct.pack(f"<{len(numbers)}{'H' if kind == short else 'I'}", *numbers)
+        if len(packed) > 4:
+            packed, more = struct.pack("<I", begin + len(more)), more + packed
+        entries += struct.pack("<HHI", tag, kind, len(numbers)) + packed.ljust(4, b"\0")
+    return b"II*\0\x08\0\0\0" + struct.pack("<H", len(tags)) + entries + bytes(4) + more + data
 
 
 def png(rows: bytes, width: int, height: int) -> bytes:

@@ -17,13 +17,14 @@ from ..context import QUIET, Context
 from ..errors import EngineError
 from ..formats.events import Preview, StageStarted
 from ..formats.files import atomic_write
-from ..formats.frame_requests import png
+from ..formats.frame_requests import colour_file, depth_file, index_file, png, share_file, tiff
 from ..formats.names import safe_name
 from ..machine import package
 from ..model.gaussians import Gaussians
 from ..model.scene import Camera, Float64
 from .camera_path import CameraPath
 from .instances import Layer
+from .mattes import ranked
 from .view import render_view
 
 
@@ -38,15 +39,19 @@ def save_png(path: Path, image: NDArray[np.uint8]) -> None:
         Image.fromarray(image).save(file, format="PNG")
 
 
-def save_layer(colour: Path, depth: Path, layer: Layer) -> None:
-    """Write a layer: an sRGB PNG with transparency, last, and before it a TIFF of 32-bit depths."""
-    with atomic_write(depth, durable=False) as file:
-        Image.fromarray(layer.depth.numpy().astype(np.float32)).save(file, format="TIFF")
+def save_layer(out: Path, layer: Layer) -> None:
+    """Write the files of an answer (docs/files.md): its picture last, its mattes if it has some."""
+    numbers = {depth_file(out): layer.depth}
+    if layer.shares:
+        numbers |= zip((index_file(out), share_file(out)), ranked(layer.shares), strict=True)
+    for path, values in numbers.items():
+        with atomic_write(path, durable=False) as file:
+            file.write(tiff(values.numpy().astype(np.float32)))
     rgba = to_uint8(torch.cat([layer.image, layer.alpha[..., None]], dim=-1))
     height, width = rgba.shape[:2]
     rows = np.zeros((height, 1 + 4 * width), np.uint8)
     rows[:, 1:] = rgba.reshape(height, -1)
-    with atomic_write(colour, durable=False) as file:
+    with atomic_write(colour_file(out), durable=False) as file:
         file.write(png(rows.tobytes(), width, height))
 
 

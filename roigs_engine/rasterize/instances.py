@@ -11,8 +11,8 @@ the lens and at another time (Cook et al. 1984, distributed ray tracing).
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -30,6 +30,7 @@ from ..model.scene import Camera, Float64
 from .inputs import blur_of
 from .light import to_linear, to_srgb
 from .limits import PICTURE_LIMITS
+from .mattes import object_shares
 from .reference import drawn_share, jacobian, sh_basis
 from .view import rasterize_view
 
@@ -47,6 +48,7 @@ class Instance:
     matrix: Float64  # (4, 4) from the model's own world to the world; any affine one
     gains: tuple[float, float, float] = (1.0, 1.0, 1.0)  # red, green, blue, see `recoloured`
     density: float = 1.0  # how much of it is there, see `faded`
+    object_index: int = 0  # whose shares of a picture are its, see `Layer`
 
     @property
     def from_frame(self) -> Float64:
@@ -67,13 +69,23 @@ class Layer:
     image: Tensor  # (H, W, 3) sRGB values from 0 to 1, not multiplied by alpha
     alpha: Tensor  # (H, W) from 0 to 1
     depth: Tensor  # (H, W) along the camera's axis, world units; NOTHING where nothing is
+    shares: Mapping[int, Tensor] = field(default_factory=dict)
+    """(H, W) of alpha, by object index; empty if nobody has asked."""
 
 
 @torch.no_grad()
 def render_instances(
-    models: Sequence[Instance], camera: Camera, world_to_camera: Float64, device: torch.device = CPU
+    models: Sequence[Instance],
+    camera: Camera,
+    world_to_camera: Float64,
+    device: torch.device = CPU,
+    *,
+    mattes: bool = False,
 ) -> Layer:
-    """Render models together, on a device; they have at least one Gaussian in all."""
+    """Render models together, on a device; they have at least one Gaussian in all.
+
+    `mattes`: with the share of each object index.
+    """
     mixed = len({model.gaussians.target for model in models}) > 1
     axes = world_to_camera[:3, :3] if mixed else _axes(models, world_to_camera)
     to_frame, pose = np.eye(4), np.eye(4)
@@ -88,19 +100,23 @@ def render_instances(
         drawn,
         means=(drawn.means * scale).float(),
         log_scales=drawn.log_scales + float(np.log(scale)),
-    )
-    output = rasterize_view(
-        drawn.to(device), camera, pose, limits=PICTURE_LIMITS, with_depth="median"
-    )
+    ).to(device)
+    output = rasterize_view(drawn, camera, pose, limits=PICTURE_LIMITS, with_depth="median")
     assert output.depth is not None
     alpha, depth = output.alpha[0].cpu(), output.depth[0].cpu()
     shares, image = alpha.clamp(min=1e-6)[..., None], output.image[0].cpu()
     linear = drawn.target.linear_light
     image = to_srgb(to_linear(image) / shares) if linear else image / shares
+    alpha, of_objects = alpha.clamp(0, 1), {}
+    if mattes:
+        indices = torch.tensor([model.object_index for model in models])
+        rows = indices.repeat_interleave(torch.tensor([len(part) for part in parts]))
+        of_objects = object_shares(drawn, rows, alpha, camera, pose)
     return Layer(
         image=image.clamp(0, 1),
-        alpha=alpha.clamp(0, 1),
+        alpha=alpha,
         depth=torch.where(alpha > 0, depth / scale, NOTHING),
+        shares=of_objects,
     )
 
 
@@ -146,6 +162,7 @@ def mean_layer(samples: Iterable[tuple[Layer, Tensor]], *, below: bool = False) 
     """
     light, alpha, depth = torch.zeros(()), torch.zeros(()), torch.zeros(())
     front, behind, count = torch.zeros(()), torch.zeros(()), 0
+    shares: dict[int, Tensor] = {}
     for layer, surfaces in samples:
         hidden = surfaces <= layer.depth
         seen = layer.alpha * ~hidden
@@ -154,13 +171,17 @@ def mean_layer(samples: Iterable[tuple[Layer, Tensor]], *, below: bool = False) 
         there = surfaces < NOTHING
         front, behind = front + (hidden & there).float(), behind + (~hidden & there).float()
         alpha, count = alpha + seen, count + 1
+        for index, share in layer.shares.items():
+            shares[index] = shares.get(index, 0) + share * ~hidden
     image = to_srgb(light / alpha.clamp(min=1e-6)[..., None])
     depth = -torch.where(alpha > 0, depth / alpha.clamp(min=1e-6), NOTHING)
     under = (front > behind) if below else torch.zeros_like(alpha, dtype=torch.bool)
+    divisor = torch.where(under, (count - front).clamp(min=1), count)
     return Layer(
         image=image.clamp(0, 1),
-        alpha=torch.where(under, alpha / (count - front).clamp(min=1), alpha / count),
+        alpha=alpha / divisor,
         depth=torch.where(under, 10 * NOTHING, depth),
+        shares={index: share / divisor for index, share in shares.items()},
     )
 
 

@@ -38,6 +38,8 @@ def render_panorama(
     density: float,
     world_to_camera: Float64,
     device: torch.device = CPU,
+    *,
+    mattes: bool = False,
 ) -> Layer:
     """Render models together along rays from one point; faces that no ray meets are not drawn.
 
@@ -47,6 +49,7 @@ def render_panorama(
         density: the panorama's pixels in a radian, where there are most.
         world_to_camera: (4, 4) rigid.
         device: to draw on.
+        mattes: with the share of each object index.
 
     Returns:
         A layer whose depths are distances from the camera.
@@ -56,7 +59,10 @@ def render_panorama(
     focal = min(LARGEST, density * FINER)
     side = math.ceil(2 * focal * SLOPE)
     lens = Camera(width=side, height=side, fx=focal, fy=focal, cx=side / 2, cy=side / 2)
-    light, shares = torch.zeros(len(directions), 4), torch.zeros(len(directions))
+    found = {model.object_index for model in models if len(model.gaussians)}
+    indices = sorted(found) if mattes else []
+    light = torch.zeros(len(directions), 4 + len(indices))
+    shares = torch.zeros(len(directions))
     depth, most = torch.full((len(directions),), NOTHING), torch.zeros(len(directions))
     for turn in _turns():
         seen = directions @ torch.from_numpy(turn[:3, :3].T).float()
@@ -65,9 +71,9 @@ def render_panorama(
         if not len(rows):
             continue
         seen, share = seen[rows], (1 - beside[rows] / SLOPE) ** SHARPNESS
-        layer = render_instances(models, lens, turn @ world_to_camera, device)
+        layer = render_instances(models, lens, turn @ world_to_camera, device, mattes=mattes)
         places = seen[:, :2] / seen[:, 2:] * focal + side / 2
-        light[rows] += share[:, None] * _looked_up(layer, 2 * places / side - 1)
+        light[rows] += share[:, None] * _looked_up(layer, indices, 2 * places / side - 1)
         shares[rows] += share
         columns, lines = places.long().clamp(0, side - 1).unbind(dim=1)
         along = layer.depth[lines, columns]
@@ -81,13 +87,18 @@ def render_panorama(
         image=image.reshape(height, width, 3),
         alpha=alpha.reshape(height, width),
         depth=depth.reshape(height, width),
+        shares={i: light[:, 4 + k].reshape(height, width) for k, i in enumerate(indices)},
     )
 
 
-def _looked_up(layer: Layer, places: Tensor) -> Tensor:
-    """(N, 4) linear light times alpha, and alpha, at places (N, 2) from -1 to 1."""
-    light = to_linear(layer.image) * layer.alpha[..., None]
-    picture = torch.cat([light, layer.alpha[..., None]], dim=-1).permute(2, 0, 1)
+def _looked_up(layer: Layer, indices: Sequence[int], places: Tensor) -> Tensor:
+    """(N, 4 + K) of a layer at places (N, 2) from -1 to 1.
+
+    Linear light times alpha, then alpha, then the shares of K indices.
+    """
+    light = (to_linear(layer.image) * layer.alpha[..., None]).permute(2, 0, 1)
+    shares = [layer.shares[index] for index in indices]
+    picture = torch.cat([light, torch.stack([layer.alpha, *shares])])
     found = grid_sample(picture[None], places[None, None], align_corners=False)
     return found[0, :, 0].T
 

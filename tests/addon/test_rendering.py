@@ -380,7 +380,7 @@ def test_a_frame_before_the_first(blender: ModuleType, shot) -> None:
 def test_depth_and_alpha_can_be_used_in_the_compositor(blender: ModuleType, shot) -> None:
     """For mist and masks: the depth is that of what is seen, Gaussians or meshes."""
     bpy, (scene, f12) = blender, shot
-    from roigs_addon.scene import compositor
+    from roigs_addon.scene import compositor, layer_group
 
     camera = scene.camera.matrix_world
     plane = black_plane(bpy, camera)
@@ -391,7 +391,8 @@ def test_depth_and_alpha_can_be_used_in_the_compositor(blender: ModuleType, shot
     tree.links.new(node.outputs["Gaussians"], end.inputs[0])
     alpha = linear(f12("alpha")[..., 0])
     assert 0 < alpha.mean() < 1 and alpha[whole[..., :3].sum(axis=-1) > 0.3].min() > 0.01
-    scale = compositor._math_node(tree, "MULTIPLY")
+    scale = layer_group.either(tree, "ShaderNodeMath", "CompositorNodeMath")
+    scale.operation = "MULTIPLY"
     scale.inputs[1].default_value = 0.01
     tree.links.new(node.outputs["Depth"], scale.inputs[0])
     tree.links.new(scale.outputs[0], end.inputs[0])

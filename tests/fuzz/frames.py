@@ -64,9 +64,15 @@ def frame_requests(dice: random.Random, folder: Path) -> Case:
     camera: dict[str, Any] = {"name": "1", "width": SIDES[0], "height": SIDES[1]}
     camera |= {"fx": 10.0, "fy": 10.0, "cx": 6.0, "cy": 4.5}
     camera["world_to_camera"] = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]
-    model = {"ply": "../../in/a.ply", "matrix": np.eye(4).tolist(), "gains": [1, 2, 1]}
+    model = {
+        "ply": "../../in/a.ply",
+        "matrix": np.eye(4).tolist(),
+        "gains": [1, 2, 1],
+        "object_index": 3,
+    }
     for number in range(dice.choice((1, 1, 2))):
         tree: Any = {"camera": camera, "models": [model | {"density": 0.5}], "transparent": True}
+        tree["mattes"] = dice.random() < 0.5
         for name in dice.sample(("surfaces", "rays"), dice.choice((0, 0, 1, 1, 2))):
             tree[name] = dice.choice(
                 ("../../in/a.npy", "../../in/a.npy", "../../in/pipe", "/dev/zero")

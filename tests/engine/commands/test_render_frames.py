@@ -16,7 +16,13 @@ from roigs_engine.app.render import Models
 from roigs_engine.cli import main
 from roigs_engine.context import Context
 from roigs_engine.formats.events import Event, Progress
-from roigs_engine.formats.frame_requests import colour_file, depth_file, write_nothing
+from roigs_engine.formats.frame_requests import (
+    colour_file,
+    depth_file,
+    index_file,
+    share_file,
+    write_nothing,
+)
 from roigs_engine.formats.splat_ply import read_ply, write_ply
 
 CAMERA = {"name": "1", "width": 32, "height": 24, "fx": 30.0, "fy": 30.0, "cx": 16.0, "cy": 12.0}
@@ -175,6 +181,10 @@ def test_a_density_lets_more_through(folder: Path) -> None:
         ({"models": [{"ply": "a", "matrix": POSE, "density": 1.5}]}, "density must be"),
         ({"models": [{"ply": "a", "matrix": POSE, "density": float("nan")}]}, "density must be"),
         ({"models": [{"ply": "a", "matrix": POSE, "density": [1]}]}, "malformed"),
+        *(
+            ({"models": [{"ply": "a", "matrix": POSE, "object_index": wrong}]}, "object_index must")
+            for wrong in (-1, 32768, 1.0, True, "1", None, [1])
+        ),
     ],
 )
 def test_what_is_wrong_is_said(
@@ -246,9 +256,41 @@ def test_a_folder_is_needed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert "is not a folder" in fails(["render-frames", str(tmp_path / "none")], capsys)
 
 
+def test_mattes_are_asked_for(folder: Path) -> None:
+    """Two more files: the indices of the objects in each pixel, and their shares of it."""
+    ball = str(folder.parent / "ball.ply")
+    behind = np.eye(4)
+    behind[:3, 3] = 1, 0, 2
+    models = [
+        {"ply": ball, "matrix": np.eye(4).tolist(), "object_index": 32767},
+        {"ply": ball, "matrix": behind.tolist(), "object_index": 2},
+    ]
+    plain, asked = ask(folder, models=models), ask(folder, "b", models=models, mattes=True)
+    samples = [{**sample, "models": models} for sample in sampled(folder, 0, 0)]
+    blurred = ask(folder, "c", samples=samples, mattes=True)
+    assert main(["render-frames", str(folder), "--once"]) == 0
+    assert not index_file(plain).exists() and not share_file(plain).exists()
+    assert colour_file(plain).read_bytes() == colour_file(asked).read_bytes()
+    alpha = np.asarray(Image.open(colour_file(asked)))[..., 3] / 255
+    for out in (asked, blurred):
+        indices, shares = tiff_numbers(index_file(out)), tiff_numbers(share_file(out))
+        assert indices[12, 14].tolist() == [32767, 2, 0] and indices[12, 24, 0] == 2
+        np.testing.assert_allclose(shares.sum(axis=-1), alpha, atol=0.005)
+
+
+def tiff_numbers(path: Path) -> np.ndarray[Any, Any]:
+    """(24, 32, 3) of a TIFF, whose numbers are its end."""
+    data = path.read_bytes()
+    assert data[:4] == b"II*\0"
+    return np.frombuffer(data[-24 * 32 * 12 :], "<f4").reshape(24, 32, 3)
+
+
 def test_nothing_is_transparent_and_of_the_pictures_size(tmp_path: Path) -> None:
-    write_nothing(tmp_path / "a0001", 30, 20)
-    for file in (colour_file(tmp_path / "a0001"), depth_file(tmp_path / "a0001")):
+    out = tmp_path / "a0001"
+    write_nothing(out, 30, 20)
+    assert not index_file(out).exists() and not share_file(out).exists()
+    write_nothing(out, 30, 20, mattes=True)
+    for file in (depth_file(out), colour_file(out), index_file(out), share_file(out)):
         picture = np.asarray(Image.open(file))
         assert picture.shape == (20, 30, 4) and not picture.any()
 

@@ -1,0 +1,166 @@
+"""The node group that merges the engine's layer with Blender's picture, by depth.
+
+Where Gaussians are nearer than Blender's surface they lie over it, elsewhere below it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import bpy
+
+NAME = "ROI-GS Gaussians"
+MARK = "roigs_layer"
+"""Custom property of the group, and of its images: which file of the engine's they show."""
+INDEX, MATTE = "Object Index", "Matte"
+OF_OBJECTS = (INDEX, MATTE)
+"""The outputs that tell objects apart: as Blender's pass does, and by one object's share."""
+MATTES = ("index", "share")
+"""Kinds of images that these outputs need."""
+SOCKETS = (
+    ("Image", "INPUT", "Color"),
+    ("Depth", "INPUT", "Float"),
+    (INDEX, "INPUT", "Float"),
+    ("Matte Index", "INPUT", "Float"),
+    ("Image", "OUTPUT", "Color"),
+    ("Depth", "OUTPUT", "Float"),
+    ("Gaussians", "OUTPUT", "Float"),
+    (INDEX, "OUTPUT", "Float"),
+    (MATTE, "OUTPUT", "Float"),
+)
+LAST_FRAME = 1048574
+MOST_INDEX = 32767
+HALF = 0.5
+"""Depth and index are of the Gaussians where they are at least that much of the picture. It is the
+default of Blender's Alpha Threshold, which decides the same for its own passes."""
+FAR = 1e11
+"""Beyond the depth of what is not there, in Blender and in the engine."""
+
+
+def new_group() -> Any:
+    """A new group: picture and passes in; what is seen, Gaussians or not, out.
+
+    Where a depth of the engine's is negative, what Blender's surfaces hide is left out already.
+    """
+    group: Any = bpy.data.node_groups.new(NAME, "CompositorNodeTree")
+    group[MARK] = True
+    for name, way, kind in SOCKETS:
+        socket = group.interface.new_socket(name, in_out=way, socket_type=f"NodeSocket{kind}")
+        if name == "Matte Index":
+            socket.min_value, socket.max_value, socket.default_value = 0, MOST_INDEX, 1
+    start, end = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
+    colour, depth = (_image_node(group, kind) for kind in ("colour", "depth"))
+    nearer = _math_node(group, "LESS_THAN", depth.outputs["Image"], start.outputs["Depth"])
+    below, above = (group.nodes.new("CompositorNodeAlphaOver") for _ in range(2))
+    chosen, (factor, if_not, if_so), merged = _choice_node(group)
+    for source, target in (
+        *zip((colour.outputs["Image"], start.outputs[0]), _colours(below), strict=True),
+        *zip((start.outputs[0], colour.outputs["Image"]), _colours(above), strict=True),
+        (nearer, factor),
+        (below.outputs[0], if_not),
+        (above.outputs[0], if_so),
+        (merged, end.inputs[0]),
+    ):
+        group.links.new(source, target)
+    places = (start, colour, depth), (nearer.node, below, above), (chosen,), ()
+    own = set(group.nodes)
+    left = _left(group, start, nearer)
+    seen = _math_node(group, "MULTIPLY", colour.outputs["Alpha"], left)
+    most = _math_node(group, "GREATER_THAN", seen, HALF)
+    rest = _math_node(group, "SUBTRACT", 1.0, most)
+    distance = _math_node(group, "ABSOLUTE", depth.outputs["Image"])
+    counted = _math_node(group, "MULTIPLY_ADD", rest, FAR, distance)
+    least = _math_node(group, "MINIMUM", counted, start.outputs["Depth"])
+    indices, shares = (_parts(group, _image_node(group, kind)) for kind in MATTES)
+    first = _math_node(group, "MULTIPLY", indices[0], most)
+    index = _math_node(group, "MULTIPLY_ADD", rest, start.outputs[INDEX], first)
+    share = _math_node(group, "MULTIPLY", _matte(group, start, indices, shares), left)
+    for number, source in enumerate((least, seen, index, share), start=1):
+        group.links.new(source, end.inputs[number])
+    _place((*places, [node for node in group.nodes if node not in own], (end,)))
+    return group
+
+
+def _left(group: Any, start: Any, nearer: Any) -> Any:
+    """What Blender's picture leaves to see of the Gaussians: all where they are nearer."""
+    alpha = group.nodes.new("CompositorNodeSeparateColor")
+    group.links.new(start.outputs["Image"], alpha.inputs[0])
+    clear = _math_node(group, "SUBTRACT", 1.0, alpha.outputs["Alpha"])
+    return _math_node(group, "MAXIMUM", nearer, clear)
+
+
+def _matte(group: Any, start: Any, indices: Iterable[Any], shares: Iterable[Any]) -> Any:
+    """The sum of the shares whose index is the wanted one."""
+    total: Any = 0.0
+    for index, share in zip(indices, shares, strict=True):
+        wanted = _math_node(group, "COMPARE", index, start.outputs["Matte Index"], HALF)
+        total = _math_node(group, "MULTIPLY_ADD", wanted, share, total)
+    return total
+
+
+def _parts(group: Any, image: Any) -> list[Any]:
+    """The three numbers of an image's pixels."""
+    parts = group.nodes.new("CompositorNodeSeparateColor")
+    group.links.new(image.outputs["Image"], parts.inputs[0])
+    return list(parts.outputs)[:3]
+
+
+def _place(columns: Iterable[Iterable[Any]]) -> None:
+    """Lay nodes out in columns, from the left; long ones in several."""
+    x = 0
+    for column in columns:
+        for number, node in enumerate(column):
+            node.location = 300 * (x + number // 8), -350 * (number % 8)
+        x += 1 + max(0, len(list(column)) - 1) // 8
+
+
+# Blender 5 has the shader nodes in the compositor, in the place of its own.
+
+
+def _math_node(group: Any, operation: str, *operands: Any) -> Any:
+    """The result of a new node; its operands are numbers, or outputs of others."""
+    node = either(group, "ShaderNodeMath", "CompositorNodeMath")
+    node.operation = operation
+    for socket, operand in zip(node.inputs, operands, strict=False):
+        if isinstance(operand, float):
+            socket.default_value = operand
+        else:
+            group.links.new(operand, socket)
+    return node.outputs[0]
+
+
+def _choice_node(group: Any) -> tuple[Any, tuple[Any, Any, Any], Any]:
+    """A node that takes one of two colours; its factor, the colours for 0 and 1, its output."""
+    node = either(group, "ShaderNodeMix", "CompositorNodeMixRGB")
+    if node.bl_idname == "ShaderNodeMix":
+        node.data_type = "RGBA"
+    factor, if_not, if_so = [socket for socket in node.inputs if socket.enabled][:3]
+    return node, (factor, if_not, if_so), next(o for o in node.outputs if o.enabled)
+
+
+def _colours(over: Any) -> tuple[Any, Any]:
+    """Background and foreground of an Alpha Over node."""
+    below, above = [socket for socket in over.inputs if socket.type == "RGBA"]
+    return below, above
+
+
+def either(group: Any, new: str, old: str) -> Any:
+    """A node of the kind that this Blender has."""
+    return group.nodes.new(old if hasattr(bpy.types, old) else new)
+
+
+def _image_node(group: Any, kind: str) -> Any:
+    """A node with the files of a kind, one for each frame."""
+    image: Any = bpy.data.images.new(f"{NAME} {kind}", 1, 1)
+    image.source = "SEQUENCE"
+    image[MARK] = kind
+    image.colorspace_settings.name = "sRGB" if kind == "colour" else "Non-Color"
+    if kind == "colour":
+        image.alpha_mode = "STRAIGHT"
+    node = group.nodes.new("CompositorNodeImage")
+    node.image = image
+    node.frame_duration = LAST_FRAME
+    node.frame_start, node.frame_offset = 1, 0
+    node.use_auto_refresh = True
+    return node
