@@ -209,17 +209,34 @@ def test_only_the_command_line_prints() -> None:
             assert called not in ("sys.exit", "exit", "input"), name
 
 
-def test_what_is_imported_is_declared() -> None:
+def declared_packages() -> set[str]:
+    """Import names of all that the engine may import."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
     used = ("train", "cluster", "store", "flip", "video", "heic", "masks", "gpu")
     asked = [*project["dependencies"], *(name for extra in used for name in extras[extra])]
     names = [re.match(r"[\w.-]+", requirement) for requirement in asked]
     declared = {match[0].lower() for match in names if match}
-    importable = {IMPORT_NAMES.get(name, name) for name in declared}
+    return {IMPORT_NAMES.get(name, name) for name in declared}
+
+
+def test_what_is_imported_is_declared() -> None:
+    importable = declared_packages()
     for name, path in files(ENGINE).items():
         foreign = outside(path) - set(sys.stdlib_module_names) - {ENGINE, "ziglang"}
         assert foreign <= importable, f"{name} imports {sorted(foreign - importable)}"
+
+
+def test_the_addons_tests_load_where_numpy_alone_is_installed() -> None:
+    missing = sorted(declared_packages() - {"numpy"})
+    # None: an import of it fails, as in Blender's Python
+    code = f"import sys; sys.modules.update(dict.fromkeys({missing!r})); import pytest; "
+    code += (
+        "sys.exit(pytest.main(['--collect-only', '-qq', '-p', 'no:cacheprovider', *sys.argv[1:]]))"
+    )
+    command = [sys.executable, "-c", code, "tests/addon"]
+    found = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert found.returncode == 0, found.stdout[-2000:]
 
 
 def test_one_version_number() -> None:

@@ -88,16 +88,24 @@ def dots(pixels: np.ndarray, colours: np.ndarray) -> np.ndarray:
 
 def write_png(path: Path, pixels: np.ndarray) -> None:
     """(H, W, 3) uint8 as a PNG."""
+    path.write_bytes(png(pixels))
+
+
+def png(pixels: np.ndarray) -> bytes:
+    """The bytes of a PNG of (H, W, 3) uint8, without Pillow."""
     rows = np.concatenate(
         [np.zeros((len(pixels), 1), np.uint8), pixels.reshape(len(pixels), -1)], 1
     )
     header = struct.pack(">IIBBBBB", pixels.shape[1], pixels.shape[0], 8, 2, 0, 0, 0)
-    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(rows.tobytes())), (b"IEND", b""))
-    with path.open("wb") as file:
-        file.write(b"\x89PNG\r\n\x1a\n")
-        for kind, data in chunks:
-            checksum = struct.pack(">I", zlib.crc32(kind + data))
-            file.write(struct.pack(">I", len(data)) + kind + data + checksum)
+    written = b"\x89PNG\r\n\x1a\n"
+    for kind, data in (
+        (b"IHDR", header),
+        (b"IDAT", zlib.compress(rows.tobytes())),
+        (b"IEND", b""),
+    ):
+        checksum = struct.pack(">I", zlib.crc32(kind + data))
+        written += struct.pack(">I", len(data)) + kind + data + checksum
+    return written
 
 
 def write_large_model(folder: Path, photos: int, points: int, seen: int) -> Path:

@@ -61,7 +61,13 @@ def write_scene(folder: Path, files: dict[str, bytes], photos: dict[str, bytes])
         write(folder / "images" / name, data)
 
 
-PHOTOS = {name: inputs.photo("JPEG" if name.endswith("jpg") else "PNG") for name in inputs.NAMES}
+@functools.cache
+def good_photos() -> dict[str, bytes]:
+    """The photos of a scene, by name; made when asked for, as Blender's Python has no Pillow."""
+    kinds = {name: "JPEG" if name.endswith("jpg") else "PNG" for name in inputs.NAMES}
+    return {name: inputs.photo(kind) for name, kind in kinds.items()}
+
+
 MODEL = inputs.model()
 QUICK = ["--steps-factor", "0.003", "--max-side", "24", "--threads", "1", "--test-every", "4",
          "--device", "cpu", "--seed", "1"]  # fmt: skip
@@ -69,7 +75,7 @@ QUICK = ["--steps-factor", "0.003", "--max-side", "24", "--threads", "1", "--tes
 
 
 def good_scene(folder: Path) -> Path:
-    write_scene(folder / "in", inputs.binary_files(MODEL), PHOTOS)
+    write_scene(folder / "in", inputs.binary_files(MODEL), good_photos())
     return folder / "in"
 
 

@@ -6,7 +6,7 @@ import random
 from pathlib import Path
 
 from roigs_engine.formats import run_files
-from tests.fuzz.cases import PHOTOS, QUICK, Case, Family, good_boxes, good_scene, write
+from tests.fuzz.cases import QUICK, Case, Family, good_boxes, good_photos, good_scene, write
 
 NAMES = (
     *(name for name in run_files.RESULTS if "." in name),
@@ -41,7 +41,7 @@ def foreign_folders(dice: random.Random, folder: Path) -> Case:
 
 
 def _reconstruction(dice: random.Random, folder: Path) -> Case:
-    for name, data in PHOTOS.items():
+    for name, data in good_photos().items():
         write(folder / "in" / "photos" / name, data)
     names = dice.sample(OF_A_RECONSTRUCTION, dice.choice((1, 1, 2, 4)))
     for name in names:

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from roigs_engine.colmap.records import CAMERA_MODELS
 from tests.addon.colmap_project import quaternion, ring
@@ -112,6 +111,8 @@ def text_files(tree: Mapping[str, Any]) -> dict[str, bytes]:
 
 def photo(form: str = "PNG", mode: str = "RGB", size: tuple[int, int] = (WIDTH, HEIGHT)) -> bytes:
     """A photo with a slope in it."""
+    from PIL import Image
+
     x = np.linspace(0, 255, size[0])[None, :, None]
     pixels = np.broadcast_to(x, (size[1], size[0], 3)).astype(np.uint8)
     image = Image.fromarray(pixels)
@@ -127,6 +128,8 @@ def photo(form: str = "PNG", mode: str = "RGB", size: tuple[int, int] = (WIDTH, 
 
 def turned_photo() -> bytes:
     """A JPEG that asks to be shown turned by 90 degrees."""
+    from PIL import Image
+
     image = Image.open(io.BytesIO(photo("JPEG")))
     exif = image.getexif()
     exif[0x0112] = 6

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from tests.fuzz.cases import Case, write
 from tests.fuzz.damage import bytes_damaged, tree_damaged
@@ -24,6 +23,8 @@ PROGRAM = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n(it ran) print show
 @functools.cache
 def picture(kind: str = "PNG", side: int = 8) -> bytes:
     """A picture of one colour."""
+    from PIL import Image
+
     out = io.BytesIO()
     Image.new("RGB", (side, side), (200, 60, 20)).save(out, kind)
     return out.getvalue()

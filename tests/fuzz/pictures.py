@@ -17,7 +17,7 @@ from PIL import Image, ImageCms
 
 from roigs_engine.photos.profiles import PRIMARIES, srgb_curve
 from tests.fuzz import inputs
-from tests.fuzz.cases import MODEL, PHOTOS, Case, write_scene
+from tests.fuzz.cases import MODEL, Case, good_photos, write_scene
 from tests.fuzz.damage import ODD_INTEGERS, bytes_damaged
 from tests.fuzz.scenes import looked_at
 from tests.icc_profiles import P3, power_curve, profile
@@ -33,7 +33,7 @@ CHUNKS = (b"iCCP", b"cICP", b"cHRM", b"gAMA", b"sRGB", b"tRNS", b"eXIf", b"sBIT"
 def shown(dice: random.Random, folder: Path, photos: dict[str, bytes]) -> Case:
     """The command that decodes a scene in which these photos take the place of good ones."""
     names = dice.sample(inputs.NAMES, len(photos))
-    files = PHOTOS | dict(zip(names, photos.values(), strict=True))
+    files = good_photos() | dict(zip(names, photos.values(), strict=True))
     write_scene(folder / "in", inputs.binary_files(MODEL), files)
     if dice.random() < 0.3:
         photo = folder / "in" / "images" / dice.choice(names)

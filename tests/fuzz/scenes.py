@@ -7,7 +7,7 @@ import random
 from pathlib import Path
 
 from tests.fuzz import inputs
-from tests.fuzz.cases import MODEL, PHOTOS, Command, Family, good_boxes, write_scene
+from tests.fuzz.cases import MODEL, Command, Family, good_boxes, good_photos, write_scene
 from tests.fuzz.damage import (
     ODD_FLOATS,
     ODD_TEXTS,
@@ -51,7 +51,7 @@ def model_values(dice: random.Random, folder: Path) -> Command:
         files = (inputs.binary_files if dice.random() < 0.6 else inputs.text_files)(tree)
     except (ValueError, TypeError, IndexError, KeyError):  # no file has that form
         files = inputs.binary_files(MODEL)
-    write_scene(folder / "in", files, PHOTOS)
+    write_scene(folder / "in", files, good_photos())
     return looked_at(dice, folder)
 
 
@@ -60,7 +60,7 @@ def model_bytes(dice: random.Random, folder: Path) -> Command:
     files = inputs.binary_files(MODEL)
     name = dice.choice(("cameras.bin", "images.bin", "points3D.bin"))
     files[name] = bytes_damaged(dice, files[name])
-    write_scene(folder / "in", files, PHOTOS)
+    write_scene(folder / "in", files, good_photos())
     return looked_at(dice, folder)
 
 
@@ -73,7 +73,7 @@ def model_text(dice: random.Random, folder: Path) -> Command:
         if dice.random() < 0.7
         else bytes_damaged(dice, files[name])
     )
-    write_scene(folder / "in", files, PHOTOS)
+    write_scene(folder / "in", files, good_photos())
     return looked_at(dice, folder)
 
 
@@ -94,7 +94,7 @@ def lenses(dice: random.Random, folder: Path) -> Command:
             dice.choice((1, 72, 3600)),
         ]
     files = (inputs.binary_files if dice.random() < 0.5 else inputs.text_files)(tree)
-    write_scene(folder / "in", files, PHOTOS)
+    write_scene(folder / "in", files, good_photos())
     return dice.choice((["decode", str(folder / "in")], looked_at(dice, folder)))
 
 
@@ -127,7 +127,7 @@ FORMS = (
 def photos(dice: random.Random, folder: Path) -> Command:
     """Photos of every kind, damaged, empty, of another size, or larger than any memory."""
     width, height = inputs.WIDTH, inputs.HEIGHT
-    files: dict[str, bytes] = dict(PHOTOS)
+    files: dict[str, bytes] = dict(good_photos())
     tree = inputs.model()
     for name in dice.sample(inputs.NAMES, dice.randint(1, 4)):
         form, mode = dice.choice(FORMS)

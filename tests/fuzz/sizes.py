@@ -8,7 +8,7 @@ import random
 from pathlib import Path
 
 from tests.fuzz import inputs
-from tests.fuzz.cases import MODEL, PHOTOS, QUICK, Case, Family, good_boxes, good_scene, write
+from tests.fuzz.cases import MODEL, QUICK, Case, Family, good_boxes, good_photos, good_scene, write
 
 LETTERS = 300_000
 PARTS = (
@@ -105,7 +105,7 @@ def holes(dice: random.Random, folder: Path) -> Case:
     write(ply, inputs.good_ply())
     write(path, json.dumps(inputs.camera_path()))
     names = [f"sparse/0/{name}" for name in inputs.binary_files(MODEL)]
-    names += [f"images/{name}" for name in PHOTOS]
+    names += [f"images/{name}" for name in good_photos()]
     commands = {
         ply: ["convert", str(ply), str(folder / "out" / "b.splat")],
         path: ["render", str(ply), "--path", str(path), "--out", str(folder / "out")],

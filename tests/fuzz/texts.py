@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.fuzz import inputs
-from tests.fuzz.cases import PHOTOS, QUICK, Case, good_boxes, good_scene, write, write_scene
+from tests.fuzz.cases import QUICK, Case, good_boxes, good_photos, good_scene, write, write_scene
 from tests.fuzz.user_input import good_line
 
 SMALL = ("--device", "cpu", "--max-side", "24")
@@ -101,7 +101,7 @@ def controls(dice: random.Random, folder: Path) -> Case:
         at = dice.randrange(len(text) + 1)
         return text[:at] + dice.choice(CONTROLS) + text[at:]
 
-    tree, photos = inputs.model(), dict(PHOTOS)
+    tree, photos = inputs.model(), dict(good_photos())
     for image in tree["images"]:
         if dice.random() < 0.7:
             name = image[3]

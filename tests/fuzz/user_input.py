@@ -21,11 +21,11 @@ import numpy as np
 
 from tests.fuzz import inputs
 from tests.fuzz.cases import (
-    PHOTOS,
     QUICK,
     Case,
     Command,
     good_boxes,
+    good_photos,
     good_scene,
     json_bytes,
     write,
@@ -210,7 +210,7 @@ def text_model(dice: random.Random, folder: Path, coding: str) -> Case:
     name = dice.choice(("cameras.txt", "images.txt", "points3D.txt"))
     files[name] = ENCODINGS[coding](files[name].decode())
     scene = folder / "in" / "text"
-    write_scene(scene, files, PHOTOS)
+    write_scene(scene, files, good_photos())
     case = Case(["inspect", str(scene)])
     wide = coding.startswith("utf-")
     if coding in WELL:
@@ -323,7 +323,7 @@ def scales(dice: random.Random, folder: Path) -> Case:
         stray[1][4:] = [dice.choice((1e3, 1e6, 1e9, -1e12)) * factor for _ in range(3)]
     low, high = (np.array([side] * 3) * 0.5 * factor + shift for side in (-1, 1))
     box = {"name": "thing", "min": low.tolist(), "max": high.tolist()}
-    write_scene(folder / "in", inputs.binary_files(tree), PHOTOS)
+    write_scene(folder / "in", inputs.binary_files(tree), good_photos())
     rois = str(write(folder / "in" / "rois.json", json.dumps([box])))
     scene, out = str(folder / "in"), str(folder / "out")
     line = dice.choice(

@@ -18,7 +18,7 @@ from roigs_engine.reconstruction.folder import Folder
 from roigs_engine.reconstruction.photo_checks import look_at
 from roigs_engine.requests.declare import Request, option
 from roigs_engine.requests.values import PATH
-from tests.fuzz.cases import PHOTOS, Case, json_bytes, odd_tree, write
+from tests.fuzz.cases import Case, good_photos, json_bytes, odd_tree, write
 from tests.fuzz.damage import ODD_VALUES, bytes_damaged
 
 TABLES = {
@@ -85,7 +85,7 @@ def write_database(dice: random.Random, path: Path) -> None:
 
 def work_folders(dice: random.Random, folder: Path) -> Case:
     """A folder with a damaged database and record, and links to the user's files and folders."""
-    for name, data in PHOTOS.items():
+    for name, data in good_photos().items():
         write(folder / "in" / "photos" / name, data)
     write(folder / "in" / "theirs" / "0" / "images.bin", b"theirs")
     out = folder / "out" / "scene"

@@ -6,12 +6,16 @@ import os
 import random
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from roigs_addon.geometry.glb import read_glb
+from tests.addon.colmap_project import png
 from tests.fuzz.damage import bytes_damaged, tree_damaged
 from tests.fuzz.exchange import glb_of
-from tests.fuzz.meshes import PROGRAM, mesh_record, picture
+from tests.fuzz.meshes import PROGRAM, mesh_record
+
+PICTURE = png(np.full((8, 8, 3), (200, 60, 20), np.uint8))
 
 
 def refused(path: Path, data: bytes) -> None:
@@ -22,7 +26,7 @@ def refused(path: Path, data: bytes) -> None:
 
 def test_a_good_one_is_read(tmp_path: Path) -> None:
     path = tmp_path / "a.glb"
-    path.write_bytes(glb_of(*mesh_record(picture())))
+    path.write_bytes(glb_of(*mesh_record(PICTURE)))
     read = read_glb(path)
     assert read.vertices.shape == (4, 3) and read.corners.shape == (4, 3)
     assert read.picture.startswith(b"\x89PNG")
@@ -30,7 +34,7 @@ def test_a_good_one_is_read(tmp_path: Path) -> None:
 
 def test_damage_is_one_line(tmp_path: Path) -> None:
     path, said, read = tmp_path / "a.glb", [], []
-    record, blob = mesh_record(picture())
+    record, blob = mesh_record(PICTURE)
     for number in range(400):
         dice = random.Random(f"mesh {number}")
         if dice.random() < 0.5:
@@ -50,7 +54,7 @@ def test_damage_is_one_line(tmp_path: Path) -> None:
 
 def test_kinds_of_damage(tmp_path: Path) -> None:
     path = tmp_path / "a.glb"
-    record, blob = mesh_record(picture())
+    record, blob = mesh_record(PICTURE)
     for at, key, value in (
         (0, "type", "VEC2"),  # positions
         (2, "type", "VEC3"),  # places in the picture

@@ -14,13 +14,8 @@ from roigs_engine.errors import ConfigError, RunFolderError
 from roigs_engine.exchange import formats
 from roigs_engine.formats.splat_ply import write_ply
 from roigs_engine.formats.targets import VIEWERS
-from tests.engine.exchange.foreign_files import (
-    COUNT,
-    STEPS,
-    converted,
-    saved,
-    values,
-)
+from tests.engine.exchange.foreign_checks import STEPS, converted
+from tests.engine.exchange.foreign_files import COUNT, saved, values
 
 
 def test_sog_that_is_not_packed(tmp_path: Path) -> None:

@@ -13,14 +13,13 @@ import pytest
 from roigs_engine.errors import EngineError
 from roigs_engine.exchange import formats
 from roigs_engine.exchange.transform import encoded
+from tests.engine.exchange.foreign_checks import STEPS, assert_holds
 from tests.engine.exchange.foreign_files import (
     COUNT,
     NAME,
     SH_C0,
-    STEPS,
     Gltf,
     alphas,
-    assert_holds,
     own,
     saved,
     spz,

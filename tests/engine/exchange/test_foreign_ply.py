@@ -14,14 +14,8 @@ from roigs_engine.errors import RunFolderError
 from roigs_engine.exchange import formats
 from roigs_engine.exchange.arrays import UP
 from roigs_engine.formats.splat_ply import write_ply
-from tests.engine.exchange.foreign_files import (
-    COUNT,
-    SH_C0,
-    STEPS,
-    converted,
-    saved,
-    values,
-)
+from tests.engine.exchange.foreign_checks import STEPS, converted
+from tests.engine.exchange.foreign_files import COUNT, SH_C0, saved, values
 
 
 @pytest.mark.parametrize(

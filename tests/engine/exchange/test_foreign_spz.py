@@ -14,17 +14,8 @@ import pytest
 
 from roigs_engine.errors import RunFolderError
 from roigs_engine.exchange import formats
-from tests.engine.exchange.foreign_files import (
-    COUNT,
-    STEPS,
-    assert_holds,
-    converted,
-    record,
-    saved,
-    spz,
-    values,
-    with_zstd,
-)
+from tests.engine.exchange.foreign_checks import STEPS, assert_holds, converted, with_zstd
+from tests.engine.exchange.foreign_files import COUNT, record, saved, spz, values
 
 SYSTEMS = (
     *("LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF"),

@@ -14,14 +14,8 @@ import pytest
 from roigs_engine.errors import RunFolderError
 from roigs_engine.exchange import formats
 from roigs_engine.exchange.transform import encoded
-from tests.engine.exchange.foreign_files import (
-    SH_C0,
-    STEPS,
-    alphas,
-    assert_holds,
-    converted,
-    values,
-)
+from tests.engine.exchange.foreign_checks import STEPS, assert_holds, converted
+from tests.engine.exchange.foreign_files import SH_C0, alphas, values
 
 SH = "radiance:sphericalHarmonicsCoefficients"
 
