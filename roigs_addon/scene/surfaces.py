@@ -56,5 +56,6 @@ def _of(item: bpy.types.Object) -> NDArray[np.float64]:
 
 
 def have_catcher(depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether a shadow catcher is rendered."""
-    return any(item.is_shadow_catcher and not item.hide_render for item in depsgraph.objects)
+    """Whether a mesh that is a shadow catcher is rendered. A new lamp is marked so, too."""
+    shown = (item for item in depsgraph.objects if item.type != "LIGHT" and not item.hide_render)
+    return any(item.is_shadow_catcher for item in shown)

@@ -254,3 +254,17 @@ def test_a_shadow_catcher_leaves_no_hole(blender: ModuleType, shot, transparent:
     shown = before[..., 3] > 0.9 if transparent else before[..., :3].sum(-1) > 0.3
     assert psnr(caught[shown], before[shown]) > 30
     assert ("Film" in rendering.problem) == (not transparent)
+
+
+def test_a_lamp_is_no_shadow_catcher(blender: ModuleType, shot) -> None:
+    """Blender marks new lamps as such; a sharp picture is then enough, also with an opaque film."""
+    bpy, (scene, f12) = blender, shot
+    from roigs_addon import rendering
+    from roigs_addon.scene import blur
+
+    scene.render.film_transparent = False
+    before = f12()
+    bpy.ops.object.light_add(type="SUN")
+    assert bpy.context.object.is_shadow_catcher
+    assert (f12() == before).all() and not rendering.problem
+    assert not blur.moments(scene, bpy.context.evaluated_depsgraph_get())
