@@ -92,7 +92,9 @@ def _draw(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> str:
             _engine = _started()
         items = shown(scene)
         drawn = _engine.draw(request | {"mattes": mattes})
-        lost = blur.remark(scene, depsgraph, moments)
+        samples = request.get("samples", [request])
+        known = {model["object_index"] for sample in samples for model in sample["models"]}
+        lost = blur.remark(scene, depsgraph, moments) or compositor.empty_mattes(scene, known)
         return drawn or lost or edits.problem(items) or edits.remark(items)
     finally:
         compositor.reload(scene)

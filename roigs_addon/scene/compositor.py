@@ -5,6 +5,7 @@ The compositor gets the group behind its first render layer; other nodes stay as
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -143,6 +144,25 @@ def uses_mattes(scene: bpy.types.Scene) -> bool:
         for socket in node.outputs
         if socket.name in layer_group.OF_OBJECTS
     )
+
+
+def empty_mattes(scene: bpy.types.Scene, known: Collection[int]) -> str:
+    """What to say, in one line, if a matte is of no object; else nothing.
+
+    Args:
+        scene: that is rendered.
+        known: the indices of objects of Gaussians in it.
+    """
+    for _, node in nodes(scene):
+        matte, wanted = node.outputs.get(layer_group.MATTE), node.inputs.get(layer_group.WANTED)
+        if matte is None or not matte.is_linked or wanted is None or wanted.is_linked:
+            continue
+        if (number := round(wanted.default_value)) not in known:
+            return (
+                f"Matte is black: no rendered Gaussians have Pass Index {number}. Set it in"
+                " Object ▸ Relations, or change Matte Index of the node."
+            )
+    return ""
 
 
 def connect_indices(scene: bpy.types.Scene) -> None:

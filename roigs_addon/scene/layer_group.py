@@ -13,7 +13,7 @@ import bpy
 NAME = "ROI-GS Gaussians"
 MARK = "roigs_layer"
 """Custom property of the group, and of its images: which file of the engine's they show."""
-INDEX, MATTE = "Object Index", "Matte"
+INDEX, MATTE, WANTED = "Object Index", "Matte", "Matte Index"
 OF_OBJECTS = (INDEX, MATTE)
 """The outputs that tell objects apart: as Blender's pass does, and by one object's share."""
 MATTES = ("index", "share")
@@ -22,7 +22,11 @@ SOCKETS = (
     ("Image", "INPUT", "Color"),
     ("Depth", "INPUT", "Float"),
     (INDEX, "INPUT", "Float"),
-    ("Matte Index", "INPUT", "Float"),
+    (
+        WANTED,
+        "INPUT",
+        "Int" if bpy.app.version >= (4, 5) else "Float",
+    ),  # before, none has whole ones
     ("Image", "OUTPUT", "Color"),
     ("Depth", "OUTPUT", "Float"),
     ("Gaussians", "OUTPUT", "Float"),
@@ -47,7 +51,8 @@ def new_group() -> Any:
     group[MARK] = True
     for name, way, kind in SOCKETS:
         socket = group.interface.new_socket(name, in_out=way, socket_type=f"NodeSocket{kind}")
-        if name == "Matte Index":
+        socket.hide_value = name == INDEX  # of Blender's pass
+        if name == WANTED:
             socket.min_value, socket.max_value, socket.default_value = 0, MOST_INDEX, 1
     start, end = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
     colour, depth = (_image_node(group, kind) for kind in ("colour", "depth"))
@@ -94,7 +99,7 @@ def _matte(group: Any, start: Any, indices: Iterable[Any], shares: Iterable[Any]
     """The sum of the shares whose index is the wanted one."""
     total: Any = 0.0
     for index, share in zip(indices, shares, strict=True):
-        wanted = _math_node(group, "COMPARE", index, start.outputs["Matte Index"], HALF)
+        wanted = _math_node(group, "COMPARE", index, start.outputs[WANTED], HALF)
         total = _math_node(group, "MULTIPLY_ADD", wanted, share, total)
     return total
 

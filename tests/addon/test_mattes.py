@@ -200,6 +200,37 @@ def test_nothing_is_drawn_for_outputs_that_nobody_uses(
     assert asked == [False, False, False, True, True]
 
 
+def test_a_second_node_has_a_matte_of_its_own(blender: ModuleType, shot) -> None:
+    """As duplicating the node with its links makes it: both mattes are then in one render."""
+    from roigs_addon.scene import layer_group
+
+    _, node, values = shot
+    tree, all_ = node.id_data, values("Gaussians")
+    second = tree.nodes.new("CompositorNodeGroup")
+    second.node_tree = node.node_tree
+    for mine, its in zip(node.inputs, second.inputs, strict=True):
+        for link in mine.links:
+            tree.links.new(link.from_socket, its)
+    total = layer_group.either(tree, "ShaderNodeMath", "CompositorNodeMath")
+    second.inputs["Matte Index"].default_value = FAR
+    tree.links.new(second.outputs["Matte"], total.inputs[1])
+    node.inputs["Matte Index"].default_value = NEAR
+    np.testing.assert_allclose(values("Matte", total), all_, atol=0.01)
+
+
+def test_a_matte_of_no_object_is_said(blender: ModuleType, shot) -> None:
+    from roigs_addon import rendering
+
+    scene, node, values = shot
+    matte(node, values, NEAR)
+    assert not rendering.problem
+    assert matte(node, values, 1).max() == 0 and "Pass Index 1" in rendering.problem
+    values("Gaussians")
+    assert not rendering.problem
+    scene.objects["Background"].pass_index = 1
+    assert matte(node, values, 1).max() > 0.5 and not rendering.problem
+
+
 def test_first_passes_and_later_results_keep_the_index(blender: ModuleType, shot) -> None:
     scene, _, _ = shot
     blender.ops.roigs.set_detail(roi="thing", fine=False)
