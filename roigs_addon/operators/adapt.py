@@ -14,8 +14,7 @@ from .base import FRESH, EngineOperator, available, model_problem
 
 
 class AdaptResult(EngineOperator):
-    """Train the result that is shown a little, so that it looks right in another renderer; the \
-trained result is kept"""
+    """Adapt the result to another renderer, by a short training. The trained result is kept"""
 
     bl_idname = "roigs.adapt_result"
     bl_label = "Adapt"

@@ -57,7 +57,7 @@ def checked_box(context: bpy.types.Context) -> bpy.types.Object:
 
 
 class FitToPoints(BoxTool):
-    """Make the active box tight around the selected points, or those in it, without outliers"""
+    """Fit the active box tightly around the selected points, or those in it, without outliers"""
 
     bl_idname = "roigs.fit_box"
     bl_label = "Fit to Points"

@@ -24,7 +24,8 @@ OURS = {"ROI", "CAMERA", "ROOT", "POINTS"}
 
 
 class AddRoi(bpy.types.Operator):
-    """Add a box (ROI) around the selection, else at the 3D cursor, else where most photos look"""
+    """Add a box (ROI) around the selection, otherwise at the 3D cursor, otherwise around the main \
+object of the photos"""
 
     bl_idname = "roigs.add_roi"
     bl_label = "Add Box"

@@ -90,7 +90,7 @@ class CleanUpTool(bpy.types.Operator):
 
 class ChooseByBox(CleanUpTool):
     """Select or delete Gaussians inside or outside the boxes. Works on the selected Gaussian \
-objects, or else on all visible ones"""
+objects, otherwise on all visible ones"""
 
     bl_idname = "roigs.choose_by_box"
     bl_label = "Gaussians by Box"
@@ -117,8 +117,8 @@ objects, or else on all visible ones"""
 
 
 class ChooseByLook(CleanUpTool):
-    """Select or delete faint or large Gaussians. Works on the selected Gaussian objects, or else \
-on all visible ones"""
+    """Select or delete faint or large Gaussians. Works on the selected Gaussian objects, \
+otherwise on all visible ones"""
 
     bl_idname = "roigs.choose_by_look"
     bl_label = "Faint or Large Gaussians"
@@ -149,7 +149,7 @@ on all visible ones"""
 
 
 class DeleteChosen(bpy.types.Operator):
-    """Delete the selected Gaussians; undo brings them back"""
+    """Delete the selected Gaussians. Undo restores them"""
 
     bl_idname = "roigs.delete_chosen"
     bl_label = "Delete Selected"

@@ -28,7 +28,7 @@ TWEAK = "builtin.select"
 
 
 class ClickGaussians(bpy.types.Operator):
-    """Select what is under the mouse, Gaussians included"""
+    """Select the object under the mouse, including Gaussians"""
 
     bl_idname = "roigs.click"
     bl_label = "Select with Gaussians"
@@ -70,7 +70,7 @@ class ClickGaussians(bpy.types.Operator):
 
 
 class PlaceCursor(bpy.types.Operator):
-    """Set the 3D cursor on the surface under the mouse, also that of Gaussians"""
+    """Set the 3D cursor on the surface under the mouse, including Gaussians"""
 
     bl_idname = "roigs.place_cursor"
     bl_label = "Set 3D Cursor on Gaussians"

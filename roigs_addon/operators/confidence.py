@@ -26,8 +26,8 @@ FEW = 3
 
 
 class FindConfidence(EngineOperator):
-    """Ask the photos of the run how well they know each Gaussian: how many show it, from how many \
-directions, and how wrong its colours are in the test photos. Shows a heat map"""
+    """Measure how well the run's photos cover each Gaussian: number of photos, their directions, \
+and the error of its colours in the test photos. Shows a heat map"""
 
     bl_idname = "roigs.find_confidence"
     bl_label = "Find Confidence"
@@ -54,7 +54,7 @@ def _take(known: Known) -> str:
 
 
 class ShowHeatMap(bpy.types.Operator):
-    """Show or hide the heat map: blue Gaussians are known from few directions, yellow ones from \
+    """Show or hide the heat map: blue Gaussians are seen from few directions, yellow ones from \
 many"""
 
     bl_idname = "roigs.show_heat_map"
@@ -80,8 +80,8 @@ many"""
 
 
 class ChooseByDirections(CleanUpTool):
-    """Select or delete Gaussians that photos know from few directions. Works on the selected \
-Gaussian objects, or else on all visible ones"""
+    """Select or delete Gaussians seen from few directions. Works on the selected Gaussian \
+objects, otherwise on all visible ones"""
 
     bl_idname = "roigs.choose_by_directions"
     bl_label = "Known From Few Directions"

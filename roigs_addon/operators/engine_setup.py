@@ -170,7 +170,7 @@ class StopSetUp(bpy.types.Operator):
 
 
 class CheckEngine(bpy.types.Operator):
-    """Check what the engine can do on this computer, and what is missing"""
+    """Check the engine's abilities on this computer, and list missing packages"""
 
     bl_idname = "roigs.check_engine"
     bl_label = "Check"
@@ -185,7 +185,7 @@ class CheckEngine(bpy.types.Operator):
 
 
 class RemoveEngine(bpy.types.Operator):
-    """Delete the Python environments that Set Up the Engine has made; all Blenders share them"""
+    """Delete the Python environments of Set Up the Engine; all versions of Blender share them"""
 
     bl_idname = "roigs.remove_engine"
     bl_label = "Remove"

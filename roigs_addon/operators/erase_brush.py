@@ -83,7 +83,7 @@ def _fronts(
 
 
 class EraseBrush(bpy.types.Operator):
-    """Erase Gaussians with a brush. Works on the selected Gaussian objects, or else on all \
+    """Erase Gaussians with a brush. Works on the selected Gaussian objects, otherwise on all \
 visible ones. Each stroke is one undo step"""
 
     bl_idname = "roigs.erase_brush"

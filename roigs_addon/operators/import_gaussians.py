@@ -24,7 +24,7 @@ MORE = import_gaussians_job.ONLY_IMPORTED
 
 
 class ImportGaussians(BrowsingOperator, ImportHelper):  # type: ignore[misc] # the stub's mixin
-    """Import a file of Gaussians as an object that can be moved, edited, rendered and exported"""
+    """Import a file of Gaussians as an object to move, edit, render and export"""
 
     bl_idname = "roigs.import_gaussians"
     bl_label = "Import Gaussians"

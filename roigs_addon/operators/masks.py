@@ -71,7 +71,7 @@ class MakeMasks(EngineOperator):
 
 
 class StepMask(bpy.types.Operator):
-    """Look at the next or previous photo that has a mask or strokes for the active box"""
+    """Go to the next or previous photo with a mask or strokes for the active box"""
 
     bl_idname = "roigs.step_mask"
     bl_label = "Next Mask"
@@ -101,8 +101,8 @@ class StepMask(bpy.types.Operator):
 
 
 class RemoveMasks(bpy.types.Operator):
-    """Delete the active box's masks that were made from strokes. The strokes are kept, and so \
-are masks that you made or changed"""
+    """Delete the active box's masks made from strokes. The strokes stay, and so do masks that you \
+made or changed"""
 
     bl_idname = "roigs.remove_masks"
     bl_label = "Remove Masks"

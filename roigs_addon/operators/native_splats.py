@@ -59,8 +59,8 @@ current look; the Gaussians are hidden"""
 
 
 class FromNative(bpy.types.Operator):
-    """Convert the selected object of Blender's own splats to Gaussians, which can be cleaned up, \
-recoloured and exported; the splats are hidden"""
+    """Convert the selected object of Blender's own splats to Gaussians, to clean up, recolour and \
+export them; the splats are hidden"""
 
     bl_idname = "roigs.from_native_splats"
     bl_label = "From Blender's Splats"

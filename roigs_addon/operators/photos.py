@@ -22,7 +22,7 @@ SELECT_FIRST = "Select cameras first."
 
 
 class SelectCameras(EngineOperator):
-    """Select the photos that show each box best"""
+    """Select the best photos of each box"""
 
     bl_idname = "roigs.select_cameras"
     bl_label = "Select Cameras"
@@ -99,7 +99,7 @@ class EditSelection(bpy.types.Operator):
 
 
 class ExcludePhotos(bpy.types.Operator):
-    """Leave photos out of selection and training; boxes keep them in their lists"""
+    """Exclude photos from selection and training; boxes keep them in their lists"""
 
     bl_idname = "roigs.exclude_photos"
     bl_label = "Exclude Photos"
@@ -122,7 +122,7 @@ class ExcludePhotos(bpy.types.Operator):
 
 
 class IncludePhotos(bpy.types.Operator):
-    """Use excluded photos again, and bring back cameras that you deleted"""
+    """Use excluded photos again, and restore deleted cameras"""
 
     bl_idname = "roigs.include_photos"
     bl_label = "Include Photos"

@@ -193,7 +193,7 @@ class SetScale(PlaceTool):
 
 
 class SetOrigin(bpy.types.Operator):
-    """Move the world's origin under the object in the active box; a floor that you set is kept"""
+    """Move the world's origin under the object in the active box; a floor you have set is kept"""
 
     bl_idname = "roigs.set_origin"
     bl_label = "Origin under the Object"

@@ -26,8 +26,8 @@ NO_REPORT = "There is no report yet"
 
 
 class ChoosePhotos(bpy.types.Operator):
-    """Choose a folder of photos, or a video, to make a scene from; COLMAP is not needed.
-    JPEG, PNG, TIFF, BMP, WebP, JPEG 2000, PPM and HEIC are read; export RAW files as JPEG first"""
+    """Choose a folder of photos, or a video, to make a scene; COLMAP is not needed. Reads JPEG, \
+PNG, TIFF, BMP, WebP, JPEG 2000, PPM and HEIC; export RAW files as JPEG first"""
 
     bl_idname = "roigs.choose_photos"
     bl_label = "Choose Photos"
@@ -115,7 +115,8 @@ reconstruction resumes"""
 
 
 class ShowReport(bpy.types.Operator):
-    """Open the report in the text editor: which photos were registered, and why others were not"""
+    """Open the report in the text editor: registered photos, and the reasons for unregistered \
+ones"""
 
     bl_idname = "roigs.show_reconstruction"
     bl_label = "Show Report"

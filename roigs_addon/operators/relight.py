@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 
 class Relight(EngineOperator):
-    """Let your lamps and world light this object: its mesh, whose texture is divided by the light \
-of the capture. The slider Relit goes from as captured to relit. Highlights and hard shadows of \
-the photos stay in the texture"""
+    """Light this object's mesh with your lamps and world: divides its texture by the light of the \
+capture. The slider Relit goes from as captured to relit. Highlights and hard shadows of the \
+photos stay in the texture"""
 
     bl_idname = "roigs.relight"
     bl_label = "Relight"
@@ -49,7 +49,7 @@ the photos stay in the texture"""
 
 
 class StopRelight(bpy.types.Operator):
-    """Give the mesh its own material again"""
+    """Restore the mesh's own material"""
 
     bl_idname = "roigs.stop_relight"
     bl_label = "Stop Relighting"
@@ -69,7 +69,7 @@ class StopRelight(bpy.types.Operator):
 
 class TakeObject(bpy.types.Operator):
     """Make an asset of this object, for other scenes: its mesh and its Gaussians, with the origin \
-at its foot. Save the file, and find it in the Asset Browser"""
+at its foot. Save the file, then find it in the Asset Browser"""
 
     bl_idname = "roigs.take_object"
     bl_label = "Take Object"

@@ -103,7 +103,7 @@ class DeleteResult(bpy.types.Operator):
 
 
 class SetDetail(bpy.types.Operator):
-    """Show this box with levels of detail, as the result, or as it was after the first pass"""
+    """Show this box with levels of detail, as the full result, or as after the first pass"""
 
     bl_idname = "roigs.set_detail"
     bl_label = "Auto, Result or First Pass"

@@ -67,7 +67,7 @@ def _other(scene: bpy.types.Scene) -> Path | None:
 
 
 class FindFolder(bpy.types.Operator):
-    """Choose where you moved the run folder. Without it, the models are drawn from the .blend, \
+    """Choose the new place of the run folder. Without it, the models are drawn from the .blend, \
 but training and levels of detail start again"""
 
     bl_idname = "roigs.find_folder"

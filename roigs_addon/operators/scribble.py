@@ -36,7 +36,7 @@ NO_PHOTO = "Look through a photo's camera first."
 
 
 class Scribble(bpy.types.Operator):
-    """Draw on the photo: a few lines on the object, and with Ctrl one around it. Each stroke is \
+    """Draw on the photo: a few lines on the object, and one around it with Ctrl. Each stroke is \
 one undo step"""
 
     bl_idname = "roigs.scribble"
@@ -174,7 +174,7 @@ one undo step"""
 
 
 class ClearStrokes(bpy.types.Operator):
-    """Remove the active box's strokes on the photo that is shown"""
+    """Remove the active box's strokes on the current photo"""
 
     bl_idname = "roigs.clear_strokes"
     bl_label = "Clear Strokes"

@@ -39,8 +39,8 @@ PLACES = (
 
 
 class LightFromScene(EngineOperator):
-    """Light your own objects as the captured scene is lit around a point. The camera goes on \
-seeing your own world"""
+    """Light your own objects with the captured scene's light around a point. The camera still \
+sees your own world"""
 
     bl_idname = "roigs.light_from_scene"
     bl_label = "Light From Scene"
@@ -119,7 +119,7 @@ it. The engine makes a mesh of the background once"""
 
 
 class RemoveStage(bpy.types.Operator):
-    """Take back light, shadows and reflections: world, film, passes and compositor are as before"""
+    """Undo light, shadows and reflections: restores world, film, passes and compositor"""
 
     bl_idname = "roigs.remove_stage"
     bl_label = "Remove"

@@ -44,7 +44,7 @@ def problem(context: bpy.types.Context) -> str:
 
 class StandHere(PickTool, EngineOperator):
     """Put the active mesh on a captured surface: click there. It gets the scene's light, casts \
-shadows, and reflects what is around it"""
+shadows, and reflects its surroundings"""
 
     bl_idname = "roigs.stand_here"
     bl_label = "Stand Here"

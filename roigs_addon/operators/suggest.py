@@ -20,8 +20,8 @@ NONE = "Click Suggest Photos first"
 
 
 class SuggestPhotos(EngineOperator):
-    """Show where to take the next photos: those that tell most of each box, from places where a \
-person can stand"""
+    """Show where to take the next photos: the most informative for each box, from reachable \
+places"""
 
     bl_idname = "roigs.suggest_photos"
     bl_label = "Suggest Photos"
@@ -60,7 +60,8 @@ class RemoveSuggestions(bpy.types.Operator):
 
 
 class OpenSuggestions(bpy.types.Operator):
-    """Open the suggestions in the browser: a plan, pictures and words, to print or for the phone"""
+    """Open the suggestions in the browser, to print or for the phone: a plan, pictures and \
+descriptions"""
 
     bl_idname = "roigs.open_suggestions"
     bl_label = "Open Page"
@@ -80,7 +81,7 @@ class OpenSuggestions(bpy.types.Operator):
 
 
 class LookThroughSuggestion(bpy.types.Operator):
-    """Look through the suggested photo's camera, with what it should show behind the view"""
+    """Look through the suggested photo's camera, with a preview of the photo as background"""
 
     bl_idname = "roigs.look_through_suggestion"
     bl_label = "Look Through Suggestion"

@@ -27,8 +27,8 @@ MILLIMETRES = 1000.0
 
 
 class MakeSurface(EngineOperator):
-    """Make a mesh with the photos' texture of the object in the active box. It comes into the \
-place of the Gaussians; one that was made before is replaced"""
+    """Make a mesh of the object in the active box, with texture from the photos. It replaces the \
+Gaussians in the view, and an earlier mesh"""
 
     bl_idname = "roigs.make_surface"
     bl_label = "Make Surface"
@@ -89,8 +89,8 @@ class ShowSurface(bpy.types.Operator):
 
 
 class ShowAlone(bpy.types.Operator):
-    """Show this mesh alone, in viewports and renders, with the 3D cursor at its foot: a plane \
-that you add is right below it. Clicked again, it shows all as before"""
+    """Show this mesh alone, in viewports and renders, with the 3D cursor at its foot: a new plane \
+is right below it. A second click shows everything again"""
 
     bl_idname = "roigs.show_alone"
     bl_label = "Alone"
@@ -116,7 +116,7 @@ that you add is right below it. Clicked again, it shows all as before"""
 
 
 class ExportSurface(bpy.types.Operator):
-    """Export this mesh for 3D print with Blender's own exporter: this mesh alone, in millimetres"""
+    """Export only this mesh for 3D printing, in millimetres, with Blender's own exporter"""
 
     bl_idname = "roigs.export_surface"
     bl_label = "Export STL…"

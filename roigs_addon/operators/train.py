@@ -82,7 +82,7 @@ def _training_problem(context: bpy.types.Context) -> str:
 
 
 class StopJob(bpy.types.Operator):
-    """Stop the engine. Training, reconstruction and levels can be resumed"""
+    """Stop the engine. You can resume training, reconstruction and levels"""
 
     bl_idname = "roigs.stop"
     bl_label = "Stop"

@@ -69,7 +69,7 @@ COMMANDS: dict[str, Command] = {
     "inspect": Command(
         request=projects.Inspect,
         does="scenes:inspect",
-        help="show what a COLMAP model contains and which photos see each box",
+        help="show the content of a COLMAP model and the photos that see each box",
         examples=("garden", "garden --rois garden/rois.json --json"),
         torch=False,
     ),
@@ -97,15 +97,14 @@ COMMANDS: dict[str, Command] = {
     "refine-cameras": Command(
         request=projects.RefineCameras,
         does="scenes:refine_cameras",
-        help="fit the cameras of a COLMAP model better, which makes everything trained with them"
-        " sharper",
+        help="improve the fit of a COLMAP model's cameras, for sharper results",
         examples=("garden", "garden --out garden-refined"),
         torch=False,
     ),
     "select": Command(
         request=projects.Select,
         does="scenes:select",
-        help="choose the photos that show each box best",
+        help="select the best photos of each box",
         examples=(
             "garden --rois garden/rois.json",
             'garden --roi "vase=0,0,0,1,1,2" --method gp9 --count 40 --out out',
@@ -115,7 +114,7 @@ COMMANDS: dict[str, Command] = {
     "suggest": Command(
         request=projects.Suggest,
         does="suggest:suggest",
-        help="say which photos to take next: those that tell most of each box",
+        help="suggest the next photos to take: the most informative for each box",
         examples=(
             "garden --rois garden/rois.json --out next",
             "garden --rois garden/rois.json --count 4 --model runs/garden/result.ply --out next",
@@ -125,8 +124,8 @@ COMMANDS: dict[str, Command] = {
     "certify": Command(
         request=projects.Certify,
         does="certify:certify",
-        help="write a certificate of each boxed object: its size, how finely and from where it was"
-        " photographed, how well its model does",
+        help="write a certificate of each boxed object: its size, its coverage by photos, its "
+        "model's scores",
         examples=("garden --rois garden/rois.json --run-dir runs/garden --out certificates",),
         torch=False,
     ),
@@ -143,7 +142,7 @@ COMMANDS: dict[str, Command] = {
     "run": Command(
         request=runs.TrainAndEvaluate,
         does=_training,
-        help="do what train does, then compare with baselines and evaluate",
+        help="train, then compare with baselines and evaluate",
         examples=(
             "garden --rois garden/rois.json --max-side 640 --run-dir runs/garden",
             "garden --rois garden/rois.json --run-dir runs/garden --dry-run",
@@ -153,7 +152,7 @@ COMMANDS: dict[str, Command] = {
     "batch": Command(
         request=runs.Batch,
         does="batch:run_batch",
-        help="do the runs of a table of scenes, several at once, here or on a cluster",
+        help="train a table of scenes, several at once, here or on a cluster",
         examples=(
             "museum.toml --init scans",
             "museum.toml --run-dir runs/museum --dry-run",
@@ -183,13 +182,13 @@ COMMANDS: dict[str, Command] = {
     "render-frames": Command(
         request=models.RenderFrames,
         does="render:render_frames",
-        help="render pictures for compositing, as another program asks for them in a folder",
+        help="render pictures for compositing, on request by another program",
         examples=("requests --once",),
     ),
     "panorama": Command(
         request=models.Panorama,
         does="panorama:draw_panorama",
-        help="draw the light from all around a point, for the world of another program",
+        help="draw the light around a point as a panorama, for the world of another program",
         examples=(
             "runs/garden/result.ply --at=-0.4,0.1,0.9 --out light.hdr",
             "runs/garden/result.ply --at 0,0,1 --without vase --highlights 8 --out light.hdr",
@@ -204,7 +203,7 @@ COMMANDS: dict[str, Command] = {
     "adapt": Command(
         request=models.Adapt,
         does="adapt:adapt",
-        help="make a finished model right in another renderer, by a short training on its photos",
+        help="adapt a finished model to another renderer, by a short training on its photos",
         examples=(
             "runs/garden/result.ply --made-for cycles --out garden-cycles.ply",
             "other.ply --scene garden --max-side 1600 --made-for plain --out plain.ply",
@@ -213,8 +212,8 @@ COMMANDS: dict[str, Command] = {
     "convert": Command(
         request=models.Convert,
         does="convert:convert",
-        help="write Gaussians in another format, turned, cropped to boxes, or placed as a list"
-        " says",
+        help="write Gaussians in another format, also rotated, cropped to boxes, or merged from "
+        "a list",
         examples=(
             "runs/garden/result.ply garden.spz",
             "result.ply vase.glb --rois rois.json --only vase --sh-degree 0",
@@ -240,25 +239,25 @@ COMMANDS: dict[str, Command] = {
     "floaters": Command(
         request=models.Floaters,
         does="objects:find_floaters",
-        help="find Gaussians that hang in the air, by the rule with which a training ends",
+        help="find floaters, by the same rule as at the end of training",
         examples=("garden --rois garden/rois.json --model result.ply --out floaters.npy",),
     ),
     "levels": Command(
         request=runs.Levels,
         does="upkeep:make_levels",
-        help="make levels of detail of a run's result: fewer Gaussians for views from afar",
+        help="make levels of detail of a run's result: fewer Gaussians for distant views",
         examples=("runs/garden",),
     ),
     "surface": Command(
         request=runs.MakeSurface,
         does="surface:make_surfaces",
-        help="make the objects in a run's boxes meshes with the photos' texture",
+        help="make meshes of a run's objects, with texture from the photos",
         examples=("runs/garden", "runs/garden --only vase --watertight --format stl"),
     ),
     "confidence": Command(
         request=runs.Confidence,
         does="confidence:find_confidence",
-        help="say how well photos know each Gaussian: how many, from where, how wrong it is",
+        help="measure how well the photos cover each Gaussian: photos, directions, error",
         examples=(
             "runs/garden --out known.ply",
             "runs/garden --heat-map --out heat.ply",
@@ -267,7 +266,7 @@ COMMANDS: dict[str, Command] = {
     "clean": Command(
         request=runs.Clean,
         does="upkeep:clean",
-        help="remove what can be made again: caches, stages of earlier settings, previews",
+        help="remove recreatable files: caches, stages of earlier settings, previews",
         examples=("runs/garden --dry-run", "runs/garden"),
         torch=False,
     ),

@@ -8,11 +8,11 @@ METHOD_ITEMS = (
     (
         "coverage",
         "Coverage",
-        "Photos that together show the box from all sides, as large as possible",
+        "Photos that cover the box from all sides, as large as possible",
     ),
     ("gp9", "Gaussian process (paper)", "A Gaussian process over nine view parameters"),
     ("gp6", "Gaussian process, 6", "A Gaussian process over six view parameters"),
-    ("greedy", "Greedy", "At each step the photo that improves the score most"),
+    ("greedy", "Greedy", "In each round, the photo with the largest gain in score"),
     ("static", "Static", "Photos ranked once, by distance, size and points"),
     ("fvs", "Farthest views", "Viewpoints as far apart as possible"),
     ("random", "Random", "Random photos, for comparison"),

@@ -222,7 +222,7 @@ def read_options(path: Path, request: type[Request], given: Mapping[str, Any]) -
             )
         if name in NOT_IN_FILES and value is not None:
             raise ConfigError(
-                f"The options file {path} has the key '{key}', which no file may choose.",
+                f"The options file {path} must not have the key '{key}'.",
                 f"Remove it, and give {known[name].usage} on the command line.",
             )
         if keys.setdefault(name, key) != key:

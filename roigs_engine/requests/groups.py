@@ -20,7 +20,7 @@ class Threads(Request):
     """The threads of the CPU kernels."""
 
     threads: int | None = option(
-        integer(1, MAX_THREADS), "CPU threads (default: as many as there are cores)", decides=False
+        integer(1, MAX_THREADS), "CPU threads (default: the number of cores)", decides=False
     )
 
 
@@ -30,8 +30,8 @@ class Device(Request):
 
     device: str = option(
         NamedChoice(choices.DEVICES),
-        "auto uses an NVIDIA GPU, else another one that is faster than the CPU, if it passes its"
-        " check; gpu:NAME is the GPU of that name (default: {default})",
+        "auto uses an NVIDIA GPU, or another GPU faster than the CPU, if it passes its check; "
+        "gpu:NAME is the GPU of that name (default: {default})",
         "auto",
         decides=False,
     )
@@ -68,14 +68,14 @@ class PhotoMasks(Request, heading="scene"):
 
     masks: Path | None = option(
         DIR,
-        "folder of masks, 012.jpg.png for the photo 012.jpg: what is black is ignored"
-        " (default: the folder masks beside that of the photos, if there is one)",
+        "folder of masks, 012.jpg.png for the photo 012.jpg; black pixels are ignored (default: "
+        "the folder masks beside that of the photos, if there is one)",
         excludes="masks",
     )
     no_masks: bool = option(
         FLAG, "use whole photos: no masks, and no alpha channels", False, excludes="masks"
     )
-    invert_masks: bool = option(FLAG, "in the masks' files, black marks what is used", False)
+    invert_masks: bool = option(FLAG, "in the masks' files, black marks the used pixels", False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +84,7 @@ class Exposures(Request, heading="scene"):
 
     no_exposures: bool = option(
         FLAG,
-        "use photos as bright as they are, even where EXIF says that exposures differ",
+        "do not level the photos' exposures",
         False,
     )
 
@@ -113,9 +113,9 @@ class ObjectMasks(Request, heading="masks of objects"):
     )
     object_masks: Path | None = option(
         DIR,
-        "folder of such masks for photos without one in masks: DIR/vase/012.jpg.png"
-        f" (`train` and `run` use {OBJECT_MASKS} of the run folder, where Blender puts them if"
-        " it cannot write beside the photos)",
+        "folder of such masks for photos without one in masks: DIR/vase/012.jpg.png (`train` "
+        f"and `run` use {OBJECT_MASKS} of the run folder, Blender's place if it cannot write "
+        "beside the photos)",
     )
 
 
@@ -126,8 +126,8 @@ class Boxes(Request, heading="boxes"):
     rois: Path | None = option(FILE, "rois.json with the boxes")
     roi: tuple[str, ...] = option(
         Name("NAME=x0,y0,z0,x1,y1,z1"),
-        "one box by its corners in the COLMAP frame; repeatable. auto (select, suggest, train,"
-        " run): a box around what most photos show, written to rois.json",
+        "one box by its corners in the COLMAP frame; repeatable. auto (select, suggest, train, "
+        "run): a box around the main object of the photos, written to rois.json",
         repeat=True,
     )
     only: tuple[str, ...] = option(
@@ -141,15 +141,15 @@ class Selection(Request, heading="selection"):
 
     method: str | None = option(
         Choice(choices.METHODS),
-        "how photos are selected",
+        "how to select photos",
         label="Method",
-        tooltip="How the photos of each box are selected",
+        tooltip="How to select the photos of each box",
     )
     count: int | None = option(
         integer(1, metavar="K"),
         "number of photos to select for each box",
         label="Photos",
-        tooltip="How many photos each box gets; 0: the method decides",
+        tooltip="Number of photos for each box; 0: the method decides",
     )
     seed: int | None = option(
         integer(0, choices.MAX_SEED),
@@ -161,7 +161,7 @@ class Selection(Request, heading="selection"):
         integer(2, zero=True),
         "make every N-th photo that sees a box a test photo; 0: none",
         label="Test Photos",
-        tooltip="Hold out one photo in so many to measure quality: 8 is one in eight; 0: none",
+        tooltip="Hold out test photos to measure quality: 8 means one photo in eight; 0: none",
     )
 
 
@@ -180,7 +180,7 @@ class Training(Request, heading="training"):
         Choice(choices.STRATEGIES),
         "one joint stage for all boxes, or one for each box",
         label="Boxes",
-        tooltip="Whether boxes are trained together",
+        tooltip="Train boxes together or one by one",
     )
     steps_factor: float | None = option(
         Number(low=0, high=choices.MAX_FACTOR, above=True, metavar="F"),
@@ -190,13 +190,13 @@ class Training(Request, heading="training"):
     )
     kept_share: float | None = option(
         Number(low=0, high=1),
-        "share of the selected photos, 0 to 1, that the Scene-GS is trained on too",
+        "share of the selected photos, 0 to 1, that the Scene-GS also uses",
         hidden="line",
     )
     roi_init: str | None = option(
         Choice(choices.INITS),
-        "what the box stage starts from: the Scene-GS, the sparse points, or those of the"
-        " Scene-GS's Gaussians that are in the box",
+        "start of the box stage: the Scene-GS, the sparse points, or the Scene-GS's Gaussians "
+        "in the box",
         hidden="line",
     )
     roi_order: str | None = option(
@@ -205,16 +205,16 @@ class Training(Request, heading="training"):
     sh_degree: int | None = option(integer(0, 3), "highest SH degree, 0 to 3")
     made_for: str | None = option(
         Choice(choices.MADE_FOR),
-        "the renderer in which the result is to look right: viewers with anti-aliasing, plain ones"
-        " without (also glTF, USD, .splat), or Blender 5.3's own splats in Cycles or EEVEE"
-        " (default: viewers; plain in `paper`)",
+        "the renderer to make the result for: viewers with anti-aliasing, plain ones without "
+        "(also glTF, USD, .splat), or Blender 5.3's own splats in Cycles or EEVEE (default: "
+        "viewers; plain in `paper`)",
         label="Made for",
-        tooltip="The renderer in which the result is to look right",
+        tooltip="The renderer you want to use the result in",
     )
     evaluate_on: str | None = option(
         Choice(choices.PHOTOS),
-        "photos to evaluate on: the test photos (default), or validation photos, to choose"
-        " settings with; nothing uses the test photos then",
+        "photos to evaluate on: the test photos (default), or validation photos, for choosing "
+        "settings; then nothing uses the test photos",
     )
 
 
@@ -224,12 +224,12 @@ class Layout(Request, heading="large scenes, many boxes"):
 
     blocks: int | str | None = option(
         AutoOr(low=1, high=choices.MOST_BLOCKS),
-        "cut the scene into N blocks that are trained one by one and joined; auto: as many as"
-        " this machine's memory needs (default: 1)",
+        "divide the scene into N blocks, train them one by one and join them; auto: as many as "
+        "this machine's memory needs (default: 1)",
     )
     group: tuple[str, ...] = option(
         Name("BOX,BOX"),
-        "boxes that are trained together, apart from the others; repeatable; all: all boxes"
-        " (default: boxes that share photos)",
+        "boxes to train together, separately from the others; repeatable; all: all boxes "
+        "(default: boxes that share photos)",
         repeat=True,
     )

@@ -43,11 +43,11 @@ class Render(PhotoSize, Device):
         NAME, "render only the camera of this name; repeatable", repeat=True
     )
     levels: bool = option(
-        FLAG, "draw the result of a run in its levels of detail, as its levels.json says", False
+        FLAG, "draw the result of a run with its levels of detail (levels.json)", False
     )
     quality: float = option(
         Number(low=0.01, high=100, metavar="Q"),
-        "with --levels: how many times finer they shall be (default: {default})",
+        "with --levels: draw levels so many times finer (default: {default})",
         1.0,
     )
     out: Path = option(DIR, "folder for the pictures", required=True)
@@ -58,7 +58,7 @@ class RenderFrames(Threads, Device):
     """Pictures for compositing, as another program asks for them."""
 
     folder: Path = argument(PATH, "folder of the requests, JSON files (docs/files.md)")
-    once: bool = option(FLAG, "end when no request is left", False)
+    once: bool = option(FLAG, "end after the last request", False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,47 +67,48 @@ class Panorama(Threads, Device):
 
     model: Path = argument(
         PATH,
-        "PLY, in the frame of its COLMAP project, or a JSON list of PLYs and their places"
-        " (docs/files.md), z up",
+        "PLY, in the frame of its COLMAP project, or a JSON list of PLYs with matrices "
+        "(docs/files.md), z up",
     )
     at: tuple[tuple[float, float, float], ...] = option(
         Place("X,Y,Z"),
-        "where the light comes to, in the frame of MODEL (--at=-1,0,2 if it begins with a minus);"
-        " repeatable: then the files are FILE-1, FILE-2 ...",
+        "point that receives the light, in the frame of MODEL (--at=-1,0,2 if it begins with a "
+        "minus); repeatable: then the files are FILE-1, FILE-2 ...",
         required=True,
         repeat=True,
     )
     out: Path = option(PathName("FILE.hdr"), "picture to write, Radiance HDR", required=True)
     width: int = option(
         integer(MIN_PANORAMA, MOST_PANORAMA, metavar="PX"),
-        "its width; it is half as high (default: {default})",
+        "width of the picture; it is half as high (default: {default})",
         1024,
     )
     without: tuple[str, ...] = option(
-        NAME, "leave out what is in the box of this name; repeatable", repeat=True
+        NAME, "leave out the contents of this box; repeatable", repeat=True
     )
     near: float = option(
         Number(low=0, high=FAR, metavar="R"),
-        "leave out Gaussians whose centres are nearer than R to the point (default: {default})",
+        "leave out Gaussians with centres nearer than R to the point (default: {default})",
         0.0,
     )
     highlights: float | None = option(
         Number(low=1, high=MOST_HIGHLIGHTS, metavar="K"),
-        "how many times brighter lamps and windows are than the photos show, where they are white"
-        " (default: as the shading in the scene tells)",
+        "brightness of lamps and windows relative to the photos' white (default: estimated from "
+        "the shading)",
         label="Highlights",
-        tooltip="How many times brighter lamps and windows are than the photos show",
+        tooltip="Brightness of lamps and windows relative to the photos' white",
     )
     unseen: float | None = option(
         Number(low=1, high=MOST_HIGHLIGHTS, metavar="K"),
-        "the same of what no photo shows above the horizon, where lamps and the sky are",
+        "brightness of unseen parts above the horizon (lamps, the sky) relative to their "
+        "surroundings (default: estimated from the shading)",
         label="Unseen Light",
-        tooltip="How many times brighter it is where no photo shows anything, above the horizon",
+        tooltip="Brightness of unseen parts above the horizon relative to their surroundings",
     )
     run: Path | None = option(
         DIR,
-        "run folder of MODEL, with its boxes, and the background that `surface --background` made,"
-        " from whose shading the highlights are known (default: the folder that MODEL is in)",
+        "run folder of MODEL, with its boxes, and the background mesh of `surface --background` "
+        "for the estimate (default: the folder of MODEL)",
     )
 
 
@@ -118,7 +119,7 @@ class Compose(Boxes):
     scene_ply: Path = argument(PATH, "PLY of the whole scene")
     object: tuple[str, ...] = option(
         Name("ROI=FILE.ply"),
-        "PLY whose Gaussians in the box replace the scene's; repeatable",
+        "PLY with Gaussians to replace the scene's in the box; repeatable",
         required=True,
         repeat=True,
     )
@@ -134,8 +135,8 @@ class Adapt(PhotoSize, PhotoMasks, Device):
     )
     scene: Path | None = option(
         DIR,
-        "COLMAP project that it was trained on (default: that of MODEL's run folder, with the size"
-        " of its photos)",
+        "COLMAP project it was trained on (default: that of MODEL's run folder, with the size "
+        "of its photos)",
     )
     made_for: str = option(
         Choice(choices.MADE_FOR), "the renderer to adapt it to, as of `train`", required=True
@@ -149,17 +150,15 @@ class _Page(Request, heading="web page (OUT.html)"):
     """What a page shows besides the model."""
 
     title: str | None = option(Name("TEXT"), "of the page (default: the name of OUT)")
-    fly_to: Path | None = option(
-        FILE, "rois.json: a button for each box, which flies there; crops nothing"
-    )
+    fly_to: Path | None = option(FILE, "rois.json: a button to fly to each box; crops nothing")
     before: Path | None = option(FILE, "a second model, to switch between before/after")
     mesh: tuple[Path, ...] = option(
-        FILE, "a mesh that surface made (.glb), to switch to; repeatable", repeat=True
+        FILE, "a mesh made by surface (.glb), to switch to; repeatable", repeat=True
     )
     page_scene: Path | None = option(
         DIR,
-        "COLMAP project that IN was trained on: its photos tell which way is up, and from where to"
-        " look first (default: that of IN's run folder, if it has one); also for --plain",
+        "COLMAP project IN was trained on: its photos determine the up direction and the first "
+        "view (default: that of IN's run folder, if it has one); also for --plain",
         flags=("--scene",),
     )
 
@@ -170,27 +169,26 @@ class Convert(Boxes, _Page):
 
     source: Path = argument(
         PathName("IN"),
-        "file of Gaussians (.ply, .compressed.ply, .spz, .sog, meta.json, .glb, .gltf, .usd, .usdc,"
-        " .splat), a JSON list of files and their places (docs/files.md), or a mesh (.glb)",
+        "file of Gaussians (.ply, .compressed.ply, .spz, .sog, meta.json, .glb, .gltf, .usd, "
+        ".usdc, .splat), a JSON list of files with matrices (docs/files.md), or a mesh (.glb)",
     )
     out: Path = argument(
         PathName("OUT"),
-        "file to write; the end of its name says how: .ply, .compressed.ply, .spz, .sog, .glb,"
-        " .usdc, .usda, .usdz, .splat; .html: a web page to send, with the viewer inside;"
-        " DIR/lod-meta.json: a run's levels of detail, for PlayCanvas. Of a mesh: .obj, .ply, .stl,"
-        " .usdc, .usda, .usdz",
+        "file to write; its suffix selects the format: .ply, .compressed.ply, .spz, .sog, .glb, "
+        ".usdc, .usda, .usdz, .splat; .html: a web page to send, with the viewer inside; "
+        "DIR/lod-meta.json: a run's levels of detail, for PlayCanvas. Of a mesh: .obj, .ply, "
+        ".stl, .usdc, .usda, .usdz",
     )
     up: str | None = option(
         Choice(choices.AXES),
-        "axis that points up in OUT (default: as readers of the format have it)",
+        "up axis of OUT (default: the format's convention)",
     )
     from_up: str | None = option(
         Choice(choices.AXES),
-        "axis that points up in IN (default: as the file says, else as the format has it; -y for"
-        " .ply)",
+        "up axis of IN (default: the file's, otherwise the format's convention; -y for .ply)",
     )
     sh_degree: int | None = option(
-        integer(0, 3), "highest degree of view-dependent colour, 0 to 3 (default: as it is)"
+        integer(0, 3), "highest degree of view-dependent colour, 0 to 3 (default: unchanged)"
     )
     plain: bool = option(
         FLAG,
@@ -216,16 +214,16 @@ class Masks(Photos, Threads, Boxes, Device):
     )
     photo: tuple[str, ...] = option(
         NAME,
-        "a photo to make a mask for; repeatable (default: those that select chooses)",
+        "a photo to make a mask for; repeatable (default: the photos of `select`)",
         repeat=True,
     )
     anew: bool = option(
-        FLAG, "recreate all masks: strokes that correct one photo then help the others", False
+        FLAG, "recreate all masks, so that corrections on one photo help the others", False
     )
     out: Path = option(
         DIR,
-        "folder of the masks, of the box vase in DIR/vase; masks that are there and were not"
-        " created by this command are used, and stay",
+        "folder of the masks, of the box vase in DIR/vase; existing masks from elsewhere are "
+        "used, and stay",
         required=True,
     )
 
@@ -237,13 +235,13 @@ class Cut(PhotoSize, Boxes, Device):
     scene: Path = argument(PATH, MODEL)
     masks: Path | None = option(
         DIR,
-        "folder with a folder of masks for each box: DIR/vase/012.jpg.png shows the object of box"
-        " vase on the photo 012.jpg, all else is black (default: masks in the scene's folder)",
+        "folder with a folder of masks for each box: DIR/vase/012.jpg.png shows the object of "
+        "box vase on the photo 012.jpg, the rest is black (default: masks in the scene's folder)",
     )
     invert_masks: bool = option(FLAG, "black marks the object", False)
     model: Path = option(FILE, "PLY in the COLMAP frame", required=True)
     out: Path = option(
-        DIR, f"folder to write to: {FINE}/ROI.ply, and {BACKGROUND} with all else", required=True
+        DIR, f"folder to write to: {FINE}/ROI.ply, and {BACKGROUND} with the rest", required=True
     )
 
 
@@ -253,16 +251,17 @@ class Floaters(Scene, Boxes, Device):
 
     model: Path = option(
         FILE,
-        "PLY in the COLMAP frame, or a JSON list of PLYs and their places (docs/files.md)",
+        "PLY in the COLMAP frame, or a JSON list of PLYs with matrices (docs/files.md)",
         required=True,
     )
     min_views: int = option(
         integer(1),
-        "photos that must show what is before the boxes or the scene (default: {default})",
+        "minimum number of photos that must show a Gaussian in front of the boxes or the scene "
+        "(default: {default})",
         choices.MIN_VIEWS,
     )
     out: Path = option(
         PathName("FILE.npy"),
-        "NumPy file to write: for each Gaussian, in the order of the files, whether it is one",
+        "NumPy file to write: true for each floater, in the order of the files",
         required=True,
     )

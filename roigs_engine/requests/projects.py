@@ -21,34 +21,34 @@ class ReconstructionMethod(Request, heading="method"):
 
     max_side: int = option(
         integer(64, LARGEST_SIDE, metavar="PX"),
-        "longest side of photos in which features are found (default: {default})",
+        "longest side of the photos while features are found (default: {default})",
         1600,
         label="Photo Size",
-        tooltip="Longest side of the photos in which features are found",
+        tooltip="Longest side of the photos while features are found",
     )
     features: int = option(
         integer(64, MOST_FEATURES, zero=True),
-        f"most features of a photo (default: 0, which is {USUAL}, and {MANY} of up to {FEW_PHOTOS}"
-        " photos)",
+        f"maximum number of features of a photo (default: 0, meaning {USUAL}, or {MANY} with up "
+        f"to {FEW_PHOTOS} photos)",
         0,
     )
     pairs: str = option(
         Choice(choices.PAIRS),
-        "photos to match: all pairs, the similar ones, those that follow one another by name (and"
-        " similar ones), or all of few photos and else the similar ones (auto, the default)",
+        "photos to match: all pairs; similar photos; neighbours by name, and similar ones; or "
+        "all pairs of few photos, otherwise similar photos (auto, the default)",
         "auto",
         label="Pairs",
-        tooltip="Which photos are matched",
+        tooltip="Photos to match",
     )
     neighbours: int = option(
         integer(1, MOST_NEIGHBOURS),
-        "similar photos that each is matched with (default: {default})",
+        "number of similar photos to match with each (default: {default})",
         30,
     )
     cameras: str = option(
         Choice(choices.CAMERAS),
-        "photos that share a camera: those of one device, lens, focal length and size (auto, the"
-        " default), all of one size, or none",
+        "photos that share a camera: those with the same device, lens, focal length and size "
+        "(auto, the default), all of one size, or none",
         "auto",
         label="Cameras",
         tooltip="Which photos share a camera",
@@ -72,7 +72,7 @@ class Reconstruct(PhotoMasks, ReconstructionMethod, Threads):
     )
     frames: int | None = option(
         integer(2, MOST_FRAMES),
-        "use about N frames of a video (default: as many as its motion asks for)",
+        "use about N frames of a video (default: by its motion)",
     )
 
 
@@ -90,8 +90,8 @@ class Export(Scene):
 
     placed: bool = option(
         FLAG,
-        "write them as the scene was placed in Blender (roigs_placement.json), in metres;"
-        " default: in the COLMAP frame",
+        "write in the scene's world, placed in Blender (roigs_placement.json), in metres; "
+        "default: in the COLMAP frame",
         False,
     )
     out: Path = option(DIR, "folder to write to", required=True)
@@ -104,8 +104,8 @@ class ShowPhoto(Request):
     photo_file: Path = argument(PATH, "file of the photo")
     lens: str | None = option(
         Name("CAMERA"),
-        "undistort it from this camera, written as in cameras.txt: 'MODEL WIDTH HEIGHT PARAMS'"
-        " (default: it has no distortion)",
+        "undistort it from this camera, in the format of cameras.txt: 'MODEL WIDTH HEIGHT "
+        "PARAMS' (default: no distortion)",
     )
     turn: int = option(integer(1, 8), "turn it by this EXIF orientation (default: {default})", 1)
     max_side: int = option(
@@ -122,7 +122,7 @@ class RefineCameras(Request):
     images: Path | None = option(DIR, "folder of the photos (default: the project's)")
     tracks_only: bool = option(
         FLAG,
-        "use the model's keypoints alone, and do not look at the photos: faster, less exact",
+        "use only the model's keypoints, not the photos: faster, less exact",
         False,
     )
     out: Path | None = option(DIR, "folder of the new model (default: sparse/refined)")
@@ -144,14 +144,14 @@ class Suggest(Scene, ObjectMasks, Boxes, Device):
         "photos to suggest for each box (default: {default})",
         8,
         label="Photos",
-        tooltip="How many photos to suggest for each box",
+        tooltip="Number of photos to suggest for each box",
     )
     model: Path | None = option(
         FILE,
-        "PLY of the trained scene in the COLMAP frame: draws what each photo should show"
-        " (default: the sparse points do)",
+        "PLY of the trained scene in the COLMAP frame, to draw the preview of each photo "
+        "(default: the sparse points)",
     )
-    no_look: bool = option(FLAG, "do not look at the photos: faster, and all count as sharp", False)
+    no_look: bool = option(FLAG, "do not read the photos: faster, and all count as sharp", False)
     out: Path = option(
         DIR,
         "folder to write to: suggestions.json (a camera path), suggestions.html and pictures",
@@ -165,8 +165,8 @@ class Certify(Scene, ObjectMasks, Boxes):
 
     run_dir: Path | None = option(
         DIR,
-        "folder of a finished run of these boxes: its scores, software, settings and hashes are"
-        " certified, too, its test photos do not count, and its reports get a section",
+        "folder of a finished run of these boxes: certifies its scores, software, settings and "
+        "hashes, too, does not count its test photos, and adds a section to its reports",
     )
     out: Path = option(
         DIR, "folder to write to: a page for each box, and certificates.json", required=True

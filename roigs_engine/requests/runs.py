@@ -27,8 +27,7 @@ MIN_TEXTURE, MOST_TEXTURE = 64, 16_384
 MESH_FORMATS = ("obj", "ply", "stl", "usda", "usdc", "usdz")
 MOST_JOBS, MOST_RETRIES, RETRIES = 1024, 100, 3
 CLUSTER = (
-    "on Ray: ray://HOST:10001, auto (the cluster that this machine is part of), or local (a Ray of"
-    " this machine alone)"
+    "on Ray: ray://HOST:10001, auto (this machine's cluster), or local (Ray on this machine only)"
 )
 
 
@@ -39,20 +38,20 @@ class Train(Scene, ObjectMasks, Boxes, Selection, Training, Layout, Device):
     run_dir: Path = option(DIR, "folder of the run", required=True, decides=False)
     selection: Path | None = option(
         DIR,
-        "folder of ROI.json files with the photos of each box, as `select --out` writes them;"
-        " --method selects the photos of boxes without a file",
+        "folder of ROI.json files with the photos of each box, from `select --out`; --method "
+        "selects the photos of boxes without a file",
     )
     levels: int | None = option(
         integer(2, MOST_LEVELS),
-        "make the result's levels of detail at the end, as `levels` does: N of them",
+        "make N levels of detail of the result at the end, as `levels` does",
     )
     surface: bool = option(
-        FLAG, "make a mesh of what is in each box at the end, as `surface` does", False
+        FLAG, "make a mesh of each box's contents at the end, as `surface` does", False
     )
     update: bool = option(
         FLAG,
-        "reuse a run folder of other settings: stages that still fit are kept, the results move to"
-        " its folder 'earlier'",
+        "reuse a run folder of other settings: valid stages are kept, the results move to its "
+        "folder 'earlier'",
         False,
         decides=False,
     )
@@ -89,8 +88,8 @@ class TrainAndEvaluate(Train):
     )
     part: tuple[str, ...] = option(
         Name("PART"),
-        "do one part only, as `batch` does, so that several engines can work in one run folder:"
-        " 'prepare', then the name of each stage, then 'all' for the rest; repeatable",
+        "do only one part, as `batch` does, so that several engines can work in one run folder: "
+        "'prepare', then the name of each stage, then 'all' for the rest; repeatable",
         repeat=True,
         decides=False,
     )
@@ -108,12 +107,12 @@ class Evaluate(Scene, ObjectMasks, Boxes, Device):
     )
     split: Path | None = option(
         FILE,
-        "split.json of a run (default: that of the run that the models are from)",
+        "split.json of a run (default: that of the models' run)",
         excludes="tests",
     )
     test_every: int | None = option(
         integer(2),
-        "test on every N-th photo that sees a box, whether or not a model was trained on it",
+        "test on every N-th photo that sees a box, even if a model was trained on it",
         excludes="tests",
     )
     out: Path = option(DIR, "folder to write to", required=True)
@@ -126,13 +125,13 @@ class Levels(Threads, Device):
     run: Path = argument(PATH, "folder of the run")
     levels: int = option(
         integer(2, MOST_LEVELS),
-        "how many, with the whole one; each has half the Gaussians of the one before"
-        " (default: {default})",
+        "number of levels, including the full model; each has half the Gaussians of the "
+        "previous one (default: {default})",
         5,
     )
     steps: int = option(
         integer(1, MOST_LEVEL_STEPS),
-        "steps to train each level of each box for (default: {default})",
+        "training steps for each level of each box (default: {default})",
         500,
     )
     scene: Path | None = option(DIR, "COLMAP project of the run, if it was moved")
@@ -148,23 +147,23 @@ class MakeSurface(Threads, Device):
     )
     background: bool = option(
         FLAG,
-        "make one coarse mesh of all that is around the boxes, to catch shadows and to be mirrored;"
-        " the boxes of --only are then made too",
+        "make one coarse mesh of the boxes' surroundings, for shadows and reflections; with "
+        "--only, also the meshes of these boxes",
         False,
     )
     faces: int = option(
         integer(MIN_FACES, MOST_FACES),
-        "faces of a mesh at most (default: {default})",
+        "maximum number of faces of a mesh (default: {default})",
         100_000,
         label="Faces",
-        tooltip="A mesh gets at most so many faces",
+        tooltip="Maximum number of faces of a mesh",
     )
     watertight: bool = option(
         FLAG,
-        "close all holes, for print: what no photo shows is filled",
+        "close all holes, for 3D printing: unseen parts are filled",
         False,
         label="Watertight",
-        tooltip="Close all holes, for 3D print: what no photo shows is filled",
+        tooltip="Close all holes, for 3D printing: unseen parts are filled",
     )
     texture_size: int | None = option(
         integer(MIN_TEXTURE, MOST_TEXTURE, metavar="PX"),
@@ -174,7 +173,7 @@ class MakeSurface(Threads, Device):
     )
     format: tuple[str, ...] = option(
         Choice(MESH_FORMATS),
-        "write this format too, beside the .glb; repeatable",
+        "also write this format, beside the .glb; repeatable",
         repeat=True,
     )
     scene: Path | None = option(DIR, "COLMAP project of the run, if it was moved")
@@ -187,8 +186,7 @@ class Confidence(Threads, Device):
     run: Path = argument(PATH, "folder of the run")
     model: Path | None = option(
         FILE,
-        "PLY in the COLMAP frame, or a JSON list of PLYs and their places (default: the run's"
-        " result)",
+        "PLY in the COLMAP frame, or a JSON list of PLYs with matrices (default: the run's result)",
     )
     heat_map: bool = option(
         FLAG,
@@ -198,9 +196,9 @@ class Confidence(Threads, Device):
     scene: Path | None = option(DIR, "COLMAP project of the run, if it was moved")
     out: Path = option(
         PathName("FILE.ply|FILE.npy"),
-        "PLY of the model with three more properties, or a NumPy file with these columns for each"
-        " Gaussian: photos that show it, directions from which they do (of 128), error of its"
-        " colours in the test photos (root mean square, 0 to 1; NaN: none shows it)",
+        "PLY of the model with three more properties, or a NumPy file with these columns for "
+        "each Gaussian: number of photos that show it, number of their directions (of 128), "
+        "error of its colours in the test photos (root mean square, 0 to 1; NaN: none shows it)",
         required=True,
     )
 
@@ -215,20 +213,20 @@ class Batch(Request):
     init: Path | None = option(PathName("FOLDER"), "write TABLE with the scenes of this folder")
     run_dir: Path | str | None = option(
         PlaceName("DIR"),
-        "folder that gets a run folder for each scene; also an address such as s3://BUCKET/RUNS",
+        "folder for the run folders of all scenes; also an address such as s3://BUCKET/RUNS",
     )
     scenes: tuple[str, ...] = option(
-        NAME, "do the scene of this name only; repeatable", repeat=True, flags=("--scene",)
+        NAME, "do only the scene of this name; repeatable", repeat=True, flags=("--scene",)
     )
     only: tuple[str, ...] = option(NAME, "no option of a batch", repeat=True, hidden="help")
     jobs: int | None = option(
         integer(1, MOST_JOBS),
-        "most parts at a time on this machine (default: one for every two cores)",
+        "maximum number of parts at a time on this machine (default: one for every two cores)",
     )
     cluster: str | None = option(Name("ADDRESS"), f"do the parts {CLUSTER}")
     retries: int = option(
         integer(0, MOST_RETRIES, zero=True),
-        "how often a part is tried again if its process is lost (default: {default})",
+        "number of retries of a part if its process is lost (default: {default})",
         RETRIES,
     )
     dry_run: bool = option(
@@ -241,11 +239,11 @@ class Clean(Request):
     """What can be made again, removed from a run folder."""
 
     run: Path = argument(PATH, "folder of the run; its results stay")
-    dry_run: bool = option(FLAG, "print what would be removed, and remove nothing", False)
+    dry_run: bool = option(FLAG, "print the files to remove, and remove nothing", False)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckGpu(Device):
     """A GPU checked against the CPU, and timed."""
 
-    brief: bool = option(FLAG, "only say which device training would use, and why", False)
+    brief: bool = option(FLAG, "only print the device for training, and why", False)

@@ -126,7 +126,7 @@ class PlaceName(PathName):
             return value
         if begins_as_url(value):
             raise ArgumentTypeError(
-                "it begins as an address, but has no ://; a folder of this name is ./NAME"
+                "it looks like an address without ://; for a folder of this name, write ./NAME"
             )
         return super().of_json(value)
 
@@ -141,7 +141,7 @@ class Place(Name):
         except (TypeError, ValueError):
             numbers = ()
         if len(numbers) != 3 or not all(abs(number) < FAR for number in numbers):
-            raise ArgumentTypeError(f"{shown(value)} is not a place: x,y,z")
+            raise ArgumentTypeError(f"{shown(value)} is not a point: x,y,z")
         return numbers
 
 

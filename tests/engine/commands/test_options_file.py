@@ -115,7 +115,7 @@ def test_a_file_says_neither_where_to_write_nor_where_to_connect(
     file = options_file(tmp_path, **{"scene": str(project.folder), key: value})
     for more in ((), (flag, tmp_path / "mine")):
         line = refused(capsys, command, file, *more)
-        assert f"the key '{key}', which no file may choose" in line and flag in line
+        assert f"must not have the key '{key}'" in line and flag in line
     assert not (tmp_path / "mine").exists()
 
 
