@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -30,6 +31,7 @@ SIDE = 3000
 """Longest side of a picture, px: on a screen, the detail of the largest photos."""
 KEPT = 200
 """Pictures in the cache, about 2 MB each; the oldest are deleted."""
+_OURS = re.compile(r"roigs-[0-9a-f]{32}\.jpg")
 MARK = "roigs_picture"
 """Custom property of the images of pictures."""
 POLL_SECONDS = 0.1
@@ -121,7 +123,7 @@ def _picture(photo: Photo) -> Path | None:
         return None
     text = repr((photo.path, found.st_size, found.st_mtime_ns, photo.lens, photo.turn, SIDE))
     name = hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()[:32]
-    return settings.pictures_folder() / f"{name}.jpg"
+    return settings.pictures_folder() / f"roigs-{name}.jpg"
 
 
 def _put(data: bpy.types.Camera, photo: Photo, path: Path) -> None:
@@ -211,8 +213,10 @@ def _give_up(picture: Path, reason: str) -> None:
 
 
 def _remove_oldest(folder: Path) -> None:
+    """Keep the newest of our pictures; all others stay: the user may have named a folder of his."""
     with suppress(OSError):
-        pictures = sorted(folder.glob("*.jpg"), key=lambda file: file.stat().st_mtime)
+        ours = [file for file in folder.iterdir() if _OURS.fullmatch(file.name)]
+        pictures = sorted(ours, key=lambda file: file.lstat().st_mtime)
         for picture in pictures[: max(0, len(pictures) - KEPT)]:
             picture.unlink()
 

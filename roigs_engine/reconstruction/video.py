@@ -7,6 +7,7 @@ PyAV is imported when it is used.
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +21,14 @@ from PIL import Image
 from ..context import Context
 from ..errors import SceneError
 from ..formats.events import StageStarted
-from ..formats.files import atomic_write, own_folder, read_record, regular, write_json
+from ..formats.files import (
+    atomic_write,
+    matching,
+    own_folder,
+    read_record,
+    regular,
+    write_json,
+)
 from ..formats.text import counted
 from ..machine import package
 from ..photos.headers import MAX_PIXELS, content_digest
@@ -211,6 +219,7 @@ COARSE = 0.1  # cycles per px: finer detail counts less in the motion
 TEXTURE = 3.0  # grey levels: the least contrast of a block whose motion is found
 QUALITY = 95
 RECORD = "video.json"
+_FRAME = re.compile(r"frame_\d{6,}\.jpg")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -261,13 +270,13 @@ def _seen(video: Video, folder: Folder, context: Context) -> list[Seen]:
         raise SceneError(text, "Give another.") from error
     record = read_record(path)
     if record.get("video") != digest:
-        if any(folder.images.glob("frame_*.jpg")):
+        if _frames_in(folder):
             raise SceneError(f"{folder.images} has frames of another video.", "Give another --out.")
         record = {}
     seen = _remembered(record)
     if not seen:
         seen = look(video, context)
-        for made_before in folder.images.glob("frame_*.jpg"):  # by another version
+        for made_before in _frames_in(folder):  # by another version
             made_before.unlink()
         rows = [[frame.moved, frame.sharpness] for frame in seen]
         record = {"version": VERSION, "video": digest, "frames": rows, "damaged": video.damaged}
@@ -275,6 +284,11 @@ def _seen(video: Video, folder: Folder, context: Context) -> list[Seen]:
     if record.get("damaged"):
         context.warn(f"Parts of {video.path} cannot be read; the other frames are used.")
     return seen
+
+
+def _frames_in(folder: Folder) -> list[Path]:
+    """The frames in the folder of the photos; a person's `frame_of_a_door.jpg` is none."""
+    return [path for path in matching(folder.images, "*.jpg") if _FRAME.fullmatch(path.name)]
 
 
 def _remembered(record: Mapping[str, Any]) -> list[Seen]:

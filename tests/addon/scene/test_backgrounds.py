@@ -94,6 +94,28 @@ def test_a_changed_photo_and_a_lost_picture_are_made_again(
     assert background(scene)[0] == second
 
 
+def test_only_pictures_of_ours_are_removed(
+    blender: ModuleType, addon: ModuleType, bent: Path, tmp_path: Path, monkeypatch
+) -> None:
+    """The user may have named a folder of photos as Cache Folder."""
+    from roigs_addon import settings
+    from roigs_addon.scene import backgrounds
+
+    scene = imported(blender, bent)
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    monkeypatch.setattr(settings, "pictures_folder", lambda: folder)
+    monkeypatch.setattr(backgrounds, "KEPT", 1)
+    theirs = [folder / name for name in ("a.jpg", f"{'0a' * 16}.jpg", "roigs-holiday.jpg")]
+    for file in theirs:
+        file.write_bytes(b"a photo")
+    made = []
+    for number in (3, 4, 5):
+        blender.ops.roigs.look_through(photo=f"photo {number}.png")
+        made.append(background(scene)[0])
+    assert sorted(folder.iterdir()) == sorted([*theirs, *made[1:]])
+
+
 def test_other_files_are_shown_as_training_sees_them(
     blender: ModuleType, addon: ModuleType, tmp_path: Path
 ) -> None:

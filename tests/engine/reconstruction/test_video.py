@@ -283,6 +283,9 @@ def test_frames_of_an_earlier_version_are_written_again(pan: Pan) -> None:
     record.write_text(json.dumps(json.loads(record.read_text("utf-8")) | {"version": 1}))
     for file in before:
         file.write_bytes(b"in the colours of that version")
+    own = pan.scene / "images/frame_of_a_door.jpg"
+    before[own] = b"a photo that somebody has put there"
+    own.write_bytes(before[own])
     taken(pan.path, pan.scene, 4)
     assert {file: file.read_bytes() for file in (pan.scene / "images").iterdir()} == before
 
