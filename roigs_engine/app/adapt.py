@@ -19,7 +19,7 @@ from .evaluate import held_out
 from .inputs import load_scene, on_device
 from .instances import drawable_model
 from .outputs import Result, refuse_inputs, refuse_run_files
-from .run_scene import source_of_run
+from .run_scene import source_of_run, warn_of_other_model
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -48,6 +48,8 @@ def adapt(request: Adapt, context: Context = QUIET) -> Result:
     refuse_inputs([request.out], [request.model])
     check_ply(request.model)
     request = _with_source(request)
+    assert request.scene is not None
+    warn_of_other_model(request.model.parent, request.scene, request.images, context)
     target = TARGETS[request.made_for]
     model, frame = drawable_model(request.model, context.warn, context.check_cancelled)
 

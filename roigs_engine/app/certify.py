@@ -16,6 +16,7 @@ from ..formats.report_scores import scores_of_result
 from ..requests.projects import Certify
 from .inputs import boxes_of, load_scene, mask_options
 from .outputs import Result, refuse_inputs, refuse_run_files
+from .run_scene import warn_of_other_model
 from .suggest import units_of
 from .surface_record import put_section
 
@@ -44,6 +45,8 @@ def certify(request: Certify, context: Context = QUIET) -> Certified:
     pages = {roi.name: request.out / f"{roi.name}.html" for roi in rois}
     refuse_inputs([*pages.values(), request.out / RECORD], [request.options_file, request.rois])
     run = _Run.of(request.run_dir)
+    if request.run_dir is not None:
+        warn_of_other_model(request.run_dir, request.scene, request.images, context)
     masks = mask_options(request, [roi.name for roi in rois])
     scene = load_scene(request, context, masks=masks)
     scene = with_useful_masks(scene.without(run.tests), rois, context)

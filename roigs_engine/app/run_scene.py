@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -53,20 +53,50 @@ def cameras_of_run(folder: Path, scene: Path | None, context: Context) -> SfmSce
         ConfigError: the scene is not where it was.
         SceneError: it cannot be used.
     """
-    from ..colmap.project import load_colmap
-
     for place in [scene] if scene else _places(folder):
         if scene or place.is_dir():
-            return load_colmap(
-                place,
-                images=None if scene else _path(folder, "images"),
-                max_side=_longest_side(folder),
-                pixels=False,
-                context=context,
-            )
+            found = _cameras(folder, place, None if scene else _path(folder, "images"), context)
+            _warn_of_other_model(folder, found, context)
+            return found
     raise ConfigError(
         f"The scene of {folder} is not where it was.", "Give its folder with --scene."
     )
+
+
+def warn_of_other_model(folder: Path, scene: Path, images: Path | None, context: Context) -> None:
+    """Warn if a scene has other cameras than a run was trained with: results would be wrong.
+
+    Args:
+        folder: of the run.
+        scene, images: of the photos that are used with its result; None: found.
+    """
+    with suppress(EngineError):  # said by whoever uses it
+        _warn_of_other_model(folder, _cameras(folder, scene, images, QUIET), context)
+
+
+def _cameras(folder: Path, scene: Path, images: Path | None, context: Context) -> SfmScene:
+    """A scene's cameras at a run's size of photos; SceneError if it cannot be used."""
+    from ..colmap.project import load_colmap
+
+    size: dict[str, Any] = {"max_side": _longest_side(folder)}
+    downscale = read_record(folder / run_files.SETTINGS).get("downscale")
+    if isinstance(downscale, int | float) and 1 <= downscale <= MAX_SIDE:
+        size = {"downscale": float(downscale)}
+    return load_colmap(scene, images=images, pixels=False, context=context, **size)
+
+
+def _warn_of_other_model(folder: Path, scene: SfmScene, context: Context) -> None:
+    """Cameras of another reconstruction have another frame, though photos and names are the same"""
+    record = read_record(folder / run_files.MANIFEST)
+    photos, model = record.get("contents"), record.get("model")
+    if not (isinstance(photos, dict) and isinstance(model, str)):
+        return
+    used = scene.without({image.name for image in scene.images} - photos.keys())
+    if used.digest()[: len(model)] != model:
+        context.warn(
+            f"The scene has other cameras or points than {folder} was trained with: results are"
+            " wrong if they have moved. Train again, or give --scene the model of that training."
+        )
 
 
 def source_of_run(model: Path) -> tuple[Path | None, Path | None, int | None]:

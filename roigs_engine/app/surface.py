@@ -30,6 +30,7 @@ from ..requests.runs import MakeSurface
 from .asked import Asked
 from .inputs import load_model
 from .outputs import Result
+from .run_scene import warn_of_other_model
 from .surface_record import PICTURE, RECORD, SurfaceRecord, add_to_reports, read_surface
 
 if TYPE_CHECKING:
@@ -71,8 +72,6 @@ def make_surfaces(request: MakeSurface, context: Context = QUIET) -> Surfaces:
             raise RoiError(f"There is no box '{name}'.", f"The boxes are: {boxes}.")
     if request.background:
         _check_background(request, asked.boxes.names)
-    if request.format:
-        _check_names(asked.boxes.names)
     options = SurfaceOptions(
         faces=request.faces,
         watertight=request.watertight,
@@ -80,6 +79,7 @@ def make_surfaces(request: MakeSurface, context: Context = QUIET) -> Surfaces:
     )
     with locked(request.run, context.warn, option=None):
         refuse_linked_folders(request.run)
+        warn_of_other_model(request.run, asked.request.scene, asked.request.images, context)
         run, context = asked.defined(context)
         names = request.only or (() if request.background else asked.boxes.names)
         gaussians = _gaussians(run, context)
@@ -200,18 +200,6 @@ def _check_background(request: MakeSurface, boxes: Sequence[str]) -> None:
             f"A box is called '{run_files.SURROUNDINGS}', as the background's files are.",
             "Rename the box, and train again.",
         )
-
-
-def _check_names(boxes: Sequence[str]) -> None:
-    """RoiError: a box is called as further files of another one's mesh are."""
-    ending = Path(RECORD).stem
-    taken = {f"{same_name(name)}{ending}": name for name in boxes}
-    for name in boxes:
-        if (other := taken.get(same_name(name))) is not None:
-            raise RoiError(
-                f"The box '{name}' is called as files of the mesh of '{other}' are.",
-                "Rename it, and train again; or leave out --format.",
-            )
 
 
 def _gaussians(run: Run, context: Context) -> Gaussians:

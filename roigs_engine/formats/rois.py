@@ -23,6 +23,8 @@ NAME_HINT = (
 )
 FORM_HINT = "Give 'min' and 'max' with 3 numbers each, or 'world_to_box' and 'half_extents'."
 FILE_HINT = 'Give --rois a JSON file with a list "rois" of {"name", "min", "max"}.'
+ENDINGS = (".compressed", ".surface")
+"""Some files of a box have these behind its name, as `vase.surface.ply`."""
 MOST_BOXES = 500  # of a file, or a run: each is looked for in each photo
 FAR = 1e15  # world units; larger coordinates come from damaged files and overflow in float32
 
@@ -57,9 +59,14 @@ class RoiRecord:
 
 
 def check_roi_name(name: str) -> str:
-    """The name; RoiError where files cannot be called by it on every system."""
+    """The name; RoiError where its files cannot be called by it on every system."""
     if not is_file_name(name):
         raise RoiError(f"'{name:.{MAX_NAME}}' cannot name a file.", NAME_HINT)
+    if name.casefold().endswith(ENDINGS):
+        raise RoiError(
+            f"'{name}' cannot name a box: files of other boxes end so.",
+            f"Rename the box, without {' or '.join(ENDINGS)} at the end.",
+        )
     return name
 
 

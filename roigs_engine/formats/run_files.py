@@ -32,7 +32,7 @@ REPORT, REPORT_DATA, CROPS = "report.md", "report.json", "crops"
 REPORT_PAGE = "report.html"
 LEVELS, LEVELS_FILE = "levels", "levels.json"
 """Levels of detail: a folder for each, laid out as the run folder, and the list of them."""
-LEVELS_MADE = "made.json"  # in the folder of levels: file -> hash of what it was made from
+LEVELS_MADE = "made.json"  # in the folder of levels: file -> hash of its inputs, and its own
 
 STAGE, MODEL, CHECKPOINT = "stage.json", "model.ply", "checkpoint.bin"
 """In a stage's folder: once it is done, and while it trains."""

@@ -21,7 +21,7 @@ from ..cuda.device import CPU
 from ..errors import RunFolderError, SceneError
 from ..evaluation.metrics import psnr_from_mse
 from ..formats import run_files
-from ..formats.files import own_file, read_record, remove_leftovers, write_json
+from ..formats.files import own_file, read_record, remove_leftovers, sha256, write_json
 from ..formats.levels import FADE, Ladder, Level, write_ladders
 from ..formats.lock import check_held
 from ..formats.text import json_digest
@@ -172,8 +172,8 @@ class _Maker:
         }
         digest = json_digest(inputs)
         path = own_file(self.folder, ply)
-        if read_record(record).get(ply) == digest:
-            with suppress(RunFolderError):  # it is lost or damaged
+        with suppress(RunFolderError, OSError):  # it is lost or damaged
+            if read_record(record).get(ply) == [digest, sha256(path)]:
                 return Gaussians.load_ply(path, self.frame)
         made = make_level(
             part, start, self.views.train, level, steps=self.steps, context=self.context
@@ -181,11 +181,8 @@ class _Maker:
         if made is None:
             return None
         check_held(self.folder)
-        claims = read_record(record)
-        if claims.pop(ply, None):  # of a file that is about to be another, though a kill may come
-            write_json(record, claims)
         made.save_ply(path, self.frame)
-        write_json(record, claims | {ply: digest})
+        write_json(record, read_record(record) | {ply: [digest, sha256(path)]})
         return Gaussians.load_ply(path, self.frame)
 
 

@@ -54,6 +54,14 @@ def test_a_moved_scene_is_named(run: Path, capsys: pytest.CaptureFixture[str]) -
     assert main(words(run, "--scene", str(moved))) == 0
 
 
+def test_another_model_is_warned_of(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One that was made anew of the same photos has another frame."""
+    manifest = {"config": {}, "contents": dict.fromkeys(NAMES, ""), "model": "0" * 16}
+    (run / "manifest.json").write_text(json.dumps(manifest))
+    assert main(words(run)) == 0
+    assert "warning: The scene has other cameras" in capsys.readouterr().err
+
+
 def test_a_run_in_use_is_refused(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with locked(run):
         line = refused(capsys, *words(run))

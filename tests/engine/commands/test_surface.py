@@ -19,7 +19,7 @@ from roigs_engine.app.surface import make_surfaces
 from roigs_engine.app.surface_record import add_to_reports
 from roigs_engine.cli import main
 from roigs_engine.context import Context
-from roigs_engine.errors import RoiError, Stopped
+from roigs_engine.errors import Stopped
 from roigs_engine.formats.rois import rois_document
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.roi import OrientedBox
@@ -101,13 +101,6 @@ def counted_calls(monkeypatch: pytest.MonkeyPatch, stop_at: int = 0) -> list[str
 
     monkeypatch.setattr(make, "mesh_of", stopped)
     return calls
-
-
-def test_boxes_that_are_called_as_files_of_others(tmp_path: Path) -> None:
-    boxes = (HALF, replace(BALL, name="Half.surface"))
-    request = MakeSurface(run=write_run(tmp_path, boxes=boxes), device="cpu", format=("ply",))
-    with pytest.raises(RoiError, match=r"'Half\.surface' is called as files .* of 'half' are"):
-        make_surfaces(request)
 
 
 def test_a_stopped_command_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -64,6 +64,14 @@ def test_names_that_cannot_name_files_on_every_system(name: str) -> None:
     assert caught.value.hint
 
 
+@pytest.mark.parametrize("name", ["vase.compressed", "Vase.SURFACE"])
+def test_names_that_end_as_files_of_other_boxes(name: str) -> None:
+    """`vase.compressed.ply` would be read as a compressed PLY, and written for the box `vase`."""
+    with pytest.raises(RoiError, match="cannot name a box") as caught:
+        check_roi_name(name)
+    assert caught.value.hint
+
+
 @pytest.mark.parametrize("name", ["vase", "図 2", "a.b", "com10", "x" * 100])
 def test_names_that_can(name: str) -> None:
     assert check_roi_name(name) == name

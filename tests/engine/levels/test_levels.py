@@ -303,3 +303,13 @@ def test_a_level_of_a_killed_engine_is_not_taken_for_another(
             make_levels(run, images, frame, levels=2, steps=6)
     make_levels(run, images, frame, levels=2, steps=4)
     assert (run / ply).read_bytes() == first
+
+
+@pytest.mark.parametrize("damage", [b"", b"ply", None], ids=["lost", "half", "other bytes"])
+def test_a_damaged_level_is_made_again(run: Path, damage: bytes | None) -> None:
+    images, frame, ply = around(20), LocalFrame.world(), run / "levels/1/rois/vase.ply"
+    make_levels(run, images, frame, levels=2, steps=4)
+    first = ply.read_bytes()
+    ply.write_bytes(first[:-4] + bytes(4) if damage is None else damage)  # a PLY, but another
+    make_levels(run, images, frame, levels=2, steps=4)
+    assert ply.read_bytes() == first
