@@ -29,7 +29,7 @@ KINDS = (
     ("ROI", "Box", "A box (ROI, region of interest) around something to sharpen"),
     ("SPLATS", "Gaussians", "Trained Gaussians"),
     ("SURFACE", "Mesh", "The surface of a box, as a mesh with the photos' texture"),
-    ("PROXY", "Proxy", "Stands for a captured surface where meshes meet it in renders"),
+    ("PROXY", "Proxy", "Proxy of a captured surface, for shadows and reflections in renders"),
     ("SHOT", "Suggested Photo", "Where a photo should be taken"),
 )
 RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
@@ -39,7 +39,7 @@ LEVELS = (
     ("RESULT", "Result", "Scene and boxes"),
     ("SCENE", "First Pass", "The whole-scene model, before the boxes were refined"),
     ("ROI", "Box", "The refined Gaussians of a box"),
-    ("PREVIEW", "Preview", "The model that is being trained"),
+    ("PREVIEW", "Preview", "The model in training"),
     ("IMPORTED", "Imported", "A file of Gaussians that the user imported"),
 )
 
@@ -231,8 +231,8 @@ class RoigsScene(bpy.types.PropertyGroup):
         name="Masks",
         subtype="DIR_PATH",
         options=RELATIVE,
-        description="Folder of masks, NAME.png for the photo NAME, black where features are left"
-        " out (empty: the folder masks beside the photos, if there is one)",
+        description="Folder of masks, NAME.png for the photo NAME; black areas get no features "
+        "(empty: the folder masks beside the photos, if there is one)",
     )
     feature_side: setting(IntProperty, "max_side", project_requests.Reconstruct, subtype="PIXEL")
     pairs: setting(EnumProperty, "pairs", project_requests.Reconstruct, items=choices.PAIR_ITEMS)
@@ -300,8 +300,8 @@ class RoigsScene(bpy.types.PropertyGroup):
         name="Compare",
         default=True,
         update=_look_again,
-        description="In a view through a photo's camera, show the photo left of a line and the"
-        " Gaussians right of it. Off: the photo is behind the Gaussians",
+        description="In a view through a photo's camera, show the photo left of a line, the "
+        "Gaussians right of it. Off: the photo is behind the Gaussians",
     )
     wipe: FloatProperty(
         name="Photo",
@@ -344,8 +344,8 @@ class RoigsScene(bpy.types.PropertyGroup):
         "texture_size",
         2048,
         name="As the photos",
-        description="The texture is as large as the photos' resolution on the object asks for."
-        " Switch off to choose its side",
+        description="Match the texture to the photos' resolution on the object. Switch off to "
+        "choose its size",
     )
     use_levels: BoolProperty(
         name="Levels of Detail",

@@ -66,8 +66,8 @@ class RoigsStage(bpy.types.PropertyGroup):
         name="Reflections and Bounce",
         get=_reflects,
         set=_set_reflects,
-        description="Captured surfaces are seen in your objects, light them, and block the light of"
-        " the world (Cycles)",
+        description="Your objects reflect captured surfaces and receive their light; these also "
+        "block the light of the world (Cycles)",
     )
 
 

@@ -30,7 +30,7 @@ def write(source: Path, adapted: Path, place: Path) -> None:
     """
     whole, made = (splat_ply.read_ply(path) for path in (source / run_files.RESULT, adapted))
     if len(whole["means"]) != len(made["means"]):
-        raise AddonError("The result was changed meanwhile. Adapt it again.")
+        raise AddonError("The result has changed. Adapt it again.")
     target, rows = splat_ply.target_of(adapted), {k: i for i, k in enumerate(_keys(whole))}
     fine = made_folder(place, run_files.FINE)
     parts = sorted((source / run_files.FINE).glob("*.ply"))

@@ -92,7 +92,7 @@ def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
     make = Step(title="Creating the environment", command=venv)
     optional = optional_packages(formats=plan.formats)
     finish = [
-        Step(title="Removing what is not needed", command=[*runs, _script("trim_engine")]),
+        Step(title="Removing unneeded files", command=[*runs, _script("trim_engine")]),
         Step(title="Testing the environment", command=[*runs, _script("try_engine")]),
     ]
     if plan.wheels is not None:

@@ -22,7 +22,7 @@ def in_words(scene: bpy.types.Scene, status: RunStatus) -> str:
     names, then, now = _settings(scene, status)
     parts = []
     if names == ["recipe"]:
-        parts.append("Trained by an earlier version, whose preset had other settings")
+        parts.append("Trained by an earlier version with other preset settings")
     elif names:
         told = run_settings.in_words(then, names), run_settings.in_words(now, names)
         parts.append("Last training: {}. Now: {}".format(*told))

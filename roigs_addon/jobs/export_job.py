@@ -24,8 +24,8 @@ NOTHING = "There is nothing to export: {}."
 PLAIN = (".glb", ".usdc", ".usda", ".usdz", ".splat")
 """Formats that cannot say how Gaussians are drawn: the engine makes all of them plain."""
 MIXED = (
-    "'{}' is made for {}, '{}' for {}: one file cannot hold both. Export each kind by itself, with"
-    " Selected Only."
+    "'{}' is made for {}, '{}' for {}: one file cannot contain both. Export each kind "
+    "separately, with Selected Only."
 )
 
 

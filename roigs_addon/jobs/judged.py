@@ -70,7 +70,7 @@ class Judged:
         try:
             every = np.load(self.out, allow_pickle=False)
         except (OSError, ValueError) as error:
-            raise AddonError(f"The engine's answer cannot be read ({error}).") from error
+            raise AddonError(f"The engine's answer is unreadable ({error}).") from error
         changed = AddonError(f"The Gaussians were changed meanwhile. {again}")
         items = {_uid(i): i for i in reversed(lookup.splats(scene)) if i.type == "MESH"}
         found: dict[bpy.types.Object, NDArray[Any]] = {}

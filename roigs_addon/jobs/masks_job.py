@@ -18,7 +18,7 @@ from . import options_files, run_folders
 from .last_said import last_said
 from .spec import MASKING, JobSpec
 
-MADE = re.compile(r"(?:\S+ +)?Box '.+': (\d+ of \d+ masks?) made anew in .+\.")
+MADE = re.compile(r"(?:\S+ +)?Box '.+': (\d+ of \d+ masks?) written to .+\.")
 """The line of the engine that says how many, with the log's time of day."""
 DRAW_FIRST = "Draw strokes on a photo first: on the object, and around it."
 
@@ -58,7 +58,7 @@ def spec(scene: bpy.types.Scene, roi: bpy.types.Object, *, anew: bool = False) -
 
     def done() -> str:
         count = last_said(log, MADE)
-        return f"{roi_name}: {count} made anew in {place}." if count else ""
+        return f"{roi_name}: {count} written to {place}." if count else ""
 
     return JobSpec(
         title=MASKING,

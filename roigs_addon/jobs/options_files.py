@@ -25,7 +25,9 @@ OF_A_LIST = ("roi", "names")
 def _refuse_others(path: Path, *keys: str) -> None:
     """Raise AddonError for a file with none of these keys: it is not of the add-on."""
     if others.is_other(path, keys):
-        raise AddonError(f"{path} is not of this add-on. Move it, or choose another Run Folder.")
+        raise AddonError(
+            f"{path} was not written by this add-on. Move it, or choose another Run Folder."
+        )
 
 
 def common_options(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> dict[str, Any]:

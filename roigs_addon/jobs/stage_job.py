@@ -161,7 +161,7 @@ def apply(scene: bpy.types.Scene, folder: Path, wanted: Wanted, picture: Path | 
         mirror = read_picture(seen) if seen.is_file() else None
         stage_world.shine(scene, image, scene_props(scene).root, wanted.light, mirror)
         proxies.set_reach(scene, wanted.radius or proxies.usual_radius(scene))
-        said.append("the world shines as the scene does")
+        said.append("the world has the scene's light")
     if wanted.then is not None:
         wanted.then(scene)
     whole = ", ".join(said)

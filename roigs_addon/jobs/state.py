@@ -9,7 +9,7 @@ from ..shared import events, text
 
 STOPPING = "Stopping …"
 STOPPED = "Stopped."
-WAITING = "The engine has ended. What it made comes in when the render has ended."
+WAITING = "The engine has finished. Its results load after the render."
 MOST_WARNINGS = 4  # that a panel has room for; all are in the log
 
 

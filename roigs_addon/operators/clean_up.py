@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 Mask = NDArray[np.bool_]
 
 ACTIONS = (
-    ("SELECT", "Select", "Mark them, to look at them first"),
-    ("DELETE", "Delete", "Delete them; undo brings them back"),
+    ("SELECT", "Select", "Mark them, so that you can check them first"),
+    ("DELETE", "Delete", "Delete them; undo restores them"),
 )
 
 
@@ -99,8 +99,8 @@ objects, otherwise on all visible ones"""
     where: EnumProperty(
         name="Where",
         items=[
-            ("OUTSIDE", "Outside All Boxes", "Gaussians whose centre is in no box"),
-            ("INSIDE", "Inside the Active Box", "Gaussians whose centre is in the active box"),
+            ("OUTSIDE", "Outside All Boxes", "Gaussians with their centre in no box"),
+            ("INSIDE", "Inside the Active Box", "Gaussians with their centre in the active box"),
         ],
         options=FRESH,
     )

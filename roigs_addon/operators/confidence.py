@@ -50,7 +50,7 @@ def _take(known: Known) -> str:
     every = np.concatenate([columns[:, heat_map.DIRECTIONS] for columns in known.values()])
     every = every[np.isfinite(every)]
     few = int((every < FEW).sum())
-    return f"{few:,} of {len(every):,} Gaussians are known from fewer than {FEW} directions"
+    return f"{few:,} of {len(every):,} Gaussians are seen from fewer than {FEW} directions"
 
 
 class ShowHeatMap(bpy.types.Operator):
@@ -84,12 +84,12 @@ class ChooseByDirections(CleanUpTool):
 objects, otherwise on all visible ones"""
 
     bl_idname = "roigs.choose_by_directions"
-    bl_label = "Known From Few Directions"
+    bl_label = "Seen From Few Directions"
     bl_options = {"REGISTER", "UNDO"}
 
     fewer: IntProperty(
         name="Fewer Than",
-        description="Select Gaussians that photos know from fewer directions, about 18° apart",
+        description="Select Gaussians seen from fewer directions (about 18° apart)",
         default=FEW,
         min=1,
         max=128,

@@ -58,7 +58,7 @@ class SetUpEngine(bpy.types.Operator):
     build: EnumProperty(
         name="Build",
         items=BUILDS,
-        description="Which torch to install; for NVIDIA cards, the download is several gigabytes",
+        description="Build of torch; for NVIDIA cards, the download is several gigabytes",
         options=FRESH,
     )
     formats: BoolProperty(

@@ -93,7 +93,7 @@ visible ones. Each stroke is one undo step"""
     radius: IntProperty(name="Radius", default=40, min=2, max=1000, subtype="PIXEL", options=FRESH)
     front: BoolProperty(
         name="Only in Front",
-        description="Keep the Gaussians that nearer ones hide",
+        description="Keep Gaussians hidden by nearer ones",
         default=True,
         options=FRESH,
     )

@@ -56,18 +56,18 @@ transforms"""
     check_existing: BoolProperty(default=True, options={"HIDDEN", *FRESH})
     selected: BoolProperty(
         name="Selected Only",
-        description="Leave out objects that are not selected",
+        description="Leave out unselected objects",
         options=FRESH,
     )
     visible: BoolProperty(
         name="Visible Only",
-        description="Leave out objects that are hidden in the viewport, by H for example",
+        description="Leave out objects hidden in the viewport, for example with H",
         default=True,
         options=FRESH,
     )
     up: EnumProperty(
         name="Up",
-        description="Axis that points up in the file",
+        description="Up axis of the file",
         items=[
             ("AUTO", "Automatic", "-Y in PLY and SOG, Y in SPZ, glTF and OpenUSD"),
             ("-Y", "-Y", "Upright in SuperSplat and most PLY viewers"),
@@ -78,7 +78,7 @@ transforms"""
     )
     view_colour: EnumProperty(
         name="View-dependent Colour",
-        description="Whether colours change with the direction from which they are seen",
+        description="Keep or drop the change of colours with the view direction",
         items=[
             ("FULL", "Full", "As trained: reflections move with the view"),
             ("NONE", "None (¼ of the Size)", "The same colours from all sides: a smaller file"),

@@ -35,12 +35,12 @@ class ImportGaussians(BrowsingOperator, ImportHelper):  # type: ignore[misc] # t
     )
     up: EnumProperty(
         name="Up",
-        description="Axis that points up in the file",
+        description="Up axis of the file",
         items=[
             (
                 "AUTO",
                 "Automatic",
-                "As the file says; if it does not: -Y in PLY, SOG, .splat, Y in SPZ, glTF, OpenUSD",
+                "The file's own; otherwise -Y in PLY, SOG, .splat, Y in SPZ, glTF, OpenUSD",
             ),
             ("-Y", "-Y", "As most trainers of Gaussians write it"),
             ("Y", "Y", "As in glTF and many game engines"),

@@ -21,13 +21,9 @@ if TYPE_CHECKING:
     from ..blender import OperatorResult
 
 
-CHANGED = (
-    "Make masks of the box's object from the strokes, where strokes have changed. Your own masks"
-    " are kept"
-)
+CHANGED = "Make masks of the box's object from new or changed strokes. Your own masks are kept"
 ALL_ANEW = (
-    "Recreate all masks. Corrections on one photo then help the others, too. Your own masks are"
-    " kept"
+    "Recreate all masks, so that corrections on one photo help the others. Your own masks are kept"
 )
 
 
@@ -39,7 +35,7 @@ class MakeMasks(EngineOperator):
 
     anew: BoolProperty(
         name="All Anew",
-        description="Recreate all masks: corrections on one photo then help the others",
+        description="Recreate all masks, so that corrections on one photo help the others",
         options=FRESH,
     )
 
@@ -77,7 +73,7 @@ class StepMask(bpy.types.Operator):
     bl_label = "Next Mask"
     bl_options = {"REGISTER", "UNDO"}
 
-    step: IntProperty(description="Go this many photos further", default=1, options=FRESH)
+    step: IntProperty(description="Number of photos to move", default=1, options=FRESH)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

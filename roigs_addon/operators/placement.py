@@ -201,7 +201,7 @@ class SetOrigin(bpy.types.Operator):
 
     keep_height: BoolProperty(
         name="Keep Height",
-        description="Keep z = 0 where it is, as for a floor. Otherwise it is the box's bottom",
+        description="Keep z = 0, for example at a floor. Otherwise z = 0 is the box's bottom",
         options=FRESH,
     )
 

@@ -122,7 +122,7 @@ class SetDetail(bpy.types.Operator):
     ) -> str:
         """What the button does."""
         if not properties.fine:
-            return "Show this box as the first pass over the whole scene had it"
+            return "Show this box as after the first pass over the whole scene"
         if properties.auto:
             return "Draw fewer Gaussians from far away: levels of detail"
         return "Always draw all Gaussians"

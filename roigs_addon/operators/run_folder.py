@@ -96,7 +96,7 @@ but training and levels of detail start again"""
         within = [Path(path) for path in files.matching(chosen, "*") if os.path.isdir(path)]
         folder = next((f for f in (chosen, *within) if splats.follow(scene, f)), None)
         if folder is None:
-            return failed(self, f"{chosen} has none of the models that are shown.")
+            return failed(self, f"{chosen} has none of the models in this scene.")
         carried.bring_back(scene)
         if not run_folders.run_folder(scene).is_dir():
             scene_props(scene).run_dir = str(folder)
@@ -129,7 +129,7 @@ an old preview. Results stay"""
             self,
             event,
             title=f"Remove {size} from the run folder?",
-            message="Results stay. Going back to earlier settings trains again.",
+            message="Results stay. Earlier settings then need a new training.",
             confirm_text=self.bl_label,
         )
 

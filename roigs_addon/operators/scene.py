@@ -109,7 +109,7 @@ class LookThrough(bpy.types.Operator):
         " else the first one",
         options=FRESH,
     )
-    step: IntProperty(description="Go this many photos further", default=0, options=FRESH)
+    step: IntProperty(description="Number of photos to move", default=0, options=FRESH)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Make the camera active and look through it."""

@@ -50,11 +50,11 @@ shadows, and reflects its surroundings"""
     bl_label = "Stand Here"
 
     wanted = 1
-    prompt = "Click where the object is to stand"
+    prompt = "Click the place for the object"
 
     point: FloatVectorProperty(name="Point", subtype="XYZ", options=FRESH)
     eye: FloatVectorProperty(
-        name="Eye", subtype="XYZ", options=FRESH, description="From where the point is looked at"
+        name="Eye", subtype="XYZ", options=FRESH, description="Viewpoint of the click"
     )
 
     _eye, _way = Vector(), Vector()

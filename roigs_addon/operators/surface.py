@@ -35,7 +35,7 @@ Gaussians in the view, and an earlier mesh"""
 
     every: BoolProperty(name="All Boxes", description="Of all boxes of the result", options=FRESH)
     replace_edits: BoolProperty(
-        name="Replace Edits", description="Also replace meshes that were edited", options=FRESH
+        name="Replace Edits", description="Also replace edited meshes", options=FRESH
     )
 
     @classmethod
@@ -141,7 +141,9 @@ class ExportSurface(bpy.types.Operator):
             return failed(self, f"'{self.name}' is hidden. Click Mesh above first.")
         select_only(context, item)
         if not box_surfaces.record(item).get("watertight"):
-            self.report({"WARNING"}, "The mesh has holes. For print, make it again with Watertight")
+            self.report(
+                {"WARNING"}, "The mesh has holes. For 3D printing, make it again with Watertight"
+            )
         bpy.ops.wm.stl_export(
             way,
             filepath=path,

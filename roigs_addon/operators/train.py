@@ -34,7 +34,7 @@ class TrainRoi(EngineOperator):
     selected_only: BoolProperty(name="Selected Boxes Only", default=False, options=FRESH)
     resume: BoolProperty(
         name="Continue",
-        description="Only the boxes of the training that was stopped; all if one of them is gone",
+        description="Only the boxes of the stopped training; all if one of them is gone",
         default=False,
         options=FRESH,
     )

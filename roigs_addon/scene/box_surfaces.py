@@ -30,8 +30,8 @@ from .splat_attributes import FRAME, PLACE, imported_frame, move_to_frame, value
 GAUSSIANS, MESH, BOTH = "GAUSSIANS", "MESH", "BOTH"
 WAYS = (
     (GAUSSIANS, "Gaussians", "Show the Gaussians of this box"),
-    (MESH, "Mesh", "Show the mesh of this box in their place"),
-    (BOTH, "Both", "Show Gaussians and mesh; either hides parts of the other"),
+    (MESH, "Mesh", "Show the mesh of this box instead"),
+    (BOTH, "Both", "Show Gaussians and mesh; each hides parts of the other"),
 )
 SIZE = "roigs_picture"
 """Custom property of a picture of ours: bytes of its file."""
@@ -87,7 +87,7 @@ def load(scene: bpy.types.Scene, folder: Path) -> list[str]:
             if known is not None and mesh_of(known).get(FILE) == digest:
                 continue
             if of and of != files.sha256(ply):
-                left.append(f"The mesh of '{roi}' is of an earlier training: make it again")
+                left.append(f"The mesh of '{roi}' belongs to an earlier training: make it again")
             elif known is not None and is_edited(known):
                 left.append(f"'{known.name}' was edited, and is kept: its file has another mesh")
             else:

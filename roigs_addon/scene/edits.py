@@ -83,8 +83,8 @@ _problems: dict[int, str] = {}
 """Mesh -> why its edits are not drawn, in one line."""
 
 MIXED = (
-    "'{}' joins Gaussians that are made for different renderers. All are drawn as for {}: the"
-    " others look wrong. Undo, and do not join them"
+    "'{}' joins Gaussians made for different renderers. All are drawn as for {}, so the others "
+    "look wrong. Undo the join"
 )
 _mixed: dict[int, str] = {}
 """Mesh that was joined of both kinds -> that in one line."""

@@ -64,7 +64,7 @@ def show(items: Iterable[bpy.types.Object]) -> None:
     """
     known = {item: found for item in items if (found := directions(item)) is not None}
     if not known:
-        raise AddonError("Photos were not asked about these Gaussians. Click Find Confidence.")
+        raise AddonError("These Gaussians have no confidence values yet. Click Find Confidence.")
     hide()
     most = confidence.most_directions(np.concatenate([*known.values()]))
     try:
@@ -131,7 +131,7 @@ def few(item: bpy.types.Object, fewer: int) -> NDArray[np.bool_]:
     """
     found = directions(item)
     if found is None:
-        raise AddonError(f"Photos were not asked about '{item.name}'. Click Find Confidence.")
+        raise AddonError(f"'{item.name}' has no confidence values yet. Click Find Confidence.")
     return np.asarray(found < fewer)
 
 

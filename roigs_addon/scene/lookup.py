@@ -152,7 +152,7 @@ def inverse(matrix: Matrix, name: str) -> Matrix:
         found: Matrix = np.linalg.inv(matrix)
         if np.isfinite(found).all():
             return found
-    raise AddonError(f"'{name}' stands nowhere, or has no size. Clear its transformation.")
+    raise AddonError(f"'{name}' has no valid position or size. Clear its transformation.")
 
 
 def from_world(scene: bpy.types.Scene) -> Matrix:

@@ -132,7 +132,7 @@ def keep(scene: bpy.types.Scene) -> Path:
     known = (lookup.photo_record(item) for item in lookup.cameras(scene).values())
     centres = {p.name: -p.pose[:3, :3].T @ p.pose[:3, 3] for p in known if p is not None}
     if path is None or not centres:
-        raise AddonError("There are no photos to tell the model by. Import it again.")
+        raise AddonError("There are no photos to identify the model. Import it again.")
     try:
         if not os.path.isdir(path.parent):
             raise AddonError(f"There is no folder {path.parent}.")

@@ -125,7 +125,7 @@ def _on_gaussians(eye: Vector, point: Vector, radius: float, found: Sequence[Poi
     reach = max(radius, float(np.partition(away, FEWEST - 1)[FEWEST - 1]))
     plane = placing.plane_through(points[away <= reach])
     if plane is None:
-        raise AddonError("These Gaussians are no surface. Click on one that is larger.")
+        raise AddonError("These Gaussians form no surface. Click on a larger one.")
     along = (point - eye).normalized()
     normal = _levelled(_towards(Vector(plane.normal.tolist()), along))
     place = _seen_on(point, along, Vector(plane.point.tolist()), normal)

@@ -56,21 +56,21 @@ class RoigsPreferences(bpy.types.AddonPreferences):
     engine_python: StringProperty(
         name="Engine Python",
         subtype="FILE_PATH",
-        description="Program of the Python that runs the engine (empty: found automatically)",
+        description="Python program that runs the engine (empty: found automatically)",
         update=_full_path("engine_python"),
     )
     threads: IntProperty(
-        name="Threads", default=0, min=0, description="CPU threads that the engine uses; 0: all"
+        name="Threads", default=0, min=0, description="CPU threads of the engine; 0: all"
     )
     device: EnumProperty(
         name="Device",
         items=(
-            ("auto", "Automatic", "The GPU if the engine can use it and gains by it, else the CPU"),
+            ("auto", "Automatic", "The GPU if it works and is faster, otherwise the CPU"),
             ("cpu", "CPU", "Always the CPU"),
             ("cuda", "NVIDIA GPU", "The GPU; an error if it cannot be used"),
             ("gpu", "Other GPU", "A GPU through Vulkan or Metal; an error if it cannot be used"),
         ),
-        description="The device that the engine trains on",
+        description="Device for training",
     )
     train_on: EnumProperty(
         name="Train On",
@@ -102,7 +102,7 @@ class RoigsPreferences(bpy.types.AddonPreferences):
     build: EnumProperty(
         name="Build",
         items=BUILDS,
-        description="Which build of torch to install. A GPU needs only NVIDIA's driver in addition",
+        description="Build of torch to install. A GPU also needs NVIDIA's driver",
     )
     formats: BoolProperty(
         name="File Formats",
@@ -119,7 +119,7 @@ class RoigsPreferences(bpy.types.AddonPreferences):
     )
 
     all_threads: zero("threads", 4, name="All", description="Use all of the processor's threads")
-    advanced: BoolProperty(name="Advanced", description="Show settings that few people need")
+    advanced: BoolProperty(name="Advanced", description="Show rarely needed settings")
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the page in the preferences window."""

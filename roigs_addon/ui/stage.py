@@ -47,7 +47,7 @@ class StagePanel(SidebarPanel):
                 if (socket := stage_world.value(world, name)) is not None:
                     settings.prop(socket, "default_value", text=name)
         elif group.world is not None:
-            show.todo(layout, "The scene has another world now: its light is yours")
+            show.todo(layout, "You chose another world: it replaces the captured light")
         layout.operator(CatchShadows.bl_idname, icon="MESH_PLANE")
         if proxies.of_scene(scene):
             column = layout.column(align=True)
@@ -56,13 +56,13 @@ class StagePanel(SidebarPanel):
             if names := proxies.lacking(scene):
                 show.todo(layout, f"No mesh of {', '.join(names)}: Make Surface, then click again")
             if any(display.is_native(item) for item in lookup.splats(scene)):
-                show.wrong(layout, "Blender's own splats take no shadows: choose Exact Look")
+                show.wrong(layout, "Blender's own splats receive no shadows: choose Exact Look")
         if stage.is_set(scene):
             if scene.render.engine != shadow_pass.CYCLES:
-                show.wrong(layout, "Shadows on captured things need Cycles")
+                show.wrong(layout, "Shadows on captured surfaces need Cycles")
             layout.operator(RemoveStage.bl_idname, icon="X")
         elif not current.busy():
-            show.todo(layout, "Add a mesh, then click Stand Here, and where it is to stand")
+            show.todo(layout, "Add a mesh, click Stand Here, then click a surface")
 
 
 register, unregister = registration(StagePanel)

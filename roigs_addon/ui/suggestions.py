@@ -57,7 +57,7 @@ class SuggestionsPanel(SidebarPanel):
             row = column.row(align=True)
             split = row.split(factor=NUMBER, align=True)
             split.label(text=f"{known.number}")
-            gain = f"+{known.gain:.2f} dB, {known.known:.0%} known"
+            gain = f"+{known.gain:.2f} dB, {known.known:.0%} covered"
             split.progress(factor=min(max(known.known, 0.0), 1.0), text=gain)
             look = LookThroughSuggestion.bl_idname
             row.operator(look, text="", icon="HIDE_OFF").camera = item.name

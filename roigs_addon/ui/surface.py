@@ -56,7 +56,7 @@ class SurfacePanel(SidebarPanel):
             row.operator(ExportSurface.bl_idname).name = item.name
             show.say(layout, facts(scene, item), "INFO")
             if not current.busy() and box_surfaces.is_of_other_result(scene, item):
-                show.wrong(layout, f"'{item.name}' is of another result: make it again")
+                show.wrong(layout, f"'{item.name}' belongs to another result: make it again")
         if not items:
             show.todo(layout, "Make a mesh to light, print or measure an object")
         elif _is_grey(context, items):

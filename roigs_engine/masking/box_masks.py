@@ -93,7 +93,7 @@ class BoxMasks:
         names = self._write(files, {mask_name(name): digest for name, digest in inputs.items()})
         count = sum(view.given is None for view in views)
         context.info(
-            f"Box '{self.roi.name}': {len(names)} of {counted(count, 'mask')} made anew in"
+            f"Box '{self.roi.name}': {len(names)} of {counted(count, 'mask')} written to"
             f" {self.folder}."
         )
         return names

@@ -119,12 +119,12 @@ def test_the_panel_says_how_many_were_made_anew(
 
     pushed: list[str] = []
     monkeypatch.setattr(undo, "push", pushed.append)
-    said = "say(event='message', level='info', text=\"Box 'thing': 2 of 5 masks made anew in x.\")"
+    said = "say(event='message', level='info', text=\"Box 'thing': 2 of 5 masks written to x.\")"
     use(monkeypatch, tmp_path, said + '\nsay(event="done", outputs={}, stopped=False)')
     draw(box, names(run[0])[0])
     assert blender.ops.roigs.make_masks() == {"FINISHED"}
     place = root(*run) / "thing"
-    assert current.outcome() == f"thing: 2 of 5 masks made anew in {place}."
+    assert current.outcome() == f"thing: 2 of 5 masks written to {place}."
     assert not pushed  # nothing in Blender has changed
 
 

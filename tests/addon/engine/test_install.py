@@ -293,7 +293,7 @@ def test_offline_steps_ask_no_index(tmp_path: Path) -> None:
         "Installing scikit-image",
         "Installing trimesh",
         "Installing wgpu",
-        "Removing what is not needed",
+        "Removing unneeded files",
         "Testing the environment",
     ]
     assert all("--no-index" in step.command for step in offline[1:-2])

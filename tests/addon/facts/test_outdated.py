@@ -104,8 +104,7 @@ def test_a_training_by_an_earlier_version(trained) -> None:
     manifest["config"] |= {"scene": {"steps": 2000}, "roi": {"steps": 4000, "made_for": "viewers"}}
     (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
     assert words(scene) == (
-        "Trained by an earlier version, whose preset had other settings. Train starts again"
-        " (about 8 min)"
+        "Trained by an earlier version with other preset settings. Train starts again (about 8 min)"
     )
     manifest["config"]["roi"]["steps"] = 3000
     (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")

@@ -53,7 +53,7 @@ def test_masks_are_written_for_every_photo_and_cut_reads_them(
 ) -> None:
     out, model = tmp_path / "masks", str(tmp_path / "model.ply")
     assert main(words(scene, out, "--model", model)) == 0
-    assert "Box 'thing': 4 of 4 masks made anew" in capsys.readouterr().err
+    assert "Box 'thing': 4 of 4 masks written" in capsys.readouterr().err
     for name in NAMES:
         mask = np.asarray(Image.open(out / "thing" / f"{name}.png"))
         assert mask.shape == (72, 96) and mask[36, 48] and 40 < mask.sum() < 1500, name
@@ -69,12 +69,12 @@ def test_masks_that_need_not_change_are_kept(
     out, model = tmp_path / "masks", str(tmp_path / "model.ply")
     assert main(words(scene, out, "--model", model, "--photo", "b.png")) == 0
     assert main(words(scene, out, "--model", model, "--photo", "b.png", "--photo", "c.png")) == 0
-    assert "1 of 3 masks made anew" in capsys.readouterr().err
+    assert "1 of 3 masks written" in capsys.readouterr().err
     assert main(words(scene, out, "--photo", "b.png", "--photo", "c.png")) == 0
-    assert "3 of 3 masks made anew" in capsys.readouterr().err
+    assert "3 of 3 masks written" in capsys.readouterr().err
     Image.new("RGB", (96, 72), "blue").save(scene / "images/c.png")
     assert main(words(scene, out, "--photo", "b.png", "--photo", "c.png")) == 0
-    assert "1 of 3 masks made anew" in capsys.readouterr().err
+    assert "1 of 3 masks written" in capsys.readouterr().err
 
 
 def test_only_the_photos_that_are_asked_for(scene: Path, tmp_path: Path) -> None:

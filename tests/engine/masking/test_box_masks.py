@@ -149,22 +149,22 @@ def test_masks_of_the_same_inputs_are_kept(ball: BallScene, made: Path, tmp_path
     every = [f"{k}.png.png" for k in range(6)]
     making = work(ball, tmp_path, drawn)
     before = {path.name: path.read_bytes() for path in tmp_path.glob("*.png")}
-    assert make(making) == ([], f"Box 'ball': 0 of 6 masks made anew in {tmp_path}.")
+    assert make(making) == ([], f"Box 'ball': 0 of 6 masks written to {tmp_path}.")
     line = Stroke(kind=BACKGROUND, width=3.0, points=np.array([[WIDTH / 2, 0.42 * HEIGHT]]))
     corrected = drawn | {"3.png": (line,)}
     making = work(ball, tmp_path, corrected)
-    assert make(making) == (["3.png.png"], f"Box 'ball': 1 of 6 masks made anew in {tmp_path}.")
+    assert make(making) == (["3.png.png"], f"Box 'ball': 1 of 6 masks written to {tmp_path}.")
     after = {path.name: path.read_bytes() for path in tmp_path.glob("*.png")}
     assert [name for name in every if before[name] != after[name]] == ["3.png.png"]
     (tmp_path / "5.png.png").unlink()
     assert make(making)[0] == ["5.png.png"]
     assert iou(masks(tmp_path)["5.png"], ball.true["5.png"]) > 0.9
     Image.fromarray(ball.true["2.png"]).save(tmp_path / "2.png.png")  # a person's now
-    assert make(making) == ([], f"Box 'ball': 0 of 5 masks made anew in {tmp_path}.")
+    assert make(making) == ([], f"Box 'ball': 0 of 5 masks written to {tmp_path}.")
     anew = make(replace(making, anew=True))
     assert anew == (
         sorted({*every} - {"2.png.png"}),
-        f"Box 'ball': 5 of 5 masks made anew in {tmp_path}.",
+        f"Box 'ball': 5 of 5 masks written to {tmp_path}.",
     )
     # Another model or box, and other strokes to begin with, change all.
     assert len(make(replace(making, basis="another"))[0]) == 5
