@@ -127,7 +127,7 @@ def _with_source(request: Adapt) -> Adapt:
     scene, images, side = source_of_run(request.model)
     if request.scene is None and scene is None:
         raise ConfigError(
-            f"The scene of {request.model} is not known.", "Give its folder with --scene."
+            f"The scene of {request.model} is unknown.", "Give its folder with --scene."
         )
     if request.scene is None:
         request = replace(request, scene=scene, images=request.images or images)
@@ -159,7 +159,7 @@ def _training_photos(scene: SfmScene, request: Adapt, context: Context) -> SfmSc
         return scene
     if len(tested) == len(names):
         raise ConfigError("All photos of the scene are test photos.", "Give the whole scene.")
-    context.info(f"Left out {counted(len(tested), 'photo')} that the run tests on.")
+    context.info(f"Left out {counted(len(tested), 'photo')} of the run's test set.")
     return scene.without(tested)
 
 
@@ -176,5 +176,5 @@ def _check_shown(model: Gaussians, images: Sequence[PosedImage], request: Adapt)
         if ((pixels > 0) & (pixels < (camera.width, camera.height))).all(axis=1).any():
             return
     raise SceneError(
-        f"No photo of {request.scene} shows {request.model}.", "Give the scene that it is of."
+        f"No photo of {request.scene} shows {request.model}.", "Give the model's own scene."
     )

@@ -87,7 +87,7 @@ class Asked:
         settings = folder / run_files.SETTINGS
         if not settings.is_file():
             raise ConfigError(
-                f"{folder} does not say which photos it was trained on.",
+                f"{folder} has no record of its training photos.",
                 "Resume the run with `train`, which writes its settings.",
             )
         given |= {"run_dir": folder}
@@ -96,7 +96,7 @@ class Asked:
         found = scene or (training.scene if training.scene.exists() else project)
         if not found.exists():
             raise ConfigError(
-                f"The scene of {folder} is not where it was.", "Give its folder with --scene."
+                f"The scene of {folder} was moved or deleted.", "Give its folder with --scene."
             )
         training = replace(training, scene=found, images=None if scene else training.images)
         manifest = folder / run_files.MANIFEST

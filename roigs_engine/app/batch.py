@@ -60,7 +60,7 @@ class Batched(Result):
         return RunFolderError(
             f"{counted(len(self.failed), 'scene')} of {self.scenes} failed; {self.report} says"
             " why.",
-            "The same command tries these again, and keeps what is done.",
+            "The same command tries these again, and keeps finished work.",
         )
 
 
@@ -74,7 +74,7 @@ def run_batch(request: Batch, context: Context = QUIET) -> Result:
     if request.init:
         table_path = request.table or request.init / TABLE
         count = write_table(table_path, request.init)
-        context.info(f"{table_path} has {counted(count, 'scene')}. Look at it, then start it.")
+        context.info(f"{table_path} has {counted(count, 'scene')}. Check it, then start it.")
         return Result(files={"table": table_path})
     folder, store = _place(request, context)
     assert request.table is not None
@@ -166,8 +166,8 @@ def _refuse_foreign_files(record: BatchRecord, rows: Sequence[Row], store: Store
         found = next((name for name in files if os.path.lexists(record.folder / name)), None)
     if found is not None:
         raise ConfigError(
-            f"{place} is not the folder of a batch, and one would replace {place}/{found}.",
-            "Move away what is there, or choose another --run-dir.",
+            f"{place} is not the folder of a batch, which would replace {place}/{found}.",
+            "Move its files away, or choose another --run-dir.",
         )
 
 
@@ -206,7 +206,7 @@ def _execute(
             try:
                 _note(by_name[scene.plan.name], scene, part.part.name, record, store, context)
             except EngineError as error:
-                text = f"{scene.plan.name}: {error} The next batch looks at this scene again."
+                text = f"{scene.plan.name}: {error} The next batch checks this scene again."
                 context.warn(text)
         reporter.take(scene, part, report)
         if isinstance(report, Outcome) and time.monotonic() - written_at > PAGE_SECONDS:
@@ -214,7 +214,7 @@ def _execute(
             try:
                 write_page()
             except EngineError as error:  # the work goes on
-                context.warn(f"The batch's page is not up to date. {error}")
+                context.warn(f"The batch's page is out of date. {error}")
 
     def write_page() -> None:
         is_there = store.is_there if store else None
@@ -245,7 +245,7 @@ def _note(
         record.add_output(row.name, outputs[part])
     elif part == WHOLE:
         for name in record.left_over(row.name, outputs.values()):
-            context.warn(f"{row.name}: {BATCH_OUTPUTS}/{name} is of an earlier result.")
+            context.warn(f"{row.name}: {BATCH_OUTPUTS}/{name} belongs to an earlier result.")
         if store:
             store.fetch(row.name)
         record.add(row.name, row.digest, row.run_dir, files_of_run(row, scene.plan.objects))

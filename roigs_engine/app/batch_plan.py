@@ -102,7 +102,7 @@ def checked_plans(
     if wrong:
         raise ConfigError(
             f"{table.path} has {counted(len(wrong), 'mistake')}; nothing was started.",
-            "Correct what is listed above.",
+            "Correct the mistakes listed above.",
         )
     return device, scenes
 

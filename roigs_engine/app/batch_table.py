@@ -103,7 +103,7 @@ class Table:
             self._add(name, values, defaults)
         taken = first_taken(record[SCENES])
         if taken is not None:
-            self._say((SCENES, taken), f"Another scene is called '{taken}', but for its case.")
+            self._say((SCENES, taken), f"Another scene has the name '{taken}', except for case.")
         self._check_outputs()
 
     def _add(self, name: str, values: Any, defaults: Mapping[str, Any]) -> None:
@@ -124,7 +124,7 @@ class Table:
             self._say(
                 place,
                 f'Scene \'{name}\' has no box. Add rois = "FILE", or roi = ["{AUTO}"]: a box'
-                " around what most photos show.",
+                " around the main object of the photos.",
             )
         if len(self.wrong) > before:
             return
@@ -169,7 +169,7 @@ class Table:
         for key, value in record.items():
             name, where = key.replace("-", "_"), (*place, key)
             if name in found:
-                self._say(where, f"'{key}' is there twice, with - and with _.")
+                self._say(where, f"'{key}' is given twice, with - and with _.")
             elif name in (OUTPUTS, OBJECT_OUTPUTS):
                 found[name] = self._suffixes(value, where)
             elif name not in self._options:
@@ -230,7 +230,7 @@ def _read(path: Path) -> tuple[str, dict[str, Any]]:
         raise ConfigError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
     except (ValueError, RecursionError) as error:
         raise ConfigError(
-            f"{path} is not TOML ({error}).", "docs/many.md shows what a table looks like."
+            f"{path} is not TOML ({error}).", "docs/many.md shows an example of a table."
         ) from error
 
 
@@ -342,7 +342,7 @@ def _table_row(name: str, scene: Path, home: Path) -> str:
     if boxes.is_file():
         lines.append(f"rois = {_quoted((Path(place) / 'rois.json').as_posix())}")
     else:
-        lines.append('roi = ["auto"]  # a box around what most photos show')
+        lines.append('roi = ["auto"]  # a box around the main object of the photos')
     return "\n".join([*lines, ""])
 
 

@@ -56,7 +56,7 @@ def train_on_cluster(request: Train, context: Context) -> Trained:
         finally:
             executor.close()
     if reason := scheduler.scenes[scene.name].reason:
-        raise RunFolderError(reason, "The same command tries again, and keeps what is done.")
+        raise RunFolderError(reason, "The same command tries again, and keeps finished work.")
     if isinstance(request, TrainAndEvaluate):
         return result_in(folder, decode_text(read_bytes(folder / REPORT)))
     found = result_in(folder, None)

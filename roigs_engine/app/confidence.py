@@ -72,7 +72,7 @@ def find_confidence(request: Confidence, context: Context = QUIET) -> Result:
                 np.save(file, table)
     few = int((found.directions < 3).sum())
     text = (
-        f"{counted(len(gaussians), 'Gaussian')}, {few:,} of them known from fewer than 3"
+        f"{counted(len(gaussians), 'Gaussian')}, {few:,} of them seen from fewer than 3"
         f" directions: {request.out}"
     )
     return Result(files={"confidence": request.out}, text=text)

@@ -67,7 +67,7 @@ def _mesh(request: Convert) -> Result:
     refuse_own_inputs(request, request.source)
     if request.out.suffix.lower() not in UP:
         raise ConfigError(
-            f"{request.source} is a mesh, which {request.out.name} cannot hold.",
+            f"{request.source} is a mesh, which {request.out.name} cannot contain.",
             f"Use {', '.join(UP)}.",
         )
     given = {
@@ -78,7 +78,7 @@ def _mesh(request: Convert) -> Result:
     }
     for option in (name for name, value in given.items() if value is not None):
         raise ConfigError(
-            f"{option} is for Gaussians alone; {request.source} is a mesh.", "Leave it out."
+            f"{option} is for Gaussians only; {request.source} is a mesh.", "Leave it out."
         )
     refuse_page_options(request, plain=False)
     faces = convert_mesh(request.source, request.out, request.up)
@@ -93,9 +93,9 @@ def _write_streamed(request: Convert, context: Context) -> Result:
 
     folder = levelled_run(request.source)
     if boxes_of(request, required=False):
-        raise ConfigError(f"{STREAMED} holds a whole result.", "Leave out the boxes.")
+        raise ConfigError(f"{STREAMED} contains a whole result.", "Leave out the boxes.")
     if request.plain:
-        raise ConfigError(f"{STREAMED} says how its Gaussians are drawn.", "Leave out --plain.")
+        raise ConfigError(f"{STREAMED} records how its Gaussians are drawn.", "Leave out --plain.")
     before = request.from_up or SCENE_UP
     matrix = turn(before, request.up or SCENE_UP)
     if request.from_up is None:
@@ -123,21 +123,21 @@ def _write_streamed(request: Convert, context: Context) -> Result:
 def _warn_of_light(target: Target, form: FileFormat, context: Context) -> None:
     """Say that a format cannot tell other programs in which light to blend."""
     context.warn(
-        f"{form.title} cannot say that these Gaussians are made for {target.title}: other programs"
-        " will show them too dark. Make them for these first (`adapt`)."
+        f"{form.title} cannot record that these Gaussians are made for {target.title}: other "
+        "programs will show them too dark. Adapt them to these programs first (`adapt`)."
     )
 
 
 def _say_photos_unknown(form: FileFormat, context: Context) -> None:
     """Refuse to write anti-aliased Gaussians as plain ones; warn if the format cannot tell."""
-    why = "the photos that they were trained on are not known"
+    why = "their training photos are unknown"
     if form.keeps_antialiased:
         raise ConfigError(
             f"--plain cannot change these Gaussians, as {why}.",
             "Give their scene's folder with --scene, or leave out --plain.",
         )
     context.warn(
-        f"{form.title} cannot say that these Gaussians are anti-aliased, and {why}: other"
-        " programs will show fine ones too thick. Give their scene's folder with --scene, or write"
-        " .ply, .spz, .sog or .html."
+        f"{form.title} cannot record that these Gaussians are anti-aliased, and {why}: other "
+        "programs will show fine ones too thick. Give their scene's folder with --scene, or "
+        "write .ply, .spz, .sog or .html."
     )

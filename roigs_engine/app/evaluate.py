@@ -107,7 +107,7 @@ def _there(wanted: Sequence[str], photos: str, scene: SfmScene, context: Context
     if len(found) < len(names):
         lost = counted(len(names) - len(found), f"{photos} photo")
         first = min(names - set(found))
-        context.warn(f"Left out {lost} that cannot be used, the first is {first}.")
+        context.warn(f"Left out {lost} (unusable); the first is {first}.")
     return found
 
 
@@ -122,8 +122,8 @@ def _check_test_photos(test: Sequence[str], split: Path | None, cameras: SfmScen
         )
     if test and lost.issuperset(test):
         raise ConfigError(
-            f"No test photo of {split} can be used, the first is {test[0]}.",
-            "Put the photos back, or test on others (--test-every).",
+            f"All test photos of {split} are unusable; the first is {test[0]}.",
+            "Restore the photos, or test on others (--test-every).",
         )
 
 
@@ -137,8 +137,8 @@ def _split_of_run(models: Sequence[Path], context: Context) -> Path | None:
     split = found.pop()
     if split is None or found:
         context.warn(
-            "The models may have been trained on photos that they are tested on. Name the"
-            " split.json of their run (--split) to test on others."
+            "The models may have been trained on these test photos. Give the split.json of "
+            "their run (--split) to test on others."
         )
         return None
     context.info(f"Testing on the photos of {split}.")

@@ -214,7 +214,7 @@ class BoxSource:
         if AUTO not in request.roi:
             return BoxSource(given=boxes_of(request), file=None, only=())
         if request.rois or len(request.roi) > 1:
-            raise ConfigError(f"--roi {AUTO} stands for all boxes.", "Give it, or boxes.")
+            raise ConfigError(f"--roi {AUTO} replaces all boxes.", "Give it, or boxes.")
         return BoxSource(given=None, file=file, only=request.only)
 
     @property
@@ -238,11 +238,13 @@ class BoxSource:
         for roi in rois:
             sides = " x ".join(f"{2 * side:.3g}" for side in roi.half_extents)
             place = ", ".join(f"{value:.3g}" for value in roi.centre)
-            how = f"from {self.file}" if known else "around what most photos show"
+            how = f"from {self.file}" if known else "around the main object of the photos"
             context.info(f"Box '{roi.name}' {how}: {sides}, centre {place}.")
         if self.file is not None and not known:
             write_text(self.file, rois_document(rois))
-            context.info(f"To change the box, edit {self.file}; to find it anew, delete that file.")
+            context.info(
+                f"To change the box, edit {self.file}; to find it again, delete that file."
+            )
 
     @property
     def _kept(self) -> list[OrientedBox] | None:

@@ -63,7 +63,7 @@ def make_masks(request: Masks, context: Context = QUIET) -> Result:
     for name in (*request.photo, *(each.photo for each in scribbles)):
         if name not in there:
             raise ConfigError(
-                f"The scene has no photo '{name}' that can be used.",
+                f"The scene has no usable photo '{name}'.",
                 "Use the name of a photo in the COLMAP model.",
             )
     frame, model = LocalFrame.of_scene(scene), None

@@ -107,8 +107,8 @@ def _masked_scene(request: Cut, rois: Sequence[OrientedBox], context: Context) -
     scene = with_useful_masks(load_scene(request, context, masks=masks), rois, context)
     if not any(image.objects for image in scene.images):
         raise ConfigError(
-            f"{root} has no mask that shows an object.",
-            "The mask of the photo 012.jpg is 012.jpg.png: white where the object is, else black.",
+            f"No mask in {root} shows an object.",
+            "The mask of the photo 012.jpg is 012.jpg.png: the object white, the rest black.",
         )
     return scene
 

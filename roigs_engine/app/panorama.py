@@ -115,7 +115,9 @@ def _models(
         return read_list(request.model, context)[0], upright
     poses = poses_of_run(folder)
     if poses is None:
-        context.warn(f"No photos tell which way is up in {request.model.name}: its z axis is.")
+        context.warn(
+            f"No photos determine the up direction of {request.model.name}: its z axis is used."
+        )
     else:
         upright[:3, :3] = gravity_alignment(poses)
     return [InstanceRecord(str(request.model), upright)], upright
@@ -169,10 +171,10 @@ def _line(
     """What was found at a point, and how bright what photos cannot show is made."""
     place = ", ".join(f"{value:.4g}" for value in at)
     factors, sides, white = shone.factors, shone.sides, shone.white
-    how = "as the scene's shading tells" if factors.told else "as in a usual place"
+    how = "estimated from the scene's shading" if factors.told else "a typical value"
     parts = (
-        (f"what photos clip ({light.clipped.mean():.2%})", factors.highlights, given[0]),
-        ("what no photo shows above", factors.unseen, given[1]),
+        (f"clipped light ({light.clipped.mean():.2%})", factors.highlights, given[0]),
+        ("unseen light above", factors.unseen, given[1]),
     )
     said = [
         f"{what} is made {factor:.3g} times brighter, {how if asked is None else 'as asked'}"
@@ -180,8 +182,12 @@ def _line(
         if asked is not None or factor != 1
     ]
     if (most := float(sides.max() / sides.min())) > 1:
-        said.append(f"one side is made {most:.2g} times brighter than the other, as boxes tell")
+        said.append(
+            f"one side is made {most:.2g} times brighter than the other, estimated from the boxes"
+        )
     if white > 1:
-        said.append(f"all is made {white:.3g} times brighter, as nothing is whiter than white")
+        said.append(
+            f"all light is made {white:.3g} times brighter, so that no surface is whiter than white"
+        )
     bright = "; ".join(said) or "no light is added"
     return f"Light at {place}: {light.seen:.0%} of all directions are seen; {bright}."

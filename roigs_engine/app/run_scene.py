@@ -59,7 +59,7 @@ def cameras_of_run(folder: Path, scene: Path | None, context: Context) -> SfmSce
             _warn_of_other_model(folder, found, context)
             return found
     raise ConfigError(
-        f"The scene of {folder} is not where it was.", "Give its folder with --scene."
+        f"The scene of {folder} was moved or deleted.", "Give its folder with --scene."
     )
 
 
@@ -109,7 +109,7 @@ def source_of_run(model: Path) -> tuple[Path | None, Path | None, int | None]:
         return None, None, None
     if model.name != run_files.RESULT:
         raise ConfigError(
-            f"{model} is a part of a result, and photos show all of it.",
+            f"{model} is only a part of a result, but the photos show all of it.",
             f"Give {folder / run_files.RESULT}.",
         )
     scene = next((place for place in _places(folder) if place.is_dir()), None)

@@ -154,7 +154,7 @@ def _by_tracks(done: Refinement) -> str:
     errors = f"{done.before:.2f} -> {done.after:.2f} px, median of {count} left out"
     if not done.fits_tracks_better:
         nothing = "" if done.better else " Nothing is written."
-        return f"The cameras cannot be made to fit the tracks better ({errors}).{nothing}"
+        return f"The cameras already fit the tracks as well as they can ({errors}).{nothing}"
     fuller = f" {counted(done.cameras, 'camera')} got OPENCV's parameters." if done.cameras else ""
     return f"The cameras fit better: {errors}.{fuller}"
 

@@ -68,7 +68,7 @@ def suggest(request: Suggest, context: Context = QUIET) -> Suggested:
         known = known_box(scene, roi, context, look=not request.no_look)
         if known.quality is not None and known.quality.unreadable:
             lost = named(known.quality.unreadable)
-            context.warn(f"Photos that cannot be read count as sharp: {lost}.")
+            context.warn(f"Unreadable photos count as sharp: {lost}.")
         shots = suggested(known, request.count, context)
         boxes.append(_shots(known, shots, units, draw))
         context.progress(STAGE, step, len(rois), started)
@@ -169,8 +169,8 @@ def _text(boxes: Sequence[Shots], record: dict[str, Any]) -> list[str]:
     lines = []
     for box, known in zip(boxes, record["boxes"], strict=True):
         found = box.known.map
-        lines.append(f"Box '{found.roi.name}': {found.value:.0%} known from its photos.")
+        lines.append(f"Box '{found.roi.name}': {found.value:.0%} covered by its photos.")
         for number, (shot, words) in enumerate(zip(box.shots, box.words, strict=True), start=1):
             lines.append(f"{number:3}  {shot.gain:+.2f} dB  {words}")
-        lines += [f"     look at {fault['photo']}: {fault['text']}" for fault in known["faults"]]
+        lines += [f"     check {fault['photo']}: {fault['text']}" for fault in known["faults"]]
     return lines

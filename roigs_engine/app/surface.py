@@ -168,7 +168,7 @@ def _made(
         path = folder / f"{each.name}{GLB}"
         record = _finished(path, each.inputs, formats)
         if record is not None:
-            context.info(f"{each.title}: its surface is there already.")
+            context.info(f"{each.title}: its surface already exists.")
         else:
             try:
                 made = each.make(context)
@@ -197,7 +197,7 @@ def _check_background(request: MakeSurface, boxes: Sequence[str]) -> None:
         raise ConfigError("--watertight is for boxes; a background is open.", "Leave it out.")
     if any(same_name(name) == run_files.SURROUNDINGS for name in boxes):
         raise RoiError(
-            f"A box is called '{run_files.SURROUNDINGS}', as the background's files are.",
+            f"A box has the name '{run_files.SURROUNDINGS}' of the background's files.",
             "Rename the box, and train again.",
         )
 
@@ -216,8 +216,8 @@ def _gaussians(run: Run, context: Context) -> Gaussians:
     if found is not None:
         return found
     context.warn(
-        "The training's stages are gone, or its settings have changed: surfaces are made of the"
-        " result as it is, and are less exact."
+        "The training's stages are gone, or its settings have changed: surfaces are made from "
+        "the result without further training, and are less exact."
     )
     return load_model(run.folder / run_files.RESULT, run.frame, context)
 
@@ -233,8 +233,9 @@ def _say_before(gaussians: Gaussians, run: Run, names: Sequence[str], context: C
     whole = [f"'{roi.name}'" for roi in rois if not has_masks(run.train_scene, roi)]
     if whole:
         context.info(
-            f"No masks of the objects in {', '.join(whole)}: what they stand on becomes a part of"
-            " them. To cut it off, draw strokes on a photo (Object Masks in Blender, or `masks`)."
+            f"No masks of the objects in {', '.join(whole)}: their support becomes a part of "
+            "them. To cut it off, draw strokes on a photo (Object Masks in Blender, or "
+            "`masks`)."
         )
 
 

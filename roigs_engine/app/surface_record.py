@@ -79,7 +79,7 @@ def add_to_reports(folder: Path) -> None:
 
     files = sorted((folder / run_files.FINE).glob(f"*{RECORD}"))
     found = [(file, record) for file in files if (record := read_surface(file)) is not None]
-    title, caption = "Surfaces", "In clay, from four sides; what no photo shows is orange."
+    title, caption = "Surfaces", "In clay, from four sides; unseen parts are orange."
     lines = [f"- {markdown_text(record.text)}" for _, record in found]
     put_section(folder / run_files.REPORT, title, [f"## {title}", "", *lines, ""] if found else [])
     parts = [f"<h2>{title}</h2>", f"<p>{caption}</p>"] if found else []

@@ -125,8 +125,9 @@ def _plan_of_photos(photos: Path, request: Train) -> str:
         [
             f"Plan of {request.run_dir}: preset {request.preset}",
             f"1. Make a COLMAP project from {count} in {request.scene}",
-            f"2. Put a box around what most photos show: {request.run_dir / run_files.BOXES}",
-            "3. Train. Stages, memory and minutes can be told after step 1, which is",
+            "2. Put a box around the main object of the photos: "
+            f"{request.run_dir / run_files.BOXES}",
+            "3. Train. For stages, memory and minutes, first run step 1:",
             f"   python -m roigs_engine reconstruct {photos} --out {request.scene}",
         ]
     )

@@ -58,7 +58,7 @@ class Connection:
             self._gone.set()
             raise EngineError(
                 f"The Ray cluster {self.address} is gone.",
-                "Start it again; the same command goes on.",
+                "Start it again; the same command resumes.",
             ) from error
 
     def close(self) -> None:
@@ -154,7 +154,7 @@ def _connected(address: str) -> Any:
 def _nothing_there(address: str, error: Exception) -> ConfigError:
     if address == "auto" and NO_RAY in str(error):
         return ConfigError(
-            "--cluster auto found no Ray cluster that this machine is part of.",
+            "--cluster auto: this machine belongs to no Ray cluster.",
             "Start one here with `ray start --head`, join one with `ray start --address=HOST:6379`,"
             " or use --cluster local, a Ray of this machine alone.",
         )

@@ -161,7 +161,7 @@ class RayExecutor:
         nodes = (n for n in self._ray.nodes() if n["Alive"])
         alive = {n["NodeID"]: n for n in nodes if n["Resources"].get("CPU", 0.0) >= 1}
         if not alive:
-            self._say("", "No machine of the Ray cluster gives a core; waiting for one that does.")
+            self._say("", "No machine of the Ray cluster has a free core; waiting for one.")
         self._take_looks(alive, patience)
         self._nodes = {node: alive[node]["Resources"] for node in self._nodes if node in alive}
         if self._nodes or self._running:

@@ -173,14 +173,14 @@ class Scheduler:
             assert outcome.state == STOPPED
             if moving and state.from_slow:
                 state.avoid, self._slow = (*state.avoid, node), (*self._slow, node)
-                self._context.info(f"{label}: goes on on a faster machine.")
+                self._context.info(f"{label}: resumes on a faster machine.")
             elif moving:
                 state.made_way = True
-                self._context.info(f"{label}: makes way for a longer one.")
+                self._context.info(f"{label}: makes room for a longer one.")
         if outcome.state != DONE:
             state.first = (0.0, 0.0)
 
     def _fail(self, scene: SceneState, state: PartState, reason: str) -> None:
         state.state = FAILED
         scene.reason = scene.reason or f"{state.part.label}: {reason}"
-        self._context.warn(f"{state.part.label}: {reason} The other scenes go on.")
+        self._context.warn(f"{state.part.label}: {reason} The other scenes continue.")

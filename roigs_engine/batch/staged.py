@@ -66,7 +66,7 @@ def run_part(
     try:
         found, _ = file_system(part.staging.url, should_stop, own=True)
         run = stored_run(part.staging.url, part.scene, should_stop)
-        gone = ": waits for a minute, in case the engine that was at work on it is gone."
+        gone = ": waits for a minute, in case its previous engine is gone."
 
         def waits() -> None:
             emit({"event": "message", "text": gone})

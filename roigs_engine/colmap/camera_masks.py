@@ -240,7 +240,7 @@ def make_masks(
 def mention_masks(used: int, files: MaskFiles, names: list[str], context: Context) -> None:
     """Say how many masks are used, and warn of files that are the mask of none of these photos."""
     if used:
-        context.info(f"{counted(used, 'photo')} with a mask: what it ignores is not used.")
+        context.info(f"{counted(used, 'photo')} with a mask: ignored pixels are not used.")
     unknown = files.unknown(names)
     if unknown:
         context.warn(

@@ -195,8 +195,8 @@ def _tell(
     if exif and not believed:
         spread = np.ptp([*exif.values()])
         context.warn(
-            f"EXIF says that exposures differ by {spread:.1f} stops, but the photos do not show"
-            " it: EXIF is not used."
+            f"Exposures in EXIF differ by {spread:.1f} stops, but the photos do not: EXIF is "
+            "not used."
         )
     if found:
         source = EXIF if believed else POINTS

@@ -107,6 +107,6 @@ def format_inspection(record: dict[str, Any]) -> str:
         if roi["cameras_inside"]:
             lines.append(f"         {counted(roi['cameras_inside'], 'camera')} inside the box")
         for fault in roi.get("faults", ()):
-            lines.append(f"         look at {fault['photo']}: {fault['text']}")
+            lines.append(f"         check {fault['photo']}: {fault['text']}")
     lines += [f"warning: {text}" for text in record["warnings"]]
     return "\n".join(map(printable, lines))

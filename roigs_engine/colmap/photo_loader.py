@@ -37,8 +37,8 @@ NO_CAMERA = "without a camera"
 DUPLICATE = "twice in the model"
 CANNOT_UNDISTORT = "cannot be undistorted"  # after the camera's model
 APPROXIMATE = "pycolmap is not installed: lens distortion is ignored, so cameras differ slightly."
-HINT_SHAPE = "Give the photos that the model was made from (--images), not cropped or turned."
-HINT_SIDE = "The photos are on their side: give those that the model was made from (--images)."
+HINT_SHAPE = "Give the model's own photos (--images), not cropped or turned."
+HINT_SIDE = "The photos are on their side: give the model's own photos (--images)."
 Shrink = Callable[[int, int], tuple[int, int]]
 
 

@@ -263,7 +263,7 @@ def _points(
         )
     if not good.any():
         raise SceneError(
-            f"None of the {counted(len(good), '3D point')} in {folder} can be used ({reasons}).",
+            f"All {counted(len(good), '3D point')} in {folder} are unusable ({reasons}).",
             HINT_DAMAGED,
         )
     if not good.all():
@@ -305,7 +305,7 @@ def _no_photos(model: Model, folder: Path, photos: PhotoFolder, loader: PhotoLoa
     if reason.endswith(CANNOT_UNDISTORT):
         return SceneError(f"The model's photos cannot be used ({counts}).", HINT_RESAMPLE)
     if reason == HIDDEN:
-        hint = "Use --invert-masks if black marks what is used, or --no-masks."
+        hint = "Use --invert-masks if black marks the used pixels, or --no-masks."
         return SceneError(f"The model's photos cannot be used ({counts}).", hint)
     why = loader.why.get(reason, Skip(reason))
     text = f"The model's photos cannot be used ({counts})"

@@ -102,7 +102,10 @@ def refine_cameras(
             turns = model_turns(record, model, folder, context)
             files = photo_files(scene, folder, names, turns, context)
             if sum(file is not None for file in files) < 2:
-                context.info(f"No two photos of {folder.folder} can be used: only tracks are.")
+                context.info(
+                    f"Fewer than two photos of {folder.folder} are usable: only the tracks are "
+                    "used."
+                )
             else:
                 scene, matched = fit_to_matches(colmap, scene, files, context)
                 done = replace(done, matched=matched)
@@ -119,7 +122,7 @@ def _by_tracks(colmap: Any, scene: Any, model: Path, context: Context) -> tuple[
     started, left_out = time.monotonic(), adjustment.to_leave_out(scene)
     if len(left_out) < adjustment.FEWEST_LEFT_OUT:
         raise SceneError(
-            f"{model} has too few points that {adjustment.LONG_TRACK} or more photos observe.",
+            f"{model} has too few points observed by {adjustment.LONG_TRACK} or more photos.",
             "Export the model with its observations, or take more photos.",
         )
     # The model as it is has seen the left-out observations: adjust it without them to compare.

@@ -81,8 +81,8 @@ def photo_files(
     unused = [names[key] for key, file in zip(views.ids, found, strict=True) if file is None]
     if unused:
         context.warn(
-            f"{counted(len(unused), 'photo')} not looked at: missing, damaged, or of another shape"
-            f" than the camera ({named(unused)})."
+            f"{counted(len(unused), 'photo')} not used: missing, damaged, or of another shape "
+            f"than the camera ({named(unused)})."
         )
     return found
 

@@ -49,7 +49,7 @@ class StopRequest:
             self._interrupts += 1
         if self._interrupts > 1:
             self._leave()
-        words = [] if self.asked else ["Stopping; what is done is saved."]
+        words = [] if self.asked else ["Stopping; finished work is saved."]
         self.asked = True
         if number == signal.SIGINT:
             words.append("Press Ctrl-C again to quit at once, without saving.")
@@ -63,7 +63,7 @@ class StopRequest:
         """
         if self.leaving:
             os._exit(INTERRUPTED)
-        _say("Stopped. What was saved before is kept; the same command resumes there.")
+        _say("Stopped. Saved work is kept; the same command resumes from it.")
         self.leaving = True
         # Not a `Thread`: its locks may be held by what the signal has interrupted.
         _thread.start_new_thread(_end_soon, ())

@@ -51,12 +51,13 @@ FLIP_MEASURED = (
     "pixels; 0 is best."
 )
 CORRECTED_MEANS = (
-    "Corrected: ROI PSNR after each channel of the render is multiplied, in the silhouette, by the "
-    "factor that fits the photo best, so that another exposure or white balance is no error. "
+    "Corrected: ROI PSNR after multiplying each channel of the render, in the silhouette, by "
+    "the factor that fits the photo best, so that another exposure or white balance is no "
+    "error. "
 )
 DETAIL_MEANS = (
-    "Detail: ROI PSNR of what remains of render and photo after a blur (Gaussian, sigma 2 pixels) "
-    "is subtracted from each, so that sharpness alone counts. "
+    "Detail: ROI PSNR after subtracting a blur (Gaussian, sigma 2 pixels) from render and "
+    "photo, so that only sharpness counts. "
 )
 FLIP_MISSING = "No FLIP: `pip install flip-evaluator` adds this column."
 
@@ -159,8 +160,8 @@ def box_notes(scores: RoiScores, evaluation: Evaluation) -> list[str]:
     ]  # fmt: skip
     if evaluation.masked:
         notes.append(
-            f"{counted(evaluation.masked, 'photo')} with a mask: pixels that it ignores are not"
-            " measured, in no column."
+            f"{counted(evaluation.masked, 'photo')} with a mask: ignored pixels do not count in "
+            "any column."
         )
     large = [view.object_pixels for view in views if view.object_pixels >= MIN_OBJECT]
     mask = f"silhouette pixels whose expected depth in '{scores.object_mask_from}' is in the box"
@@ -194,7 +195,7 @@ def box_notes(scores: RoiScores, evaluation: Evaluation) -> list[str]:
             made_for.setdefault(TARGETS[row.made_for].title, []).append(row.model)
     if len(made_for) > 1:
         each = "; ".join(f"{title}: {', '.join(models)}" for title, models in made_for.items())
-        notes.append(f"Each model is drawn as in what it is made for: {each}.")
+        notes.append(f"Each model is drawn for its target: {each}.")
     stages = [
         f"{row.model} = " + " + ".join(f"{name} {spent:,.0f}" for name, spent in row.stages.items())
         for row in scores.rows

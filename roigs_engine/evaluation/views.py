@@ -151,8 +151,9 @@ def plan_views(
         hint = "Use a larger --max-side, or more" if large < len(images) else "Use more"
         count = counted(len(images), f"{photos} photo")
         context.warn(
-            f"The scores of box '{roi.name}' say little: {large} of {count} show it on"
-            f" {MIN_SILHOUETTE:,} pixels or more. {hint} {photos} photos (a smaller --test-every)."
+            f"The scores of box '{roi.name}' are uncertain: {large} of {count} show it on "
+            f"{MIN_SILHOUETTE:,} pixels or more. {hint} {photos} photos (a smaller "
+            "--test-every)."
         )
     rows = tuple(m for m in models if m.rois is None or roi.name in m.rois)
     names = [model.name for model in rows]

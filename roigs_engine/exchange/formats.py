@@ -125,7 +125,7 @@ def writable(path: Path) -> FileFormat:
     form = format_of(path)
     if form in READ_ONLY:
         known = ", ".join(form.suffix for form in FORMATS)
-        raise ConfigError(f"{path}: {form.suffix} is only read.", f"Write {known}.")
+        raise ConfigError(f"{path}: {form.suffix} is read-only.", f"Write {known}.")
     return form
 
 
@@ -162,7 +162,7 @@ def storable(arrays: Arrays, title: str) -> Arrays:
     means = arrays["means"].astype(np.float64)
     if np.abs(np.median(means, axis=0)).max() > FAR * extent(means) > 0:
         raise ConfigError(
-            f"The model lies too far from the origin for {title}.",
+            f"The model is too far from the origin for {title}.",
             "Move it to the origin, or write a plain PLY.",
         )
     return arrays
@@ -228,8 +228,8 @@ def common_target(targets: Mapping[Path, Target]) -> Target:
         (target, path), (other, second) = list(first.items())[:2]
         raise ConfigError(
             f"{path} is made for {target.title}, {second} for {other.title}.",
-            "Write each into a file of its own, or make them alike first (`adapt`; --plain for"
-            " viewers without anti-aliasing).",
+            "Write each into its own file, or adapt one first (`adapt`; --plain for viewers "
+            "without anti-aliasing).",
         )
     return next(iter(first), PLAIN)
 

@@ -27,7 +27,7 @@ class NotSupportedError(Exception):
 
 
 HINT = "Write or download the file again."
-CONVERT = "Save it as .ply with the program that it is from, or with SuperSplat."
+CONVERT = "Save it as .ply with its original program, or with SuperSplat."
 MOST_RATIO, SMALL = 100, 64 << 20
 """Files of Gaussians unpack to some ten times their size; bombs to a thousand times."""
 MOST_PARTS = 4096  # of a file; each takes some milliseconds

@@ -99,9 +99,7 @@ def own_file(root: Path, name: str) -> Path:
 
 
 def _leads_out(root: Path, name: str) -> RunFolderError:
-    return RunFolderError(
-        f"{name!a:.60} is no name of a file in {root}.", "Rename what is called so."
-    )
+    return RunFolderError(f"{name!a:.60} is not a valid file name in {root}.", "Rename it.")
 
 
 def _refuse_no_folder(folder: Path) -> None:
@@ -128,7 +126,7 @@ def cannot_write(path: Path, error: OSError) -> RunFolderError:
     """The error for a file or folder that cannot be written."""
     hint = "Free some space or choose another folder."
     if error.errno in IN_THE_WAY:
-        hint = "Move away what has that name, or choose another folder."
+        hint = "Move away the file of that name, or choose another folder."
         above = reversed(path.parents)
         path = next((p for p in above if os.path.lexists(p) and not p.is_dir()), path)
     return RunFolderError(f"Cannot write {path} ({error.strerror or error}).", hint)

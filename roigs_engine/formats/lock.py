@@ -112,7 +112,8 @@ def _refuse_others(path: Path, file: BinaryIO, option: str | None) -> None:
     if says_other(file.read(LARGEST).strip(b"\0"), KEYS):
         other = f", or choose another folder ({option})" if option else ""
         raise RunFolderError(
-            f"{path} is not of the engine, which has its lock there.", f"Move it{other}."
+            f"{path} was not written by the engine, which needs this name for its lock.",
+            f"Move it{other}.",
         )
 
 

@@ -135,7 +135,7 @@ def read_rois(path: Path) -> list[RoiRecord]:
     document = read_json(path, RoiError, FILE_HINT)
     records = document.get("rois") if isinstance(document, dict) else document
     if not isinstance(records, list) or not records:
-        raise RoiError(f"{path} holds no box.", FILE_HINT)
+        raise RoiError(f"{path} contains no box.", FILE_HINT)
     try:
         refuse_many(len(records))
         rois = [roi_record(record) for record in records]

@@ -45,7 +45,7 @@ def read_scribbles(path: Path) -> list[Scribble]:
     document = read_json(path, ConfigError, HINT)
     records = document.get("scribbles") if isinstance(document, dict) else document
     if not isinstance(records, list) or not records:
-        raise ConfigError(f"{path} holds no scribble.", HINT)
+        raise ConfigError(f"{path} contains no scribble.", HINT)
     try:
         found = [_scribble(record) for record in records]
     except (KeyError, TypeError, ValueError, OverflowError) as error:

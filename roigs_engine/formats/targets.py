@@ -53,7 +53,7 @@ VIEWERS = Target(
 PLAIN = Target(
     name="plain",
     title="Viewers without Anti-Aliasing",
-    help="Viewers that draw as 3DGS does, and formats such as glTF, USD and .splat",
+    help="Viewers that draw like 3DGS, and formats such as glTF, USD and .splat",
     antialiased=False,
     linear_light=False,
 )

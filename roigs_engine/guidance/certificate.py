@@ -210,9 +210,9 @@ def _parts(made: Certificate) -> Iterator[str]:
         "Size": " x ".join(units.length(side) for side in made.size),
         "A pixel on the surface, median": _pixel(made.pixel_median, units),
         "largest": _pixel(made.pixel_largest, units),
-        "Surface that no photo shows": f"{made.unseen:.0%}",
+        "Unseen surface": f"{made.unseen:.0%}",
         "Directions with a photo within 18°": f"{made.covered:.0%}",
-        "Known of surface and directions": f"{made.known:.0%}",
+        "Coverage of surface and directions": f"{made.known:.0%}",
         "Worst direction": made.worst,
         "Photos that show it": str(len(made.photos)),
     }
@@ -258,7 +258,7 @@ def _picture(made: Certificate) -> Iterator[str]:
         place = f'x="{half - 60 + 24 * step}" y="{SIDE}"'
         yield f'<rect {place} width="24" height="8" fill="{colour}"/>'
     yield f'<text x="{half - 66}" y="{SIDE + 9}" text-anchor="end">0 %</text>'
-    yield f'<text x="{half + 66}" y="{SIDE + 9}">100 % known</text></svg>'
+    yield f'<text x="{half + 66}" y="{SIDE + 9}">100 % covered</text></svg>'
     yield (
         '<p class="small">Directions from which the object is looked at: from above in the middle,'
         " level at the inner circle, from below at the rim; as in a plan from above.</p>"

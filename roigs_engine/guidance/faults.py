@@ -67,7 +67,7 @@ def photo_faults(known: KnownBox) -> tuple[PhotoFault, ...]:
     points = {image.name: len(image.point_indices) for image in known.map.images}
     if any(points.values()):  # else the model stores no tracks
         for name in weakly_observed(points):
-            text = f"perhaps misplaced: its camera hangs on {counted(points[name], 'point')}"
+            text = f"perhaps misplaced: its camera has only {counted(points[name], 'point')}"
             found.append(PhotoFault(photo=name, reason=PLACED, text=text))
     odd = _odd_exposures(quality.exposure)
     for column, image in enumerate(known.map.images):

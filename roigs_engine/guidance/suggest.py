@@ -87,7 +87,7 @@ def suggested(known: KnownBox, count: int, context: Context = QUIET) -> list[Sug
     found, places = known.map, known.places
     if not len(places.poses):
         raise RoiError(
-            f"There is no free place around box '{found.roi.name}' to photograph it from.",
+            f"There is no free place around box '{found.roi.name}' for a camera.",
             "Enlarge the box if it cuts the object off, or take a few photos from farther away.",
         )
     greedy = _Greedy(known, context)

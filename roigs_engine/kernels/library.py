@@ -143,7 +143,7 @@ def _check_age(folder: Path) -> None:
     keys = [build.read_keys(folder, _platform(), name) for name in available(folder)]
     if any(interface != build.interface_key() for _, interface in keys):
         raise KernelError(
-            f"The compiled kernels in {folder} are of another version of the engine.",
+            f"The compiled kernels in {folder} belong to another version of the engine.",
             f"Run `{_BUILD_COMMAND}`.",
         )
     if any(source != build.source_key() for source, _ in keys):

@@ -98,9 +98,7 @@ def make_levels(
     remove_leftovers(folder)
     parts = parts_of_run(folder, images, frame)
     if not any(part.rate for part in parts):
-        raise SceneError(
-            "No photo shows the result.", "Give the scene that it was trained on (--scene)."
-        )
+        raise SceneError("No photo shows the result.", "Give its training scene (--scene).")
     maker = _Maker(folder, frame, training_views(images), steps, context)
     ladders = [maker.ladder(part, levels) for part in parts]
     check_held(folder)

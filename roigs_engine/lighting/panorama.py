@@ -128,7 +128,7 @@ def panorama(
     image, alpha = layer.image, layer.alpha.numpy()
     if not alpha.max() > THERE:
         raise ConfigError(
-            "Nothing is seen from there: the panorama would be empty.",
+            "Nothing is visible from there: the panorama would be empty.",
             "Move the point, or leave out less around it.",
         )
     light = to_linear(image).numpy()

@@ -119,7 +119,7 @@ class BoxMasks:
             )
         if not any(view.shows_object for view in views):
             raise ConfigError(
-                f"Nothing says where the object of box '{self.roi.name}' is.",
+                f"The object of box '{self.roi.name}' has no stroke.",
                 "Draw a stroke on the object in a photo that shows it.",
             )
         return views

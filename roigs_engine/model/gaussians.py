@@ -93,7 +93,7 @@ class Gaussians:
         if len(titles) > 1:
             raise ConfigError(
                 f"Some of the models are made for {titles[0]}, others for {titles[1]}.",
-                "Use models that were made for the same.",
+                "Use models made for the same renderer.",
             )
         columns = {name: [getattr(p, name).detach() for p in parts] for name in NAMES}
         bands = max(sh.shape[1] for sh in columns["sh"])

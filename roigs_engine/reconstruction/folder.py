@@ -88,7 +88,7 @@ class Folder:
         if is_new and model_suffix(self.model):
             raise SceneError(f"{self.root} has a model already.", "Give another --out.")
         for path in self._of_others(is_new=is_new):
-            raise SceneError(f"{path} is not of this command.", "Give another --out.")
+            raise SceneError(f"{path} was not created by this command.", "Give another --out.")
         with locked(self.work(), warn, "--out"):
             own_folder(self.root, SPARSE, self.model.name)
             refuse_linked_folders(self.work(), self.log, *self._replaced())

@@ -148,7 +148,7 @@ def solve(folder: Folder, found: Found, request: Reconstruct, context: Context) 
     for text in warnings:
         context.warn(text)
     if grows:
-        context.info("New photos are added to the model: its cameras stay where they are.")
+        context.info("New photos are added to the model: its cameras do not move.")
     with _timed(seconds, MAPPING):
         models = (add_photos if grows else map_models)(folder, len(names), place, context)
     missing = set(names) - models[0].photos.keys() if models else set()

@@ -57,7 +57,7 @@ def warnings_of_matches(
     groups = [group for group in connected(names, matched) if len(group) >= GROUP]
     if len(groups) > 1:
         parts = "; ".join(f"{counted(len(group), 'photo')}: {named(group, 2)}" for group in groups)
-        found.append(f"The photos show {len(groups)} places that nothing connects ({parts}).")
+        found.append(f"The photos show {len(groups)} unconnected places ({parts}).")
     total = sum(kinds.values())
     if total and sum(kinds.get(kind, 0) for kind in PANORAMIC) > ONE_PLACE * total:
         found.append(
@@ -66,8 +66,8 @@ def warnings_of_matches(
         )
     if total and sum(kinds.get(kind, 0) for kind in STILL) > BEHIND * total:
         found.append(
-            "In most photos, the background stands still, as with a turntable."
-            " Give masks that hide it (Masks, --masks), or move the camera instead."
+            "In most photos, the background stands still, as with a turntable. Mask the "
+            "background (Masks, --masks), or move the camera instead."
         )
     return found
 
@@ -109,7 +109,7 @@ def reason(result: Reconstruction, name: str) -> str:
             return f"in model {number}, which is not connected with the largest"
     known = {other for other in partners if other in result.registered}
     if not result.models:
-        return f"matched with {counted(len(partners), 'photo')}, but their places stay unknown"
+        return f"matched with {counted(len(partners), 'photo')}, but their poses are unknown"
     if not known:
         return f"it matches only photos that were not registered ({named(sorted(partners), 2)})"
     best = max(known, key=lambda other: partners[other])

@@ -90,7 +90,7 @@ class Video:
                     raise SceneError(f"{self.path} has no pictures.", "Give a video.")
                 stream = file.streams.best("video") or file.streams.video[0]
                 if stream.codec_context is None:
-                    raise SceneError(f"{self.path} has a codec that is unknown.", CONVERT)
+                    raise SceneError(f"{self.path} has an unknown codec.", CONVERT)
                 stream.codec_context.options = most  # a frame may have another size
                 stream.thread_type = "AUTO"
                 self.expected, self.damaged, self.deinterlaced = stream.frames, False, False

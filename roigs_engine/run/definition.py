@@ -204,15 +204,16 @@ def number_of_blocks(
     found = next(n for n in range(config.blocks, 0, -1) if n == 1 or layouts.fewest(n) >= FEWEST)
     if found < config.blocks:
         what = f"into {found} blocks instead of {config.blocks}"
-        what = f"The scene is cut {what}" if found > 1 else "The scene is not cut into blocks"
+        divided = found > 1
+        what = f"The scene is divided {what}" if divided else "The scene is not divided into blocks"
         context.warn(
             f"{what}: of {counted(len(train.images), 'photo')}, one of {found + 1} blocks would"
             f" have fewer than {FEWEST}."
         )
     if found > 1 and layouts.usual(found) > USELESS:
         context.warn(
-            f"Blocks save little here: {layouts.usual(found):.0%} of the photos show the usual"
-            " block, as in photos taken around one thing."
+            f"Blocks save little here: {layouts.usual(found):.0%} of the photos show the usual "
+            "block, as in photos taken around one object."
         )
     return found
 
@@ -252,8 +253,8 @@ def _by_memory(scene: SfmScene, layouts: _Layouts, config: RunConfig, context: C
             if each <= machine:
                 whole = in_gb(int(needed)) if math.isfinite(needed) else "more"
                 context.info(
-                    f"The scene is cut into {count} blocks that need {in_gb(int(each))} each; as"
-                    f" one it would need {whole}, and this machine has {in_gb(machine)}."
+                    f"The scene is divided into {count} blocks that need {in_gb(int(each))} "
+                    f"each; as one it would need {whole}, and this machine has {in_gb(machine)}."
                 )
                 return count
     reason = (
@@ -261,7 +262,7 @@ def _by_memory(scene: SfmScene, layouts: _Layouts, config: RunConfig, context: C
         if layouts.usual(2) > USELESS
         else f"blocks with {FEWEST} photos or more do not fit either"
     )
-    context.warn(f"The scene is not cut into blocks: {reason}. Use a smaller --max-side.")
+    context.warn(f"The scene is not divided into blocks: {reason}. Use a smaller --max-side.")
     return 1
 
 

@@ -54,7 +54,7 @@ def _head(run: Run, plan: Plan, context: Context) -> list[str]:
         what = "all" if distorted == count else f"{distorted:,}"
         notes.append(f"lens distortion is removed from {what} first")
     if not all(image.digest for image in images):
-        notes.append("a run decodes them first and leaves damaged ones out")
+        notes.append("a run decodes them first and skips damaged ones")
     held_out = f"{len(run.test)} to test on"
     if run.validation:
         unused = counted(len(run.test), "test photo")

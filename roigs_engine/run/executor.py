@@ -232,6 +232,6 @@ class Executor:
     def _warn_of_nothing(self, roi: OrientedBox) -> None:
         text = f"The result has no Gaussian in box '{roi.name}'. Are the cameras right?"
         if any(roi.name in image.objects for image in self.run.train_scene.images):
-            what = "the masks show no Gaussian of the result as the object's. Is white the object?"
+            what = "the masks select no Gaussian of the result. Is white the object?"
             text = f"Box '{roi.name}': {what}"
         self.context.warn(text)

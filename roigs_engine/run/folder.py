@@ -119,7 +119,7 @@ def train_stage(run: Run, plan: Plan, name: str, context: Context) -> None:
     if difference:
         raise RunFolderError(
             f"{run.folder} is prepared for another run ({difference}).",
-            "Start again: `batch` prepares it anew, and keeps what still fits.",
+            "Start again: `batch` prepares it again, and keeps valid stages.",
         )
     executor = Executor(run, context)
     executor.list_stages(plan)

@@ -96,10 +96,10 @@ def _other_run(folder: Path, difference: str) -> RunFolderError:
 
 def read_manifest(path: Path) -> Any:
     """The manifest of a run folder; RunFolderError if it cannot be read, or is none."""
-    hint = "Delete it; finished stages that still fit are kept."
+    hint = "Delete it; valid finished stages are kept."
     record = read_json(path, hint=hint)
     if not isinstance(record, dict):
-        raise RunFolderError(f"{path} is no manifest of a run.", hint)
+        raise RunFolderError(f"{path} is not a manifest of a run.", hint)
     return record
 
 
@@ -112,7 +112,7 @@ def check_version(folder: Path) -> None:
         return
     if not {"config", "version"} & record.keys():
         hint = "Choose another run folder (--run-dir), or move that file away."
-        raise RunFolderError(f"{path} is no manifest of a run.", hint)
+        raise RunFolderError(f"{path} is not a manifest of a run.", hint)
     if record.get("version") != MANIFEST_VERSION:
         raise RunFolderError(
             f"{folder} was made by another version; this version cannot resume it.",
@@ -135,7 +135,7 @@ def refuse_foreign_files(folder: Path) -> None:
     if found is not None:
         raise RunFolderError(
             f"{folder} is not a run folder, and a run would replace {found}.",
-            "Move away what is there, or choose another run folder (--run-dir).",
+            "Move its files away, or choose another run folder (--run-dir).",
         )
 
 

@@ -204,7 +204,7 @@ class StageFolder:
         if record is None:
             return None
         if record.fingerprint != self.fingerprint:
-            raise DamagedError(f"{path} is of another stage")
+            raise DamagedError(f"{path} belongs to another stage")
         model_path = self.folder / run_files.MODEL
         check_model(model_path, record)
         return StageResult(name=self.name, record=record, model_path=model_path, frame=self.frame)

@@ -217,8 +217,8 @@ def _checked(body: dict[str, Any], path: str) -> dict[str, Any]:
         or any(str(above) in files for name in files for above in PurePosixPath(name).parents)
     ):
         raise RunFolderError(
-            f"{path:.200} is not a commit that the engine has written.",
-            "Find out who writes to this store, then delete the file.",
+            f"{path:.200} is not a commit of the engine.",
+            "Find out who wrote it, then delete the file.",
         )
     return body
 

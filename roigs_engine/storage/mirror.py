@@ -79,7 +79,7 @@ def _listed(found: FileSystem, place: str, url: str) -> dict[str, list[Any]]:
             continue
         lengths = [len(part.encode("utf-8", "replace")) for part in name.split("/")]
         if name in folders or min(lengths) == 0 or max(lengths) > LONGEST:
-            text = f"No file here can be called {name!a:.100}, as one at {url:.100} is."
+            text = f"{name!a:.100}, a name at {url:.100}, is impossible for a file here."
             raise ConfigError(text, "Rename it there.")
         if inner_path(name):
             with suppress(FileNotFoundError):  # a link of a web page that leads nowhere
@@ -95,7 +95,7 @@ def sign(facts: Mapping[str, Any]) -> list[Any]:
     """
     if facts.get("size") is None:
         raise StoreError(
-            f"The store does not tell how large {facts.get('name')!a:.100} is.",
+            f"The store does not report the size of {facts.get('name')!a:.100}.",
             "Copy the folder to this machine, or use another store.",
         )
     marks = ("ETag", "etag", "md5", "mtime", "created", "LastModified")

@@ -178,7 +178,7 @@ def refuse_lost(url: str) -> None:
     match = SCHEME.match(url)
     if match and match[1].lower() in LOST:
         raise ConfigError(
-            f"What is written to {url:.200} is gone when the command ends.",
+            f"Files written to {url:.200} are lost when the command ends.",
             "Use a folder, or a store such as s3://BUCKET/RUNS.",
         )
 
@@ -214,7 +214,7 @@ def file_system(
     for name in ENDPOINTS if kind in PACKAGES["s3fs"] else ():
         if SECRET.search(os.environ.get(name, "")):
             raise ConfigError(
-                f"{name} has a password, which S3 does not take there.",
+                f"{name} has a password, which S3 does not accept there.",
                 "Use AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY.",
             )
     try:

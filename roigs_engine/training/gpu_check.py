@@ -84,7 +84,7 @@ def _check_once(device: torch.device, context: Context) -> None:
     if isinstance(before, dict):
         return
     if isinstance(before, float) and time.time() - before > LONGEST:
-        raise KernelError("GPU check: it did not end the last time.", USE_CPU)
+        raise KernelError("GPU check: the last check did not finish.", USE_CPU)
     context.info("Checking the GPU against the CPU, once.")
     errors = None
     _record(key, time.time())  # stays if the driver hangs, or takes the process with it

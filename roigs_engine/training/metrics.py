@@ -160,6 +160,7 @@ class Health:
         names = ", ".join(f"'{self._photos[k]}'" for k in worst[:NAMED])
         more = f" and {len(worst) - NAMED} more" if len(worst) > NAMED else ""
         return (
-            f"{counted(len(worst), 'photo')} matched worse than the others: {names}{more} (loss up"
-            f" to {least[worst[0]]:.3f}, median {middle:.3f}). Fine for close-ups, else check them."
+            f"{counted(len(worst), 'photo')} fit worse than the others: {names}{more} (loss up "
+            f"to {least[worst[0]]:.3f}, median {middle:.3f}). Normal for close-ups; otherwise "
+            "check them."
         )

@@ -57,8 +57,8 @@ def warn_of_axes(source: Path, before: str, context: Context) -> None:
     up = up_in_run(source)
     if up not in (None, before):
         context.warn(
-            f"In this model, {up} points up, and not {before}, so it lies on its side now."
-            f" Choose {up} as its axis that points up (--from-up={up})."
+            f"The up axis of this model is {up}, not {before}, so it lies on its side now. "
+            f"Choose {up} as its up axis (--from-up={up})."
         )
 
 

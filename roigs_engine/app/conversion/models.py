@@ -65,8 +65,8 @@ def single(request: Convert, form: FileFormat, context: Context, *, plain: bool)
             warn_of_axes(request.source, usual, context)
         else:
             context.info(
-                f"{request.source.name} says how its axes point, so it is turned."
-                " If it lies wrong, give --from-up."
+                f"{request.source.name} records its axes, so it is rotated. If it lies on its "
+                "side, give --from-up."
             )
     refuse_own_inputs(request, request.source)
     whole, target = read_model(request.source, context, plain=plain, scene=request.page_scene)
@@ -128,7 +128,7 @@ def _refuse_too_many(source: Path, models: Sequence[Arrays]) -> None:
     needed, memory = COPIES * 4 * (11 + 3 * bands) * count, machine_memory()
     if needed > memory:
         raise ConfigError(
-            f"{source} names {counted(count, 'Gaussian')} in all, which need {needed / 1e9:.1f} GB"
-            f" of memory; this machine has {memory / 1e9:.1f} GB.",
-            "Name fewer models, or smaller ones.",
+            f"{source} lists {counted(count, 'Gaussian')} in all, which need "
+            f"{needed / 1e9:.1f} GB of memory; this machine has {memory / 1e9:.1f} GB.",
+            "List fewer models, or smaller ones.",
         )

@@ -41,7 +41,7 @@ def refuse_page_options(request: Convert, *, plain: bool) -> None:
                 f"Leave it out, or let OUT end in {formats.PAGE}.",
             )
     elif request.page_scene is not None and request.from_up is not None:
-        raise ConfigError("--scene and --from-up both say which way is up.", "Leave out one.")
+        raise ConfigError("--scene and --from-up both set the up axis.", "Leave out one.")
 
 
 def compared(request: Convert, up: str, model: Model, context: Context) -> Arrays | None:

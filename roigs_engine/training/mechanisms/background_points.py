@@ -84,7 +84,10 @@ def background_points(
         colours.append(colour[counts])
     made = np.concatenate(found)[: len(points)]
     if len(made):
-        text = f"Training starts with {len(made):,} Gaussians where photos show no points."
+        text = (
+            f"Training starts with {len(made):,} extra Gaussians in areas of the photos without "
+            "points."
+        )
         context.info(text, "detail")
     return made, np.concatenate(colours)[: len(points)]
 

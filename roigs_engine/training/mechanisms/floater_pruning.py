@@ -47,4 +47,4 @@ class _Running(Running):
             model, data = training.gaussians, training.data
             return floaters(model, data.images, data.rois, data.points, self._min_views, context)
 
-        return training.prune(context, "Gaussians that hang in the air", search)
+        return training.prune(context, "floaters", search)

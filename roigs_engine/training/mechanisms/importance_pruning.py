@@ -84,7 +84,9 @@ class _Running(Running):
             worth = visible_worth(model, data.images, context)
             return least_important(worth, lambda kept: errors(model.rows(kept)), self._growth)
 
-        self.done = training.prune(context, "Gaussians that the photos hardly show", search)
+        self.done = training.prune(
+            context, "Gaussians with hardly any effect on the photos", search
+        )
         return self.done
 
 

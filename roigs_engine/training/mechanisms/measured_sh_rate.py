@@ -58,8 +58,9 @@ class MeasuredShRate(Mechanism):
             return config
         rate = least * (full / least) ** (max(share, 0.0) / FULL_RATE)
         context.info(
-            f"Colours depend little on the view: neighbouring photos predict {max(share, 0.0):.0%}"
-            f" of how they differ. The SH learning rate is {rate:.2g}, not {full:.2g}.",
+            "Colours depend little on the view: neighbouring photos predict "
+            f"{max(share, 0.0):.0%} of the differences. The SH learning rate is {rate:.2g}, "
+            f"not {full:.2g}.",
             "detail",
         )
         return replace(config, lr_shN=rate)

@@ -48,7 +48,7 @@ def test_the_folders_of_others_are_left(
     shutil.rmtree(copy / "sparse")
     (copy / "database.db").write_text("theirs")
     said = refusal(blender, project=str(copy))
-    assert "is not of this command. Give another Project Folder." in said
+    assert "was not created by this command. Give another Project Folder." in said
     assert (copy / "database.db").read_text() == "theirs"
     assert not (copy / "reconstruction").exists()
 

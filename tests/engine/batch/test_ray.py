@@ -250,7 +250,7 @@ def test_heads_without_cores_do_no_parts(tmp_path: Path, monkeypatch: pytest.Mon
         monkeypatch.setattr(ray_executor, "LOOK_SECONDS", 1.0)
         with pytest.raises(ConfigError, match="No machine"):
             ray_executor.RayExecutor(cluster.address, sign, context)
-    assert said == ["No machine of the Ray cluster gives a core; waiting for one that does."]
+    assert said == ["No machine of the Ray cluster has a free core; waiting for one."]
 
 
 def test_what_a_part_asks_for_is_on_one_machine() -> None:
@@ -333,7 +333,7 @@ def test_a_head_that_is_killed_is_one_line(cluster: Any, table: Path, tmp_path: 
         assert batch.wait(60) == 2
     assert last["event"] == "failed"
     assert last["message"] == f"The Ray cluster {cluster.address} is gone."
-    assert "the same command goes on" in last["hint"]
+    assert "the same command resumes" in last["hint"]
 
 
 @pytest.mark.slow

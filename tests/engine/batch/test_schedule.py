@@ -56,7 +56,7 @@ def test_a_part_that_fails_ends_its_scene_alone() -> None:
     made.run()
     assert made.scenes["wide"].reason == "wide: two: No photo."
     assert made.scenes["wide"].state == FAILED and made.scenes["small"].state == DONE
-    assert said == ["wide: two: No photo. The other scenes go on."]
+    assert said == ["wide: two: No photo. The other scenes continue."]
     assert "1 failed" in Reporter(made.scenes, QUIET).head()
 
 

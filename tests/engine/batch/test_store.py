@@ -261,7 +261,7 @@ def test_files_of_others_on_a_store_are_not_replaced(
 ) -> None:
     memory_store.pipe(f"/museum/runs/{name}", b"theirs")
     line = refused(capsys, "batch", table, "--run-dir", RUNS)
-    assert f"is not the folder of a batch, and one would replace {RUNS}/{name}" in line
+    assert f"is not the folder of a batch, which would replace {RUNS}/{name}" in line
     assert memory_store.cat(f"/museum/runs/{name}") == b"theirs"
 
 

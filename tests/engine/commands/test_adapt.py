@@ -89,7 +89,7 @@ def test_a_result_knows_its_scene_and_its_test_photos(
     out = tmp_path / "out.ply"
     line = ["adapt", str(run / "result.ply"), "--made-for", "plain", "--steps", "1"]
     assert main([*line, "--out", str(out)]) == 0
-    assert "Left out 1 photo that the run tests on." in capsys.readouterr().err
+    assert "Left out 1 photo of the run's test set." in capsys.readouterr().err
     (run / "rois").mkdir()
     line[1] = str((run / "result.ply").rename(run / "rois/vase.ply"))
     error = refused(capsys, *line, "--out", str(out))

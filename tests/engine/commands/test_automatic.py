@@ -75,7 +75,7 @@ def test_what_does_not_go_with_auto_is_one_line(
     project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     auto = (project.folder, "--roi", "auto")
-    assert "stands for all boxes" in refused(capsys, "select", *auto, "--roi", BOX)
+    assert "replaces all boxes" in refused(capsys, "select", *auto, "--roi", BOX)
     assert "option of select, suggest, train and run" in refused(capsys, "inspect", *auto)
     assert "There is no box 'vase'" in refused(capsys, "select", *auto, "--only", "vase")
     few = write_project(tmp_path / "few", points=np.eye(3))

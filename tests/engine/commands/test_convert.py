@@ -103,7 +103,7 @@ def test_a_list_for_which_memory_is_too_small_is_one_line(
     model = {"ply": str(ply), "matrix": np.eye(4).tolist()}
     monkeypatch.setattr("roigs_engine.app.conversion.models.machine_memory", lambda: 1_000_000)
     said = refused(capsys, "convert", listed(tmp_path, *[model] * 1000), out)
-    assert "names 60,000 Gaussians in all, which need 0.1 GB of memory" in said
+    assert "lists 60,000 Gaussians in all, which need 0.1 GB of memory" in said
     assert out.read_bytes() == b"earlier"
     assert main(["convert", str(listed(tmp_path, model)), str(out)]) == 0
 

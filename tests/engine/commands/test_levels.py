@@ -50,7 +50,7 @@ def test_the_scene_of_the_run_is_found(run: Path, capsys: pytest.CaptureFixture[
 def test_a_moved_scene_is_named(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     moved = (run.parent / "scene").rename(run.parent / "moved")
     line = refused(capsys, *words(run))
-    assert "is not where it was" in line and "--scene" in line
+    assert "was moved or deleted" in line and "--scene" in line
     assert main(words(run, "--scene", str(moved))) == 0
 
 
@@ -90,7 +90,7 @@ def test_damaged_settings_are_one_line(
     run: Path, capsys: pytest.CaptureFixture[str], settings: str
 ) -> None:
     (run / "settings.json").write_text(settings)
-    assert "is not where it was" in refused(capsys, *words(run))
+    assert "was moved or deleted" in refused(capsys, *words(run))
 
 
 @pytest.mark.parametrize("sizes", [[5], 5, ["0x0"], ["-3x4"], ["9" * 30], ["axb"]])

@@ -169,7 +169,7 @@ def test_a_run_behind_nohup_outlives_its_terminal() -> None:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
-STOPPING = "Stopping; what is done is saved."
+STOPPING = "Stopping; finished work is saved."
 AGAIN = "Press Ctrl-C again to quit at once, without saving."
 
 

@@ -124,7 +124,7 @@ def test_a_test_photo_lost_later_costs_its_row(
     words = ["--split", str(run / run_files.SPLIT), "--model", f"A={run / run_files.RESULT}"]
     command = ["evaluate", str(project.folder), "--roi", BOX, "--out", str(out), *words]
     assert main(command) == 0
-    assert f"1 test photo that cannot be used, the first is {lost}" in capsys.readouterr().err
+    assert f"1 test photo (unusable); the first is {lost}" in capsys.readouterr().err
     table = json.loads((out / run_files.REPORT_DATA).read_text(encoding="utf-8"))
     assert table["test_views"] == rest
 
@@ -138,7 +138,7 @@ def test_when_all_test_photos_are_lost(
     words = ["--model", f"A={run / run_files.RESULT}", "--out", str(tmp_path / "out")]
     capsys.readouterr()
     assert main(["evaluate", str(project.folder), "--roi", BOX, *words]) == 2
-    assert "Put the photos back" in capsys.readouterr().err.splitlines()[-1]
+    assert "Restore the photos" in capsys.readouterr().err.splitlines()[-1]
     assert not (tmp_path / "out").exists()
 
 

@@ -64,7 +64,7 @@ def test_meshes_in_other_formats_and_on_pages(
     assert main(["convert", model, str(page), "--from-up=y", "--mesh", str(glb)]) == 0
     assert '"meshes": 1' in page.read_text() and '"places"' in page.read_text()
     capsys.readouterr()
-    assert "which ball.spz cannot hold" in refused(capsys, "convert", glb, run / "ball.spz")
+    assert "which ball.spz cannot contain" in refused(capsys, "convert", glb, run / "ball.spz")
     assert "--plain is for Gaussians" in refused(capsys, "convert", glb, stl, "--plain")
     other = "convert", model, run / "b.spz", "--mesh", glb
     assert "--mesh is for web pages alone" in refused(capsys, *other)
@@ -116,7 +116,7 @@ def test_a_stopped_command_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     context = Context(emit=lambda event: texts.append(getattr(event, "text", "")))
     assert len(make_surfaces(request, context).surfaces) == 2
     assert calls == ["half", "ball", "ball"]
-    assert "Box 'half': its surface is there already." in texts
+    assert "Box 'half': its surface already exists." in texts
     assert (folder / "rois/half.glb").read_bytes() == first
     make_surfaces(replace(request, format=("stl",)))  # a file is missing, so both are made again
     assert calls[3:] == ["half", "ball"]

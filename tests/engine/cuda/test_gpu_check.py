@@ -111,7 +111,7 @@ def test_a_check_that_never_ended_is_not_tried_again(
     began = json.loads(seen[0])
     assert [type(value) for value in began.values()] == [float]
     cache.write_text(json.dumps({key: value - 1000 for key, value in began.items()}))
-    with pytest.raises(KernelError, match=r"did not end the last time.*check-gpu"):
+    with pytest.raises(KernelError, match=r"the last check did not finish.*check-gpu"):
         gpu_check.check_once(CPU)
     gpu_check.check_again(CPU)
     gpu_check.check_once(CPU)

@@ -83,7 +83,7 @@ def test_the_command_writes_columns_and_a_heat_map(
     before = (run / "result.ply").read_bytes()
     words = ["confidence", str(run), "--device", "cpu", "--out"]
     assert main([*words, str(tmp_path / "known.ply")]) == 0
-    assert "known from fewer than 3 directions" in capsys.readouterr().out
+    assert "seen from fewer than 3 directions" in capsys.readouterr().out
     assert (run / "result.ply").read_bytes() == before
     head = (tmp_path / "known.ply").read_bytes().split(b"end_header")[0].decode()
     assert head.rstrip().splitlines()[-3:] == [f"property float {name}" for name in COLUMNS]

@@ -77,5 +77,5 @@ def test_what_is_no_model_is_named(start: bytes, message: str, tmp_path: Path) -
 @pytest.mark.parametrize("name", ["a.gltf", "meta.json", "a.usd"])
 def test_what_is_only_read_is_not_written(name: str, tmp_path: Path) -> None:
     model = {key: rows.astype(np.float32) for key, rows in values().items()}
-    with pytest.raises(ConfigError, match="is only read"):
+    with pytest.raises(ConfigError, match="is read-only"):
         formats.write(tmp_path / name, model)

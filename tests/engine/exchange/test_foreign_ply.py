@@ -35,7 +35,7 @@ def test_ply_says_its_axis(
     )
     model = formats.read(source)
     found = converted(tmp_path, source, "--up=z")
-    assert ("says how its axes point" in "".join(capsys.readouterr())) is (up != "-y")
+    assert ("records its axes" in "".join(capsys.readouterr())) is (up != "-y")
     np.testing.assert_allclose(found["means"], model["means"] @ np.array(UP[up]), atol=1e-5)
     same = converted(tmp_path, source, "--from-up=z", "--up=z")
     np.testing.assert_allclose(same["means"], model["means"], atol=1e-5)

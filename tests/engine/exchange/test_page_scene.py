@@ -105,7 +105,7 @@ def test_a_model_that_would_lie_on_its_side_is_named(
         assert main(["convert", str(run / name), str(tmp_path / "a.glb")]) == 0
         said = capsys.readouterr().err
         warned = up != "-y" and name != "mine.ply"
-        assert (f"Choose {up} as its axis that points up (--from-up={up})" in said) == warned
+        assert (f"Choose {up} as its up axis (--from-up={up})" in said) == warned
         assert main(["convert", str(run / name), str(tmp_path / "a.glb"), f"--from-up={up}"]) == 0
         assert "lies on its side" not in capsys.readouterr().err
 

@@ -246,10 +246,10 @@ OUTSIDE = (
 
 @pytest.mark.parametrize("name", OUTSIDE)
 def test_a_name_that_a_file_says_stays_in_its_folder(tmp_path: Path, name: str) -> None:
-    with pytest.raises(RunFolderError, match=f"is no name of a file in {tmp_path}"):
+    with pytest.raises(RunFolderError, match=f"is not a valid file name in {tmp_path}"):
         own_file(tmp_path, name)
     if ".." in name or name.startswith("/"):
-        with pytest.raises(RunFolderError, match="is no name of a file"):
+        with pytest.raises(RunFolderError, match="is not a valid file name"):
             own_folder(tmp_path, "a", name)
 
 

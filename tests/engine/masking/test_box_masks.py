@@ -260,7 +260,7 @@ def test_nothing_is_made_without_strokes_on_the_box(ball: BallScene, tmp_path: P
 def test_strokes_around_the_object_alone_are_refused(ball: BallScene, tmp_path: Path) -> None:
     around = tuple(s for s in strokes(ball.true["0.png"]) if s.kind == BACKGROUND)
     making = work(ball, tmp_path / "masks", {"0.png": around})
-    with pytest.raises(ConfigError, match="Nothing says where the object of box 'ball' is"):
+    with pytest.raises(ConfigError, match="The object of box 'ball' has no stroke"):
         making.make(votes(ball))
     assert not (tmp_path / "masks").exists()
 

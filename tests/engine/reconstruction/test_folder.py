@@ -87,7 +87,7 @@ def test_what_others_made_is_refused(tmp_path: Path, place: str) -> None:
     theirs.parent.mkdir(exist_ok=True)
     theirs.write_bytes(b"theirs")
     folder = Folder(tmp_path)
-    with pytest.raises(SceneError, match="not of this command"), folder.held(QUIET.warn):
+    with pytest.raises(SceneError, match="not created by this command"), folder.held(QUIET.warn):
         pass
     assert theirs.read_bytes() == b"theirs"
     assert [path.name for path in tmp_path.iterdir()] == [Path(place).parts[0]]

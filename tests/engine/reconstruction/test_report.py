@@ -56,7 +56,7 @@ def test_photos_of_two_places_are_named_before_they_are_placed() -> None:
     pairs |= {("e.jpg", "f.jpg"): 40, ("c.jpg", "d.jpg"): 9}
     assert connected(NAMES, pairs)[:2] == [NAMES[:3], NAMES[3:6]]
     (text,) = warnings_of_matches(NAMES, pairs, {2: 4})
-    assert "2 places that nothing connects" in text and "a.jpg, b.jpg and 1 more" in text
+    assert "2 unconnected places" in text and "a.jpg, b.jpg and 1 more" in text
 
 
 @pytest.mark.parametrize(

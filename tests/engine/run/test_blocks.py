@@ -128,7 +128,7 @@ def test_fewer_blocks_if_they_had_few_photos(
     assert f"cut into {run.config.blocks} blocks instead of 9: of 18 photos" in said
     monkeypatch.setattr(blocks_module, "FEWEST", 24)
     run, said = told(tmp_path, scene, tiny("joint", blocks=3))
-    assert run.config.blocks == 1 and "The scene is not cut into blocks: of 18 photos" in said
+    assert run.config.blocks == 1 and "The scene is not divided into blocks: of 18 photos" in said
 
 
 def test_auto_cuts_by_memory(
@@ -141,7 +141,7 @@ def test_auto_cuts_by_memory(
     assert need[1].total < need[0].total
     monkeypatch.setattr(blocks_module, "machine_memory", lambda: need[0].total - 1)
     run, said = told(tmp_path, scene, config)
-    assert run.config.blocks == 2 and "The scene is cut into 2 blocks" in said
+    assert run.config.blocks == 2 and "The scene is divided into 2 blocks" in said
     monkeypatch.setattr(blocks_module, "machine_memory", lambda: 0)
     run, said = told(tmp_path, scene, config)
     assert run.config.blocks == 1 and "do not fit either" in said

@@ -285,5 +285,5 @@ def test_a_damaged_manifest_differs_in_words(key: str, value: object) -> None:
 def test_what_is_no_manifest_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "manifest.json"
     path.write_text("[]", encoding="utf-8")
-    with pytest.raises(RunFolderError, match=r"is no manifest.* Delete it"):
+    with pytest.raises(RunFolderError, match=r"is not a manifest.* Delete it"):
         read_manifest(path)

@@ -81,7 +81,7 @@ def test_a_photo_that_does_not_fit_is_named_by_one_stage(
         monkeypatch.setattr(metrics, name, value)  # half of the photos stand out
     events: list[Event] = []
     train(tmp_path, scene, [BOX], tiny("joint"), context=Context(emit=events.append))
-    said = [e.text for e in events if isinstance(e, Message) and "matched worse" in e.text]
+    said = [e.text for e in events if isinstance(e, Message) and "fit worse" in e.text]
     photos = [re.findall("'(.+?)'", text) for text in said]
     assert [text.partition(":")[0] for text in said] == ["scene", "joint"]
     assert all(photos) and not set(photos[0]) & set(photos[1])

@@ -390,5 +390,5 @@ def test_a_manifest_of_somebody_else_is_refused(tmp_path: Path, manifest: dict[s
     """With `update`, a run would move and replace files that only have the names of its own."""
     (tmp_path / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
     (tmp_path / "result.ply").write_bytes(b"mine")
-    with pytest.raises(RunFolderError, match="is no manifest of a run"):
+    with pytest.raises(RunFolderError, match="is not a manifest of a run"):
         check_version(tmp_path)

@@ -80,10 +80,10 @@ def test_a_commit_writes_nothing_outside(
     absolute = str(tmp_path / "stolen") if name.startswith("/") else name
     for changes in ({"files": {absolute: entry}}, {"gone": [absolute]}):
         forge(memory_store, **changes)
-        with pytest.raises(RunFolderError, match="not a commit that the engine has written"):
+        with pytest.raises(RunFolderError, match="not a commit of the engine"):
             stored_run(RUNS, "hall").fetch(tmp_path / "got")
     forge(memory_store, files={"a": entry | {"at": absolute}}, gone=[])
-    with pytest.raises(RunFolderError, match="not a commit that the engine has written"):
+    with pytest.raises(RunFolderError, match="not a commit of the engine"):
         stored_run(RUNS, "hall").fetch(tmp_path / "got")
     assert not (tmp_path / "stolen").exists() and not (tmp_path / "x").exists()
 
@@ -102,7 +102,7 @@ def test_a_commit_of_another_form_is_one_line(
 ) -> None:
     stored_run(RUNS, "hall").publish(folder, "scene", last=False)
     forge(memory_store, **changes)
-    with pytest.raises(RunFolderError, match="not a commit that the engine has written"):
+    with pytest.raises(RunFolderError, match="not a commit of the engine"):
         stored_run(RUNS, "hall").entries()
 
 

@@ -117,7 +117,7 @@ def test_a_name_that_no_file_can_have_is_named(
         return real(self, place, **options) | {f"{place}/{name}": {"size": 9, "type": "file"}}
 
     monkeypatch.setattr(type(store), "find", find)
-    with pytest.raises(ConfigError, match="No file here can be called") as error:
+    with pytest.raises(ConfigError, match="impossible for a file here") as error:
         mirror(URL.format("hall"), QUIET)
     assert error.value.hint == "Rename it there."
 
@@ -275,7 +275,7 @@ def test_a_web_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, silent: b
         threading.Thread(target=server.serve_forever, daemon=True).start()
         url = f"http://127.0.0.1:{server.server_port}/scan"
         if silent:
-            with pytest.raises(StoreError, match="does not tell how large"):
+            with pytest.raises(StoreError, match="does not report the size"):
                 mirror(url, QUIET)
         else:
             folder = mirror(url, QUIET)

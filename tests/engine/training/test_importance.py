@@ -280,8 +280,8 @@ def test_a_stage_prunes_once_when_densification_ends(scene: SfmScene) -> None:
     assert left[0.1][ends + 1] < 0.95 * left[0.0][ends + 1]
     whole, removed = left[0.1][ends], left[0.1][ends] - left[0.1][ends + 1]
     assert texts == [
-        "Looking for Gaussians that the photos hardly show.",
-        f"Removed {removed:,} Gaussians that the photos hardly show, of {whole:,}.",
+        "Looking for Gaussians with hardly any effect on the photos.",
+        f"Removed {removed:,} Gaussians with hardly any effect on the photos, of {whole:,}.",
     ]
 
 
