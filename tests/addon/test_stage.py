@@ -70,7 +70,7 @@ def test_light_is_asked_for_in_the_models_frame(blender: ModuleType, made) -> No
     assert scene.roigs.stage.here.parent == root
     blender.context.view_layer.update()
     assert list(scene.roigs.stage.here.matrix_world.translation) == pytest.approx([3, 4, 7])
-    assert "The world shines" in panel(blender)
+    assert "The world has" in panel(blender)
 
 
 def test_mirrors_and_glass_see_a_picture_of_their_own(blender: ModuleType, made) -> None:

@@ -159,7 +159,7 @@ def test_blenders_own_splats_come_back(blender: ModuleType, file: Any) -> None:
     blender.ops.roigs.stand_here(**HERE)
     assert not any(display.is_native(item) for item in items) and shadow_pass.multiplies(file)
     display.show_as(items[0], "GAUSSIANS")
-    assert "take no shadows" in " ".join(said(blender, panel.StagePanel))
+    assert "receive no shadows" in " ".join(said(blender, panel.StagePanel))
     display.show_as(items[0], "EXACT")
     blender.ops.roigs.remove_stage()
     assert all(display.is_native(item) for item in items) and state(blender, file) == before

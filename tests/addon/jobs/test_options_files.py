@@ -187,7 +187,7 @@ def test_files_of_others_in_the_run_folder_stay(
     assert theirs[0].read_text() == "[]" and not gone.exists()
     for path in theirs[1:]:
         path.write_text('{"name": "mine"}')
-        with pytest.raises(AddonError, match=f"{path.name} is not of this add-on"):
+        with pytest.raises(AddonError, match=f"{path.name} was not written by this add-on"):
             options_files.write_train_options(scene, [roi], 0.0)
         assert path.read_text() == '{"name": "mine"}'
         path.unlink()

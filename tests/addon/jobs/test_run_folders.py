@@ -239,7 +239,9 @@ def test_an_unusable_folder_gives_one_line(
     for name in ("rois.json", "train.json"):
         (tmp_path / "run" / "blender" / name).mkdir()
     for name in ("rois.json", "train.json"):
-        with pytest.raises(AddonError, match=f"{UNWRITABLE}|is not of this add-on.* Run Folder"):
+        with pytest.raises(
+            AddonError, match=f"{UNWRITABLE}|was not written by this add-on.* Run Folder"
+        ):
             options_files.write_train_options(scene, lookup.rois(scene), 0.0)
         (tmp_path / "run" / "blender" / name).rmdir()
     (tmp_path / "run" / "blender" / "selection").touch()
@@ -289,7 +291,7 @@ def test_links_are_not_written_through(
         (run / "blender" / name).parent.mkdir(parents=True, exist_ok=True)
         (run / "blender" / name).symlink_to(mine)
     for name in ("selection/thing.json", "train.json"):  # in the order in which they are written
-        with pytest.raises(AddonError, match=f"{name} is not of this add-on"):
+        with pytest.raises(AddonError, match=f"{name} was not written by this add-on"):
             options_files.write_train_options(scene, lookup.rois(scene), 0.0)
         (run / "blender" / name).unlink()
         (run / "blender" / name).symlink_to(nowhere)

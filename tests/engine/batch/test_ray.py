@@ -291,7 +291,7 @@ def test_no_cluster_is_one_line(
     monkeypatch.setattr(f"{services}.find_gcs_addresses", cache(lambda: ()))
     monkeypatch.setattr(f"{services}.find_bootstrap_address", lambda *_: None)
     line = refused(capsys, *options, "auto")
-    assert "auto found no Ray cluster" in line and "use --cluster local" in line
+    assert "this machine belongs to no Ray cluster" in line and "use --cluster local" in line
     assert "is no address" in refused(capsys, *options, "museum")
     run = ("run", tmp_path / "hall", "--roi", BOX, "--run-dir", tmp_path / "one", "--cluster", "x")
     assert "--threads is for this machine" in refused(capsys, *run, "--threads", 2)

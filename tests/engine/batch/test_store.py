@@ -234,8 +234,8 @@ def test_addresses_that_cannot_be_used_are_one_line(
     almost = ("s3:me:hidden@bucket", "data:text,hidden", "::s3:hidden")
     for url in almost:
         line = refused(capsys, "batch", table, "--run-dir", url)
-        assert "it begins as an address" in line and "hidden" not in line
-    for url, expected in ((secret, "it has a password"), *((u, "begins as an") for u in almost)):
+        assert "it looks like an address" in line and "hidden" not in line
+    for url, expected in ((secret, "it has a password"), *((u, "looks like an") for u in almost)):
         table.write_text(f"[scenes.hall]\nscene = '{url}'\nroi = ['auto']\n", encoding="utf-8")
         assert main(["batch", str(table), "--run-dir", str(tmp_path / "run")]) == 2
         said = capsys.readouterr().err

@@ -189,7 +189,7 @@ def test_without_photos_only_tracks_are_used(scene: tuple[Path, Project], tmp_pa
     done = refine_cameras(tmp_path / "model", tmp_path / "new", Context(emit=said.append))
     assert done.matched is None
     texts = [event.text for event in said if isinstance(event, Message)]
-    assert any("only tracks are" in text for text in texts)
+    assert any("only the tracks are used" in text for text in texts)
 
 
 def test_a_photo_that_is_damaged_or_missing_is_left_out(

@@ -93,7 +93,7 @@ def test_a_result_knows_its_scene_and_its_test_photos(
     (run / "rois").mkdir()
     line[1] = str((run / "result.ply").rename(run / "rois/vase.ply"))
     error = refused(capsys, *line, "--out", str(out))
-    assert "is a part of a result" in error and str(run / "result.ply") in error
+    assert "is only a part of a result" in error and str(run / "result.ply") in error
 
 
 def test_refusals(

@@ -121,7 +121,7 @@ def test_results_are_not_written_to_memory(
     table = tmp_path / "t.toml"
     table.write_text(f"[scenes.a]\nscene = '{scans / 'hall'}'\nroi = ['{BOX}']", encoding="utf-8")
     line = refused(capsys, "batch", table, "--run-dir", "memory://museum/runs")
-    assert "is gone when the command ends" in line and "s3://BUCKET/RUNS" in line
+    assert "are lost when the command ends" in line and "s3://BUCKET/RUNS" in line
 
 
 def test_one_of_the_scenes(scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -99,9 +99,9 @@ def test_what_cannot_be_done_is_one_line(
     write(tmp_path, "other", NAMES[0])
     assert "has no stroke for a box (thing)" in refused(capsys, *words(scene, out))
     write(tmp_path, "thing", "x.png")
-    assert "no photo 'x.png'" in refused(capsys, *words(scene, out))
+    assert "no usable photo 'x.png'" in refused(capsys, *words(scene, out))
     write(tmp_path, "thing", NAMES[0])
-    assert "no photo 'y.png'" in refused(capsys, *words(scene, out, "--photo", "y.png"))
+    assert "no usable photo 'y.png'" in refused(capsys, *words(scene, out, "--photo", "y.png"))
     line = refused(capsys, *words(scene, out)[:-1], str(tmp_path / "none.json"))
     assert "Cannot read" in line
     far = Gaussians.from_points(np.full((3, 3), 9.0), np.zeros((3, 3), np.uint8))

@@ -85,7 +85,7 @@ def test_what_cannot_be_is_said_in_a_line(run: Path, capsys: pytest.CaptureFixtu
     assert "There is no box 'vase'" in refused(capsys, "surface", run, "--only", "vase")
     assert "is not a run folder" in refused(capsys, "surface", run.parent)
     (run / "settings.json").unlink()
-    assert "does not say which photos" in refused(capsys, "surface", run)
+    assert "has no record of its training photos" in refused(capsys, "surface", run)
 
 
 def counted_calls(monkeypatch: pytest.MonkeyPatch, stop_at: int = 0) -> list[str]:

@@ -114,7 +114,7 @@ def test_what_is_in_the_way_is_named(tmp_path: Path, way: str) -> None:
         (tmp_path / "out").write_text("in the way", encoding="utf-8")
     else:
         (tmp_path / "out").symlink_to(tmp_path / "nothing")
-    with pytest.raises(RunFolderError, match=r"Cannot write .*out \(.*Move away what"):
+    with pytest.raises(RunFolderError, match=r"Cannot write .*out \(.*Move away the file"):
         write_text(tmp_path / "out" / "points.npy", "x")
 
 

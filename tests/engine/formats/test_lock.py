@@ -220,7 +220,10 @@ TEXTS = ('{"name": "of another program"}', "mine", "[]", "5", '{"pid": 1}')
 @pytest.mark.parametrize("name", [LOCK, BATCH_LOCK, CLUSTER_LOCK, "lod-meta.lock"])
 def test_a_file_of_another_program_stays(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
-    with pytest.raises(RunFolderError, match="is not of the engine"), locked(tmp_path, name=name):
+    with (
+        pytest.raises(RunFolderError, match="was not written by the engine"),
+        locked(tmp_path, name=name),
+    ):
         pass
     assert (tmp_path / name).read_text() == text
 

@@ -147,7 +147,7 @@ def test_the_command_writes_a_file_for_each_point(
 
 WRONG = {
     "box": (["--without", "blue"], "has no box 'blue'"),
-    "place": (["--at", "0,0"], "is not a place"),
+    "place": (["--at", "0,0"], "is not a point"),
     "ending": (["--out", "light.png"], "is no .hdr file"),
     "factor": (["--highlights", "0.5"], "is not a number from 1"),
 }

@@ -293,7 +293,7 @@ def test_files_of_others_that_are_called_like_ours(
     if name == "reconstruction/state.json":  # by its name alone, it made the database ours
         database.write_text("mine")
     assert main(["reconstruct", str(photos), "--out", str(tmp_path / "scene")]) == 2
-    assert "is not of" in capsys.readouterr().err.splitlines()[-1]
+    assert "was not " in capsys.readouterr().err.splitlines()[-1]
     assert path.read_text() == text
     assert path == database or not database.exists() or database.read_text() == "mine"
 

@@ -125,7 +125,7 @@ def test_fewer_blocks_if_they_had_few_photos(
     run, said = told(tmp_path, scene, tiny("joint", blocks=9))
     assert 1 < run.config.blocks < 9
     assert min(len(cell.photos) for cell in run.layout.blocks.cells) >= 8
-    assert f"cut into {run.config.blocks} blocks instead of 9: of 18 photos" in said
+    assert f"divided into {run.config.blocks} blocks instead of 9: of 18 photos" in said
     monkeypatch.setattr(blocks_module, "FEWEST", 24)
     run, said = told(tmp_path, scene, tiny("joint", blocks=3))
     assert run.config.blocks == 1 and "The scene is not divided into blocks: of 18 photos" in said
