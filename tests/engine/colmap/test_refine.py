@@ -120,7 +120,7 @@ def test_wrong_matches_do_not_move_the_cameras(tmp_path: Path) -> None:
 @pytest.mark.parametrize("photos", [2, 3])
 def test_too_few_tracks_are_one_clear_error(tmp_path: Path, photos: int) -> None:
     write_project(tmp_path, names=NAMES[:photos], images=None)
-    with pytest.raises(SceneError, match="too few points that 4 or more photos observe"):
+    with pytest.raises(SceneError, match="too few points observed by 4 or more photos"):
         refine_cameras(tmp_path / "sparse" / "0", tmp_path / "new")
 
 

@@ -256,7 +256,7 @@ def test_photos_that_show_nothing_are_not_used(
     main(["refine-cameras", str(tmp_path / "project"), "--out", str(tmp_path / "new")])
     said = capsys.readouterr()
     assert "Only 0 places matched in the photos: they were not used." in said.out
-    assert "1 photo not looked at" in said.err and "walk/04.png" in said.err
+    assert "1 photo not used" in said.err and "walk/04.png" in said.err
 
 
 def test_a_lens_must_be_one_to_one_in_its_picture() -> None:

@@ -206,7 +206,7 @@ def test_a_changed_box_redoes_what_depends_on_it(
     assert main(["batch", str(table), "--run-dir", str(run)]) == 0
     assert (run / "outputs" / "hall.compressed.ply").stat().st_mtime_ns > whole
     said = capsys.readouterr().err
-    assert "outputs/hall/lamp.compressed.ply is of an earlier result" in said
+    assert "outputs/hall/lamp.compressed.ply belongs to an earlier result" in said
     assert "lamp.ply is" not in said
 
 

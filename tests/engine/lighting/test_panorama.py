@@ -102,7 +102,7 @@ def test_boxes_and_what_is_near_are_left_out() -> None:
 def test_an_empty_picture_is_refused() -> None:
     lonely = room().rows(room().means[:, 2] > 3.99)
     faint = lonely.with_tensors({"logit_opacities": lonely.logit_opacities * 0 - 5})
-    with pytest.raises(ConfigError, match="Nothing is seen"):
+    with pytest.raises(ConfigError, match="Nothing is visible"):
         panorama([placed(faint)], np.zeros(3), HEIGHT)
 
 
