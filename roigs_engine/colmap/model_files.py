@@ -3,11 +3,12 @@
 pycolmap's reader is not used: on damaged files it can loop forever or allocate huge amounts of
 memory, and it rejects a model with a single dangling observation. Here, counts are checked before
 memory is allocated. `rigs` and `frames` files are not needed, since `images` has each photo's full
-pose.
+pose. What pycolmap must read is checked here first (`read_for_pycolmap`).
 """
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -65,6 +66,14 @@ def read_model(folder: Path, context: Context = QUIET) -> Model:
     tracks = not any((image.point_ids >= 0).any() for image in images)
     points = _read(points3d, lambda data: read_points(data, tracks, context))
     return Model(cameras, images, *points)
+
+
+def read_for_pycolmap(folder: Path, context: Context = QUIET) -> Model:
+    """As `read_model`; SceneError also for other files of the model that pycolmap reads."""
+    model = read_model(folder, context)
+    for path in filter(os.path.lexists, (folder / name for name in _CHECKS)):
+        _read(path, _CHECKS[path.name])
+    return model
 
 
 def read_images(folder: Path, context: Context = QUIET) -> list[ModelImage]:
@@ -217,6 +226,28 @@ def _binary_points(data: bytes, tracks: bool, context: Context) -> Points:
     at = first + 8 * np.arange(lengths.sum())
     viewers = _gather(raw, at, 4).view("<u4").astype(np.int64)
     return ids, points, colors, np.repeat(np.arange(number), lengths), viewers
+
+
+def _check_rigs(data: bytes) -> None:
+    number, offset = _record_count(data, 0, 8)
+    for _ in range(number):
+        (_, sensors), offset = _unpack(data, offset, "II")
+        offset += 8 * (sensors > 0)  # the first has no pose
+        for _ in range(int(sensors) - 1):
+            (*_, is_posed), offset = _unpack(data, offset, "iIB")
+            offset += 56 * bool(is_posed)
+
+
+def _check_frames(data: bytes) -> None:
+    number, offset = _record_count(data, 0, 68)
+    for _ in range(number):
+        (photos,), offset = _unpack(data, offset + 64, "I")
+        offset += 16 * int(photos)
+    if offset > len(data):
+        raise ValueError(f"it should have {number} records, but ends after {len(data)} bytes")
+
+
+_CHECKS = {"rigs.bin": _check_rigs, "frames.bin": _check_frames}
 
 
 def _gather(raw: NDArray[np.uint8], starts: Int64, size: int) -> NDArray[np.uint8]:

@@ -25,7 +25,7 @@ from ..model.scene import Float64
 from ..photos.files import find_photos
 from . import adjustment
 from .library import pycolmap_module
-from .model_files import HINT_DAMAGED, read_model
+from .model_files import HINT_DAMAGED, read_for_pycolmap, read_model
 from .project import model_turns
 from .refine_by_matches import MatchedFit, fit_to_matches, photo_files
 
@@ -88,7 +88,7 @@ def refine_cameras(
         raise SceneError(f"{out} exists already.", "Give another --out, or remove it.")
     colmap = pycolmap_module("Refining cameras")
     # pycolmap may not return from a damaged model, and cuts names at spaces in text files
-    record = read_model(model, context)
+    record = read_for_pycolmap(model, context)
     names = {image.image_id: image.name for image in record.images}
     folder = find_photos(model, images, list(names.values())) if look else None
     with _explained(model):

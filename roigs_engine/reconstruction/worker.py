@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from ..colmap.library import pycolmap_module
-from ..errors import EngineError
+from ..colmap.model_files import read_for_pycolmap
+from ..errors import EngineError, SceneError
 from ..formats.gravity import Matrix, Vector, gravity_alignment
 from ..model.scene import origin
 from .database import camera_ids, numbers, show_spaces, spaces_hidden
@@ -105,7 +106,7 @@ def map_photos(colmap: Any, task: Task) -> list[dict[str, Any]]:
     out = Path(task["out"])
     out.mkdir(parents=True, exist_ok=True)
     start = task.get("start", "")
-    before = colmap.Reconstruction(task["earlier"]) if task.get("earlier") else None
+    before = _model(colmap, task["earlier"]) if task.get("earlier") else None
     grows = bool(before and task.get("grows"))
     if before and grows:
         if _is_of(before, Path(task["database"])):
@@ -113,7 +114,10 @@ def map_photos(colmap: Any, task: Task) -> list[dict[str, Any]]:
             options.constant_cameras = set(before.cameras)
         else:  # the database or the model is another by now
             grows, start = False, ""
-    registered = colmap.Reconstruction(start).num_reg_images() if start else 0
+    try:
+        registered = _model(colmap, start).num_reg_images() if start else 0
+    except SceneError:  # the snapshot is damaged, as after a power cut
+        start, registered = "", 0
 
     def step() -> None:
         nonlocal registered
@@ -134,6 +138,12 @@ def map_photos(colmap: Any, task: Task) -> list[dict[str, Any]]:
             _normalise(model)
     records = [_written(model, out / f"model-{key}") for key, model in found.items()]
     return sorted(records, key=lambda record: -len(record["photos"]))
+
+
+def _model(colmap: Any, folder: str) -> Any:
+    """The model in a folder; SceneError if it is damaged, from which pycolmap may not return."""
+    read_for_pycolmap(Path(folder))
+    return colmap.Reconstruction(folder)
 
 
 def _is_of(model: Any, database: Path) -> bool:
