@@ -3,7 +3,7 @@
 pycolmap's reader is not used: on damaged files it can loop forever or allocate huge amounts of
 memory, and it rejects a model with a single dangling observation. Here, counts are checked before
 memory is allocated. `rigs` and `frames` files are not needed, since `images` has each photo's full
-pose. What pycolmap must read is checked here first (`read_for_pycolmap`).
+pose. What pycolmap must read is checked here first (`pycolmap_model`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,12 +68,23 @@ def read_model(folder: Path, context: Context = QUIET) -> Model:
     return Model(cameras, images, *points)
 
 
-def read_for_pycolmap(folder: Path, context: Context = QUIET) -> Model:
-    """As `read_model`; SceneError also for other files of the model that pycolmap reads."""
+def pycolmap_model(colmap: Any, folder: Path, context: Context = QUIET) -> tuple[Model, Any]:
+    """The model in `folder`, as `read_model` and as pycolmap's, without what is not finite there.
+
+    SceneError as `read_model`, also for other files of the model, which pycolmap reads.
+    """
     model = read_model(folder, context)
     for path in filter(os.path.lexists, (folder / name for name in _CHECKS)):
         _read(path, _CHECKS[path.name])
-    return model
+    found = colmap.Reconstruction(str(folder))
+    for key in found.reg_frame_ids():
+        pose = found.frame(key).rig_from_world
+        if not (np.isfinite(pose.matrix()).all() and np.any(pose.rotation.quat)):
+            found.deregister_frame(key)  # pycolmap aborts the process at such a pose
+    for key in found.point3D_ids():
+        if not np.isfinite(found.points3D[key].xyz).all():
+            found.delete_point3D(key)
+    return model, found
 
 
 def read_images(folder: Path, context: Context = QUIET) -> list[ModelImage]:

@@ -25,7 +25,7 @@ from ..model.scene import Float64
 from ..photos.files import find_photos
 from . import adjustment
 from .library import pycolmap_module
-from .model_files import HINT_DAMAGED, read_for_pycolmap, read_model
+from .model_files import HINT_DAMAGED, pycolmap_model, read_model
 from .project import model_turns
 from .refine_by_matches import MatchedFit, fit_to_matches, photo_files
 
@@ -88,14 +88,11 @@ def refine_cameras(
         raise SceneError(f"{out} exists already.", "Give another --out, or remove it.")
     colmap = pycolmap_module("Refining cameras")
     # pycolmap may not return from a damaged model, and cuts names at spaces in text files
-    record = read_for_pycolmap(model, context)
+    with _explained(model):
+        record, scene = pycolmap_model(colmap, model, context)
     names = {image.image_id: image.name for image in record.images}
     folder = find_photos(model, images, list(names.values())) if look else None
     with _explained(model):
-        scene = colmap.Reconstruction(str(model))
-        for key in scene.point3D_ids():
-            if not np.isfinite(scene.points3D[key].xyz).all():
-                scene.delete_point3D(key)
         positions = {key: np.array(point.xyz) for key, point in scene.points3D.items()}
         scene, done = _by_tracks(colmap, scene, model, context)
         if folder is not None:

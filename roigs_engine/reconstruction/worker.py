@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..colmap.library import pycolmap_module
-from ..colmap.model_files import read_for_pycolmap
+from ..colmap.model_files import pycolmap_model
 from ..errors import EngineError, SceneError
 from ..formats.gravity import Matrix, Vector, gravity_alignment
 from ..model.scene import origin
@@ -142,8 +142,7 @@ def map_photos(colmap: Any, task: Task) -> list[dict[str, Any]]:
 
 def _model(colmap: Any, folder: str) -> Any:
     """The model in a folder; SceneError if it is damaged, from which pycolmap may not return."""
-    read_for_pycolmap(Path(folder))
-    return colmap.Reconstruction(folder)
+    return pycolmap_model(colmap, Path(folder))[1]
 
 
 def _is_of(model: Any, database: Path) -> bool:

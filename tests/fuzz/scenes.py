@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import random
+import tempfile
 from pathlib import Path
 
+from tests.engine.colmap.bent_models import bent
 from tests.fuzz import inputs
 from tests.fuzz.cases import MODEL, Command, Family, good_boxes, good_photos, write_scene
 from tests.fuzz.damage import (
@@ -75,6 +78,24 @@ def model_text(dice: random.Random, folder: Path) -> Command:
     )
     write_scene(folder / "in", files, good_photos())
     return looked_at(dice, folder)
+
+
+@functools.cache
+def _tracked() -> dict[str, bytes]:
+    """The files of a model whose points many photos observe, rigs and frames among them."""
+    with tempfile.TemporaryDirectory() as name:
+        place = bent(Path(name), photos=6).folder / "sparse/0"
+        return {file.name: file.read_bytes() for file in place.iterdir()}
+
+
+def refined_models(dice: random.Random, folder: Path) -> Command:
+    """A binary model with damaged bytes, also in its rigs and frames, which pycolmap reads."""
+    files = dict(_tracked())
+    name = dice.choice(sorted(files))
+    files[name] = bytes_damaged(dice, files[name])
+    write_scene(folder / "in", files, {})
+    scene, out = str(folder / "in"), str(folder / "out" / "refined")
+    return ["refine-cameras", scene, "--tracks-only", "--out", out]
 
 
 def lenses(dice: random.Random, folder: Path) -> Command:
@@ -177,6 +198,7 @@ FAMILIES: dict[str, tuple[Family, int]] = {
     "model_values": (model_values, 900),
     "model_bytes": (model_bytes, 750),
     "model_text": (model_text, 550),
+    "refined_models": (refined_models, 200),
     "lenses": (lenses, 300),
     "photos": (photos, 700),
 }

@@ -9,7 +9,7 @@ from typing import Any
 import pycolmap
 import pytest
 
-from roigs_engine.colmap.model_files import read_for_pycolmap
+from roigs_engine.colmap.model_files import pycolmap_model
 from roigs_engine.errors import SceneError
 from roigs_engine.reconstruction import worker
 from tests.engine.synthetic_colmap import write_project
@@ -54,8 +54,17 @@ DAMAGE = [
 
 
 def test_a_whole_model_is_taken(model: Path) -> None:
-    assert len(read_for_pycolmap(model).images) == 3
-    assert worker._model(pycolmap, str(model)).num_reg_images() == 3
+    record, found = pycolmap_model(pycolmap, model)
+    assert len(record.images) == found.num_reg_images() == 3
+
+
+@pytest.mark.parametrize("place", ["images.bin", "frames.bin"])
+@pytest.mark.parametrize("pose", [(float("nan"),) * 4, (0.0,) * 4], ids=["nan", "zero"])
+def test_a_photo_without_a_pose_is_left_out(model: Path, place: str, pose: Any) -> None:
+    """pycolmap would abort the process as soon as it adjusts such a photo."""
+    changed(model / place, 8 + (4 if place == "images.bin" else 8), "4d", *pose)
+    found = pycolmap_model(pycolmap, model)[1]
+    assert found.num_reg_images() == (2 if place == "frames.bin" else 3)
 
 
 @pytest.mark.parametrize("what", DAMAGE)
