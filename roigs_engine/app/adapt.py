@@ -103,7 +103,10 @@ def adapted(
 
 
 def adaptation(model: Gaussians, target: Target, steps: int) -> TrainConfig:
-    """The settings of the stage (notebook/blender.md): small rates that fall, no densification."""
+    """The settings of the stage (notebook/blender.md): rates that fall, no densification.
+
+    Positions are right already and move slowly; all else has to change much in few steps.
+    """
     from ..training.config import TrainConfig
     from ..training.mechanisms.falling_rates import FallingRates
 
@@ -114,9 +117,11 @@ def adaptation(model: Gaussians, target: Target, steps: int) -> TrainConfig:
         sh_start=degree,
         lr_means=8e-5,
         lr_means_final=8e-5,
-        lr_sh0=1e-3,
-        lr_shN=1e-3,
-        lr_opacities=0.03,
+        lr_sh0=3e-3,
+        lr_shN=3e-3,
+        lr_opacities=0.09,
+        lr_scales=0.015,
+        lr_quats=3e-3,
         made_for=target.name,
         mechanisms=(FallingRates(),),
     )

@@ -141,7 +141,7 @@ class Adapt(PhotoSize, PhotoMasks, Device):
     made_for: str = option(
         Choice(choices.MADE_FOR), "the renderer to adapt it to, as of `train`", required=True
     )
-    steps: int = option(integer(1, choices.MOST_STEPS), "training steps (default: {default})", 400)
+    steps: int = option(integer(1, choices.MOST_STEPS), "training steps (default: {default})", 300)
     out: Path = option(FILE, "PLY to write", required=True)
 
 
