@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import faulthandler
 import importlib
+import importlib.util
 import io
 import json
 import os
@@ -53,6 +54,7 @@ HEAVY = ("torch", "scipy.spatial", "sklearn.gaussian_process", "pycolmap", "PIL.
          "roigs_engine.rasterize.view", "roigs_engine.levels.make",
          "roigs_engine.masking.box_masks")  # fmt: skip
 FORMATS = ("gsply.spz", "imagecodecs", "pygltflib", "zstandard")
+VIDEO = ("av",) if importlib.util.find_spec("av") else ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,7 +192,7 @@ def main(chosen: list[tuple[str, int]]) -> None:
     """Run the cases and report."""
     report = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what libraries print themselves does not mix with it
-    for module in (*HEAVY, *(FORMATS if exchange.INSTALLED else ())):
+    for module in (*HEAVY, *(FORMATS if exchange.INSTALLED else ()), *VIDEO):
         importlib.import_module(module)
     from roigs_engine.kernels.library import set_threads
 

@@ -148,9 +148,9 @@ def test_a_photo_whose_loss_stays_high_is_named() -> None:
     normal = {k: 0.05 + 0.002 * k for k in range(20)}
     assert not visits(Health(names), normal).outliers()
     text = visits(Health(names), normal | {7: 0.4}).outliers()
-    assert text.startswith("1 photo matched") and "'7.jpg'" in text and "(loss up to 0.4" in text
+    assert text.startswith("1 photo fit worse") and "'7.jpg'" in text and "(loss up to 0.4" in text
     many = visits(Health(names), normal | {k: 0.4 + k / 5 for k in range(1, 8)}).outliers()
-    assert many.startswith("7 photos matched") and "'7.jpg', '6.jpg'" in many and "4 more" in many
+    assert many.startswith("7 photos fit worse") and "'7.jpg', '6.jpg'" in many and "4 more" in many
     once = visits(Health(names), normal)
     once.record_loss(999, 7, torch.tensor(0.4))  # on one visit only
     assert not once.outliers()
@@ -161,11 +161,11 @@ def test_a_photo_is_named_once() -> None:
     names = [f"{k}.jpg" for k in range(20)]
     normal, named = {k: 0.05 + 0.002 * k for k in range(20)}, set[str]()
     bad = normal | {k: 0.4 + k / 5 for k in range(6)}
-    assert visits(Health(names), bad).outliers(named).startswith("6 photos matched")
+    assert visits(Health(names), bad).outliers(named).startswith("6 photos fit worse")
     assert named == set(names[:6])
     assert not visits(Health(names), bad).outliers(named)
     text = visits(Health(names), bad | {7: 0.4}).outliers(named)
-    assert text.startswith("1 photo matched") and "'7.jpg' (loss up to 0.4" in text
+    assert text.startswith("1 photo fit worse") and "'7.jpg' (loss up to 0.4" in text
 
 
 def test_a_photo_of_something_else_is_named(scene: SfmScene) -> None:
