@@ -325,7 +325,7 @@ def unpacking(dice: random.Random, folder: Path) -> Case:
         files["more"] = bytes(dice.choice((1 << 29, 3 << 28)))
         packed = zipped(files, zipfile.ZIP_DEFLATED)
         return converted(dice, folder, ".sog", packed, statuses=(2,))
-    files |= {f"{number}.webp": bytes(1 << 24) for number in range(50)}
+    files |= dict.fromkeys([f"{number}.webp" for number in range(50)], bytes(1 << 24))
     return converted(dice, folder, ".sog", zipped(files, zipfile.ZIP_DEFLATED), statuses=(2,))
 
 
