@@ -43,7 +43,7 @@ from tests.fuzz import (
     working_folders,
 )
 
-MEMORY = 2 << 30  # bytes above what the imported packages take
+MEMORY = 2 << 30  # bytes of a case, above what the process has
 SECONDS = 60.0
 LARGE = 1 << 30  # bytes: no case has so large a file that is no hole
 # What no terminal may get of names; only progress bars may go back to the start of a line.
@@ -188,6 +188,13 @@ def unfinished(root: Path, folder: Path) -> str:
     return ""
 
 
+def limit_memory() -> None:
+    """Let the process map `MEMORY` more: libraries that earlier cases have loaded stay mapped."""
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    limit = pages * resource.getpagesize() + MEMORY
+    resource.setrlimit(resource.RLIMIT_AS, (limit, resource.getrlimit(resource.RLIMIT_AS)[1]))
+
+
 def main(chosen: list[tuple[str, int]]) -> None:
     """Run the cases and report."""
     report = os.fdopen(os.dup(1), "w", encoding="utf-8")
@@ -203,10 +210,8 @@ def main(chosen: list[tuple[str, int]]) -> None:
         run_folders.stopped_runs()  # kept: making them would count against a case's time
     if {"store_commits", "store_outages", "clean", "caches"} & {family for family, _ in chosen}:
         stores.published()
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
-    limit = pages * resource.getpagesize() + MEMORY
-    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     for family, number in chosen:
+        limit_memory()
         faulthandler.dump_traceback_later(SECONDS, exit=True)
         ended = complaint(family, number)
         faulthandler.cancel_dump_traceback_later()
