@@ -25,8 +25,8 @@ class SpacedShRate(Mechanism):
     learning rate.
 
     Earns: 0.00 dB with all photos, which are close together (six boxes, two seeds). With 12 to 24
-        photos, six cuts: +0.18 dB on twelve objects (up to 1.2 dB in the demo, −0.2 dB on
-        flowerpot's), +0.08 dB in their boxes (notebook/leave_one_out.md).
+        photos, nine cuts: +0.11 dB on 18 objects (up to 1.2 dB in one cut of the demo, −0.2 dB on
+        flowerpot's), +0.04 dB in their boxes (marginal; notebook/leave_one_out.md).
 
     Attributes:
         limit: the largest view spacing, degrees, at which the rate stays.
