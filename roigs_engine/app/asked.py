@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ from ..selection.cells import parsed_groups
 from ..selection.manual import load_manual
 from .inputs import BoxSource, is_photos, load_scene, mask_options, on_device
 from .outputs import refuse_inputs, refuse_run_files
+from .run_scene import warn_of_other_cameras
 
 if TYPE_CHECKING:
     from ..model.roi import OrientedBox
@@ -151,16 +153,29 @@ class Asked:
         masks = mask_options(self.request, self.boxes.names, self.request.run_dir)
         return load_scene(self.request, context, cache, pixels=pixels, check=check, masks=masks)
 
-    def defined(self, context: Context, *, pixels: bool = True) -> tuple[Run, Context]:
+    def trained(self, context: Context) -> tuple[Run, Context]:
+        """As `defined`, for a run that was trained; a warning if its scene has changed since."""
+        return self.defined(context, check=partial(warn_of_other_cameras, self.request.run_dir))
+
+    def defined(
+        self,
+        context: Context,
+        *,
+        pixels: bool = True,
+        check: Callable[[SfmScene, Context], None] | None = None,
+    ) -> tuple[Run, Context]:
         """The run, its folder unopened, and the context with its device.
 
-        Without `pixels`, it is defined by its cameras alone, and nothing is written.
+        Without `pixels`, it is defined by its cameras alone, and nothing is written. `check` is
+        called with the scene.
         """
         from ..run.definition import define_run
 
         inputs = self.inputs(self.boxes.given)  # what is wrong with them is said first
         context = self.context(context)
         scene = self.scene(context, pixels=pixels)
+        if check is not None:
+            check(scene, context)
         inputs = inputs or self.inputs(self.boxes.boxes(scene))
         return define_run(self.request.run_dir, scene, context=context, **inputs), context
 

@@ -20,7 +20,6 @@ from ..requests.runs import Confidence
 from .asked import Asked
 from .instances import as_one, listed_models
 from .outputs import Result, refuse_inputs, refuse_run_files
-from .run_scene import warn_of_other_model
 
 if TYPE_CHECKING:
     from ..evaluation.confidence import Float32
@@ -56,8 +55,7 @@ def find_confidence(request: Confidence, context: Context = QUIET) -> Result:
 
     with locked(request.run, context.warn, option=None):
         refuse_linked_folders(request.run)
-        warn_of_other_model(request.run, asked.request.scene, asked.request.images, context)
-        run, context = asked.defined(context)
+        run, context = asked.trained(context)
         gaussians, there = as_one(wanted, run.frame, context)
         gaussians = gaussians.to(torch.device(context.device))
         images = run.train_scene.images

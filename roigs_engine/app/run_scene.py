@@ -56,7 +56,7 @@ def cameras_of_run(folder: Path, scene: Path | None, context: Context) -> SfmSce
     for place in [scene] if scene else _places(folder):
         if scene or place.is_dir():
             found = _cameras(folder, place, None if scene else _path(folder, "images"), context)
-            _warn_of_other_model(folder, found, context)
+            warn_of_other_cameras(folder, found, context)
             return found
     raise ConfigError(
         f"The scene of {folder} was moved or deleted.", "Give its folder with --scene."
@@ -64,14 +64,14 @@ def cameras_of_run(folder: Path, scene: Path | None, context: Context) -> SfmSce
 
 
 def warn_of_other_model(folder: Path, scene: Path, images: Path | None, context: Context) -> None:
-    """Warn if a scene has other cameras than a run was trained with: results would be wrong.
+    """As `warn_of_other_cameras`, for a scene that is used at another size of photos, perhaps.
 
     Args:
         folder: of the run.
         scene, images: of the photos that are used with its result; None: found.
     """
     with suppress(EngineError):  # said by whoever uses it
-        _warn_of_other_model(folder, _cameras(folder, scene, images, QUIET), context)
+        warn_of_other_cameras(folder, _cameras(folder, scene, images, QUIET), context)
 
 
 def _cameras(folder: Path, scene: Path, images: Path | None, context: Context) -> SfmScene:
@@ -85,8 +85,15 @@ def _cameras(folder: Path, scene: Path, images: Path | None, context: Context) -
     return load_colmap(scene, images=images, pixels=False, context=context, **size)
 
 
-def _warn_of_other_model(folder: Path, scene: SfmScene, context: Context) -> None:
-    """Cameras of another reconstruction have another frame, though photos and names are the same"""
+def warn_of_other_cameras(folder: Path, scene: SfmScene, context: Context) -> None:
+    """Warn if a scene has other cameras than a run was trained with: results would be wrong.
+
+    Those of another reconstruction have another frame, though photos and names are the same.
+
+    Args:
+        folder: of the run.
+        scene: in the world's frame, at the run's size of photos.
+    """
     record = read_record(folder / run_files.MANIFEST)
     photos, model = record.get("contents"), record.get("model")
     if not (isinstance(photos, dict) and isinstance(model, str)):

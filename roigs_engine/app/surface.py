@@ -30,7 +30,6 @@ from ..requests.runs import MakeSurface
 from .asked import Asked
 from .inputs import load_model
 from .outputs import Result
-from .run_scene import warn_of_other_model
 from .surface_record import PICTURE, RECORD, SurfaceRecord, add_to_reports, read_surface
 
 if TYPE_CHECKING:
@@ -79,8 +78,7 @@ def make_surfaces(request: MakeSurface, context: Context = QUIET) -> Surfaces:
     )
     with locked(request.run, context.warn, option=None):
         refuse_linked_folders(request.run)
-        warn_of_other_model(request.run, asked.request.scene, asked.request.images, context)
-        run, context = asked.defined(context)
+        run, context = asked.trained(context)
         names = request.only or (() if request.background else asked.boxes.names)
         gaussians = _gaussians(run, context)
         rois = [roi for roi in run.rois if roi.name in names]
