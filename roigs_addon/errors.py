@@ -1,4 +1,4 @@
-"""The one kind of error that the add-on raises on purpose."""
+"""The add-on's own kind of error."""
 
 from __future__ import annotations
 

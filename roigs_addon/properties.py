@@ -1,4 +1,4 @@
-"""What the add-on keeps in a .blend file: one group per scene, one per object."""
+"""The add-on's data in a .blend file: one group per scene, one per object."""
 
 from __future__ import annotations
 

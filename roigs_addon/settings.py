@@ -1,4 +1,4 @@
-"""The user's settings of the add-on, and the folders that follow from them.
+"""The user's settings of the add-on, and the folders derived from them.
 
 They are edited on the preferences page (ui/preferences.py). Where the package is registered
 without being an add-on, as in tests, the defaults hold.

@@ -1,4 +1,4 @@
-"""What the add-on shares with the engine: its formats and their errors. Numpy only, no bpy.
+"""Code shared with the engine: formats and their errors. Numpy only, no bpy.
 
 In a Blender extension both packages lie in the extension's own package; in a checkout, and in its
 tests, they are top-level packages. All other files of the add-on import from here.

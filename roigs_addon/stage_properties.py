@@ -1,4 +1,4 @@
-"""What the add-on keeps of the stage, for the user's own objects in the captured scene."""
+"""Properties of the stage, for the user's own objects in the captured scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the add-on does to Blender's windows: timers, and having things drawn again."""
+"""Blender's windows: timers and redraws."""
 
 from __future__ import annotations
 

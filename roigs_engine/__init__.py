@@ -1,4 +1,4 @@
-"""ROI-GS: boxed objects trained sharper inside 3D Gaussian Splatting scenes.
+"""ROI-GS: sharper objects in boxes, in 3D Gaussian Splatting scenes.
 
 Each piece of work is a function of a request. A request is a frozen dataclass; its fields are the
 options of a command (`help(roigs_engine.Train)`):

@@ -1,4 +1,4 @@
-"""The command line: a command line becomes a request, its result text, an error one line.
+"""Entry of the command line: makes a request, prints its result or a one-line error.
 
 Exit status: 0 done; 2 an `EngineError`, wrong options included (one line on standard error);
 3 stopped on request, with a checkpoint written. `commands.process` adds 130 and 141.

@@ -1,4 +1,4 @@
-"""Context of long work: where its events go, whether to stop, which device computes."""
+"""Context of long work: receiver of events, stop requests, computing device."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Error tree of the engine: every failure that the user can fix is an `EngineError`.
+"""Error tree of the engine. A failure that the user can fix is an `EngineError`.
 
 An `EngineError` has one line that says what is wrong and, where it helps, one line that says what
 to change. The command line prints both without a traceback and exits with status 2. The add-on

@@ -1,1 +1,1 @@
-"""The engine as the add-on sees it: another program. Nothing here imports bpy."""
+"""Starts the engine, a separate program, and reads its output. Nothing here imports bpy."""

@@ -1,4 +1,4 @@
-"""A result that was adapted to another renderer, cut into the files of a result. No bpy."""
+"""Splits a result that was adapted to another renderer into its files. No bpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which Python makes the engine's environment. No bpy."""
+"""Finds the Python that creates the engine's environment. No bpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What works and what is missing, task by task. No bpy."""
+"""Lists which tasks the engine can do, and which packages are missing. No bpy."""
 
 from __future__ import annotations
 

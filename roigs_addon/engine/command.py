@@ -1,4 +1,4 @@
-"""How to start the engine. No bpy."""
+"""Command line that starts the engine. No bpy."""
 
 from __future__ import annotations
 

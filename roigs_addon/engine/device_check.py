@@ -1,4 +1,4 @@
-"""Asks the engine which device it would train on. No bpy."""
+"""Asks the engine for its training device. No bpy."""
 
 from __future__ import annotations
 

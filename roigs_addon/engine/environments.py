@@ -1,4 +1,4 @@
-"""The environments that 'Set Up the Engine' makes: who uses one, how they are removed. No bpy.
+"""Environments of **Set Up the Engine**: their users, and their removal. No bpy.
 
 Several Blenders share them, so each engine that runs in one holds a lock in it, and one lock of
 their folder belongs to whoever makes or removes environments.

@@ -1,4 +1,4 @@
-"""The engine's output, read with a limit on line length, and its events as text. No bpy."""
+"""Reads the engine's output, with limited lines, and shows its events as text. No bpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of an exported model (docs/files.md), from a folder that a .blend names. No bpy.
+"""Reads an exported model (docs/files.md) from the folder named in a .blend. No bpy.
 
 Who made the .blend chose the folder: panels read it while they are drawn, so nothing here waits for
 a pipe, takes more memory than its file has bytes, or runs anything.

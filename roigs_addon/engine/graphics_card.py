@@ -1,4 +1,4 @@
-"""Which NVIDIA card and driver there are, and which build of torch they can use. No bpy.
+"""Finds the NVIDIA card and driver, and the matching build of torch. No bpy.
 
 What drivers and builds need is in docs/cuda.md, with the sources.
 """

@@ -1,4 +1,4 @@
-"""What is installed for the engine, and with which programs. No bpy.
+"""Packages to install for the engine, and the programs that install them. No bpy.
 
 The packages are in pyproject.toml alone, which is part of the extension; versions and hashes of
 what is downloaded are in tools/locked/, made of it by tools/lock_packages.py.

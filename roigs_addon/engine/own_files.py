@@ -1,4 +1,4 @@
-"""The add-on's own files in a run folder, and the stages in words. No bpy.
+"""The add-on's own files in a run folder, and names of stages for users. No bpy.
 
 The engine's files are named in `roigs_engine.formats.run_files`.
 """

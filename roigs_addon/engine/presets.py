@@ -1,4 +1,4 @@
-"""The presets of the engine, as Blender offers them. No bpy."""
+"""The engine's presets, for Blender's menus. No bpy."""
 
 from __future__ import annotations
 

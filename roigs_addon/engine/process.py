@@ -1,4 +1,4 @@
-"""One engine command as a child process: started, listened to, stopped. No bpy.
+"""One engine command as a child process: starts it, reads its events, stops it. No bpy.
 
 The engine writes one JSON line per event to its standard output (`shared.events`) and text for
 people to standard error. It stops when its standard input ends, so no engine outlives Blender.

@@ -1,4 +1,4 @@
-"""Programs found on the computer, never in the working folder. No bpy."""
+"""Finds programs on the computer, never in the working folder. No bpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which Python runs the engine, and what it can do. No bpy."""
+"""Finds the Python that runs the engine, and its packages. No bpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the folder of a reconstruction says (docs/files.md, section Reconstruction). No bpy."""
+"""Reads the folder of a reconstruction (docs/files.md, section Reconstruction). No bpy."""
 
 from __future__ import annotations
 

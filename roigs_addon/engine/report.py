@@ -1,4 +1,4 @@
-"""What the engine's report of a result says (docs/files.md, section report.json). No bpy."""
+"""Reads the engine's report of a result (docs/files.md, section report.json). No bpy."""
 
 from __future__ import annotations
 

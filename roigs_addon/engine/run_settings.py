@@ -1,4 +1,4 @@
-"""The settings that a training was asked for: compared with others, and in words. No bpy."""
+"""Compares the settings of two trainings, and describes them in words. No bpy."""
 
 from __future__ import annotations
 

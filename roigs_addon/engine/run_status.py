@@ -1,4 +1,4 @@
-"""What a run folder says about its training (docs/files.md, section Run folder). No bpy."""
+"""Reads the state of a training from its run folder (docs/files.md, Run folder). No bpy."""
 
 from __future__ import annotations
 

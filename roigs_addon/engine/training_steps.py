@@ -1,4 +1,4 @@
-"""How many steps a training has, before the engine is asked. No bpy.
+"""Number of steps of a training, computed without the engine. No bpy.
 
 The engine's presets decide (roigs_engine/run/presets.py); a test compares.
 """

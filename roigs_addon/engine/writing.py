@@ -1,4 +1,4 @@
-"""Writing into folders that the user has chosen, by the engine's rules for files. No bpy."""
+"""Writes into folders of the user, by the engine's rules for files. No bpy."""
 
 from __future__ import annotations
 

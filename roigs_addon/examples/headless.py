@@ -1,4 +1,4 @@
-"""From photos or a COLMAP folder to a saved .blend, a PLY and a picture, without a window.
+"""Makes a .blend, a PLY and a picture from photos or a COLMAP folder, without a window.
 
     blender -b --python headless.py -- --photos photos --out out
     blender -b --python headless.py -- --colmap garden --roi vase=-0.4,0,-0.4,0.4,1.3,0.4 --out out

@@ -1,1 +1,1 @@
-"""What panels and buttons need to know, cached: a sidebar is drawn many times a second."""
+"""Cached data for panels and buttons; a sidebar is drawn many times a second."""

@@ -1,4 +1,4 @@
-"""When the cached facts are forgotten: after a job, and when another file is loaded."""
+"""Clears the cached facts after a job, and when another file is loaded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether the engine can train here: asked in a thread, for it takes up to seconds."""
+"""Whether the engine can train here; a thread asks, because it takes up to seconds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which build of torch suits this computer's graphics card: asked once, in a thread."""
+"""The build of torch for this computer's graphics card; a thread finds it once."""
 
 from __future__ import annotations
 

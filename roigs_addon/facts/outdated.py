@@ -1,4 +1,4 @@
-"""Whether Train would train something, and what: the run folder against the scene, cached."""
+"""What Train would train: compares the run folder with the scene; cached."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How many photos the scene has, and how the panel names them."""
+"""Number of photos in the scene, and their names in the panel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Small pictures of photos for the panels, as Blender's file browser has them.
+"""Thumbnails of photos for the panels.
 
 Blender reads a photo in a thread, when its picture is first drawn, and keeps the picture in the
 thumbnail cache of the system: a panel shows one photo at a time and waits for none.

@@ -1,4 +1,4 @@
-"""What the folder of the scene's reconstruction says, cached."""
+"""State of the scene's reconstruction, from its folder; cached."""
 
 from __future__ import annotations
 

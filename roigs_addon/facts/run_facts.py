@@ -1,4 +1,4 @@
-"""What files say, cached: the scene's run folder, the log, the files of its Gaussians."""
+"""Contents of files, cached: the scene's run folder, the log, the files of its Gaussians."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which device trains, and why, in the words of the engine; nothing is guessed."""
+"""The training device and the reason for it, in the engine's words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Imported photos that observe so few points that their cameras may be wrong."""
+"""Photos with so few observed points that their cameras may be wrong."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Samples of a camera's aperture, and the sharp pictures that are seen through them. No bpy."""
+"""Samples of a camera's aperture, and a sharp picture for each. No bpy."""
 
 from __future__ import annotations
 

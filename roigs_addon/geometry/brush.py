@@ -1,4 +1,4 @@
-"""Which Gaussians lie below a brush, and which of them are in front. Numpy only, no bpy."""
+"""Finds the Gaussians below a brush, and those of them in front. Numpy only, no bpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The one affine map that most points of a cloud went through. No bpy."""
+"""Finds the affine map that moved most points of a cloud. No bpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fitting boxes to points, in a frame along the box's axes, with its centre at 0. No bpy."""
+"""Fits boxes to points, in a frame along the box's axes, with its centre at 0. No bpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Conversion between COLMAP's frame and Blender's, done nowhere else. No bpy.
+"""The only conversion between COLMAP's frame and Blender's. No bpy.
 
 All matrices are float64 numpy arrays (4, 4) that act on columns (docs/conventions.md, section
 Blender).

@@ -1,4 +1,4 @@
-"""The light that falls on surfaces, from a picture all around. Numpy only, no bpy.
+"""Irradiance on surfaces, from a panorama. Numpy only, no bpy.
 
 A picture is equirectangular, as Blender's Environment Texture shows it: z up, its middle column
 looks along x, its left quarter along y.

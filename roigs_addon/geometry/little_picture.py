@@ -1,4 +1,4 @@
-"""A small picture of a coloured object, from points on its surface. Numpy only, no bpy."""
+"""A thumbnail of a coloured object, from points on its surface. Numpy only, no bpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much two clouds of points are in the same place. No bpy."""
+"""How much two clouds of points overlap. No bpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rays of panoramic cameras, as Cycles has them. No bpy.
+"""Rays of Cycles' panoramic cameras. No bpy.
 
 All return (H, W, 3) float32 directions in OpenCV's camera axes (x right, y down, z forward) of
 places in the picture, (H, 1) and (1, W) from 0 to 1, from its left and its lower edge; 0 where the

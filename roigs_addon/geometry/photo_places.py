@@ -1,4 +1,4 @@
-"""Where a place in the 3D view is on the photo that a camera's frame is filled with. No bpy."""
+"""Maps places in the 3D view to the photo that fills a camera's frame. No bpy."""
 
 from __future__ import annotations
 

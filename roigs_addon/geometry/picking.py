@@ -1,4 +1,4 @@
-"""Which point is under the mouse. Numpy only, no bpy."""
+"""Finds the point under the mouse. Numpy only, no bpy."""
 
 from __future__ import annotations
 

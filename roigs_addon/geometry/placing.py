@@ -1,4 +1,4 @@
-"""Where a scene is put: its floor at z = 0, its size, its origin. Numpy only, no bpy.
+"""Places a scene: floor at z = 0, size, origin. Numpy only, no bpy.
 
 Each function returns a (4, 4) matrix that is applied to the world.
 """

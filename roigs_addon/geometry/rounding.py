@@ -1,4 +1,4 @@
-"""What Blender loses of positions: its numbers have 32 bits. Numpy only, no bpy."""
+"""Rounding of positions in Blender, which uses 32-bit numbers. Numpy only, no bpy."""
 
 from __future__ import annotations
 

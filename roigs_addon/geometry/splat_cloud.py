@@ -1,4 +1,4 @@
-"""Gaussians as they are drawn. Numpy only, no bpy."""
+"""Gaussians as arrays for drawing. Numpy only, no bpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a captured object stands on: a box holds a thin plate of it. Numpy only, no bpy."""
+"""Finds the support of a captured object: a thin plate of it is in the box. Numpy only, no bpy."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The one engine job that runs at a time: what to run, how it is going, what becomes of it."""
+"""The one engine job at a time: its command, its progress, the use of its results."""

@@ -1,4 +1,4 @@
-"""Adapting: the engine trains the result that is shown a little, drawn as another renderer does."""
+"""Adapting: the engine trains the shown result a little for another renderer."""
 
 from __future__ import annotations
 

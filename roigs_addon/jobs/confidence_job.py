@@ -1,4 +1,4 @@
-"""Finding what photos know of each Gaussian: the engine asks those of the run folder."""
+"""Finding confidence: the engine measures how well the run's photos cover each Gaussian."""
 
 from __future__ import annotations
 

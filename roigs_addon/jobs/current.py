@@ -1,4 +1,4 @@
-"""The one engine job that runs at a time.
+"""The engine job that is running; there is at most one.
 
 In a window a timer polls it, and the window stays free. In a script or in background mode, where
 Blender calls no timers, the same job is waited for.

@@ -1,4 +1,4 @@
-"""Estimating: the engine trains a few steps and says how long a training would take."""
+"""Estimating: the engine trains a few steps and estimates the training time."""
 
 from __future__ import annotations
 

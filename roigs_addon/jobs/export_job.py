@@ -1,4 +1,4 @@
-"""Exporting: the engine writes what a render shows as one file for other programs."""
+"""Exporting: the engine writes the Gaussians of a render to one file for other programs."""
 
 from __future__ import annotations
 

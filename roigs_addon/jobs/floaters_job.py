@@ -1,4 +1,4 @@
-"""Finding floaters: the engine looks at what is visible from the photos' places."""
+"""Finding floaters: the engine checks the visible Gaussians from the photos' places."""
 
 from __future__ import annotations
 

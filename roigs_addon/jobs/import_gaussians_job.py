@@ -1,4 +1,4 @@
-"""Importing Gaussians: the engine writes a file of any format as a PLY into the run folder.
+"""Importing Gaussians: the engine converts a file of any format to a PLY in the run folder.
 
 There it stays with the scene, whatever happens to the file that was imported.
 """

@@ -1,4 +1,4 @@
-"""Importing a COLMAP model: the engine exports it to the cache, and objects are built from that."""
+"""Importing a COLMAP model: the engine exports it to the cache; objects are built from this."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A job that runs: the engine's events become its state, its end becomes results. No bpy."""
+"""A running job: the engine's events update its state, and its end imports results. No bpy."""
 
 from __future__ import annotations
 

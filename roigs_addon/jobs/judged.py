@@ -1,4 +1,4 @@
-"""Visible Gaussians as files for the engine, and its answer for each of them back on the points."""
+"""Writes visible Gaussians to files for the engine, and copies its answers to the points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the engine has said last about something, from its log. No bpy."""
+"""The engine's last message of a kind, from its log. No bpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Making masks: the engine makes those of one box from the strokes on photos."""
+"""Making masks: the engine makes the masks of one box from strokes on photos."""
 
 from __future__ import annotations
 

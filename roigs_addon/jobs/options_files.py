@@ -1,4 +1,4 @@
-"""Options files for the engine, from a scene's properties and the user's settings."""
+"""Options files for the engine, from the scene's properties and the user's settings."""
 
 from __future__ import annotations
 

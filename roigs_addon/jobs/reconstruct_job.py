@@ -1,4 +1,4 @@
-"""Reconstructing: the engine makes a COLMAP project from photos, which is then imported."""
+"""Reconstructing: the engine makes a COLMAP project from photos; then it is imported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Refining cameras: the engine writes a model that fits better, which is then imported."""
+"""Refining cameras: the engine writes a better model; then it is imported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Relighting: the engine draws the light that an object was captured in; then lamps light it."""
+"""Relighting: the engine draws the captured light; it is divided out, and lamps light the rest."""
 
 from __future__ import annotations
 

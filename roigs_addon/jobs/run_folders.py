@@ -1,4 +1,4 @@
-"""The run folder of each scene, through saving, loading and undo.
+"""The run folder of each scene: kept through saving, loading and undo.
 
 The first job that writes into the folder stores its path in the scene's settings. While a file is
 open the path is absolute, so it stays right after Save As and undo. In the saved file it is

@@ -1,4 +1,4 @@
-"""Selecting photos: the engine selects into the run folder, the boxes take its lists."""
+"""Selecting photos: the engine selects into the run folder; the boxes read its lists."""
 
 from __future__ import annotations
 

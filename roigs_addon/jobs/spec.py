@@ -1,4 +1,4 @@
-"""What to run. No bpy."""
+"""Description of a job: its command and its use. No bpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the engine makes for the user's own objects: a picture all around, a mesh of the background.
+"""Making the stage for the user's objects: a panorama, and a mesh of the background.
 
 A job makes what is asked for and missing, one command after the other; then the scene gets all at
 once, so that one undo takes all back.

@@ -1,4 +1,4 @@
-"""Where a job is. No bpy."""
+"""State of a job. No bpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Suggesting photos: the engine finds where the next ones tell most; cameras then stand there."""
+"""Suggesting photos: the engine finds the most informative places; cameras are put there."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Making surfaces: the engine makes meshes of a result's boxes, which then are in their place."""
+"""Making surfaces: the engine makes meshes of a result's boxes, which replace the Gaussians."""
 
 from __future__ import annotations
 

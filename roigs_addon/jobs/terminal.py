@@ -1,4 +1,4 @@
-"""Progress in a terminal or a log, and stopping from there, for `blender -b`. No bpy."""
+"""Progress and stopping in a terminal or a log, for `blender -b`. No bpy."""
 
 from __future__ import annotations
 

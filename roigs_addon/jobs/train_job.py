@@ -1,4 +1,4 @@
-"""Training: the engine trains in the scene's run folder, the Gaussians are imported."""
+"""Training: the engine trains in the scene's run folder; the Gaussians are imported."""
 
 from __future__ import annotations
 

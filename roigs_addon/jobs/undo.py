@@ -1,4 +1,4 @@
-"""Undo steps for changes of a scene outside an operator, for which Blender makes none.
+"""Undo steps for changes outside an operator, for which Blender creates none.
 
 Without them the change would become part of the next operator's step, and undoing that operator
 would undo the change as well.

@@ -1,1 +1,1 @@
-"""What the user can do; one file for each step of the panel."""
+"""The user's actions; one file for each step of the panel."""

@@ -1,4 +1,4 @@
-"""Step 5, Result: make the result right in another renderer."""
+"""Step 5, Result: adapt the result to another renderer."""
 
 from __future__ import annotations
 

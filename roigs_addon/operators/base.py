@@ -1,4 +1,4 @@
-"""What operators share: errors become reports, and engine jobs run with or without a window."""
+"""Base of the operators: turns errors into reports, runs engine jobs with or without a window."""
 
 from __future__ import annotations
 

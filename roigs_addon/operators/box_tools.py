@@ -1,4 +1,4 @@
-"""Step 2, Boxes: fitting a box to what it is around."""
+"""Step 2, Boxes: fit a box to its content."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Step 2, Boxes: boxes around what is to be sharpened."""
+"""Step 2, Boxes: add boxes around the objects to sharpen."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Step 5, Result: choosing and deleting Gaussians by boxes, opacity and size."""
+"""Step 5, Result: select and delete Gaussians by boxes, opacity and size."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Clicks in the 3D view that meet Gaussians: they select them, and place the 3D cursor on them.
+"""Clicks on Gaussians in the 3D view: select them, and put the 3D cursor on them.
 
 Blender's own clicks miss Gaussians that the add-on draws. They come first, and what they find
 stays, unless it is behind Gaussians.

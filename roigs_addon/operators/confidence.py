@@ -1,4 +1,4 @@
-"""Step 5, Result: what photos know of each Gaussian, as a heat map and as a limit."""
+"""Step 5, Result: confidence of each Gaussian, as a heat map and as a limit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Photos or a video dropped on a 3D view: their folder, or the video, becomes the scene's.
+"""Drop of photos or a video on a 3D view: sets the scene's photos.
 
 Blender hands over files of known suffixes only, so a folder cannot be dropped. It has a handler
 of its own for pictures in a 3D view, and shows a menu of both.

@@ -1,4 +1,4 @@
-"""The preferences' buttons: set up the engine, stop setting up, check, remove."""
+"""Buttons of the preferences: set up the engine, stop that, check, remove."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Step 5, Result: Gaussians that hang in the air."""
+"""Step 5, Result: find floaters."""
 
 from __future__ import annotations
 

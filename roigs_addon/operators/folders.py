@@ -1,4 +1,4 @@
-"""Where file browsers start: where the user was last, also in another file or after a restart."""
+"""First folder of file browsers: the last used one, also in other files and after a restart."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""File ▸ Import ▸ Gaussians, and files of Gaussians that are dropped on a 3D view."""
+"""File ▸ Import ▸ Gaussians, and drops of files of Gaussians on a 3D view."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the mouse is in the 3D view."""
+"""Position of the mouse in the 3D view."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Step 5, Result: between the add-on's Gaussians and Blender's own splats (5.3 and later)."""
+"""Step 5, Result: convert Gaussians to Blender's own splats (5.3 and later), and back."""
 
 from __future__ import annotations
 

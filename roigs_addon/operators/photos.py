@@ -1,4 +1,4 @@
-"""Step 3, Cameras: the photos that each box is refined on, selected by the engine or by hand."""
+"""Step 3, Cameras: the photos that train each box, selected by the engine or by hand."""
 
 from __future__ import annotations
 

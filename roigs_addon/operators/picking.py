@@ -1,4 +1,4 @@
-"""Points that the user names: selected in edit mode, or clicked in the 3D view."""
+"""Points from the user: selected in edit mode, or clicked in the 3D view."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Step 1, Scene: where the scene stands: its floor, its size, its origin."""
+"""Step 1, Scene: place the scene: floor, size, origin."""
 
 from __future__ import annotations
 

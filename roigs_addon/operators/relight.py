@@ -1,4 +1,4 @@
-"""Step 5, Result: a captured object under other light, and in other files."""
+"""Step 5, Result: relight a captured object, and use it in other files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Step 5, Result: import the Gaussians, choose what is shown."""
+"""Step 5, Result: import the Gaussians, choose what to show."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Step 5, Result: compare the results of a run folder, and make it smaller."""
+"""Step 5, Result: compare the results of a run folder, and clean it up."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Step 3, Cameras: strokes on a photo, on the object of a box and around it."""
+"""Step 3, Cameras: strokes on a photo, on a box's object and around it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Step 5, Result: light, shadows and reflections between captured things and the user's own."""
+"""Step 5, Result: light, shadows and reflections between the scene and the user's objects."""
 
 from __future__ import annotations
 

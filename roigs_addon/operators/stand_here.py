@@ -1,4 +1,4 @@
-"""Step 5, Result: the active mesh stands on the captured surface that is clicked."""
+"""Step 5, Result: put the active mesh on the clicked surface."""
 
 from __future__ import annotations
 

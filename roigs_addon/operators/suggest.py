@@ -1,4 +1,4 @@
-"""Step 3, Cameras: the photos to take next."""
+"""Step 3, Cameras: suggest the next photos."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Step 5, Result: the surface of a box as a mesh."""
+"""Step 5, Result: the content of a box as a mesh."""
 
 from __future__ import annotations
 

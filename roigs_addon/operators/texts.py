@@ -1,4 +1,4 @@
-"""Showing the engine's files in Blender's text editor."""
+"""Opens the engine's files in Blender's text editor."""
 
 from __future__ import annotations
 

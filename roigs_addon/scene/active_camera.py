@@ -1,4 +1,4 @@
-"""Resolution and background photo follow the active camera, however it was made active."""
+"""Resolution and background photo follow the active camera, however it became active."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Renders show Gaussians that came into a scene without Load Results: by Append, Link or a script.
+"""Shows Gaussians in renders that came by Append, Link or a script, not by Load Results.
 
 Once per scene: a user who removes the node from the compositor wants it gone.
 """

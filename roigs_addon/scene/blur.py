@@ -1,4 +1,4 @@
-"""Depth of field and motion blur of a frame: the sharp pictures of which the engine takes the mean.
+"""Depth of field and motion blur of a frame: the engine averages several sharp pictures.
 
 Each is seen from another point of the camera's aperture, at another moment of the shutter's time,
 and with the surfaces of that moment. So Gaussians and meshes blur alike.

@@ -1,4 +1,4 @@
-"""Moving the faces of a box, and what lies around it, in its own frame.
+"""Moves the faces of a box, and finds the points around it, in its own frame.
 
 The frame has the box's axes, its centre at 0, and the world's lengths, so that cells in it are
 cubes.

@@ -1,4 +1,4 @@
-"""The surface of a box as a mesh object: in the place of its Gaussians, or beside them.
+"""The mesh of a box as an object: instead of its Gaussians, or beside them.
 
 A mesh that is made again keeps its object: where it stands, its modifiers and its material. Its
 data is replaced, and the picture in its material.

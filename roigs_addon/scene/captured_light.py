@@ -1,4 +1,4 @@
-"""The light that fell on a captured object when it was photographed, at each vertex of its mesh.
+"""The light on a captured object when it was photographed, at each vertex of its mesh.
 
 From a picture all around the object: what each vertex' surroundings shine, without what the object
 itself hides of them; there, its own mean colour shines. Shadows of single lamps on the object stay

@@ -1,4 +1,4 @@
-"""What a saved .blend holds of its Gaussians: all, or all but their view-dependent colour.
+"""The Gaussians saved in a .blend: with or without their view-dependent colour.
 
 That colour is two thirds of the size. If the user leaves it out, it is taken from the meshes while
 the file is saved, but only where the PLY can give it back: the file is there and the points are

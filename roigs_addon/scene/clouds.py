@@ -1,4 +1,4 @@
-"""Points with attributes as Blender objects that show in every render engine.
+"""Points with attributes as Blender objects, for every render engine.
 
 Before Blender 5.1, Python cannot resize point clouds. So the points are vertices of a mesh, and a
 geometry-nodes modifier turns them into points, with a radius and a material.

@@ -1,4 +1,4 @@
-"""Another result in the same objects, to compare: places, visibility, view and edits stay."""
+"""Shows another result in the same objects; places, visibility, view and edits stay."""
 
 from __future__ import annotations
 

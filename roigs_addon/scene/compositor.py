@@ -1,4 +1,4 @@
-"""The scene's compositor, and the group in it that merges the engine's layer (layer_group.py).
+"""The scene's compositor, and its node group that merges the engine's layer (layer_group.py).
 
 The compositor gets the group behind its first render layer; other nodes stay as they are.
 """

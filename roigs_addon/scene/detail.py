@@ -1,4 +1,4 @@
-"""Result or first pass: a box is shown by one of two objects, refined or of the whole-scene model.
+"""Result or First Pass: two objects of a box, refined and from the whole-scene model.
 
 The other one is switched off, by the properties that Alt-H leaves alone. A copy gets a second
 object of its own when it is needed. The refined one has levels of detail, if they were made

@@ -1,4 +1,4 @@
-"""How an object's Gaussians are shown: as Blender's own splats, by the add-on, or as points.
+"""Display of an object's Gaussians: as Blender's own splats, by the add-on, or as points.
 
 This is the one place that decides it. However it is shown, an object is the same mesh of points
 with attributes, so whatever changes those works in each way. From Blender 5.3 on, a modifier makes

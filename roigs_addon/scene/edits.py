@@ -1,4 +1,4 @@
-"""Where an object's Gaussians are: in its PLY, or in its points, as the user has edited them.
+"""The source of an object's Gaussians: its PLY, or its points after edits by the user.
 
 Viewport, renders and export read files. An object's own file is the fast way, as long as it holds
 what was imported from it, and the object's points are still those. Otherwise the points are written

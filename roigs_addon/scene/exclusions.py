@@ -1,4 +1,4 @@
-"""Photos that the user excludes from selection and training: by name, or by deleting their camera.
+"""Photos that the user excludes from selection and training, by name or by deleting cameras.
 
 Hiding a camera excludes nothing: whoever hides all cameras only wants to see the model.
 """

@@ -1,4 +1,4 @@
-"""Where a web page looks: at each object of Gaussians but the background, from where photos did."""
+"""Views for a web page: each object except the background, from the direction of its photos."""
 
 from __future__ import annotations
 

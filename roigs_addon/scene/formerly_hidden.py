@@ -1,4 +1,4 @@
-"""What an earlier version has hidden with the eye of the outliner, which Alt-H opens."""
+"""Migrates objects that earlier versions hid with the outliner's eye, which Alt-H opens."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a frame shows of the Gaussians: which objects, where they stand, and the camera."""
+"""The content of a frame: the Gaussian objects, their places, and the camera."""
 
 from __future__ import annotations
 

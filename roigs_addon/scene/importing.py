@@ -1,4 +1,4 @@
-"""A COLMAP model as Blender objects, from the files that the engine's `export` writes."""
+"""Builds Blender objects of a COLMAP model from the files of the engine's `export`."""
 
 from __future__ import annotations
 

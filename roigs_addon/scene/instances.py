@@ -1,4 +1,4 @@
-"""Gaussian objects that something else instances: geometry nodes, a collection, also a linked one.
+"""Instances of Gaussian objects by geometry nodes or a collection, also a linked one.
 
 Blender draws nothing of them; each is drawn like an object of its own, without being made real.
 """

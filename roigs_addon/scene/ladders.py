@@ -1,4 +1,4 @@
-"""Levels of detail: which files stand for an object, and which of them a view shows.
+"""Levels of detail: the files of an object, and the one for a view.
 
 They are listed in `levels.json` of the run folder that the object's own file is in. They stand for
 the file as it is there: Gaussians that were edited are drawn whole.

@@ -1,4 +1,4 @@
-"""How bright an object's Gaussians are shown, and in which tint."""
+"""Exposure and tint of an object's Gaussians."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether what is shown is drawn by the renderer that it is made for."""
+"""Whether the shown Gaussians were made for the renderer that draws them."""
 
 from __future__ import annotations
 

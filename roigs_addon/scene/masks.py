@@ -1,4 +1,4 @@
-"""Masks of objects: where they are, and which photos have one.
+"""Masks of objects: their folders, and the photos that have one.
 
 They are in the folder `masks` beside the photos, as the engine looks for them, or in the run folder
 if that cannot be written. Which of two masks of a photo is used, the engine says (`mask_record`).

@@ -1,4 +1,4 @@
-"""Blender's own Gaussian splats (5.3 and later): made of the add-on's objects, and back.
+"""Blender's own Gaussian splats (5.3 and later): conversion from the add-on's objects, and back.
 
 Blender's PLY importer makes a point cloud object of a 3DGS PLY, with the attributes of
 docs/conventions.md, its values in the file's own frame; a change of axes goes into the object's

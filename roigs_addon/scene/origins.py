@@ -1,4 +1,4 @@
-"""The origin of a new object of Gaussians: its centre, to turn, scale and frame it.
+"""The origin of a new object of Gaussians: its centre, to rotate, scale and frame it.
 
 Objects of results that were loaded before keep the origin that they have.
 """

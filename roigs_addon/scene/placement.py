@@ -1,4 +1,4 @@
-"""Moving a whole scene: its root and what hangs on it, and the file beside the model that says so.
+"""Moves a whole scene by its root, and writes the file beside the model.
 
 The file follows undo and redo: what was there before a step is there again after its undo.
 """

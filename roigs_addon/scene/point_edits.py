@@ -1,4 +1,4 @@
-"""Choosing and deleting points of Gaussian objects. What is chosen is selected, as in edit mode."""
+"""Selects and deletes points of Gaussian objects. A selection is that of edit mode."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Proxies: meshes that stand for captured surfaces where the user's objects meet them in renders.
+"""Proxies: meshes that stand for captured surfaces in renders, where the user's objects meet them.
 
 To the camera, a proxy is a shadow catcher of Cycles: it shows nothing itself. All other rays find a
 surface that shines as the photos saw it, and that hides the world behind it. So nothing is counted

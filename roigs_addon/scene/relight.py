@@ -1,4 +1,4 @@
-"""A captured object under other light: its mesh, of what is left of its texture without the light.
+"""A captured object under other light: its mesh, and its texture divided by the captured light.
 
 A photo's colour is the colour of the surface times the light that fell on it. The mesh knows the
 light at each vertex (`captured_light`), so the texture divided by it is the surface's own colour,

@@ -1,4 +1,4 @@
-"""Boxes that have another name in another result: told by where their Gaussians are.
+"""Recognises boxes with other names in another result by the place of their Gaussians.
 
 The files of an earlier result keep the names of their training, and say no places.
 """

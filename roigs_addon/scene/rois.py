@@ -1,4 +1,4 @@
-"""Boxes (ROIs, regions of interest) as cube empties: made, placed and written for the engine."""
+"""Boxes (ROIs, regions of interest) as cube empties: created, placed, written for the engine."""
 
 from __future__ import annotations
 

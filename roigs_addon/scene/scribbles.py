@@ -1,4 +1,4 @@
-"""Strokes that a person has drawn on photos, for each box; the .blend keeps them."""
+"""The user's strokes on photos, for each box, saved in the .blend."""
 
 from __future__ import annotations
 

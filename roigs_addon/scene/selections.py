@@ -1,4 +1,4 @@
-"""The photos that each box is refined on: the list of a box, and what shows it in the scene."""
+"""The photos that train each box: the list of a box, and its display in the scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cycles' pass of the shadows that catchers receive, and how the Gaussians are multiplied by it.
+"""Cycles' pass of shadows on catchers, and the node that multiplies the Gaussians by it.
 
 The pass is the ratio of the light that a catcher receives with the objects and without: coloured,
 above 1 where a lamp of the user's shines, and 1 where there is no catcher. As long as it is

@@ -1,4 +1,4 @@
-"""Trained and imported Gaussians as Blender objects: for every render engine, and for the viewport.
+"""Trained and imported Gaussians as Blender objects, for every render engine and the viewport.
 
 Each object is a mesh of points with the attributes of docs/conventions.md. A modifier makes
 Blender's own splats of them or hides them (display.py). In the second case the add-on draws the

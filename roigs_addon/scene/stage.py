@@ -1,4 +1,4 @@
-"""What a scene gets for the user's own objects: a light, proxies, passes; and the way back.
+"""Prepares a scene for the user's own objects: light, proxies, passes; and undoes it.
 
 All of it is in a collection and a world of their own. What else changes is remembered in the .blend
 before it does, so that `remove` brings all back.

@@ -1,4 +1,4 @@
-"""A world that shines as the captured scene does around a point, and that the camera does not see.
+"""A world with the captured scene's light around a point, invisible to the camera.
 
 It is a copy of the user's world, which the camera goes on seeing; all other rays meet the picture.
 """

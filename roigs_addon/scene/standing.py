@@ -1,4 +1,4 @@
-"""Where an object stands on a captured surface, and how it is put there."""
+"""Finds where an object stands on a captured surface, and puts it there."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The cube of Blender's start file: it stands in the middle of an imported model."""
+"""Hides the cube of Blender's start file, which stands in the middle of an imported model."""
 
 from __future__ import annotations
 

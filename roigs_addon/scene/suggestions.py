@@ -1,4 +1,4 @@
-"""Suggested photos: cameras with numbers that stand where the next photos should be taken.
+"""Suggested photos: numbered cameras at the places for the next photos.
 
 They are in a collection of their own, with a line from each to its box. What a photo should show is
 behind its camera, as a photo is behind that of an imported one.

@@ -1,4 +1,4 @@
-"""Surfaces that a render shows, as triangles: the engine hides Gaussians behind them."""
+"""Triangles of the surfaces in a render; the engine hides Gaussians behind them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Meshes with a picture, as the engine's files have them, as Blender's data."""
+"""Blender meshes with a texture, from the engine's files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Objects that the add-on hides for a while, and shows again as the user had them.
+"""Hides objects for a while, and shows them again as the user had them.
 
 With the property **Disable in Viewports**: Alt-H shows what the eye in the outliner hides, which is
 the user's.

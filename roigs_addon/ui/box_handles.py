@@ -1,4 +1,4 @@
-"""Handles on the faces of the active box in the 3D view, each to be dragged."""
+"""Handles on the faces of the active box in the 3D view, to drag each face."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Step 5, Result: what chooses and deletes Gaussians."""
+"""Step 5, Result: tools to select and delete Gaussians."""
 
 from __future__ import annotations
 

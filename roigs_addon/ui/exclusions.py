@@ -1,4 +1,4 @@
-"""Excluded photos in the panels: how many, and the buttons that change it."""
+"""Excluded photos in the panels: their number, and buttons to change them."""
 
 from __future__ import annotations
 

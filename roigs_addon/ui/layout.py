@@ -1,4 +1,4 @@
-"""What all panels of the tab share."""
+"""Code shared by all panels of the tab."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Step 5, Result: exposure and tint of the Gaussians that are selected."""
+"""Step 5, Result: exposure and tint of the selected Gaussians."""
 
 from __future__ import annotations
 

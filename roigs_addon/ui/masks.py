@@ -1,4 +1,4 @@
-"""Step 3, Cameras: strokes on photos and the masks that are made from them."""
+"""Step 3, Cameras: strokes on photos and masks made from them."""
 
 from __future__ import annotations
 

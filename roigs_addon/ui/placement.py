@@ -1,4 +1,4 @@
-"""Step 1, Scene: where the scene stands."""
+"""Step 1, Scene: place the scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The preferences page: setting up the engine, then its settings and folders."""
+"""The preferences page: the engine's set-up, settings and folders."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Before step 1: a scene from photos."""
+"""Before step 1: make a scene from photos."""
 
 from __future__ import annotations
 

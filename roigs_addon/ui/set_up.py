@@ -1,4 +1,4 @@
-"""Above all steps, until the engine is set up: the way to the preferences."""
+"""Above all steps: a link to the preferences, until the engine is set up."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Dragging the line between a photo and the Gaussians in a view through its camera."""
+"""Drags the line between a photo and the Gaussians in a view through its camera."""
 
 from __future__ import annotations
 

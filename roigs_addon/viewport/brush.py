@@ -1,4 +1,4 @@
-"""The circle of the erase brush in the 3D view, and the Gaussians below its stroke."""
+"""The erase brush in the 3D view: its circle, and the Gaussians below its stroke."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gaussians that a clean-up tool has chosen, as points over the 3D view."""
+"""Marks selected Gaussians as points over the 3D view."""
 
 from __future__ import annotations
 

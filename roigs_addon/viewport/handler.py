@@ -1,4 +1,4 @@
-"""What Blender calls for each 3D viewport, after the scene."""
+"""Draw handler that Blender calls for each 3D viewport, after the scene."""
 
 from __future__ import annotations
 

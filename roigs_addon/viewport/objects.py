@@ -1,4 +1,4 @@
-"""Which objects are drawn as Gaussians."""
+"""Finds the objects to draw as Gaussians."""
 
 from __future__ import annotations
 

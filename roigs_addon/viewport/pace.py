@@ -1,4 +1,4 @@
-"""How coarsely a viewport is drawn while it changes, so that it keeps up. No bpy.
+"""Resolution of a viewport while it changes, so that it stays fluent. No bpy.
 
 Most of the time goes into blending, so a picture of half the width and height takes about a
 quarter. It is much closer to the full one than a picture of fewer Gaussians that takes as long

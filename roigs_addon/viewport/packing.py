@@ -1,4 +1,4 @@
-"""Several clouds as one set of texel arrays, laid out as `shaders/splat.vert.glsl` reads them."""
+"""Packs several clouds into texel arrays, as `shaders/splat.vert.glsl` reads them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A photo beside the Gaussians, in a view through its camera: left and right of a line."""
+"""Compares a photo with the Gaussians in a view through its camera: left and right of a line."""
 
 from __future__ import annotations
 

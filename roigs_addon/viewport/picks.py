@@ -1,4 +1,4 @@
-"""Marks for points that are being picked in the 3D view."""
+"""Marks the points that a user is picking in the 3D view."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A picture of a 3D view with its Gaussians, of the render's size.
+"""A picture of a 3D view with its Gaussians, in the render's size.
 
 Blender calls no draw handlers where it makes such pictures (View ▸ Viewport Render Image), so these
 have no Gaussians.

@@ -1,4 +1,4 @@
-"""The objects of a set on the GPU: in which order they are drawn, and how."""
+"""The objects of a set on the GPU: their order and display."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The sparse points in their colours, in Solid shading.
+"""Draws the sparse points in their colours, in Solid shading.
 
 There, Blender draws all points of an object in one colour, whatever the attributes and settings
 are. So each point is covered by a disc of its size, a little nearer; the object and the settings of

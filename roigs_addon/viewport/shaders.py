@@ -1,4 +1,4 @@
-"""The GPU programs: their inputs. Their source is in `shaders/`."""
+"""The inputs of the GPU programs. Their source is in `shaders/`."""
 
 from __future__ import annotations
 

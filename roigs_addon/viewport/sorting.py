@@ -1,4 +1,4 @@
-"""The order in which Gaussians of several objects are drawn: the farthest first."""
+"""Order for drawing the Gaussians of several objects: the farthest first."""
 
 from __future__ import annotations
 

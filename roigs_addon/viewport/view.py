@@ -1,4 +1,4 @@
-"""From where a viewport shows Gaussians, and which part of it the camera's picture fills.
+"""The viewpoint of a viewport, and the part of it that the camera's picture fills.
 
 A Gaussian's shape is projected with an approximation that is good in the picture and a little
 around it. So in a view through a camera, what limits it must be the camera's frame, not the region,

@@ -1,4 +1,4 @@
-"""Adaptation of a finished model to another renderer: a short stage that draws as that one does."""
+"""Adapts a finished model to another renderer by a short stage that draws as this renderer does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A training as its request tells it: settings, boxes and photos, resolved once."""
+"""Resolves a training request once: settings, boxes and photos."""
 
 from __future__ import annotations
 

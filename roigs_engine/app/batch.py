@@ -1,4 +1,4 @@
-"""A batch: the runs of a table of scenes, side by side, here or on a cluster."""
+"""A batch: trains the scenes of a table, several at a time, here or on a cluster."""
 
 from __future__ import annotations
 

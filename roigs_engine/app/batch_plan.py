@@ -1,4 +1,4 @@
-"""Plans of a batch's scenes: the parts of each run, and the files made of its result."""
+"""Plans of a batch's scenes: the parts of each run, and the output files of its result."""
 
 from __future__ import annotations
 

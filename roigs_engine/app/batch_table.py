@@ -1,4 +1,4 @@
-"""Tables of a batch: scenes and their settings as TOML, each wrong line named."""
+"""Reads a batch's table: scenes and their settings as TOML. Errors name the wrong line."""
 
 from __future__ import annotations
 

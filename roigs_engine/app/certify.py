@@ -1,4 +1,4 @@
-"""Certificates of boxed objects: a page each, and a section in the reports of their run."""
+"""Certificates of boxed objects: one page each, and a section in their run's reports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One training on the machines of a cluster, which do its parts."""
+"""Trains one scene on the machines of a cluster, in parts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How well the photos of a finished run know each Gaussian of its result, or of another model."""
+"""Measures how well a run's photos cover each Gaussian of its result, or of another model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Conversion of files of Gaussians: other formats, turned, cropped, or several placed as one."""
+"""Converts files of Gaussians: to other formats, rotated, cropped, or several merged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Log of a run folder: every event as a JSON line in events.jsonl, how the work ended included."""
+"""Log of a run folder: events.jsonl has every event as a JSON line, and how the work ended."""
 
 from __future__ import annotations
 

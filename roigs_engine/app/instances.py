@@ -1,4 +1,4 @@
-"""Lists of models, their poses and looks, as JSON has them (docs/files.md)."""
+"""JSON lists of models, with poses and looks (docs/files.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Masks of objects on many photos, made from a few strokes on one."""
+"""Makes masks of objects on many photos from a few strokes on one."""
 
 from __future__ import annotations
 

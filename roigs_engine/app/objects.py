@@ -1,4 +1,4 @@
-"""Objects of trained models: composed into a scene, cut out of their boxes, freed of floaters."""
+"""Objects of trained models: composes them, cuts them out of their boxes, finds floaters."""
 
 from __future__ import annotations
 

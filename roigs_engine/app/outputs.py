@@ -1,4 +1,4 @@
-"""Results of pieces of work, and refusal of outputs that would replace inputs or a run's files."""
+"""Results of commands; refuses outputs that would replace inputs or a run's files."""
 
 from __future__ import annotations
 

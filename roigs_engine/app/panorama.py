@@ -1,4 +1,4 @@
-"""Panoramas of a scene's light, in linear light, for the world of another program."""
+"""Panoramas of a scene's light, in linear light, as the world of another program."""
 
 from __future__ import annotations
 

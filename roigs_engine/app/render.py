@@ -1,4 +1,4 @@
-"""Pictures of trained models: from given cameras, and for compositing in another program."""
+"""Renders trained models: from given cameras, and for compositing in another program."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The scene that a run folder was made for."""
+"""Finds the scene of a run folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Work on COLMAP projects: made from photos, inspected, exported, refined; photos selected."""
+"""Commands on COLMAP projects: reconstruct, inspect, export, refine, select photos."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The next photos of boxed objects: a list of cameras, pictures, and a page to take along."""
+"""Suggests the next photos of boxed objects: a list of cameras, pictures, and a page to print."""
 
 from __future__ import annotations
 

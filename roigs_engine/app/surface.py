@@ -1,4 +1,4 @@
-"""Surfaces of a finished run's boxes: a textured mesh beside each box's PLY, and the background."""
+"""Makes meshes of a finished run: one beside each box's PLY, and the background."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is recorded of a surface, and its part of a run's reports."""
+"""The JSON record of a surface, and its section in a run's reports."""
 
 from __future__ import annotations
 

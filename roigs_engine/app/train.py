@@ -1,4 +1,4 @@
-"""A training from request to result: run folder, plan, stages, evaluation, levels of detail."""
+"""Trains, from request to result: run folder, plan, stages, evaluation, levels of detail."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Upkeep: levels of detail of a finished run, its clean-up, and the check of a GPU."""
+"""Other commands on finished runs: levels of detail, clean-up; and the check of a GPU."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Many runs at once: their plans cut into parts, and executors that do parts side by side."""
+"""Many runs at once: plans are divided into parts, which executors do in parallel."""

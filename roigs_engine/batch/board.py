@@ -1,4 +1,4 @@
-"""Progress of a batch: objects done, what runs, with step and PSNR, and the time left."""
+"""Progress of a batch: finished objects, running parts with step and PSNR, time left."""
 
 from __future__ import annotations
 

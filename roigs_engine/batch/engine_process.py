@@ -1,4 +1,4 @@
-"""An engine process: its events as they come, stop requests, and how it ended."""
+"""An engine process: reads its events, sends stop requests, and reports how it ended."""
 
 from __future__ import annotations
 

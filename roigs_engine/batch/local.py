@@ -1,4 +1,4 @@
-"""Parts as processes of this machine, several at a time as cores and memory allow."""
+"""Runs parts as processes on this machine, as many as its cores and memory allow."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which part that runs is to go on elsewhere or later, so that the whole batch ends sooner.
+"""Decides which running part to move to another machine or a later time, to end the batch sooner.
 
 A batch ends with its last part. So the longest part that is left must run, and on a machine that
 is not slow: a slow machine's part moves away from it, and a short part makes way for a long one

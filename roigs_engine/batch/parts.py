@@ -1,4 +1,4 @@
-"""The parts of a batch: pieces of work for one engine process each, and what each waits for."""
+"""The parts of a batch: work for one engine process each, and their dependencies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A connection to a Ray cluster, whose calls end even if the cluster is gone."""
+"""A connection to a Ray cluster. Its calls also end if the cluster is gone."""
 
 from __future__ import annotations
 

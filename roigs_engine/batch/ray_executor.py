@@ -1,4 +1,4 @@
-"""Parts as tasks of Ray, on as many machines as its cluster has."""
+"""Runs parts as Ray tasks on the machines of a cluster."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What runs on the machines of a Ray cluster: a look at the machine, and parts."""
+"""Code that runs on the machines of a Ray cluster: a check of the machine, and parts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`batch.json`: what a batch has finished, so that it is not done again."""
+"""`batch.json`: the finished work of a batch, so that it is not repeated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Does the parts of scenes in an order that their needs allow, on an executor."""
+"""Schedules the parts of scenes on an executor, in the order of their dependencies."""
 
 from __future__ import annotations
 

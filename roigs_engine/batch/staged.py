@@ -1,4 +1,4 @@
-"""A part whose run folder is on a store: what it needs is copied here, what it made is published.
+"""A part with its run folder on a store: copies its inputs here, and publishes its results.
 
 The engine itself works in folders of this machine, as ever.
 """

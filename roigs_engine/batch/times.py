@@ -1,4 +1,4 @@
-"""Time estimates of a batch: of its parts, from a few steps of each kind of stage, and of all."""
+"""Estimates the time of a batch: of each part, from a few steps of each kind, and of all."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Exposures of a scene's photos: from EXIF, checked against what the photos show, or from points.
+"""Exposures of a scene's photos, from EXIF (checked against the photos) or from sparse points.
 
 A point has one colour, so the light that photos show there tells their exposures. EXIF is more
 exact, but stays as it was taken when a program brightens photos, and levelling those would be wrong

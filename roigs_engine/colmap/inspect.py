@@ -1,4 +1,4 @@
-"""Inspection of a scene before training: its contents, and how well photos see each box."""
+"""Inspects a scene before training: its contents, and how well photos see each box."""
 
 from __future__ import annotations
 

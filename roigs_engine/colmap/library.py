@@ -1,4 +1,4 @@
-"""Import of the package pycolmap, when it is used."""
+"""Imports the package pycolmap when it is needed."""
 
 from __future__ import annotations
 

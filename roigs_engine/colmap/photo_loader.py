@@ -1,4 +1,4 @@
-"""Loader of a model's photos: which can be used, with their poses, cameras, files and masks."""
+"""Loads a model's photos: finds the usable ones, with poses, cameras, files and masks."""
 
 from __future__ import annotations
 

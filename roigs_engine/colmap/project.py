@@ -1,4 +1,4 @@
-"""Loading of a COLMAP project as an `SfmScene`: model, photos, undistortion, masks."""
+"""Loads a COLMAP project as an `SfmScene`: model, photos, undistortion, masks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Refinement of cameras by matched tracks, which show points more exactly than keypoints."""
+"""Refines cameras by matched tracks, which are more exact than keypoints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which photos a model's software has turned by their EXIF tags.
+"""Finds the photos that a model's software has turned by their EXIF tags.
 
 COLMAP ignores the tags, other software obeys them. A photo on its side tells by its size which it
 was. Where the size cannot tell (upside down, mirrored, square), the model's other photos do, and

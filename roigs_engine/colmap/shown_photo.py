@@ -1,4 +1,4 @@
-"""Pictures of photos as training sees them: upright, without distortion, in sRGB."""
+"""Photos as training sees them: upright, undistorted, in sRGB."""
 
 from __future__ import annotations
 

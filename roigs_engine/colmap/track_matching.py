@@ -1,4 +1,4 @@
-"""Matching of tracks: where photos show the points of a model, to a few hundredths of a pixel.
+"""Matches tracks: locates a model's points in photos, to a few hundredths of a pixel.
 
 One photo of each point is its reference, which is looked for in the others, also where the detector
 found nothing (docs/method.md, "Cameras").

@@ -1,4 +1,4 @@
-"""Undistortion of photos to pinhole cameras, in parallel, into a cache without unused files."""
+"""Undistorts photos to pinhole cameras, in parallel, into a cache without unused files."""
 
 from __future__ import annotations
 

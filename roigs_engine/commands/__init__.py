@@ -1,1 +1,1 @@
-"""The command line: requests from command lines, and text from results."""
+"""The command line: turns words into requests, and prints the text of results."""

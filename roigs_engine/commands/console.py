@@ -1,4 +1,4 @@
-"""Console: a command's output, as a progress bar or as JSON lines, and requests to stop it."""
+"""A command's output (progress bar or JSON lines), and requests to stop it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Command lines read into requests: an argparse parser made of the declared options.
+"""Reads command lines as requests, with an argparse parser built from the declared options.
 
 Options cannot be abbreviated: a new option must not change the meaning of an old abbreviation. An
 option for one value cannot be given twice: argparse would silently drop the first.

@@ -1,4 +1,4 @@
-"""A command as a process: its streams and signals, and how it ends."""
+"""A command as a process: streams, signals, exit status."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stop requests: signals, and whatever else asks a command to end.
+"""Stop requests: signals, and all other ways to end a command.
 
 Standard library only, and little of it: signals are watched before anything else is imported.
 """

@@ -1,4 +1,4 @@
-"""Standard output and standard error that never fail, whatever happens to what is behind them.
+"""Standard output and standard error that never raise, whatever reads them.
 
 A reader may go away, a disk may be full, a terminal may vanish, a stream may be closed from the
 start. Work must not end in a traceback for that, so everything that writes (the console, progress

@@ -1,4 +1,4 @@
-"""The commands: what each is asked for, what does it, its help, and what it prints."""
+"""Table of the commands: request, function, help, examples, and printed result."""
 
 from __future__ import annotations
 

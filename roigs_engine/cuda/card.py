@@ -1,4 +1,4 @@
-"""The CUDA kernels in a GPU's memory, launched on torch's stream."""
+"""Loads the CUDA kernels into a GPU, and launches them on torch's stream."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""NVRTC, NVIDIA's run-time compiler, and the sources of the CUDA kernels that it compiles.
+"""Compiles the sources of the CUDA kernels with NVRTC, NVIDIA's run-time compiler.
 
 NVRTC is a library in torch's CUDA wheels and a wheel of its own. It needs no CUDA toolkit, no C++
 compiler and no GPU, and gets the sources as one program and headers by name, so that nothing has to

@@ -1,4 +1,4 @@
-"""The training device: its choice, its free memory, and values sent to it without waiting."""
+"""The training device: its choice, its free memory, and uploads that do not wait."""
 
 from __future__ import annotations
 

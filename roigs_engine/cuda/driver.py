@@ -1,4 +1,4 @@
-"""NVIDIA's driver: loads machine code into torch's context and launches kernels on its stream.
+"""NVIDIA's driver: loads machine code into torch's context, launches kernels on its stream.
 
 The driver is a library of the system, loaded with ctypes when it is first used.
 """

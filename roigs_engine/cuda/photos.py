@@ -1,4 +1,4 @@
-"""Photos on the training device: kept there as bytes, or uploaded before they are used."""
+"""Photos on the training device: kept there as bytes, or uploaded in advance."""
 
 from __future__ import annotations
 

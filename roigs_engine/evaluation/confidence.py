@@ -1,4 +1,4 @@
-"""How well photos know each Gaussian (ours): how many show it, from where, and how wrong it is.
+"""Confidence of each Gaussian (ours): photos, directions, and colour error.
 
 A photo shows a Gaussian where its alpha x T is 1/255 or more on some pixel. Its direction is the
 nearest of 128 that are even over the sphere, about 18 degrees apart. The error is of photos that

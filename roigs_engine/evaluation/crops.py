@@ -1,4 +1,4 @@
-"""Crops of boxes on test photos, the photo beside the models: image files, and the report's page.
+"""Crops of boxes on test photos, with the photo beside the models: files and report page.
 
 For each box there are up to four photos: those with the largest, the median and the least gain of
 the result over the baseline, so that the choice is fair, and the nearest one.

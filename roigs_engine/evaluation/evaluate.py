@@ -1,4 +1,4 @@
-"""Comparison of renders with test photos: the paper's table for every box, and more columns.
+"""Compares renders with test photos: the paper's table for every box, and more columns.
 
 docs/method.md, "Evaluation", has the masks, the same for every row of a box. PSNR is computed per
 view and then averaged. Renders are clamped to [0, 1] but not rounded to 8 bits.

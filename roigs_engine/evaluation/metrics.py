@@ -1,4 +1,4 @@
-"""PSNR, SSIM and FLIP of a render against its photo, over all pixels or those of a mask.
+"""PSNR, SSIM and FLIP of a render against its photo, over all pixels or over a mask.
 
 Images are (H, W, 3) sRGB values in [0, 1]; masks are (H, W) bool. Higher is better, but for FLIP.
 """

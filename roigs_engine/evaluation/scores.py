@@ -1,4 +1,4 @@
-"""The numbers of an evaluation as immutable values, with conversion to and from JSON."""
+"""The scores of an evaluation as immutable values, with conversion to and from JSON."""
 
 from __future__ import annotations
 

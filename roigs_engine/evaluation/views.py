@@ -1,4 +1,4 @@
-"""Measurements of all models on one test photo."""
+"""Measures all models on one test photo."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Models for other programs: file formats, and models under transforms."""
+"""Models for other programs: file formats and transforms."""

@@ -1,4 +1,4 @@
-"""Models as arrays, in the form of `formats.splat_ply`, and the axis that points up in them."""
+"""Models as arrays, as in `formats.splat_ply`, with their up axis."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The file formats of Gaussians, by the ends of their names."""
+"""Table of the file formats of Gaussians, by suffix."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a glTF 2.0 says, for those who read Gaussians or meshes of it: its JSON, numbers and bytes.
+"""Reads glTF 2.0 files for Gaussians and meshes: JSON, numbers and bytes.
 
 All counts are compared with the size of the file before memory is allocated for them.
 """

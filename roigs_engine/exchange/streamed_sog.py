@@ -1,4 +1,4 @@
-"""PlayCanvas's Streamed SOG: a model in levels of detail, of which a viewer loads what it needs.
+"""PlayCanvas's Streamed SOG: levels of detail, of which a viewer loads only what it needs.
 
 `lod-meta.json` lists parts with their bounds, and for each level of a part the folder of a SOG. The
 folder's name has a hash of its files, so writing a new model changes nothing that the old

@@ -1,4 +1,4 @@
-"""Transforms of whole models: affine maps, several as one, other colours, no anti-aliasing."""
+"""Transforms of whole models: affine maps, merging, colours, removal of anti-aliasing."""
 
 from __future__ import annotations
 

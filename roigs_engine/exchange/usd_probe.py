@@ -1,4 +1,4 @@
-"""A process of its own that opens an OpenUSD file first: a bad one may end it, or fill its memory.
+"""Opens an OpenUSD file in a separate process first: a bad file may crash it or fill its memory.
 
 `python -m roigs_engine.exchange.usd_probe FILE LIMIT DEEPEST` ends with one of the codes below.
 """

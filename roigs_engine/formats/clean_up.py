@@ -1,4 +1,4 @@
-"""What a run folder can lose: only what the engine makes again when it needs it, never a result."""
+"""Removes recreatable files from a run folder, never a result."""
 
 from __future__ import annotations
 

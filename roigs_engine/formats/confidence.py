@@ -1,4 +1,4 @@
-"""What photos know of Gaussians, as columns of a PLY and as colours; numpy only."""
+"""Confidence of Gaussians as columns of a PLY and as colours; numpy only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a file of Gaussians holds by its first bytes, where that is not what its name says."""
+"""Detects by its first bytes that a file of Gaussians is not what its name says."""
 
 from __future__ import annotations
 

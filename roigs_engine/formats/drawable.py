@@ -1,4 +1,4 @@
-"""Validity of Gaussians: one rule for pictures, Blender's viewport and files; numpy only."""
+"""The rule for valid Gaussians, for pictures, Blender's viewport and files; numpy only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Events an engine run emits: plain frozen dataclasses, one JSON line each.
+"""Events of an engine run: frozen dataclasses, one JSON line each.
 
 The command line turns them into a progress bar or, with `--events`, into JSON lines on standard
 output, which is what the Blender add-on reads. Nothing below the command line prints.

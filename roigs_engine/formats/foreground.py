@@ -1,4 +1,4 @@
-"""Bounds of the foreground object that photos were aimed at: where a first box goes; numpy only.
+"""Finds the main object of the photos, as the first box; numpy only.
 
 People aim: the sparse points near the middle of many photos, and close together, are on what they
 wanted to show. The support plane (a table, the floor) is the level plane that most of these points

@@ -1,4 +1,4 @@
-"""Requests for pictures for compositing, and the files that answer them (docs/files.md)."""
+"""Requests for pictures for compositing, and their answers (docs/files.md)."""
 
 from __future__ import annotations
 

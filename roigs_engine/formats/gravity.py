@@ -1,4 +1,4 @@
-"""Direction of gravity in a COLMAP model, whose axes are arbitrary, estimated from its cameras.
+"""Estimates the direction of gravity in a COLMAP model from its cameras.
 
 People hold cameras level, but point them up and down. So the side of the picture is horizontal:
 up is the direction to which the photos' x axes (their y axes, in portraits) are most nearly at

@@ -1,4 +1,4 @@
-"""`levels.json`: the levels of detail of a result, and the rule that chooses among them.
+"""`levels.json`: the levels of detail of a result, and the rule that chooses a level.
 
 A part (a box, or the surroundings) has a ladder of files, each with fewer Gaussians. What decides
 is how finely a view shows the part, its rate in pixels per unit of length: `Level.farther` is how

@@ -1,4 +1,4 @@
-"""Locks of run folders: one engine at a time, and a way for others to see that it is at work.
+"""Locks of run folders: only one engine at a time, and others can see which.
 
 The lock is the operating system's, so it ends with the process, however that ends. The file says
 who holds it, for people and for a Blender that was opened again.

@@ -1,4 +1,4 @@
-"""Record of the masks that the engine has made from scribbles, and may replace.
+"""Record of the masks that the engine made from scribbles and may replace.
 
 `made.json` beside the masks of a box has, by file, the SHA-256 as it was written ("masks"), a hash
 of what it was made of ("inputs"), by which masks that need not change are kept, and what is being

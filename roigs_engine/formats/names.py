@@ -1,4 +1,4 @@
-"""Portable file names, which work on every system."""
+"""Portable file names, for every system."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""File locks of the operating system, which end with the process, however that ends.
+"""File locks of the operating system. They end with the process, even if it is killed.
 
 `take` and `is_taken` raise `NoLocksError` on a file system without locks.
 """

@@ -1,4 +1,4 @@
-"""Files of others that are called like ours: a file is ours by what it says, not by its name."""
+"""Recognises files with our names that are not ours, by their content."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scores in a run's `report.json`, which others may have written."""
+"""Reads scores from a run's `report.json`, which another program may have written."""
 
 from __future__ import annotations
 

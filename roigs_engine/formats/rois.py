@@ -1,4 +1,4 @@
-"""`rois.json` (docs/files.md): boxes, as engine and add-on write and read them; numpy only."""
+"""`rois.json` (docs/files.md): boxes for engine and add-on; numpy only."""
 
 from __future__ import annotations
 

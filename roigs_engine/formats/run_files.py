@@ -1,4 +1,4 @@
-"""The names in a run folder (docs/files.md, section Run folder)."""
+"""File names in a run folder (docs/files.md, section Run folder)."""
 
 from __future__ import annotations
 

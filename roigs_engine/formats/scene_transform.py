@@ -1,4 +1,4 @@
-"""`roigs_placement.json`: the pose and scale of a project's model in Blender's world; numpy only.
+"""`roigs_placement.json`: pose and scale of a model in Blender's world; numpy only.
 
 docs/files.md describes the file. A transform applies to the model whose cameras are where it says:
 another model of the project, or one that was made again, has another frame.

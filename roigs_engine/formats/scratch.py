@@ -1,4 +1,4 @@
-"""Temporary folders that outlive no process for long: the next one removes those of killed ones."""
+"""Temporary folders. The next process removes those of killed processes."""
 
 from __future__ import annotations
 

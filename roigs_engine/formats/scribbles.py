@@ -1,4 +1,4 @@
-"""Files of scribbles (docs/files.md): strokes on photos, from which masks of objects are made."""
+"""Files of scribbles (docs/files.md): strokes on photos, the input for masks of objects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gaussians in the 3DGS PLY layout that every splat viewer reads; numpy only.
+"""The 3DGS PLY layout, which every splat viewer reads; numpy only.
 
 Written is binary little-endian; ASCII and big-endian are read, too.
 

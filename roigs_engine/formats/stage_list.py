@@ -1,4 +1,4 @@
-"""`stages.json`: which folders in `stages/` belong to a run's present settings, by stage."""
+"""`stages.json`: the folders in `stages/` that belong to a run's present settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Targets: the renderers that a model of Gaussians can be made for, and how these draw."""
+"""Targets: renderers that a model can be made for, and how they draw."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Decoding of text and JSON that a person may have written; names and numbers in sentences."""
+"""Decodes text and JSON, also written by hand; formats names and numbers for sentences."""
 
 from __future__ import annotations
 

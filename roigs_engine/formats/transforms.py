@@ -1,4 +1,4 @@
-"""Checks of numbers in files: their form, rigid transforms of boxes and cameras, similarities."""
+"""Checks of numbers in files: shapes, rigid transforms of boxes and cameras, similarities."""
 
 from __future__ import annotations
 

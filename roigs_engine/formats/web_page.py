@@ -1,4 +1,4 @@
-"""Web pages of the engine: one file each, without network; names in them are text alone."""
+"""Web pages of the engine: one file each, without network; all names are escaped."""
 
 from __future__ import annotations
 

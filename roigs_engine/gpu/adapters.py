@@ -1,4 +1,4 @@
-"""The GPUs that wgpu finds, and the one that this process draws with.
+"""The GPUs that wgpu finds, and the one in use.
 
 wgpu is a package with a library that reaches GPUs through the driver that is there: Vulkan, Metal
 or DirectX 12. torch cannot; tensors stay in main memory.

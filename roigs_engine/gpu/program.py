@@ -1,4 +1,4 @@
-"""The shaders on a GPU: compiled kernels, buffers, launches and what comes back.
+"""The shaders on a GPU: compiled kernels, buffers, launches, results.
 
 The shaders are WGSL, in files of their own. All kernels of a file share its buffers; a kernel
 names those that it uses.

@@ -1,4 +1,4 @@
-"""An optimizer's parameters and moments on a GPU, for as long as only steps change them.
+"""An optimizer's parameters and moments, kept on a GPU while only steps change them.
 
 A step then sends nothing but the photo's gradient. Whoever looks at the tensors in main memory asks
 for them first (`Resident.settle`), and may have changed them: the next step is one with tensors in

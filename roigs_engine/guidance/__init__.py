@@ -1,1 +1,1 @@
-"""What photos tell of a box, and which photo would tell most (docs/method.md, "Guidance")."""
+"""How well photos cover a box, and which photo to take next (docs/method.md, "Guidance")."""

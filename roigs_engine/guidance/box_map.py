@@ -1,4 +1,4 @@
-"""What photos tell of a box: a value from 0 to 1 for each patch of its surface and direction.
+"""Coverage of a box by photos: 0 to 1 for each patch of its surface and each direction.
 
 A photo v that sees the patch p from the direction d_v measures what p looks like from there, with
 a precision that grows with its pixels on the patch:

@@ -1,4 +1,4 @@
-"""The certificate of an object: how large it is, how finely it was photographed, and from where."""
+"""The certificate of an object: its size, the resolution and the directions of its photos."""
 
 from __future__ import annotations
 

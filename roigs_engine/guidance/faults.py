@@ -1,4 +1,4 @@
-"""Photos that tell less of a box than they should, each with its reason.
+"""Finds photos that are less useful than they should be, with the reason.
 
 A photo is compared with the others at the same patches (`photo_quality`). Information grows with
 the square of the resolution (`box_map`), so a photo with less than 1/sqrt(2) of the sharp photos'

@@ -1,4 +1,4 @@
-"""The map of a box from a scene alone: its surface, its photos, the places around it."""
+"""The coverage map of a box from a scene alone: surface, photos, places around it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The surface of a boxed object as patches: from sparse points, and where these end, their hull.
+"""Surface patches of a boxed object: from sparse points, and from their hull where these end.
 
 A side that no photo shows has no points. There, patches of the points' convex hull stand for it,
 unless photos have looked through the place: so what is missing is on the map.

@@ -1,4 +1,4 @@
-"""How sharp each photo is at a box, and how it is exposed, by its pixels around the patches.
+"""Sharpness and exposure of each photo at a box, from the pixels around its patches.
 
 Of each patch p in each photo v that sees it: the energy L of the Laplacian over the squared
 brightness, so that a dark photo is not called blurred, and the light Y. A patch has its texture,

@@ -1,4 +1,4 @@
-"""What a photo should show: a small picture drawn from the nearest photo, and sparse points."""
+"""Preview of a suggested photo, drawn from the nearest photo and sparse points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Places from which a person can photograph a box: where photos were taken, or could have been."""
+"""Places where a person can photograph a box, derived from the places of existing photos."""
 
 from __future__ import annotations
 

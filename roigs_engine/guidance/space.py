@@ -1,4 +1,4 @@
-"""What is solid and what is air, by the rays from photos to the points they observe.
+"""Finds solid and free space by the rays from photos to their observed points.
 
 A grid as robots keep it (occupancy mapping; Moravec and Elfes 1985): each ray passes through air
 and ends at something solid. A cell is solid if at least as many rays end in it as pass through it,

@@ -1,4 +1,4 @@
-"""Where to take a photo, in words."""
+"""Describes in words where to take a photo."""
 
 from __future__ import annotations
 

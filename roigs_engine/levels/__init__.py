@@ -1,1 +1,1 @@
-"""Levels of detail of a result: ladders of ever fewer Gaussians for each box and what is around."""
+"""Levels of detail of a result: fewer and fewer Gaussians for each box and the surroundings."""

@@ -1,4 +1,4 @@
-"""The levels of a run's result: trained, measured, and written with `levels.json`.
+"""Makes the levels of a run's result: trains, measures, and writes them with `levels.json`.
 
 docs/method.md, "Levels of detail", says what a level is trained on, and where it begins.
 """

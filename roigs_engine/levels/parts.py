@@ -1,4 +1,4 @@
-"""The parts of a result (each box, and the surroundings), drawn small or in levels of detail.
+"""The parts of a result (each box, and the surroundings), drawn small for their levels.
 
 Drawn small, with one sample per pixel, each Gaussian is widened to a pixel's size at least: thin
 ones grow, and dense ones cover what is behind them. So what a level learns from is drawn with

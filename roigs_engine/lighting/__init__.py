@@ -1,1 +1,1 @@
-"""The light of a captured scene: panoramas in linear light, and how bright its highlights are."""
+"""The light of a captured scene: panoramas in linear light, brightness of highlights."""

@@ -1,4 +1,4 @@
-"""How bright lamps, windows and the sky are: photos show them white, or do not show them at all.
+"""Estimates the brightness of lamps, windows and sky, which photos clip or do not show.
 
 Two factors are sought: that of what is clipped, and that of what no photo shows above the horizon,
 where lamps and the sky are. Surfaces of the scene tell them, as light probes whose albedo is not

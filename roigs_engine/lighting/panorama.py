@@ -1,4 +1,4 @@
-"""The light that comes to a point of a scene: an equirectangular picture in linear light.
+"""The light at a point of a scene: an equirectangular picture in linear light.
 
 The picture is laid out as Blender's environment textures (docs/conventions.md): its middle looks
 along the world's +x, its left quarter along +y, its top along +z.

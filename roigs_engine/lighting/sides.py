@@ -1,4 +1,4 @@
-"""From which side more light comes than a panorama shows, and how much: the scene's shading tells.
+"""Estimates the main direction of a scene's light, and its total amount, from the shading.
 
 A lamp out of view, or a window that photos show darker than it is, leaves no trace in a panorama.
 But it lights one side of what stands there. An object with a mesh is a light probe: of its surfaces

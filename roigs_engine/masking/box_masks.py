@@ -1,4 +1,4 @@
-"""The masks of one box, from strokes and photos to files; kept while their inputs stay the same."""
+"""The masks of one box, from strokes to files; recreated only if their inputs change."""
 
 from __future__ import annotations
 

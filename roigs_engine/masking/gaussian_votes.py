@@ -1,4 +1,4 @@
-"""Votes of masks on a trained model's Gaussians, which carry them to other photos."""
+"""Carries masks to other photos by votes on a trained model's Gaussians."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Votes of masks on sparse points and on colours, which carry them to other photos.
+"""Carries masks to other photos by votes on sparse points and on colours.
 
 For scenes that are not trained yet. Points are few, so between them the nearest ones decide,
 together with the colours that the object and its surroundings have had so far.

@@ -1,4 +1,4 @@
-"""Propagation of an object's masks from photos with strokes to all photos, until they agree.
+"""Propagates an object's masks from photos with strokes to all photos, until they agree.
 
 In each photo, GrabCut (Rother et al. 2004, OpenCV's) cuts the object out, with what the other
 photos say of it (docs/method.md, "Masks from strokes").

@@ -1,4 +1,4 @@
-"""Frame that training and rendering compute in, whatever the units and the origin of a model.
+"""The frame for training and rendering, independent of a model's units and origin.
 
 Constants with a length (the near plane, smallest scales) and the resolution of float32 would
 otherwise make a result depend on whether a scene is in millimetres, metres or map coordinates.

@@ -1,4 +1,4 @@
-"""Effect of masks on a box: pixels that count, useful masks of objects, points on the object."""
+"""Effect of masks on a box: counted pixels, useful masks of objects, points on the object."""
 
 from __future__ import annotations
 

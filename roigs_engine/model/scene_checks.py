@@ -1,4 +1,4 @@
-"""Checks of a scene: outlier cameras and points are removed, poorly seen boxes named.
+"""Checks a scene: removes outlier cameras and points, names poorly seen boxes.
 
 Reconstruction puts some cameras and points far away from all others. One such camera would set the
 scale of the whole training; a far point becomes a huge Gaussian.

@@ -1,1 +1,1 @@
-"""Photos on disk: found, checked, decoded and cached; their masks."""
+"""Photos on disk: finding, checking, decoding and caching them; their masks."""

@@ -1,4 +1,4 @@
-"""Contents of the photos' files: a hash of each, whether it is complete, its colours, its exposure.
+"""Contents of photo files: hash, completeness, colours, exposure.
 
 All are remembered in a small file with the size and times of the photo's file. So a photo is read
 for them only once, and again when its file has changed.

@@ -1,4 +1,4 @@
-"""Decoding of photos to uint8 sRGB arrays at their camera's size, and detection of damaged files.
+"""Decodes photos to uint8 sRGB arrays at their camera's size, and detects damaged files.
 
 All photos are decoded here, so that all are converted to sRGB (`colours`). Orientation tags are
 ignored, as in COLMAP: pixels keep the file's order, unless a `turn` is given.

@@ -1,4 +1,4 @@
-"""Exposures of photos from EXIF, and photos levelled to one exposure in linear light.
+"""Exposures of photos from EXIF; levels photos to one exposure in linear light.
 
 A camera on automatic exposure lets in more light where the scene is dark, by stops. Without the
 exposures, a model learns that as view dependence, or as a mean of photos that disagree. With them,

@@ -1,4 +1,4 @@
-"""Search for a model's photos on disk: their folder, and the file of each name."""
+"""Searches for a model's photos on disk: their folder, and the file of each name."""
 
 from __future__ import annotations
 

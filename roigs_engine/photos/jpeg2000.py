@@ -1,4 +1,4 @@
-"""JPEG 2000: the boxes of a file, and what a codestream says of its picture (ISO/IEC 15444-1)."""
+"""JPEG 2000: the boxes of a file, and the header of a codestream (ISO/IEC 15444-1)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mask images of photos: which pixels count, and which are ignored; which show an object.
+"""Mask images of photos: used and ignored pixels; pixels of an object.
 
 A mask is (H, W) bool, True where a pixel counts. docs/files.md (Masks) says what files may hold,
 and what becomes of a pixel of a resampled mask.

@@ -1,4 +1,4 @@
-"""Paths of the masks of photos: the one rule, for training and for `reconstruct`.
+"""File names of masks: one rule for training and `reconstruct`.
 
 docs/files.md (Masks) has the names, which are those of COLMAP and Brush, in their order. Masks of a
 box's object that could not be written beside the photos are in a run folder

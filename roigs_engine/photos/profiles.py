@@ -1,4 +1,4 @@
-"""Colour spaces of primaries and curves: by the numbers that files name, and by ICC profiles."""
+"""Colour spaces from primaries and curves: by numbers in files, and by ICC profiles."""
 
 from __future__ import annotations
 

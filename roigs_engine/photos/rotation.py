@@ -1,4 +1,4 @@
-"""Rotation of photos by their EXIF tag, for models of software that obeys it.
+"""Rotates photos by their EXIF tag, for models of software that applies it.
 
 COLMAP ignores the tag, as this engine does for its models: `turn` is then `AS_STORED`. Other
 software shows and measures photos turned. `colmap.rotations` finds out which it was.

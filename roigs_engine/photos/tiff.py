@@ -1,4 +1,4 @@
-"""TIFF photos that Pillow does not read, or reads as other pictures, opened with tifffile.
+"""Opens TIFF photos with tifffile that Pillow cannot read or reads wrongly.
 
 Pillow reads 8 bits, 16 bits of chunky pixels, and floats of one channel; `pillow_reads` has the
 exact rule. All else is read here: other planes, byte orders, numbers, and compressions, and files

@@ -1,4 +1,4 @@
-"""The CPU backend: the C++ kernels; kernels/roigs.h has their interface and the order of calls.
+"""The CPU backend: the C++ kernels. kernels/roigs.h documents the interface and call order.
 
 What they compute on the way stays in a `KernelView` on the C++ side, whose memory is reused in each
 step.

@@ -1,4 +1,4 @@
-"""The contract of all backends: the model's constants, the checked inputs, the output."""
+"""The interface of all backends: constants, checked inputs, output."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""sRGB values and linear light (IEC 61966-2-1), both curves continued above 1; differentiable."""
+"""Conversion of sRGB values to linear light (IEC 61966-2-1), continued above 1; differentiable."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whose a pixel is: the share of each object in a picture's alpha, without jagged edges."""
+"""Mattes: the share of each object in a pixel's alpha, without jagged edges."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Panoramas: pinhole pictures in all directions from the camera, looked up along each pixel's ray.
+"""Panoramas: pinhole pictures in all directions, sampled along each pixel's ray.
 
 As an environment map of a cube's faces (Greene 1986), but of narrower views, which overlap.
 """

@@ -1,4 +1,4 @@
-"""The reference backend in plain torch: slow, differentiable, written to be read.
+"""The reference backend in plain torch: slow, differentiable, easy to read.
 
 It blends every Gaussian into every pixel, without an early stop, in the dtype of `means`. The tests
 compare the compiled backends with it in float64. Sections and equations: 3DGS (Kerbl et al. 2023),

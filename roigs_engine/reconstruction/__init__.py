@@ -1,1 +1,1 @@
-"""Structure from motion: a folder of photos becomes a COLMAP project."""
+"""Structure from motion: makes a COLMAP project from a folder of photos."""

@@ -1,4 +1,4 @@
-"""Parent's side of the worker process: its progress, its errors, and how it is stopped."""
+"""Parent's side of the worker process: its progress, its errors, stopping it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Conversion of photos that pycolmap cannot read to JPEG files, with their EXIF data."""
+"""Converts photos that pycolmap cannot read to JPEG files, with their EXIF data."""
 
 from __future__ import annotations
 

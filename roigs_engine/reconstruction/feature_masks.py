@@ -1,4 +1,4 @@
-"""Masks of the photos to reconstruct, kept as pycolmap reads them: one file per photo.
+"""Masks of the photos to reconstruct, in the form that pycolmap reads: one file per photo.
 
 Where masks are, and what they may be, is decided as in training (`photos.mask_paths`,
 `photos.mask_images`). pycolmap needs them in one folder, `NAME.png` for the photo NAME, at its

@@ -1,4 +1,4 @@
-"""Folder of a reconstruction: a COLMAP project, and what is needed to resume.
+"""Folder of a reconstruction: a COLMAP project, and files needed to resume.
 
 SCENE/images has the photos, SCENE/database.db COLMAP's database, SCENE/sparse/0 the model, and
 SCENE/reconstruction.md what was found. SCENE/reconstruction is the engine's own.

@@ -1,4 +1,4 @@
-"""Incremental mapping from matches to models, with lower limits for photos that are left."""
+"""Incremental mapping from matches to models, with lower limits for the remaining photos."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Choice of the pairs of photos to match, in order or by a cheap measure of their similarity.
+"""Chooses the pairs of photos to match: in order, or by a cheap measure of similarity.
 
 Features of large scales are few and match again most often, so a few hundred of a photo tell
 whether matching all is worth it (preemptive matching, Wu 2013). Among very many photos, even these

@@ -1,4 +1,4 @@
-"""Inspection of photos before anything is matched: size, camera, sharpness, copies; warnings."""
+"""Inspects photos before matching: size, camera, sharpness, copies; warnings."""
 
 from __future__ import annotations
 

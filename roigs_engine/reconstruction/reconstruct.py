@@ -1,4 +1,4 @@
-"""Reconstruction of a folder of photos, or of a video, as a COLMAP project."""
+"""Reconstructs a folder of photos, or a video, as a COLMAP project."""
 
 from __future__ import annotations
 

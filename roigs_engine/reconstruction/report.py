@@ -1,4 +1,4 @@
-"""Report of a reconstruction: which photos were registered, which were not and why."""
+"""Report of a reconstruction: registered photos, and reasons for unregistered ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frames of a video that become photos: the sharpest of each part of the camera's path, none twice.
+"""Chooses frames of a video as photos: the sharpest in each part of the camera's path.
 
 A video is read as a stream, twice: to measure how the picture moves, and to write what was chosen.
 PyAV is imported when it is used.

@@ -1,4 +1,4 @@
-"""Colours of a video as sRGB, by the tags of its stream (ITU-T H.273, H.264's and HEVC's VUI).
+"""Converts the colours of a video to sRGB by its tags (ITU-T H.273, VUI of H.264 and HEVC).
 
 libswscale undoes range and matrix. Primaries and transfer follow here. HDR is tone-mapped with one
 curve for all frames: photogrammetry needs the same colour for the same point in each.

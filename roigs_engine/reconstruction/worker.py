@@ -1,4 +1,4 @@
-"""Child process for one of pycolmap's long calls, which can be killed at any time.
+"""Child process for a long call of pycolmap, which can be killed at any time.
 
 `python -m roigs_engine.reconstruction.worker` reads a task, one line of JSON, from standard input,
 and ends when that is closed. Each line on standard output is JSON: `{"registered": 12}`,

@@ -1,4 +1,4 @@
-"""Words that options choose from, with their names in Blender, and limits of numbers."""
+"""Choices of options, with their names in Blender, and limits of numbers."""
 
 from __future__ import annotations
 

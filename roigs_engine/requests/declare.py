@@ -1,4 +1,4 @@
-"""Declaration of options as dataclass fields, and requests made of checked values.
+"""Declares options as dataclass fields, and makes requests from checked values.
 
 tyro and jsonargparse were tried instead. Both report a wrong value in several lines, take an option
 that is given twice, and jsonargparse takes abbreviations; the adapters to replace their messages,

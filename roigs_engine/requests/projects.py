@@ -1,4 +1,4 @@
-"""Requests for COLMAP projects: made, looked at, refined, and photos selected."""
+"""Requests for COLMAP projects: reconstruct, inspect, refine, select photos."""
 
 from __future__ import annotations
 

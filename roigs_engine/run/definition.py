@@ -1,4 +1,4 @@
-"""A run as a value: its folder, scene, boxes and settings. Nothing here touches the disk."""
+"""A run as a value: folder, scene, boxes and settings. Nothing here touches the disk."""
 
 from __future__ import annotations
 

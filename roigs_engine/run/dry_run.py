@@ -1,4 +1,4 @@
-"""The plan of a run as text: its stages, photos, steps, memory, disk and minutes."""
+"""The plan of a run as text: stages, photos, steps, memory, disk and minutes."""
 
 from __future__ import annotations
 

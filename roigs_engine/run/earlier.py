@@ -1,4 +1,4 @@
-"""Moves aside what a run would replace: results of other settings, and damaged stages.
+"""Moves aside results of other settings and damaged stages before a run replaces them.
 
 Stages need no moving: their folders are named after their fingerprints.
 """

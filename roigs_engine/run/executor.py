@@ -1,4 +1,4 @@
-"""Executes a plan: each stage is trained or loaded once, however many models need it."""
+"""Executes a plan: trains or loads each stage once, even if several models need it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run folder at work: held by one engine, or by one for each stage; opened, then trained in.
+"""A run folder in use, locked by one engine, or by one for each stage.
 
 A run holds `run.lock`; an engine that trains one stage holds `STAGE.lock` beside it. Each takes its
 own lock first, then looks at the other's, so one of two always sees the other.

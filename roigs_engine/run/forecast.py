@@ -1,4 +1,4 @@
-"""Forecast of a plan: Gaussians, seconds and disk space, less what is done already.
+"""Forecast of a plan: Gaussians, seconds and disk space, without finished work.
 
 The time of a step is measured twice by training a few, on the stage's cameras and masks: with the
 number of Gaussians at the start of the stage, and with the number expected at its end. In between

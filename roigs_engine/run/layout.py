@@ -1,4 +1,4 @@
-"""How a run's training is laid out: in blocks of the scene, in groups of boxes, or as one.
+"""Layout of a run's training: blocks of the scene, groups of boxes, or one stage.
 
 A cell is what one stage trains: the surroundings of a block (the Scene-GS of a scene that is cut),
 or a group of boxes with the surroundings nearest to them. The results of cells are joined by their

@@ -1,4 +1,4 @@
-"""The manifest of a run folder: it keeps results of different runs from being mixed."""
+"""The manifest of a run folder, which keeps results of different runs apart."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settings of each stage, derived from the run's: lists of the mechanisms that it uses."""
+"""Settings of each stage, derived from the run's: lists of mechanisms."""
 
 from __future__ import annotations
 

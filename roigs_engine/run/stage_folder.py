@@ -1,4 +1,4 @@
-"""The folder of a stage: trains the stage there, resumes it, or loads its finished result.
+"""The folder of a stage: trains the stage, resumes it, or loads its finished result.
 
 The folder has `checkpoint.bin` while the stage trains, and `model.ply` and `stage.json` when it is
 finished. Both states carry a fingerprint: a hash of everything that decides the stage's result. A

@@ -1,4 +1,4 @@
-"""A run's photos, and stages on them: of the whole scene, or one for each cell."""
+"""A run's photos, and its stages: for the whole scene, or one for each cell."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Selection of the photos that an object is trained on (the paper's sec. III-A).
+"""Selection of the photos that train an object (the paper's sec. III-A).
 
 `select_cameras` is the entry point; `METHODS` names the methods. The same scene, box and settings
 always give the same photos in the same order: photos are processed in name order, names break ties,

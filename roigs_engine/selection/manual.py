@@ -1,4 +1,4 @@
-"""Manual selections: the user chooses the photos of a box, not a method."""
+"""Manual selections: the user chooses the photos of a box."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Scenes and run folders on anything that fsspec names: copies here, results published whole."""
+"""Scenes and run folders on storage that fsspec supports: local copies, atomic commits."""

@@ -1,4 +1,4 @@
-"""A run folder on a store: every part publishes what it changed, whole or not at all.
+"""A run folder on a store: each part commits all of its changes, or none.
 
 Files go to `objects`, named by their hashes; a small record of names and hashes, a commit, is
 written last. Readers know only what commits name, and check every hash, so half of an upload is

@@ -1,4 +1,4 @@
-"""Leases on a store without locks: one engine at a time, also if another died or comes back.
+"""Leases on a store without locks: one engine at a time, even if another died or returns.
 
 Everybody who wants a lease writes a file of its own, as a claim, and then lists the folder. Without
 a holder, the claim of the smallest name becomes the holder, and lists again: a smaller name that

@@ -1,4 +1,4 @@
-"""Copies of scenes on this machine: each file is read once, within a limit of the disk."""
+"""Copies of scenes on this machine: each file is read once, within a disk quota."""
 
 from __future__ import annotations
 

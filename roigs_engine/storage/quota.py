@@ -1,4 +1,4 @@
-"""Disk quota for copies of a store: those used longest ago go, never one that is in use.
+"""Disk quota for cached copies: removes the least recently used ones, never one in use.
 
 Only folders that `claim` made are removed: named by a hash, with a mark inside. The user may have
 named a folder of his own for the copies.

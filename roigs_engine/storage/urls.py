@@ -1,4 +1,4 @@
-"""Addresses of stores: what they are, and the file system that one names."""
+"""Addresses of stores, and the file system of an address."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""A boxed object as a mesh with the photos' texture."""
+"""Meshes of boxed objects, with texture from the photos."""

@@ -1,4 +1,4 @@
-"""The surroundings of the boxes as one coarse mesh: it catches shadows, is mirrored, bounces light.
+"""The surroundings of the boxes as one coarse mesh, for shadows, reflections and bounced light.
 
 Two grids: a coarse one of all that cameras and points are in, and finer ones around the boxes,
 where things will stand. The fine grids lie on the lattice of the coarse one, and each cell belongs

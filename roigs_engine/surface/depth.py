@@ -1,4 +1,4 @@
-"""Depth maps of a box: how far away its surface is in each photo that shows it."""
+"""Depth maps of a box: the distance to its surface in each photo that shows it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of textured meshes: glTF, and from it OBJ, PLY, STL, OpenUSD."""
+"""Files of textured meshes: glTF, and its conversion to OBJ, PLY, STL, OpenUSD."""
 
 from __future__ import annotations
 

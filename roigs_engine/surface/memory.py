@@ -1,4 +1,4 @@
-"""The plan of a surface's memory: how fine its depth maps, its field and its texture can be."""
+"""Plans the memory of a surface: resolution of its depth maps, field and texture."""
 
 from __future__ import annotations
 

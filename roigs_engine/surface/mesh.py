@@ -1,4 +1,4 @@
-"""Triangle mesh of a distance field: cut out, cleaned of what flies, simplified, closed."""
+"""Triangle mesh of a distance field: extracted, without floating parts, simplified, closed."""
 
 from __future__ import annotations
 

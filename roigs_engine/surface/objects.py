@@ -1,4 +1,4 @@
-"""Objects without what they stand on: which pixels show them, and where their support is.
+"""Separates objects from their support: their pixels, and the support's plane.
 
 Masks of an object on some photos choose its Gaussians, and these choose its pixels on the other
 photos. Depth that is not the object's carves and makes no surface. No photo shows where an object

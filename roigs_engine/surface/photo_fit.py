@@ -1,4 +1,4 @@
-"""Fit of a mesh to its photos: it is moved along its normals to where they agree.
+"""Fits a mesh to its photos: moves it along its normals to where the photos agree.
 
 Gaussians leave their surface inside an object, everywhere by about a pixel of the best photos. A
 patch that is matched between photos says only roughly, and now and then wrongly, where the surface

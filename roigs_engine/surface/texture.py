@@ -1,4 +1,4 @@
-"""Texture of a mesh from photos: those that see a texel nearest and straightest, in two bands.
+"""Texture of a mesh, in two bands, from the photos that see a texel best.
 
 Broad colours are blended over all photos that see a texel, so that no seam shows. Fine detail comes
 from the best ones alone, so that nothing is blurred by poses that are a little wrong (Burt and

@@ -1,4 +1,4 @@
-"""Settings of one training stage, a small core and its mechanisms, as frozen values; torch-free.
+"""Settings of a training stage: a small core and its mechanisms, as frozen values; torch-free.
 
 The core is standard 3DGS without densification (Kerbl et al. 2023). All else is a *mechanism*: a
 frozen dataclass with its own settings, in a file of its own (`mechanisms/`). A stage lists those

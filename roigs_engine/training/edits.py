@@ -1,4 +1,4 @@
-"""Edits of a model that keep the optimizer's state: each new row names the row it came from."""
+"""Edits of a model that keep the optimizer's state: each new row names its source row."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Floaters: Gaussians that hang in the air, which photos cannot judge (ours).
+"""Floaters: Gaussians in the air that photos cannot judge (ours).
 
 Three rules find them, with their reasons in docs/method.md: "Multi-view consistency", "Views
 between the photos", "In the air among the cameras".

@@ -1,4 +1,4 @@
-"""Object labels of Gaussians, by the votes of an object's masks on some photos.
+"""Object labels of Gaussians, by votes of the object's masks on some photos.
 
 A Gaussian belongs to the object if the votes for it are more: this is the optimum in closed form
 of fitting binary labels to the masks (FlashSplat, Shen et al. 2024; docs/method.md, "Objects by

@@ -1,4 +1,4 @@
-"""Loss masks: the pixels of a photo that a step trains on, the boxes' silhouettes and a rim.
+"""Loss masks: a step's training pixels, the boxes' silhouettes and a margin.
 
 In a photo with a mask of a box's object, the object takes the place of the box's silhouette. Masks
 are whole 16x16 tiles, the rasterizer's unit of work (ours, docs/method.md, "Masks"; the paper's

@@ -1,4 +1,4 @@
-"""Training metrics: the loss and PSNR that progress shows, and checks for NaN and odd photos.
+"""Training metrics: loss and PSNR for the progress; checks for NaN and outlier photos.
 
 Losses stay on their device. The checks read them every `CHECK_EVERY` steps, and look at the
 parameters then: in between, the CPU does not wait for a GPU.

@@ -1,4 +1,4 @@
-"""Adam (Kingma and Ba 2015) that updates only the Gaussians that the last photo gave a gradient.
+"""Adam (Kingma and Ba 2015) for only those Gaussians that got a gradient from the last photo.
 
 Two rules make a step's cost depend on what the photo shows and not on the scene:
 

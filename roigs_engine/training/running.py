@@ -1,4 +1,4 @@
-"""Hooks of training mechanisms: when the trainer calls them, and what they may use of it."""
+"""Hooks of training mechanisms: when the trainer calls them, and what they can access."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The data that a stage trains on, and its photos on the training device."""
+"""The training data of a stage, with its photos on the training device."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The trainer of one stage; a resumed stage gives the same bits as an uninterrupted one."""
+"""The trainer of one stage. A resumed stage has the same bits as an uninterrupted one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which way the axes of a file of Gaussians point, and how they are turned for another one."""
+"""Up axes of files of Gaussians, and the rotation from one to another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The Gaussians of a file, or of a list of files, on their way to another one."""
+"""Reads the Gaussians of a file, or of a list of files, for a conversion."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a web page shows besides its Gaussians: another model, places, photos, meshes."""
+"""Extra content of a web page: a second model, places to fly to, photos, meshes."""
 
 from __future__ import annotations
 

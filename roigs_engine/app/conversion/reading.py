@@ -1,4 +1,4 @@
-"""Gaussians from a file, as far as a conversion wants them."""
+"""Reads the Gaussians of a file that a conversion needs."""
 
 from __future__ import annotations
 

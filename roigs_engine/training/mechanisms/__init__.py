@@ -1,1 +1,1 @@
-"""The mechanisms of training, one a file; a stage lists those that it uses (`training.config`)."""
+"""The mechanisms of training, one per file; a stage lists its own (`training.config`)."""

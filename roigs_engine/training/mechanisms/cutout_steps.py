@@ -1,4 +1,4 @@
-"""Steps on the boxes' objects alone: what is left of an object without the rest of its scene.
+"""Steps on the boxes' objects alone, as they look without the rest of the scene.
 
 Fog before an object colours its pixels, and the object learns to make up for it: alone, its colours
 are wrong. Gaussians on its edge reach over it. Where a mask shows something else, the object must

@@ -1,4 +1,4 @@
-"""Floater pruning: what hangs in the air goes at the end of a stage (ours)."""
+"""Floater pruning: removes Gaussians in the air at the end of a stage (ours)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Importance pruning: Gaussians that the photos hardly show go when densification ends (ours).
+"""Importance pruning: removes Gaussians of little effect when densification ends (ours).
 
 The least important go, as many as the photos do not miss (docs/method.md, "Faint Gaussians").
 Photos are judged one by one, and a smaller error counts as the same one. Otherwise a photo that fog

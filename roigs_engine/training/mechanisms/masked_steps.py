@@ -1,4 +1,4 @@
-"""Steps on the boxes' silhouettes alone (ours, docs/method.md; the paper's loss is on all)."""
+"""Steps on the boxes' silhouettes alone (ours, docs/method.md; the paper uses whole photos)."""
 
 from __future__ import annotations
 

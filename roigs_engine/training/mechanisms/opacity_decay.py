@@ -1,4 +1,4 @@
-"""Opacity decay (Han et al. 2024; there it is the same in every step)."""
+"""Opacity decay (Han et al. 2024, who decay by the same amount in every step)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Losses that make the Gaussians a surface, for a mesh that is made from their depth."""
+"""Losses that move the Gaussians to a surface, for a mesh from their depth."""
 
 from __future__ import annotations
 
