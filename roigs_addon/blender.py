@@ -71,7 +71,7 @@ def preferences() -> bpy.types.Preferences:
 
 
 def interface_scale() -> float:
-    """How much larger than usual the interface is drawn."""
+    """Scale of the interface relative to the usual one."""
     return float(preferences().system.ui_scale)
 
 
@@ -199,7 +199,7 @@ def persistent(handler: Handler) -> Handler:
 
 
 def following(*handlers: tuple[str, Handler]) -> tuple[Registration, Registration]:
-    """What adds handlers, each with Blender's name of its event, and what removes them."""
+    """Functions that add and remove handlers, each with Blender's name of its event."""
 
     def follow() -> None:
         for event, handler in handlers:

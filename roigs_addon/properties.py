@@ -131,7 +131,7 @@ def _look_again(props: bpy.types.PropertyGroup, _: bpy.types.Context) -> None:
 
 
 class RoigsObject(bpy.types.PropertyGroup):
-    """What an object is to the add-on. Only the fields of its kind are used."""
+    """The add-on's data on an object. Only the fields of its kind are used."""
 
     kind: EnumProperty(items=KINDS, default="NONE")
     photo: StringProperty(description="Photo: its record, see geometry/photo.py")
@@ -209,7 +209,7 @@ def _other_photos(settings: RoigsScene, _: bpy.types.Context) -> None:
 
 
 class RoigsScene(bpy.types.PropertyGroup):
-    """What a scene is trained on, and how."""
+    """Photos and settings of a scene's training."""
 
     stage: PointerProperty(type=RoigsStage)
 
@@ -371,7 +371,7 @@ def scene_props(scene: bpy.types.Scene) -> RoigsScene:
 
 
 def object_props(item: bpy.types.Object) -> RoigsObject:
-    """What an object is to the add-on."""
+    """The add-on's data on an object."""
     described: Any = item
     group: RoigsObject = described.roigs
     return group

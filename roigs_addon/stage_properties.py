@@ -41,7 +41,7 @@ def _set_reflects(stage: RoigsStage, on: bool) -> None:
 
 
 class RoigsStage(bpy.types.PropertyGroup):
-    """What makes the user's own objects look as if they stood in the captured scene."""
+    """Properties that make the user's objects look as if they stood in the captured scene."""
 
     before: StringProperty(description="Settings of the scene before, as JSON; empty: none changed")
     collection: PointerProperty(
@@ -72,7 +72,7 @@ class RoigsStage(bpy.types.PropertyGroup):
 
 
 def stage_props(scene: bpy.types.Scene) -> RoigsStage:
-    """What the add-on has added to a scene for the user's own objects."""
+    """The add-on's data of a scene for the user's own objects."""
     described: Any = scene  # Blender's stubs know nothing of what add-ons add
     stage: RoigsStage = described.roigs.stage
     return stage

@@ -10,7 +10,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a task returned, or the exception that it raised."""
+    """The return value of a task, or the exception that it raised."""
 
     value: Any = None
     error: Exception | None = None

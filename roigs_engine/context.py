@@ -43,7 +43,7 @@ class Context:
             raise Stopped
 
     def interruptible(self, work: Callable[[], Value]) -> Value:
-        """What `work` returns, which cannot look for stop requests itself, as that of a library.
+        """Run `work`, which cannot check for stop requests itself (a library); return its result.
 
         Raises what it raises, and `Stopped` on request: the work is left to itself then, in a
         thread, so it must not write.

@@ -104,7 +104,7 @@ def is_memory_full(error: BaseException | None) -> bool:
 
 
 def more_memory() -> str:
-    """What to do about `NO_MEMORY`."""
+    """Advice for `NO_MEMORY`."""
     limit = address_space()
     if limit is not None:
         return f"Raise this shell's limit of {limit >> 20} MB (ulimit -v), or use smaller photos."

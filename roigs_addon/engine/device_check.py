@@ -17,7 +17,7 @@ FAILED = "Cannot train: "
 
 
 def ask(engine: Engine, device: str) -> str:
-    """Which device a training would use, and why; empty if the engine does not say.
+    """The device of a training, and the reason; empty if the engine does not say.
 
     `device`: of the preferences; 'auto' is the engine's choice.
     """

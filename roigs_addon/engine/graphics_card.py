@@ -68,7 +68,7 @@ BUILDS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """What to install, and why, as a sentence for the user.
+    """The build to install, and the reason, as a sentence for the user.
 
     Attributes:
         build: None: the one for the CPU.

@@ -32,7 +32,7 @@ FORMATS_DOWNLOAD_BYTES, FORMATS_DISK_BYTES = 125e6, 520e6
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What to install and from where.
+    """The packages to install, and their source.
 
     Attributes:
         environments: folders of earlier ones; the new one is made in the first.
@@ -69,7 +69,7 @@ def _project() -> dict[str, Any]:
 
 
 def requirements(*extras: str) -> list[str]:
-    """What training needs, and the given extras of the project, as pip expects it."""
+    """Requirements of training and of the given extras of the project, for pip."""
     project = _project()
     optional = project["optional-dependencies"]
     return [
@@ -115,7 +115,7 @@ def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
 
 
 def optional_packages(*, formats: bool) -> list[str]:
-    """What the engine also works without, as some have no wheel for a platform."""
+    """Packages that the engine can do without; some have no wheel for a platform."""
     extras = _project()["optional-dependencies"]
     return [
         package

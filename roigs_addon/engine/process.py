@@ -33,7 +33,7 @@ STOPPED = 3
 
 @dataclass(frozen=True, kw_only=True)
 class JobResult:
-    """How a job ended: what its last event said, or what can be said without one.
+    """The end of a job: its last event, or a message if there is none.
 
     Attributes:
         status: the process's exit status.
@@ -109,7 +109,7 @@ class EngineProcess:
         return int(self._process.pid)
 
     def events(self) -> list[events.Record]:
-        """What has arrived since the last call, in order; the final event is held back."""
+        """Events since the last call, in order; the final event is held back."""
         arrived: list[events.Record] = []
         while True:
             try:
@@ -149,7 +149,7 @@ class EngineProcess:
         return True
 
     def result(self) -> JobResult:
-        """How it ended; call once `running` is False."""
+        """The result; call once `running` is False."""
         self.events()
         self.stop()  # closes the pipe
         self._log.close()

@@ -53,7 +53,7 @@ _PROBE = (
 
 @dataclass(frozen=True, kw_only=True)
 class Ability:
-    """What a Python has.
+    """Version and packages of a Python.
 
     Attributes:
         version: (major, minor); (0, 0) if it does not start.

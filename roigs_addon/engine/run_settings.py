@@ -26,7 +26,7 @@ BOX_SETTINGS = ("method", "count")
 
 @dataclass(frozen=True, kw_only=True)
 class RunSettings:
-    """What decides a result beside boxes and photo lists; None: not known.
+    """Settings that decide a result, except boxes and photo lists; None: not known.
 
     Attributes:
         preset, strategy, method, count, seed, test_every: as the engine's options.

@@ -137,7 +137,7 @@ def import_scene(options: argparse.Namespace) -> None:
 
 
 def render(scene: Any, path: Path) -> None:
-    """What F12 does. Without meshes and lights, one sample is enough."""
+    """Render as F12 does. Without meshes and lights, one sample is enough."""
     scene.render.engine, scene.cycles.samples = "CYCLES", 1
     scene.cycles.use_denoising = False
     scene.view_settings.view_transform = "Standard"  # the photos' colours

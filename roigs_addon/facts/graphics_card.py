@@ -15,7 +15,7 @@ _thread: threading.Thread | None = None
 
 
 def choice(*, wait: bool = False) -> Choice | None:
-    """What to install; None as long as the driver has not answered.
+    """The build to install; None as long as the driver has not answered.
 
     Args: `wait`: for the answer; in a script that is done in any case.
     """

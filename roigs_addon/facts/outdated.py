@@ -18,7 +18,7 @@ from . import photo_names, run_facts
 
 
 def in_words(scene: bpy.types.Scene, status: RunStatus) -> str:
-    """What has changed since the training, and what Train does about it; empty if nothing has."""
+    """Changes since the training, and what Train will do; empty if there are none."""
     names, then, now = _settings(scene, status)
     parts = []
     if names == ["recipe"]:

@@ -23,7 +23,7 @@ _names: dict[Key, dict[str, str]] = {}
 
 
 def count(scene: bpy.types.Scene) -> int:
-    """How many photos the scene has."""
+    """Number of photos in the scene."""
     return len(_short_names(scene))
 
 

@@ -27,7 +27,7 @@ OWN_LEVELS = ("IMPORTED", "PREVIEW")
 
 @dataclass(frozen=True, kw_only=True)
 class ResultFacts:
-    """What is known of the run folder's own result: its settings, and its PSNR in words."""
+    """Facts about the run folder's own result: its settings, and its PSNR in words."""
 
     settings: RunSettings
     psnr: str
@@ -50,7 +50,7 @@ _lost: dict[str, tuple[float, list[str]]] = {}
 
 
 def run(scene: bpy.types.Scene) -> RunStatus:
-    """What the scene's run folder says."""
+    """The state of the scene's run folder."""
     folder = run_folders.run_folder(scene)
     if is_old(_runs.get(folder)):
         _runs.clear()
@@ -68,7 +68,7 @@ def earlier(scene: bpy.types.Scene) -> list[EarlierResult]:
 
 
 def result(scene: bpy.types.Scene) -> ResultFacts:
-    """What is known of the last result."""
+    """Facts about the last result."""
     folder = run_folders.run_folder(scene)
     if is_old(_results.get(folder)):
         _results.clear()
@@ -78,7 +78,7 @@ def result(scene: bpy.types.Scene) -> ResultFacts:
 
 
 def disk(scene: bpy.types.Scene) -> Disk:
-    """What the scene's run folder takes."""
+    """The disk space of the scene's run folder."""
     folder = run_folders.run_folder(scene)
     if is_old(_disk.get(folder), DISK_SECONDS):
         _disk.clear()

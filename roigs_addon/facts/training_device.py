@@ -71,7 +71,7 @@ def ask() -> None:
 
 
 def asked() -> str:
-    """What the engine has answered to `ask`; empty if another device is chosen since."""
+    """The engine's answer to `ask`; empty if another device was chosen since."""
     if _check.busy():
         return "…"
     return _check.answer if settings.get().device == _check.device else ""
@@ -88,7 +88,7 @@ def in_words(device: str) -> str:
 
 
 def of_run(scene: bpy.types.Scene) -> str:
-    """That of the training which runs here or was the last one; else what was `asked`."""
+    """The device of the running or the last training here; otherwise `asked`."""
     if said := current.device():
         return said
     log = own_files.log_file(run_folders.run_folder(scene))

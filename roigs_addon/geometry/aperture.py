@@ -33,7 +33,7 @@ class Aperture:
     ratio: float = 1.0
 
     def count(self, focal: float) -> int:
-        """How many samples a picture with that focal length (pixels) needs."""
+        """Number of samples for a picture with that focal length (pixels)."""
         blur = 2 * self.radius * focal / self.focus  # of what is infinitely far away, pixels
         return int(np.clip(np.ceil((blur / APART) ** 2), FEWEST, MOST))
 

@@ -38,7 +38,7 @@ def directions(height: int, width: int) -> tuple[Float32, Float32]:
 
 
 def on_normals(picture: Float32, normals: Float32) -> Float32:
-    """What a white matt surface with each normal would show (N, 3): irradiance over pi.
+    """Colours (N, 3) of a white matt surface with each normal: irradiance over pi.
 
     Args:
         picture: (H, W, 3) linear light.

@@ -16,7 +16,7 @@ SLACK = 4.0  # times that, in depth: as far behind the nearest point, another is
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """What a view shows.
+    """The view to pick in.
 
     Attributes:
         view: (4, 4) world -> camera, OpenGL's axes.

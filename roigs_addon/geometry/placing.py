@@ -101,7 +101,7 @@ def turn_of(matrix: Matrix) -> float:
 
 
 def askew(matrix: Matrix, poses: Matrix) -> float:
-    """How far the world's z axis is from the cameras' up after a rotation, in degrees.
+    """Angle between the world's z axis and the cameras' up after a rotation, in degrees.
 
     Args:
         matrix: the rotation.

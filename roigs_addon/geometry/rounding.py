@@ -17,7 +17,7 @@ ENOUGH = 100_000
 
 
 def rounding(points: NDArray[np.float32] | NDArray[np.float64]) -> str:
-    """How Blender rounds positions (N, 3) far from the origin, as a clause; empty: unseen.
+    """Rounding of positions (N, 3) far from the origin in Blender, as a clause; empty: unseen.
 
     A 32-bit number has 24 digits, so at a distance d, steps are up to d / 2^23: half a metre in map
     coordinates of 5,000 km.

@@ -49,13 +49,13 @@ def state() -> JobState:
 
 
 def warnings(title: str) -> list[str]:
-    """What the job of this title has warned of; a training's stay until the next one starts."""
+    """Warnings of the job of this title; a training's stay until the next one starts."""
     found = (one.state for one in (job, _training) if one is not None)
     return next((state.warnings for state in found if state.title == title), [])
 
 
 def device() -> str:
-    """Which device the last training uses or has used, and why; empty if that is not known."""
+    """Device of the last training, and the reason; empty if it is not known."""
     return _training.state.device if _training is not None else ""
 
 
@@ -71,7 +71,7 @@ def stopped() -> bool:
 
 
 def outcome() -> str:
-    """What came of the last job; empty if an undo has taken it back."""
+    """Outcome of the last job; empty if an undo has reverted it."""
     return job.state.outcome if job is not None and job.spec.is_so() else ""
 
 

@@ -75,7 +75,7 @@ def export_folder(colmap: Path) -> Path:
 
 
 def made_export_folder(colmap: Path) -> Path:
-    """That folder, created if it is missing.
+    """The export folder, created if it is missing.
 
     Raises:
         AddonError: the cache cannot be written to.

@@ -71,7 +71,7 @@ def _training_settings(scene: bpy.types.Scene) -> dict[str, Any]:
 
 
 def settings_now(scene: bpy.types.Scene, exclude: list[str]) -> RunSettings:
-    """What a training would be asked for now; `exclude` are the photos that are left out."""
+    """Settings of a training if it started now; `exclude` are the excluded photos."""
     values = _selection_settings(scene) | _training_settings(scene)
     return RunSettings.from_options(values | {"exclude": exclude}).of_this_version()
 

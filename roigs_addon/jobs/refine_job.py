@@ -60,7 +60,7 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
 
 
 def packages(scene: bpy.types.Scene) -> tuple[str, ...]:
-    """What the engine's Python needs: little if there is a refined model already."""
+    """Packages that the engine's Python needs: few if there is a refined model already."""
     out = projects.refined_folder(Path(scene_props(scene).colmap))
     return FOR_READING if projects.is_refined_model(out) else FOR_REFINING
 

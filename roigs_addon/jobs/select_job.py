@@ -40,6 +40,6 @@ def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> JobSpec:
 
 
 def packages(scene: bpy.types.Scene) -> tuple[str, ...]:
-    """What the engine's Python needs for the scene's method."""
+    """Packages that the engine's Python needs for the scene's method."""
     needs_gp = scene_props(scene).method in GAUSSIAN_PROCESS
     return FOR_GAUSSIAN_PROCESS if needs_gp else FOR_READING

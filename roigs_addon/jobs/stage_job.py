@@ -34,7 +34,7 @@ NOTHING_SEEN = "No Gaussians are shown in renders. Load results, or show them."
 
 @dataclass(frozen=True, kw_only=True)
 class Wanted:
-    """What a scene is to get.
+    """The wanted light and meshes of a scene.
 
     Attributes:
         light: where the picture is taken, in the world; None: no light.

@@ -15,7 +15,7 @@ MOST_WARNINGS = 4  # that a panel has room for; all are in the log
 
 @dataclass(kw_only=True)
 class JobState:
-    """What the panel shows of a job; one that never started has no title.
+    """The state of a job for the panel; one that never started has no title.
 
     Attributes:
         title: of the job.

@@ -45,7 +45,7 @@ def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> JobSpec:
 
 
 def packages(scene: bpy.types.Scene) -> tuple[str, ...]:
-    """What the engine's Python needs: a model, if there is one, draws the pictures."""
+    """Packages that the engine's Python needs; a model, if there is one, draws the pictures."""
     return FOR_TRAINING if _model(scene) else FOR_SUGGESTING
 
 

@@ -73,7 +73,7 @@ def spec(scene: bpy.types.Scene, boxes: Sequence[str], *, replace_edits: bool) -
         return f"Made {text.counted(len(made), 'surface')}"
 
     def show_finished() -> None:
-        """What a stop has left finished; nobody is asked about edits, so these stay."""
+        """Show meshes finished before a stop. Edited meshes stay, as nobody can be asked."""
         fresh = {path: stamp for path, stamp in _made(folder).items() if before.get(path) != stamp}
         if fresh and (now := find()) is not None:
             edited = box_surfaces.edited(now, [path.stem for path in fresh])

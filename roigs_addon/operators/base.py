@@ -99,11 +99,11 @@ class EngineOperator(bpy.types.Operator):
     _job: Job
 
     def spec(self, context: bpy.types.Context) -> JobSpec:
-        """What to run; raises AddonError."""
+        """The job to run; raises AddonError."""
         raise NotImplementedError
 
     def packages(self, context: bpy.types.Context) -> tuple[str, ...]:
-        """What the engine's Python needs for it."""
+        """Packages that the engine's Python needs for the job."""
         return FOR_TRAINING
 
     def start(self, context: bpy.types.Context) -> Job:

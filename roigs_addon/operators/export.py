@@ -88,7 +88,7 @@ transforms"""
 
     @property
     def filename_ext(self) -> str:
-        """What the file browser adds to the name."""
+        """The suffix that the file browser adds."""
         return str(self.file_format)
 
     @classmethod

@@ -43,7 +43,7 @@ class MakeMasks(EngineOperator):
     def description(
         cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties
     ) -> str:
-        """What the button does."""
+        """The tooltip."""
         return ALL_ANEW if cast(Any, properties).anew else CHANGED
 
     @classmethod

@@ -13,7 +13,7 @@ from ..blender import region_of, region_view_of
 def along(
     context: bpy.types.Context, event: bpy.types.Event, point: Vector, direction: Vector
 ) -> float:
-    """How far along a line of the world the mouse is; 0 where the line is seen end on."""
+    """Position of the mouse along a line of the world; 0 where the line is seen end on."""
     region, view = region_of(context), region_view_of(context)
     pixel = event.mouse_region_x, event.mouse_region_y
     eye = view3d_utils.region_2d_to_origin_3d(region, view, pixel)

@@ -64,7 +64,7 @@ class PlaceTool(PickTool):
         return {"FINISHED"}
 
     def done(self, matrix: Matrix) -> str:
-        """What the report begins with."""
+        """The beginning of the report."""
         return ""
 
     def matrix(self, context: bpy.types.Context) -> Matrix:
@@ -105,7 +105,7 @@ class SetFloor(PlaceTool):
         return result
 
     def done(self, matrix: Matrix) -> str:
-        """How far it is turned."""
+        """The rotation, for the report."""
         self._matrix = matrix
         return f"Turned the model by {placing.turn_of(matrix):.0f}°. "
 
@@ -142,7 +142,7 @@ class SetFloor(PlaceTool):
         return placing.levelling(plane, eyes.reshape(-1, 3), flip=self.flip)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """What can be changed afterwards."""
+        """Settings to change afterwards."""
         layout_of(self).prop(self, "flip")
 
 
@@ -188,7 +188,7 @@ class SetScale(PlaceTool):
         return found
 
     def draw(self, context: bpy.types.Context) -> None:
-        """What can be changed afterwards."""
+        """Settings to change afterwards."""
         layout_of(self).prop(self, "length")
 
 

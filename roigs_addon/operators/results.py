@@ -120,7 +120,7 @@ class SetDetail(bpy.types.Operator):
     def description(
         cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties
     ) -> str:
-        """What the button does."""
+        """The tooltip."""
         if not properties.fine:
             return "Show this box as after the first pass over the whole scene"
         if properties.auto:
@@ -169,7 +169,7 @@ class ShowAs(bpy.types.Operator):
 
     @classmethod
     def description(cls, _: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
-        """What the button does."""
+        """The tooltip."""
         return next(text for name, _, text in SHOWN_AS if name == properties.way)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:

@@ -72,7 +72,7 @@ class ShowSurface(bpy.types.Operator):
 
     @classmethod
     def description(cls, _: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
-        """What the button does."""
+        """The tooltip."""
         return next(text for way, _, text in box_surfaces.WAYS if way == properties.way)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:

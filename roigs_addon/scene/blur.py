@@ -38,7 +38,7 @@ class Moment:
 
 
 def moment(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Moment | None:
-    """What a frame shows at the depsgraph's moment; None: no Gaussians.
+    """The content of a frame at the depsgraph's moment; None: no Gaussians.
 
     Raises:
         AddonError: as `frame_request`.
@@ -51,7 +51,7 @@ def moment(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Moment | N
 
 
 def moments(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> list[Moment]:
-    """What a blurred frame is the mean of; nothing if one sharp picture is enough.
+    """The sharp pictures of a blurred frame; nothing if one is enough.
 
     It steps through the scene's time, and comes back.
 
@@ -75,7 +75,7 @@ def moments(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> list[Mome
 def remark(
     scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, moments: Sequence[Moment]
 ) -> str:
-    """What is not right in a frame that is the mean of moments, in one line; or nothing."""
+    """A warning about a frame averaged from moments, in one line; or nothing."""
     if _is_panoramic(scene):
         return "Gaussians have no motion blur in panoramas." if _moves(scene) else ""
     if _moves(scene) and not _may_step(scene):

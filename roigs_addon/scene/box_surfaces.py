@@ -106,7 +106,7 @@ def _read_record(path: Path) -> dict[str, Any]:
 
 
 def record_file(path: Path) -> Path:
-    """What the engine says of a mesh, beside its file."""
+    """The engine's record of a mesh, beside its file."""
     return path.with_suffix(".surface.json")
 
 
@@ -152,7 +152,7 @@ def show(scene: bpy.types.Scene, roi: str, path: Path, *, seen: bool = True) -> 
 
 
 def way_of(scene: bpy.types.Scene, item: bpy.types.Object) -> str:
-    """Which of `WAYS` the viewport shows; empty: neither mesh nor Gaussians."""
+    """The one of `WAYS` in the viewport; empty: neither mesh nor Gaussians."""
     gaussians = gaussians_of(scene, object_props(item).roi)
     seen = gaussians is not None and not gaussians.hide_viewport
     if item.hide_viewport:

@@ -40,7 +40,7 @@ def link(scene: bpy.types.Scene) -> None:
 
 
 def before(scene: Any) -> dict[str, Any] | None:
-    """What `link` would change, as JSON, for `unlink`; None if it would change nothing."""
+    """The settings that `link` would change, as JSON, for `unlink`; None if there are none."""
     if find(scene) is not None or not display.in_layer(scene):
         return None
     return {
@@ -147,7 +147,7 @@ def uses_mattes(scene: bpy.types.Scene) -> bool:
 
 
 def empty_mattes(scene: bpy.types.Scene, known: Collection[int]) -> str:
-    """What to say, in one line, if a matte is of no object; else nothing.
+    """A warning, in one line, if a matte shows no object; else nothing.
 
     Args:
         scene: that is rendered.

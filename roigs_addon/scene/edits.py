@@ -187,7 +187,7 @@ def problem(items: Iterable[bpy.types.Object]) -> str:
 
 
 def remark(items: Iterable[bpy.types.Object]) -> str:
-    """What does not look right of these objects after an edit, in one line; or nothing."""
+    """A warning about the look of these objects after an edit, in one line; or nothing."""
     data = (item.data for item in items)
     return next((_mixed[d.session_uid] for d in data if d and d.session_uid in _mixed), "")
 

@@ -162,7 +162,7 @@ def from_world(scene: bpy.types.Scene) -> Matrix:
 
 
 def root_scale(scene: bpy.types.Scene) -> float:
-    """How much larger the model is in the world than in the COLMAP frame."""
+    """Scale of the model in the world relative to the COLMAP frame."""
     return transforms.scale_of(matrix_world(scene_props(scene).root)) or 1.0
 
 

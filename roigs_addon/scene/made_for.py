@@ -11,7 +11,7 @@ from .splat_attributes import marked_target
 
 
 def mismatch(scene: bpy.types.Scene) -> tuple[targets.Target, targets.Target] | None:
-    """What the result is made for, and what draws it or is set; None if they are the same.
+    """The result's target, and the renderer in use or set; None if they are the same.
 
     Blender draws its own splats as its render engine does; the add-on draws objects as they are
     made for.

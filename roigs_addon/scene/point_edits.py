@@ -114,7 +114,7 @@ def chosen(item: bpy.types.Object) -> Mask:
 
 
 def count_chosen(items: Iterable[bpy.types.Object]) -> int:
-    """How many points of objects are selected."""
+    """Number of selected points of objects."""
     return sum(int(chosen(item).sum()) for item in items)
 
 

@@ -258,7 +258,7 @@ def set_reach(scene: bpy.types.Scene, radius: float) -> None:
 
 
 def usual_radius(scene: bpy.types.Scene) -> float:
-    """That of the smallest box, as of what users put beside it; 1 if there is none.
+    """Radius of the smallest box, as a typical object's; 1 if there is no box.
 
     A file that shows the results of a run without its boxes may have their meshes.
     """

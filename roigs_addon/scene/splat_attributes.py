@@ -140,13 +140,13 @@ def mark_target(data: Points, target: targets.Target) -> None:
 
 
 def marked_target(data: Points) -> targets.Target:
-    """What points of one kind are made for, by the names of their attributes alone: fast."""
+    """Target of points of one kind, by the names of their attributes alone: fast."""
     smooth, linear = (name in data.attributes for name in MADE_FOR)
     return targets.target_with(antialiased=smooth, linear_light=linear)
 
 
 def targets_of(data: Points, there: NDArray[np.bool_] | None = None) -> list[targets.Target]:
-    """What points are made for, of those that are `there`: most of them for the first target."""
+    """Targets of the points that are `there`: that of most points first."""
     smooth, linear = (_flags(data, name) for name in MADE_FOR)
     kinds = 2 * linear + smooth if there is None else (2 * linear + smooth)[there]
     counts = np.bincount(kinds, minlength=4)

@@ -214,12 +214,12 @@ def _of(scene: bpy.types.Scene, level: str, roi: str) -> list[bpy.types.Object]:
 
 
 def object_name(level: str, roi: str) -> str:
-    """What an object of Gaussians is called at first."""
+    """The first name of an object of Gaussians."""
     return {"SCENE": f"{roi} first pass", "ROI": f"{roi} Gaussians"}.get(level, "Background")
 
 
 def mesh_name(roi: str) -> str:
-    """What the mesh of a box's surface is called at first."""
+    """The first name of the mesh of a box's surface."""
     return f"{roi} Mesh"
 
 

@@ -34,7 +34,7 @@ CAMERA_SIZE = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class Suggestion:
-    """What is known of a suggested photo.
+    """The data of a suggested photo.
 
     Attributes:
         number: of its box, from 1, the best first.
@@ -137,7 +137,7 @@ def _faults(line: str, box: str) -> tuple[tuple[str, str], ...]:
 
 
 def known_of(item: bpy.types.Object) -> Suggestion | None:
-    """What is known of a suggested photo; None: the object is none."""
+    """The data of a suggested photo; None: the object is none."""
     return Suggestion.from_json(object_props(item).suggestion)
 
 

@@ -62,7 +62,7 @@ class PhotoList(bpy.types.UIList):
 
 
 class CamerasPanel(SidebarPanel):
-    """How photos are selected, and which ones were."""
+    """Selection of photos, and the selected ones."""
 
     bl_idname = "ROIGS_PT_cameras"
     bl_label = "3. Cameras"

@@ -103,7 +103,7 @@ def engine_problem(layout: bpy.types.UILayout, problem: str) -> None:
 
 
 def job(layout: bpy.types.UILayout, title: str) -> bool:
-    """What is to be said of the job of this title; whether it runs or has failed."""
+    """Show the state of the job of this title; return whether it runs or has failed."""
     state = current.state()
     ours = state.title == title
     if ours and current.busy():

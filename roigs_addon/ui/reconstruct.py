@@ -82,7 +82,7 @@ def _draw_status(layout: bpy.types.UILayout, status: ReconstructionStatus, *, we
 
 
 class PhotosOptionsPanel(SidebarPanel):
-    """What is seldom changed."""
+    """Rarely changed settings."""
 
     bl_idname = "ROIGS_PT_photos_options"
     bl_parent_id = PhotosPanel.bl_idname

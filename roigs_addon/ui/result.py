@@ -52,7 +52,7 @@ TRUE_COLOURS = ("Standard", "Raw")
 
 
 class ResultPanel(SidebarPanel):
-    """What is shown of the Gaussians, and pictures of them."""
+    """Display of the Gaussians, and pictures of them."""
 
     bl_idname = "ROIGS_PT_result"
     bl_label = "5. Result"

@@ -11,7 +11,7 @@ from .layout import SidebarPanel
 
 
 class SetUpPanel(SidebarPanel):
-    """What comes after the installation of the add-on; gone when that is done."""
+    """The first step after the installation of the add-on; gone when the engine is set up."""
 
     bl_idname = "ROIGS_PT_set_up"
     bl_label = "Start Here"

@@ -39,7 +39,7 @@ def problems() -> dict[str, str]:
 
 
 def counts(area: bpy.types.Area | None) -> tuple[int, int] | None:
-    """How many Gaussians a 3D view draws, and how many it would without levels of detail."""
+    """Numbers of Gaussians in a 3D view, drawn and without levels of detail."""
     if _painter is None or area is None:
         return None
     keys = (region.as_pointer() for region in area.regions if region.type == "WINDOW")

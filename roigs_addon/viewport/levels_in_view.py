@@ -43,7 +43,7 @@ class InView:
         return cls(objects, chosen)
 
     def wanted(self) -> list[SplatObject]:
-        """What should be drawn: each level as an object, visible if it is chosen."""
+        """The objects to draw: each level as an object, visible if it is chosen."""
         return self._apart(None)
 
     def among(self, files: Iterable[FileKey]) -> list[SplatObject]:
@@ -51,7 +51,7 @@ class InView:
         return self._apart(Counter(file.path for file in files))
 
     def counts(self, files: Files, ranges: Ranges, there: Iterable[FileKey]) -> tuple[int, int]:
-        """How many Gaussians are drawn, and how many there are without levels.
+        """Numbers of Gaussians, drawn and without levels.
 
         Args:
             files, ranges: of the set on the GPU.

@@ -18,7 +18,7 @@ the time."""
 
 
 def pixel(seconds: float | None, held: int | None, rested: bool) -> int:
-    """How many pixels of the view a pixel of the picture should be wide; 1: drawn in full.
+    """Width of a picture's pixel in pixels of the view; 1: drawn in full.
 
     Args:
         seconds: what a full picture takes; None: unknown.
@@ -31,7 +31,7 @@ def pixel(seconds: float | None, held: int | None, rested: bool) -> int:
 
 
 def full_seconds(taken: float, pixel: int, before: float | None) -> float | None:
-    """What a full picture takes at most, after one with pixels of that width.
+    """The longest time for a full picture, estimated from one with pixels of that width.
 
     A first picture can be slow because programs are compiled for it; a coarse one shows that.
 

@@ -90,7 +90,7 @@ class Order:
 
 @dataclass(eq=False)
 class Picture:
-    """What a viewport shows."""
+    """The content of a viewport."""
 
     target: targets.SplatPicture
     shows: Hashable
@@ -344,7 +344,7 @@ class Painter:
 
 
 class Tools:
-    """What every image needs, made with the first one."""
+    """GPU programs and buffers for every image, created with the first one."""
 
     def __init__(self) -> None:
         self._splat: dict[bool, shaders.Shader] = {}

@@ -26,7 +26,7 @@ def texture(values: NDArray[np.float32], form: str) -> gpu.types.GPUTexture:
 
 
 class SplatPicture:
-    """What the splats are blended in: premultiplied sRGB values or linear light, half floats.
+    """The image for blending splats: premultiplied sRGB values or linear light, half floats.
 
     They need an image of their own: in the viewport's, they would all be blended in linear light,
     and with 8 bits.

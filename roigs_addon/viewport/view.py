@@ -20,7 +20,7 @@ Frame = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class View:
-    """What Gaussians are drawn for.
+    """The view to draw Gaussians for.
 
     Attributes:
         matrix: world -> camera, OpenGL's axes.

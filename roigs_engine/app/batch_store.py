@@ -109,7 +109,7 @@ class Store:
         return name in self._there
 
     def stamp(self, name: str) -> list[Any]:
-        """What changes with a file of the batch's folder; OSError if it is gone."""
+        """A mark that changes with a file of the batch's folder; OSError if the file is gone."""
         return sign(self._found.info(f"{self._place}/{name}"))
 
     def put(self, *names: str) -> None:
@@ -120,7 +120,7 @@ class Store:
 
 
 class StoredRecord(BatchRecord):
-    """What is done on a store, by the hashes and marks of its files: no copy needs to be here."""
+    """The state of a batch on a store, from hashes and marks of its files; needs no copy here."""
 
     def __init__(self, store: Store) -> None:
         self._store = store

@@ -102,7 +102,7 @@ def logged(context: Context) -> Iterator[tuple[Context, EventLog]]:
 
 
 def failure(error: Exception) -> Failed | None:
-    """What is said of an error: of an engine's, a file's, or full memory; None: it is a fault."""
+    """The words for an error of the engine, a file, or full memory; None: it is a bug."""
     if isinstance(error, EngineError):
         return Failed(message=error.message, hint=error.hint)
     if is_memory_full(error):

@@ -122,7 +122,7 @@ def _without(scene: SfmScene, photos: Sequence[str], context: Context) -> SfmSce
 def mask_options(
     request: object, boxes: Iterable[str] = (), run: Path | None = None
 ) -> MaskOptions:
-    """Which masks a request wants; one without such options gets the defaults.
+    """The masks that a request wants; the defaults if it has no such options.
 
     Args:
         boxes: names of those whose masks of objects are used, unless the request refuses them.

@@ -17,14 +17,14 @@ from ..requests.values import shown
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """What a piece of work has made; each field with a path is a file or folder that it wrote."""
+    """The result of a command; each field with a path is a file or folder that it wrote."""
 
     files: dict[str, Path] = field(default_factory=dict)  # more of these, by name
     text: str = ""  # the command's answer on standard output
 
     @property
     def error(self) -> EngineError | None:
-        """What went wrong with a part of the work, after the rest was done."""
+        """The failure of a part of the work, after the rest was done."""
         return None
 
     @property

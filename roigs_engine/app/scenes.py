@@ -45,7 +45,7 @@ def reconstruct(request: Reconstruct, context: Context = QUIET) -> Result:
 
 @dataclass(frozen=True, kw_only=True)
 class Inspected(Result):
-    """What a COLMAP model contains, ready for JSON."""
+    """The content of a COLMAP model, ready for JSON."""
 
     report: dict[str, Any]
 
@@ -120,7 +120,7 @@ def show_photo(request: ShowPhoto, context: Context = QUIET) -> Result:
 
 @dataclass(frozen=True, kw_only=True)
 class Refined(Result):
-    """How much better cameras fit, and the new model's folder; None: they fitted already."""
+    """The improvement of the cameras, and the new model's folder; None: they fitted already."""
 
     refinement: Refinement
     model: Path | None = None

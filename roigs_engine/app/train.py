@@ -162,7 +162,7 @@ def opened(asked: Asked, context: Context, log: EventLog) -> Iterator[tuple[Run,
         context = asked.context(context)
 
         def check(cameras: SfmScene) -> None:
-            """What is wrong with the options is said before minutes go into the photos."""
+            """Check the options before minutes go into the photos."""
             if not inputs:
                 inputs.update(asked.inputs(asked.boxes.boxes(cameras)))
             quiet = replace(context, emit=QUIET.emit)

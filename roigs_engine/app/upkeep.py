@@ -78,7 +78,7 @@ def _table_of(ladders: Sequence[Ladder]) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class Cleaned(Result):
-    """What could be removed, by file or folder of the run, with bytes, and what was freed."""
+    """Removable files and folders of a run, with bytes, and the freed space."""
 
     removable: tuple[tuple[str, int], ...]
     freed: int = 0

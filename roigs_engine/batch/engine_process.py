@@ -24,7 +24,7 @@ LAST = 2000  # bytes of standard error that may say why a process ended
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """How a part ended."""
+    """The end of a part: success, or the reason of its failure."""
 
     state: str  # a state above
     reason: str = ""  # one line, for `failed` and `lost`

@@ -52,7 +52,7 @@ class LocalExecutor:
         return threads
 
     def wait(self, seconds: float) -> list[Report]:
-        """What was reported, after at most some seconds."""
+        """Reports since the last call; waits for at most some seconds."""
         reports: list[Report] = []
         try:
             reports.append(self._reports.get(timeout=seconds))

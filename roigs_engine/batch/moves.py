@@ -27,7 +27,7 @@ MOST_NODES = 3  # where a part may fail, or be slow
 
 @dataclass(kw_only=True)
 class PartState:
-    """How far a part is."""
+    """The progress of a part."""
 
     part: Part  # the part
     state: str = WAITING  # `waiting`, `running`, `done`, `failed`
@@ -59,7 +59,7 @@ class Move:
 
 
 def share(state: PartState) -> float:
-    """How much of a part is done, 0 to 1: what it kept, or more by its last progress."""
+    """The finished share of a part, 0 to 1: as saved, or more by its last progress."""
     return 1.0 if state.state == DONE else max(state.kept, _shown(state))
 
 

@@ -50,7 +50,7 @@ class Part:
 
 @dataclass(frozen=True, kw_only=True)
 class ScenePlan:
-    """What is to be done for one scene."""
+    """The work for one scene."""
 
     name: str  # of the scene in the table
     objects: tuple[str, ...]  # names of its boxes

@@ -87,7 +87,7 @@ class RayExecutor:
         return cores
 
     def wait(self, seconds: float) -> list[Report]:
-        """What was reported; see `LocalExecutor.wait`. EngineError: the cluster is gone."""
+        """Reports since the last call (see `LocalExecutor`). EngineError: the cluster is gone."""
         return self._connection.ask(lambda: self._wait(seconds))
 
     def _wait(self, seconds: float) -> list[Report]:
@@ -227,7 +227,7 @@ class RayExecutor:
 
 
 def demand(part: Part, nodes: Sequence[Mapping[str, float]], parts: int) -> dict[str, int]:
-    """What a part asks Ray for; at least one of the machines has all of it at a time.
+    """The resources that a part requests from Ray; at least one machine has all of them.
 
     Args:
         nodes: resources of the machines that it may go to.

@@ -31,7 +31,7 @@ class Executor(Protocol):
 
 @dataclass(kw_only=True)
 class SceneState:
-    """How far a scene is; `reason` says why it failed."""
+    """The progress of a scene; `reason` says why it failed."""
 
     plan: ScenePlan
     parts: dict[str, PartState]

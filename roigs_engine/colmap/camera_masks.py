@@ -40,7 +40,7 @@ Key = TypeVar("Key")
 
 @dataclass(frozen=True, kw_only=True)
 class MaskPlan:
-    """How the mask of one photo is made.
+    """The plan for making the mask of one photo.
 
     Attributes:
         photo, size: its file, and that file's (width, height) after `turn`.
@@ -80,7 +80,7 @@ class MaskPlan:
         return resized(self._given(), self.size)
 
     def hint(self) -> str:
-        """What to do if the file cannot be read."""
+        """Advice if the file cannot be read."""
         from ..photos.mask_images import HINT, OBJECT_HINT
 
         return OBJECT_HINT if self.of_object else HINT
@@ -158,7 +158,7 @@ def find_mask(
     *,
     turn: int = AS_STORED,
 ) -> MaskPlan | None:
-    """How to make a photo's mask, from a file or its alpha channel; None: it has none.
+    """The plan for a photo's mask, from a file or its alpha channel; None: it has none.
 
     `photo`, `digest`: the photo's file, and its hash. MaskError: the mask cannot be read.
     """
@@ -174,7 +174,7 @@ def find_mask(
 def plan_object_masks(
     images: Mapping[int, PosedImage], files: MaskFiles, options: MaskOptions
 ) -> dict[tuple[int, str], MaskPlan]:
-    """How to make the masks of the boxes' objects, by the photos' keys and the boxes' names.
+    """Plans for the masks of the boxes' objects, by the photos' keys and the boxes' names.
 
     A file that is also a photo's mask, in a folder of that name, is none. Raises as `find_mask`.
     """

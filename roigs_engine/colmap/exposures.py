@@ -34,7 +34,7 @@ EXIF, POINTS = "EXIF", "points"
 
 @dataclass(frozen=True, kw_only=True)
 class Observed:
-    """What photos show at the points that they observe.
+    """The brightness of points in the photos that observe them.
 
     Attributes:
         photo, point: (N,) rows of photos and of points.
@@ -97,7 +97,7 @@ def _found(scene: SfmScene, exif: Mapping[str, float], context: Context) -> dict
 
 
 def observe(scene: SfmScene, context: Context = QUIET) -> Observed:
-    """What a scene's photos show at their points, without dark or clipped pixels."""
+    """The brightness of a scene's points in its photos, without dark or clipped pixels."""
     parts = []
     for row, image in enumerate(scene.images):
         context.check_cancelled()

@@ -34,7 +34,7 @@ LOSS_SCALE = 1.0  # px of the full-size photos; what is farther off counts ever 
 
 @dataclass(frozen=True, kw_only=True)
 class Refinement:
-    """What a refinement did.
+    """The result of a refinement.
 
     Attributes:
         before, after: median error of the left-out observations with the old and the new cameras,

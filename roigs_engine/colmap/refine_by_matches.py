@@ -28,7 +28,7 @@ CLEARLY = 0.97  # of the error before: more parameters must bring that much
 
 @dataclass(frozen=True, kw_only=True)
 class MatchedFit:
-    """How well cameras fit matched tracks.
+    """The fit of cameras to matched tracks.
 
     Attributes:
         before, after: median error of left-out matches with the old and the new cameras, px.

@@ -56,7 +56,7 @@ PER_MASKED = 16  # of the larger of file and copy, for weights, beside the other
 
 @dataclass(frozen=True, kw_only=True)
 class UndistortionPlan:
-    """How one photo is undistorted: decode to `source`'s size, undistort, resample to `target`.
+    """The plan for one photo: decode to `source`'s size, undistort, resample to `target`.
 
     Attributes:
         photo, size: the file, and its (width, height).
@@ -143,7 +143,7 @@ def plan_undistortion(
     shrink: Callable[[int, int], tuple[int, int]],
     turn: int = AS_STORED,
 ) -> UndistortionPlan:
-    """How to undistort a photo; SceneError if the camera cannot be undistorted.
+    """The plan for undistorting a photo; SceneError if the camera cannot be undistorted.
 
     Args:
         photo: the file.

@@ -38,7 +38,7 @@ Float32 = NDArray[np.float32]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Confidence:
-    """What photos know of N Gaussians.
+    """Confidence of N Gaussians.
 
     Attributes:
         photos: (N,) training photos that show each.
@@ -62,7 +62,7 @@ def confidence(
     held_out: Sequence[PosedImage],
     context: Context = QUIET,
 ) -> Confidence:
-    """What photos know of each Gaussian of a model.
+    """Confidence of each Gaussian of a model.
 
     Args:
         gaussians: the model, in the frame of the photos.

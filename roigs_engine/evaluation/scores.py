@@ -44,7 +44,7 @@ class ViewScore:
 
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """What a model gains over another one on single photos, in ROI PSNR, dB; None: no photo.
+    """Gains of a model over another one on single photos, in ROI PSNR, dB; None: no photo.
 
     Attributes:
         peak_gain, peak_view: the largest gain, and its photo.

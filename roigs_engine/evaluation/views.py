@@ -50,7 +50,7 @@ class EvaluatedModel:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoxPlan:
-    """What to measure for one box.
+    """The measurements to make for one box.
 
     Attributes:
         views: the test views that count, by photo name.

@@ -192,7 +192,7 @@ def read(path: Path, check: Check = nothing) -> Arrays:
 
 
 def target_of(path: Path) -> Target:
-    """What a file's Gaussians are made for, as far as it says."""
+    """The target of a file's Gaussians, if the file records it."""
     form = _readable(path)
     if not form.keeps_antialiased:
         return PLAIN
@@ -217,7 +217,7 @@ def frame(path: Path) -> Float64:
 
 
 def common_target(targets: Mapping[Path, Target]) -> Target:
-    """What files that become one are made for, from what each is made for; `plain` for none.
+    """The target of several files that are merged, from the target of each; `plain` for none.
 
     ConfigError: they differ. No file can say that.
     """

@@ -46,7 +46,7 @@ CORE = 1.5  # median distances from the middle that an overview shows: not all o
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ball:
-    """What to look at: everything within `radius` of `centre` (3,)."""
+    """A region to look at: everything within `radius` of `centre` (3,)."""
 
     centre: Float64
     radius: float
@@ -70,7 +70,7 @@ class PageMesh:
 
 @dataclass(frozen=True, kw_only=True)
 class Extras:
-    """What a page shows besides the model; places and poses are in the model's frame."""
+    """The extra content of a page; places and poses are in the model's frame."""
 
     title: str = ""  # empty: the file's name
     places: Sequence[tuple[str, Ball]] = ()  # to look at, one button each

@@ -27,7 +27,7 @@ FIRST_BYTES = max(map(len, [*MAGIC, *OTHERS]))
 
 
 def held_instead(path: Path, head: bytes) -> tuple[str, str] | None:
-    """What a file is, and what to do; None: its first bytes `head` tell nothing else."""
+    """The real kind of a file, with advice; None: its first bytes `head` show no other kind."""
     if not head:
         return "is empty", "Write or download the file again."
     suffix, head = path.suffix.lower(), head.lstrip()

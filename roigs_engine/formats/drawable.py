@@ -20,7 +20,7 @@ CERTAIN = 80.0
 
 
 def drawable(arrays: Mapping[str, Floats]) -> NDArray[np.bool_]:
-    """Which Gaussians can be drawn: none with NaN, a number that is too large, or no rotation.
+    """Mask of the drawable Gaussians: without NaN, too large numbers, or a missing rotation.
 
     Two kinds of Inf can be drawn, as programs write them for exact values: a logarithm of -Inf is
     the size 0 of a flat Gaussian, and a logit of +-Inf is the opacity 1 or 0.

@@ -51,7 +51,7 @@ class Message:
 
 @dataclass(frozen=True, kw_only=True)
 class Device:
-    """Which device draws and trains, and why; once for each command that does."""
+    """The device that draws and trains, and the reason; once for each command that does."""
 
     kind: str  # "cpu", "cuda" or "gpu"
     name: str  # the GPU's; empty for the CPU
@@ -83,7 +83,7 @@ class Failed:
 
 @dataclass(frozen=True, kw_only=True)
 class Board:
-    """How far a batch is, as lines for a terminal; it is not written as JSON."""
+    """The progress of a batch, as lines for a terminal; not written as JSON."""
 
     lines: tuple[str, ...]
 

@@ -42,7 +42,7 @@ JUNCTION = 0xA0000003  # Windows: the reparse tag of a folder's link; `stat` has
 
 
 def matching(folder: Path, pattern: str) -> list[Path]:
-    """What a folder has of a pattern of names, sorted; nothing if it cannot be looked into."""
+    """Names in a folder that match a pattern, sorted; nothing if it cannot be read."""
     try:
         return sorted(folder.glob(pattern))
     except OSError:

@@ -114,7 +114,7 @@ def _level(record: Any) -> Level:
 
 
 def rate_in_view(probes: Float64, to_clip: Float64, pixels: float) -> float:
-    """How finely a view shows the probes, pixels per unit of length; 0 if it shows none.
+    """Resolution of the probes in a view, pixels per unit of length; 0 if it shows none.
 
     Args:
         probes: (P, 3).

@@ -83,7 +83,7 @@ def _is_device(name: str) -> bool:
 
 
 def same_name(name: str) -> str:
-    """What two names share that differ in case, slashes or the form of accents alone."""
+    """A key that is equal for names that differ only in case, slashes or the form of accents."""
     return _composed(name.replace("\\", "/")).casefold()
 
 

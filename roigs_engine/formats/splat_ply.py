@@ -178,7 +178,7 @@ def up_axis(path: str | Path) -> tuple[float, float, float] | None:
 
 
 def target_of(path: str | Path) -> Target:
-    """What the Gaussians of a PLY, compressed or not, are made for, as far as it says.
+    """The target of a PLY's Gaussians, compressed or not, if the file records it.
 
     RunFolderError: it cannot be read.
     """

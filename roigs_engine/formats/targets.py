@@ -35,7 +35,7 @@ class Target:
 
     @property
     def drawing(self) -> dict[str, Any]:
-        """What `rasterize` needs to know."""
+        """The arguments for `rasterize`."""
         return {
             "antialiased": self.antialiased,
             "linear_light": self.linear_light,

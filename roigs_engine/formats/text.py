@@ -79,7 +79,7 @@ def printable(text: str) -> str:
 
 
 def first_line(error: Exception) -> str:
-    """What an error of a library says, on one line; its type's name if it says nothing."""
+    """The message of a library's error, on one line; its type's name if it is empty."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 

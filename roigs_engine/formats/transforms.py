@@ -39,7 +39,7 @@ def is_mirrored(matrix: NDArray[np.float64]) -> bool:
 
 
 def rigid_flaw(matrix: NDArray[np.float64]) -> str:
-    """What keeps a (4, 4) matrix from being a rotation and a translation; may be empty."""
+    """The reason why a (4, 4) matrix is not a rotation and a translation; may be empty."""
     if not np.allclose(matrix[3], (0, 0, 0, 1), rtol=0, atol=1e-6):
         row = ", ".join(f"{number:g}" for number in matrix[3])
         return f"its last row is {row}, not 0, 0, 0, 1 (is it transposed?)"
@@ -52,7 +52,7 @@ def rigid_flaw(matrix: NDArray[np.float64]) -> str:
 
 
 def similarity_flaw(matrix: NDArray[np.float64]) -> str:
-    """What keeps a (4, 4) matrix from being a similarity; may be empty."""
+    """The reason why a (4, 4) matrix is not a similarity; may be empty."""
     scale = scale_of(matrix)
     if not SCALES[0] <= scale <= SCALES[1]:
         return f"its scale is {scale:g}"

@@ -44,7 +44,7 @@ class Adapter:
 
     @property
     def gaussians(self) -> int:
-        """How many with SH of degree 3 such a buffer holds."""
+        """The number of Gaussians with SH of degree 3 that such a buffer holds."""
         return self.largest // (4 * 48)
 
 

@@ -370,7 +370,7 @@ def close_gpu() -> None:
 
 
 def drawing(device: str) -> str:
-    """What draws tensors of a device: "gpu" if a GPU does that for the CPU, else the device."""
+    """The backend for tensors of a device: "gpu" if a GPU draws for the CPU, else the device."""
     return "gpu" if device == "cpu" and _opened else device
 
 

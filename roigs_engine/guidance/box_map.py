@@ -92,7 +92,7 @@ class BoxMap:
         return float((self.weights * self.known).sum())
 
     def decibels(self, information: Float64) -> float:
-        """How much lower the error is expected to be than without photos, in dB; (P, B) I."""
+        """The expected decrease of the error compared with no photos, in dB; (P, B) I."""
         return float((self.weights * np.log10(1 + information)).sum() * 10)
 
     def of_directions(self) -> tuple[Float64, Float64]:
@@ -131,7 +131,7 @@ def ways_to(eye: Float64, places: Float64) -> Float64:
 def sees(
     patches: Patches, space: Space, camera: Camera, world_to_camera: Float64
 ) -> tuple[Bools, Float64, Float64]:
-    """What a camera sees: (P,) whether each patch, (P,) pixels per unit, (P, 3) ways to it."""
+    """A camera's view: (P,) visible patches, (P,) pixels per unit, (P, 3) directions to it."""
     eye = -world_to_camera[:3, :3].T @ world_to_camera[:3, 3]
     _, depth, within = project(patches.places, camera, world_to_camera)
     ways = ways_to(eye, patches.places)

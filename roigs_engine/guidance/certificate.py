@@ -40,7 +40,7 @@ td { white-space: normal; } td:first-child { color: GrayText; } td + td { text-a
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """What is certified of an object; lengths in world units.
+    """The certified facts about an object; lengths in world units.
 
     Attributes:
         box: the box's name.

@@ -21,7 +21,7 @@ ELSEWHERE = 2000  # points outside the box that tell how sharp photos are as a w
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class KnownBox:
-    """What is known of a box.
+    """The coverage of a box.
 
     Attributes:
         map: by patch and direction.

@@ -15,7 +15,7 @@ SAME = 0.05  # of the distance to the box: a smaller offset is not worth a word
 
 @dataclass(frozen=True, kw_only=True)
 class Units:
-    """How lengths are written.
+    """The format of lengths.
 
     Attributes:
         scale: metres in a world unit; None: not known.

@@ -185,7 +185,7 @@ class _Maker:
 
 
 def coarseness(level: int) -> float:
-    """How many times coarser than its photos a view shows a part when level `level` is made for it.
+    """The ratio of the photos' resolution to that of the views that level `level` is made for.
 
     Half the Gaussians serve 4^(1/3) times the distance: an eighth of them 4 times.
     """

@@ -85,7 +85,7 @@ def parts_of_run(folder: Path, images: Sequence[PosedImage], frame: LocalFrame) 
 
 
 def rate_of(probes: Float64, view: View) -> float:
-    """How finely a view shows the probes, see `formats.levels.rate_in_view`."""
+    """Resolution of the probes in a view, see `formats.levels.rate_in_view`."""
     camera, pose = view
     return rate_in_view(probes, clip_matrix(camera) @ pose, camera.fx)
 

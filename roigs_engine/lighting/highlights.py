@@ -51,7 +51,7 @@ class Surfaces:
 
 @dataclass(frozen=True, kw_only=True)
 class Brightness:
-    """What a panorama's light is multiplied by.
+    """Factors for the parts of a panorama's light.
 
     Attributes:
         highlights: where photos are clipped.

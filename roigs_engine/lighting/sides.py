@@ -101,7 +101,7 @@ def shading(
 
 
 def gain(light: Float32, distance: Float32, place: Float64, objects: Sequence[Surfaces]) -> Float32:
-    """What a panorama's light (H, 2 H, 3) is multiplied by (H, 2 H).
+    """Factors (H, 2 H) for a panorama's light (H, 2 H, 3).
 
     On the objects, the mean light stays as it is. All is 1 if no object is near.
 
@@ -166,7 +166,7 @@ def _gain(light: Float32, found: Told) -> Float32:
 
 
 def whiteness(light: Float32, probes: Sequence[Surfaces]) -> float:
-    """How much more light, 1 or more, leaves the bright parts of each probe no whiter than white.
+    """The least factor for the light, 1 or more, with which no probe is whiter than white.
 
     Args:
         light: (H, 2 H, 3) in the world of the probes, with its side.

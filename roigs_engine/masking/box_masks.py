@@ -38,7 +38,7 @@ LEAST_PHOTOS = 6  # the scribbled one and five more
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoxMasks:
-    """What is asked for.
+    """The request for the masks of a box.
 
     Attributes:
         scene, roi: in the frame that is computed in; the scene has no pixels.

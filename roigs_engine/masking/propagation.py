@@ -27,7 +27,7 @@ AGREEMENTS = 1  # rounds in which all photos vote on each
 
 
 class Knowledge(Protocol):
-    """What photos have said of the things in the box, and what that means in other photos."""
+    """The votes of photos on the things in a box, and their meaning in other photos."""
 
     def learn_strokes(self, view: View) -> None:
         """Count what the strokes on a photo say; other pixels say nothing."""
@@ -36,7 +36,7 @@ class Knowledge(Protocol):
         """Count a photo's mask, in place of what the photo has said before."""
 
     def prior(self, view: View, *, without: bool = True) -> Prior:
-        """What the photos say of this one; `without`: without its own votes."""
+        """Votes of the photos on this one; `without`: without its own votes."""
 
 
 def make_masks(
@@ -98,7 +98,7 @@ def _nearest_first(views: Sequence[View], begun: Sequence[View], centre: Float64
     """The other photos, each the nearest to any before it, seen from the box."""
 
     def distance(a: View, b: View) -> float:
-        """How different two photos show the box: an angle, and the ratio of their distances."""
+        """The difference between two photos' views of the box: angle, and ratio of distances."""
         x, y = a.centre - centre, b.centre - centre
         far, near = float(np.linalg.norm(x)) + 1e-12, float(np.linalg.norm(y)) + 1e-12
         angle = float(np.arccos(np.clip(x @ y / (far * near), -1, 1)))
@@ -129,7 +129,7 @@ ISLAND, HOLE = 0.03, 0.003  # smaller ones, as shares of the object, are no part
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prior:
-    """What other photos say of the pixels of one, as shares of what each pixel shows, 0 to 1.
+    """Votes of other photos on one photo's pixels, as shares of each pixel, 0 to 1.
 
     Attributes:
         in_object: (H, W) of the object, as far as that can be told or guessed.

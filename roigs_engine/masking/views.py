@@ -34,7 +34,7 @@ def opencv() -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """Which rectangle of a photo is worked on, and at what size.
+    """The rectangle of a photo to work on, and its working size.
 
     Attributes:
         x, y, width, height: in pixels of the photo's camera.

@@ -127,7 +127,7 @@ def few_photos(roi: str, count: int, *, points: int = 1, tests: int = 0) -> list
 
 
 def kind_of_photos(count: int, tests: int) -> tuple[str, str]:
-    """What photos of a box are called, and the words about test photos behind its name.
+    """The name for a box's photos, and the words about test photos behind its name.
 
     `count`, `tests`: how many training and test photos see it.
     """

@@ -121,7 +121,7 @@ def kind_of(photo: Image.Image) -> str:
 
 
 def packing(photo: Image.Image) -> str:
-    """How a file stores values, in Pillow's words: "RGB;16B" for 16 bits a channel.
+    """The storage of values in a file, in Pillow's words: "RGB;16B" for 16 bits a channel.
 
     Empty once the photo is decoded.
     """

@@ -29,7 +29,7 @@ WRITE_SECONDS = 60.0
 
 @dataclass(frozen=True, kw_only=True)
 class Content:
-    """What a photo's file holds."""
+    """The content of a photo's file."""
 
     size: int  # bytes of the file
     modified: int  # its two times, ns

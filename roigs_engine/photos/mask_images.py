@@ -135,7 +135,7 @@ def load_mask(image: PosedImage) -> Mask | None:
 
 
 def load_object_mask(image: PosedImage, box: str) -> Mask | None:
-    """Which pixels of a posed photo show a box's object; None: it has no such mask.
+    """The pixels of a posed photo that show a box's object; None: it has no such mask.
 
     Raises as `load_mask`.
     """

@@ -26,7 +26,7 @@ ANYTHING = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".gif"}
 
 @dataclass(frozen=True, kw_only=True)
 class MaskOptions:
-    """Which masks the user wants."""
+    """The masks that the user wants."""
 
     folder: Path | None = None  # of the masks; None: `masks` beside the photos' folder
     inverted: bool = False  # in files, black marks what is used; alpha channels are not inverted

@@ -262,7 +262,7 @@ def checked_pixel_weights(
 
 
 def checked_depth(with_depth: Depth) -> Depth:
-    """Which depth; EngineError if there is no such one."""
+    """The kind of depth; EngineError if it is unknown."""
     if isinstance(with_depth, str) and with_depth != "median":
         raise EngineError(f"rasterize: with_depth is {with_depth!r}, not a bool or 'median'.")
     return with_depth if with_depth == "median" else bool(with_depth)

@@ -13,7 +13,7 @@ MIN_SIGMAS = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """Which Gaussians are drawn, and how far back; EngineError if a number is negative or NaN.
+    """Limits for the drawn Gaussians; EngineError if a number is negative or NaN.
 
     Attributes:
         max_slope: none whose centre is beside the image and has a larger |x / z| (camera frame), or

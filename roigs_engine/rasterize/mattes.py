@@ -25,7 +25,7 @@ COLOURS = 3
 def object_shares(
     drawn: Gaussians, indices: Tensor, alpha: Tensor, camera: Camera, world_to_camera: Float64
 ) -> dict[int, Tensor]:
-    """What each object adds to a picture's alpha, in front of what it hides.
+    """Each object's part of a picture's alpha; an object hides those behind it.
 
     The object with most Gaussians gets what the others leave, so two to four objects take one
     drawing more than the picture, and one object none.

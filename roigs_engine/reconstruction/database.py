@@ -101,7 +101,7 @@ def matched_pairs(database: Path) -> dict[Pair, int]:
 
 
 def pair_kinds(database: Path) -> Counter[int]:
-    """How often verified pairs are of each kind: `PANORAMIC`, `STILL`, or another of COLMAP's."""
+    """Number of verified pairs of each kind: `PANORAMIC`, `STILL`, or another of COLMAP's."""
     query = "SELECT config, rows FROM two_view_geometries"
     with _opened(database) as file:
         pairs = _rows(file, query, int, int)

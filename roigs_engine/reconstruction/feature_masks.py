@@ -30,7 +30,7 @@ RECORD = "masks.json"
 
 @dataclass(frozen=True, kw_only=True)
 class Kept:
-    """What the record says of a mask in the folder."""
+    """The record of a mask in the folder."""
 
     digest: str  # hash of all that decides it
     sha256: str  # of its file, as it was written

@@ -72,7 +72,7 @@ class Folder:
 
     @property
     def log(self) -> Path:
-        """What pycolmap says."""
+        """The log of pycolmap's messages."""
         return self.work("log.txt")
 
     @contextmanager

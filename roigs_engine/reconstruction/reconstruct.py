@@ -73,7 +73,7 @@ def threads_of(request: Reconstruct) -> int:
 
 
 def threads_in_memory(photos: Sequence[Photo], max_side: int, threads: int) -> int:
-    """So many threads, or as many as find features in half of the machine's memory."""
+    """The number of threads, limited so that finding features takes half of the memory."""
     needed = []
     for photo in photos:
         pixels, shrink = photo.size[0] * photo.size[1], min(1.0, max_side / max(photo.size))

@@ -26,7 +26,7 @@ SHARE = 0.9  # of the photos: if fewer are registered, it is a warning
 
 @dataclass(frozen=True, kw_only=True)
 class Reconstruction:
-    """What a reconstruction found."""
+    """The result of a reconstruction."""
 
     found: Found  # the photos, and those that were left out
     features: Mapping[str, int]  # name -> number of features
@@ -49,7 +49,7 @@ class Reconstruction:
 def warnings_of_matches(
     names: Sequence[str], matched: Mapping[Pair, int], kinds: Mapping[int, int]
 ) -> list[str]:
-    """What the matches tell before photos are registered: one sentence each, usually none.
+    """Warnings from the matches, before photos are registered: a sentence each, usually none.
 
     `matched`, `kinds`: `database.matched_pairs` and `database.pair_kinds`.
     """

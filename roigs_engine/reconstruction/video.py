@@ -115,7 +115,7 @@ class Video:
         self.damaged = self.damaged or number + 1 < ENDS_EARLY * self.expected
 
     def words(self) -> list[str]:
-        """What the last passes have assumed and converted, in sentences; none before the first."""
+        """Assumptions and conversions of the last passes, in sentences; none before the first."""
         said = self.colours.words() if self.colours else []
         return [*said, "It is interlaced: it was deinterlaced."] if self.deinterlaced else said
 
@@ -326,7 +326,7 @@ def look(video: Video, context: Context) -> list[Seen]:
 
 
 def shift(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> float:
-    """How far the picture has moved, px: the mean over its blocks, each by phase correlation."""
+    """Movement of the picture, px: the mean over its blocks, each by phase correlation."""
     rows, columns = (max(1, length // BLOCK) for length in before.shape)
     height, width = before.shape[0] // rows, before.shape[1] // columns
     window = np.outer(np.hanning(height), np.hanning(width))

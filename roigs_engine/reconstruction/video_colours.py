@@ -47,7 +47,7 @@ def _to_pq(light: Light) -> Light:
 
 @dataclass(frozen=True, kw_only=True)
 class Colours:
-    """How a stream's pixels are read: numbers of H.273.
+    """The interpretation of a stream's pixels: numbers of H.273.
 
     Attributes:
         matrix: of luma and chroma.
@@ -72,7 +72,7 @@ class Colours:
         return self.primaries == 1 and self.transfer in LIKE_SRGB and unscaled
 
     def words(self) -> list[str]:
-        """What users should know, in sentences."""
+        """Sentences for the user."""
         said = [f"The video names no {self.assumed}."] if self.assumed else []
         names = (PRIMARIES[self.primaries][0], CURVES[self.transfer][0])
         if self.transfer in (PQ, HLG):

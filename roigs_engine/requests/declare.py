@@ -99,7 +99,7 @@ def argument(kind: Kind, text: str) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """What a piece of work is asked for. Its values are checked when it is made.
+    """The input of a command. Its values are checked when it is created.
 
     Lists become tuples and texts become paths, so that `Select(scene="garden", roi=["auto"])` is as
     good as the exact types. None is as good as no value.

@@ -64,7 +64,7 @@ class PhotoSize(Photos, Threads, heading="scene"):
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoMasks(Request, heading="scene"):
-    """Which parts of the photos are ignored."""
+    """The ignored parts of the photos."""
 
     masks: Path | None = option(
         DIR,
@@ -137,7 +137,7 @@ class Boxes(Request, heading="boxes"):
 
 @dataclass(frozen=True, kw_only=True)
 class Selection(Request, heading="selection"):
-    """How photos are selected, and which are test photos."""
+    """The selection of photos, and the test photos."""
 
     method: str | None = option(
         Choice(choices.METHODS),
@@ -220,7 +220,7 @@ class Training(Request, heading="training"):
 
 @dataclass(frozen=True, kw_only=True)
 class Layout(Request, heading="large scenes, many boxes"):
-    """How training is laid out: in blocks of the scene, in groups of boxes."""
+    """The layout of training: blocks of the scene, groups of boxes."""
 
     blocks: int | str | None = option(
         AutoOr(low=1, high=choices.MOST_BLOCKS),

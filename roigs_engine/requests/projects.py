@@ -17,7 +17,7 @@ FEW_PHOTOS, MANY, USUAL = 40, 8192, 2048  # photos, and their features; more pho
 
 @dataclass(frozen=True, kw_only=True)
 class ReconstructionMethod(Request, heading="method"):
-    """What decides the result of a reconstruction."""
+    """Options that decide the result of a reconstruction."""
 
     max_side: int = option(
         integer(64, LARGEST_SIDE, metavar="PX"),
@@ -78,7 +78,7 @@ class Reconstruct(PhotoMasks, ReconstructionMethod, Threads):
 
 @dataclass(frozen=True, kw_only=True)
 class Inspect(Scene, Boxes):
-    """What a COLMAP model contains, and the photos that see each box."""
+    """Show the content of a COLMAP model, and the photos that see each box."""
 
     check_photos: bool = option(FLAG, "decode every photo, and skip damaged ones", False)
     json: bool = option(FLAG, "print the result as JSON", False)

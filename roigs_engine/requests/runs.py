@@ -181,7 +181,7 @@ class MakeSurface(Threads, Device):
 
 @dataclass(frozen=True, kw_only=True)
 class Confidence(Threads, Device):
-    """How well the photos of a finished run know each Gaussian."""
+    """Measure how well the photos of a finished run cover each Gaussian."""
 
     run: Path = argument(PATH, "folder of the run")
     model: Path | None = option(
@@ -236,7 +236,7 @@ class Batch(Request):
 
 @dataclass(frozen=True, kw_only=True)
 class Clean(Request):
-    """What can be made again, removed from a run folder."""
+    """Remove recreatable files from a run folder."""
 
     run: Path = argument(PATH, "folder of the run; its results stay")
     dry_run: bool = option(FLAG, "print the files to remove, and remove nothing", False)

@@ -69,7 +69,7 @@ class Run:
         return self.validation if self.config.evaluate_on == VALIDATION else self.test
 
     def split(self) -> dict[str, Any]:
-        """Which photos are evaluated on; ready for JSON."""
+        """The photos to evaluate on; ready for JSON."""
         record = {"evaluate_on": self.config.evaluate_on, TEST: list(self.test)}
         return record | ({VALIDATION: list(self.validation)} if self.validation else {})
 

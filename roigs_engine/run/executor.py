@@ -127,7 +127,7 @@ class Executor:
         )
 
     def status(self, stage: Stage) -> StageResult | int:
-        """How far a stage is: see `StageFolder.peek`."""
+        """The progress of a stage: see `StageFolder.peek`."""
         return self._folder(stage).peek()
 
     def list_stages(self, plan: Plan) -> None:

@@ -53,7 +53,7 @@ OUTPUTS = 4  # times a model: whole, without boxes, the boxes' Gaussians, a prev
 
 @dataclass(frozen=True, kw_only=True)
 class StageForecast:
-    """What is expected of a whole stage, or known of a finished one."""
+    """Estimates for a whole stage; measured values for a finished one."""
 
     stage: Stage
     end: int  # Gaussians at the end
@@ -72,7 +72,7 @@ class StageForecast:
 
 @dataclass(frozen=True, kw_only=True)
 class Forecast:
-    """What a plan will take."""
+    """Estimates for a plan."""
 
     stages: Sequence[StageForecast]  # in the order of training
     evaluation: float  # seconds to evaluate all models
@@ -112,7 +112,7 @@ def forecast_if_long(run: Run, plan: Plan, context: Context) -> Forecast | None:
 
 
 def forecast(run: Run, plan: Plan, context: Context) -> Forecast:
-    """What a plan will take; trains a few steps to measure their time."""
+    """Estimate a plan; trains a few steps to measure their time."""
     executor, estimator = Executor(run, context), Estimator(run.train_scene, context)
     ends: dict[str, int] = {}
     stages = []
@@ -165,7 +165,7 @@ def expected_start(source: Source, ends: dict[str, int], scene: SfmScene) -> int
 
 
 def disk_space(run: Run, expected: Forecast) -> Message:
-    """What the run will write at most; a warning if less is free."""
+    """The most disk space that the run needs; a warning if less is free."""
     missing = [stage for stage in expected.stages if not stage.is_done]
     distorted = missing_in(run.folder / CACHE, run.scene.images)
     needed = PER_PIXEL * sum(image.camera.width * image.camera.height for image in distorted)

@@ -35,7 +35,7 @@ from .config import RunConfig
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cell:
-    """What one stage trains.
+    """The training data of one stage.
 
     Attributes:
         share: of the photos that see a box of its group, those that see its own; of all photos, its

@@ -193,7 +193,7 @@ def result_of(stage: Stage) -> Source:
 
 
 def camera_record(image: PosedImage) -> tuple[Any, ...]:
-    """What decides which Gaussians a photo shows."""
+    """The numbers that decide which Gaussians a photo shows."""
     return asdict(image.camera), image.world_to_camera.tolist()
 
 

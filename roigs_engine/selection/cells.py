@@ -36,7 +36,7 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Views:
-    """Which photo observes which point.
+    """The points that each photo observes.
 
     Attributes:
         scene: V photos, P points.

@@ -24,7 +24,7 @@ from .score import DensityOccupancy, Score
 
 @dataclass(frozen=True)
 class Method:
-    """How a method orders photos, best first, and the score of a set of them."""
+    """A method: it orders photos, best first, and scores a set of them."""
 
     order: Callable[[Request], Picks]
     score: Callable[[Candidates, Context], Score] = DensityOccupancy

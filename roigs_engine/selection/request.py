@@ -67,7 +67,7 @@ def static_features(candidates: Candidates, context: Context = QUIET) -> StaticF
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Request:
-    """What a method gets; `count` is how many of the candidates to pick, at most all."""
+    """The input of a method; `count` is the number of candidates to pick, at most all."""
 
     candidates: Candidates
     features: StaticFeatures

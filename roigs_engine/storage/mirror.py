@@ -89,7 +89,7 @@ def _listed(found: FileSystem, place: str, url: str) -> dict[str, list[Any]]:
 
 
 def sign(facts: Mapping[str, Any]) -> list[Any]:
-    """What changes with a file, of what a store tells: its size, and a mark of its content.
+    """A mark that changes with a file, from the store's facts: its size, and a mark of its content.
 
     StoreError: it does not tell the size.
     """

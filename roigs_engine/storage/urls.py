@@ -74,7 +74,7 @@ def guarded(place: str, *passes: type[Exception]) -> Iterator[None]:
 
 
 def reason(error: Exception) -> str:
-    """What a store says of an error; fsspec's configuration may have addresses with secrets."""
+    """The store's words for an error; fsspec's configuration may have addresses with secrets."""
     return f"{without_secrets(first_line(error)):.100}"
 
 

@@ -97,7 +97,7 @@ def smaller_scene(scene: SfmScene) -> SfmScene:
 
 @dataclass(frozen=True, kw_only=True)
 class BackgroundPlan:
-    """How it fits into memory: voxels of a grid at most, and bytes that all takes, about."""
+    """The memory plan: most voxels of a grid, and bytes of everything, about."""
 
     voxels: int
     memory: int

@@ -166,7 +166,7 @@ class _Ray:
 
 
 def slopes(depth: Float32, camera: Camera) -> tuple[Float32, Float32]:
-    """How steep the surface of a depth map is, from the gradient of 1 / depth.
+    """Slopes of the surface of a depth map, from the gradient of 1 / depth.
 
     Returns:
         (H, W) distance to the surface's plane / difference in depth; (H, W) the cosine between its

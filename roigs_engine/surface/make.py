@@ -37,7 +37,7 @@ FEWEST = 5  # photos: with fewer, much stays open
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceOptions:
-    """What a surface is to be.
+    """Options of a surface.
 
     Attributes:
         faces: of the mesh, at most.

@@ -32,7 +32,7 @@ NEAR_ENOUGH = 1.5  # depth maps so many times finer than the field stay as they 
 
 @dataclass(frozen=True, kw_only=True)
 class SurfacePlan:
-    """How a surface fits into memory.
+    """The memory plan of a surface.
 
     Attributes:
         coarser: how many times larger than the photos' the pixels of depth maps are.

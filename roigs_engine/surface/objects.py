@@ -60,7 +60,7 @@ def painted(
 
 
 def support_of(maps: Sequence[DepthMap], roi: OrientedBox, voxel: float) -> Support | None:
-    """What the object of depth maps with masks stands on; None: no plane below it is found.
+    """The support of the object, from depth maps with masks; None: no plane is below it.
 
     The plane with the most points beside the object, among those that have the object on one side
     (RANSAC, Fischler and Bolles 1981).

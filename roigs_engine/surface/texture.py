@@ -142,7 +142,7 @@ class _View:
         return whole[m.y : m.y + m.camera.height, m.x : m.x + m.camera.width, :3].astype(np.float32)
 
     def sees(self, points: _Points) -> tuple[NDArray[np.int64], Float64, Float64]:
-        """Which points the photo shows: their rows, pixels (M, 2) from the part's corner, weights.
+        """Points that the photo shows: rows, pixels (M, 2) from the part's corner, weights.
 
         The weight is the cosine between ray and normal, over the square of the pixel's size.
         """

@@ -132,7 +132,7 @@ class Mechanism:
         return type(self).begin is not Mechanism.begin
 
     def begin(self, config: TrainConfig, training: Training) -> Running:
-        """What acts while the stage trains; asked if it `acts`.
+        """The running part of the mechanism; called if it `acts`.
 
         `training` has the stage's first model, or that of a checkpoint.
         """
@@ -187,7 +187,7 @@ class TrainConfig:
 
     @property
     def target(self) -> Target:
-        """What `made_for` names."""
+        """The target that `made_for` names."""
         return TARGETS[self.made_for]
 
     def get(self, kind: type[Part]) -> Part | None:

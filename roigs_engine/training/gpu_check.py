@@ -161,7 +161,7 @@ def compare(device: torch.device) -> dict[str, float]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """What is drawn, on one device."""
+    """The test scene on one device."""
 
     model: dict[str, Tensor]  # by name, in the form that is trained
     view: tuple[Tensor, Tensor]  # a camera's pose (1, 4, 4) and intrinsics (1, 3, 3)

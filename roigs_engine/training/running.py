@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Training(Protocol):
-    """What a mechanism may use of the trainer."""
+    """The parts of the trainer that a mechanism may use."""
 
     context: Context
     step: int  # steps done
@@ -79,7 +79,7 @@ class Running:
     def surface_loss(
         self, surface: Surface, alpha: Tensor, intrinsics: Tensor, weights: Tensor | None
     ) -> Tensor:
-        """What a step adds to the photo's loss, a scalar.
+        """A term that a step adds to the photo's loss, a scalar.
 
         Args:
             surface: of the part of the photo that the step uses, (1, H, W).

@@ -58,7 +58,7 @@ def compared(request: Convert, up: str, model: Model, context: Context) -> Array
 
 
 def page_extras(request: Convert, before: Arrays | None, model: Model) -> Extras:
-    """What the page shows besides, with boxes and photos turned as the model is."""
+    """The extra content of a page, with boxes and photos rotated like the model."""
     from ...exchange.page import Ball, Extras
 
     matrix, poses = model.matrix, model.poses

@@ -53,7 +53,7 @@ def read_arrays(path: Path, context: Context) -> Arrays:
 
 
 def cropped(arrays: Arrays, request: Convert, home: Float64) -> Arrays:
-    """What is in the boxes; everything if none is given. `home` leads to the boxes' frame."""
+    """The Gaussians in the boxes; all if there is no box. `home` leads to the boxes' frame."""
     rois = boxes_of(request, required=False)
     if not rois:
         return arrays

@@ -177,7 +177,7 @@ class Cutouts:
             self._pair_at = mixed(*order, MASKED_SHARE)
 
     def at(self, step: int) -> Cutout | None:
-        """What a step draws; None: it is an ordinary one."""
+        """The drawing of a step; None: it is an ordinary step."""
         import torch
 
         from ...cuda.device import sent
