@@ -12,6 +12,7 @@ from ..batch.record import BatchRecord
 from ..batch.staged import local_options, stored_run
 from ..context import Context
 from ..errors import ConfigError, EngineError, RunFolderError
+from ..formats.files import own_folder
 from ..formats.run_files import BATCH, CACHE, CROPS, MANIFEST, REPORT_DATA, REPORT_PAGE
 from ..photos.contents import FILE as CONTENTS
 from ..requests.values import is_url
@@ -31,12 +32,13 @@ class Store:
     """The folder of a batch on a store (`url`), and a copy here of what its page needs."""
 
     def __init__(self, url: str, context: Context) -> None:
-        """Raises ConfigError if the address cannot be used."""
+        """ConfigError: the address cannot be used. RunFolderError: the copy here is a link."""
         refuse_lost(url)
         self.url = url
         self.folder = folder_of(url, BATCHES)
         self._should_stop = context.should_stop
         self._found, self._place = file_system(url, context.should_stop, own=True)
+        make_copy(self.folder)  # before anything in it is locked, deleted or written
         self._there: set[str] = set()
 
     @contextmanager
@@ -61,7 +63,6 @@ class Store:
         """Copy here the record of earlier batches, and of each run what that needs."""
         here = self.folder / BATCH
         here.unlink(missing_ok=True)
-        make_copy(self.folder)
         listed = self._found.find(f"{self._place}/{BATCH}", detail=True)
         if small_files(listed):
             self._found.get_file(f"{self._place}/{BATCH}", str(here))
@@ -102,7 +103,7 @@ class Store:
             self._there.add(f"{name}/{file}")
             return file in SHOWN or file.startswith(f"{CROPS}/")
 
-        self.run(name).fetch(self.folder / name, wanted)
+        self.run(name).fetch(own_folder(self.folder, name), wanted)
 
     def is_there(self, name: str) -> bool:
         """Whether a run that was fetched has a file, by its name in the batch's folder."""

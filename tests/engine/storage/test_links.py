@@ -133,6 +133,31 @@ def test_a_batch_writes_through_no_link(
     assert untouched(mine)
 
 
+@pytest.mark.parametrize("name", ["", "hall"])
+@pytest.mark.parametrize("more", [[], ["--dry-run"]])
+def test_a_batch_on_a_store_deletes_nothing_through_a_link_here(
+    tmp_path: Path,
+    store: Path,
+    mine: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    name: str,
+    more: list[str],
+) -> None:
+    monkeypatch.setenv(HOME, str(tmp_path / "copies"))
+    url = f"file://{tmp_path / 'runs'}"
+    link = folder_of(url, "batches") / name
+    link.parent.mkdir(parents=True)
+    for own in ("batch.json", "report.html", "report.json", "manifest.json"):
+        (mine / own).write_bytes(MINE)
+    link.symlink_to(mine)
+    table = tmp_path / "t.toml"
+    table.write_text(f"[scenes.hall]\nscene = 'hall'\nroi = ['{BOX}']\n", encoding="utf-8")
+    there = {path.name for path in mine.iterdir()}
+    assert "is a link" in refused(capsys, "batch", table, "--run-dir", url, *more)
+    assert {path.name for path in mine.iterdir() if path.read_bytes() == MINE} == there
+
+
 def test_a_number_of_a_commit_is_small(store: Path, run: Path) -> None:
     stored = stored_run(f"file://{store}", "hall")
     stored.publish(run, "scene", last=False)
