@@ -17,6 +17,7 @@ import numpy as np
 from ..geometry.splat_cloud import SH_C0
 from ..properties import object_props
 from . import clouds, edits, instances, lookup, native_splats
+from .node_groups import known_group
 from .splat_attributes import SH_NAMES
 
 MODIFIER = "Drawn as Gaussians"
@@ -30,6 +31,13 @@ INPUTS = f'modifiers["{MODIFIER}"].properties.inputs'
 BASE = "radiance:base"
 APPLIED = ("Applied X", "Applied Y", "Applied Z")
 """Inputs of that group: the columns of the (3, 3) map that all points went through, by Apply."""
+TREE = "GeometryNodeTree"
+GEOMETRY = (("Geometry", "INPUT", "Geometry"), ("Geometry", "OUTPUT", "Geometry"))
+SOCKETS = (
+    *GEOMETRY,
+    (EXPOSURE, "INPUT", "Float"),
+    *((name, "INPUT", "Vector") for name in (TINT, *APPLIED)),
+)
 
 
 def is_native(item: bpy.types.Object, *, viewport: bool = False) -> bool:
@@ -129,9 +137,9 @@ def _let_go(item: bpy.types.Object) -> None:
 
 def _nothing_group() -> bpy.types.NodeTree:
     """A geometry-nodes group without any geometry."""
-    known = bpy.data.node_groups.get(NOTHING)
-    if known is not None:
-        return known
+    if (known := known_group(NOTHING, TREE, GEOMETRY)) is not None:
+        found: bpy.types.NodeTree = known
+        return found
     group = clouds.geometry_group(NOTHING)
     group.nodes.new("NodeGroupOutput")
     made: bpy.types.NodeTree = group
@@ -144,9 +152,9 @@ def _splats_group() -> bpy.types.NodeTree:
     Colours are 0.5 + SH. To multiply them by gains, all coefficients are, and the rest is added to
     the first. Without gains no attribute is written, so Blender does not copy any.
     """
-    known = bpy.data.node_groups.get(SPLATS)
-    if known is not None:
-        return known
+    if (known := known_group(SPLATS, TREE, SOCKETS)) is not None:
+        found: bpy.types.NodeTree = known
+        return found
     group = clouds.geometry_group(SPLATS)
     for name, kind in ((EXPOSURE, "NodeSocketFloat"), (TINT, "NodeSocketVector")):
         socket = group.interface.new_socket(name, in_out="INPUT", socket_type=kind)

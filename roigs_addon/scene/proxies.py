@@ -25,12 +25,18 @@ from ..properties import object_props, scene_props
 from ..shared import files, transforms
 from ..stage_properties import FAR, stage_props
 from . import box_surfaces, lookup, shadow_pass, stage, textured_meshes
+from .node_groups import known_group
 
 BACKGROUND = "Background"
 GROUP = "ROI-GS Captured Surface"
 """Node group of the proxies' materials."""
 SHADE = "Shade"
 """Its input: how far away what shades a proxy may be."""
+SOCKETS = (
+    ("Color", "INPUT", "Color"),
+    *((name, "INPUT", "Float") for name in ("Distance", SHADE)),
+    ("Surface", "OUTPUT", "Shader"),
+)
 REACH, SHADES = 8.0, 2.0
 """In radii of the user's object: how far proxies shine, and how far it shades them. At 8, places in
 the light's picture are wrong by 7 degrees; the object covers a fifteenth of the light at 2."""
@@ -316,13 +322,11 @@ def _group() -> Any:
 
     Mirrors and glass see it at any distance: the picture that they see has no lamps to let through.
     """
-    known = bpy.data.node_groups.get(GROUP)
-    if known is not None:
+    if (known := known_group(GROUP, "ShaderNodeTree", SOCKETS)) is not None:
         return known
     group: Any = bpy.data.node_groups.new(GROUP, "ShaderNodeTree")
-    for name, kind in (("Color", "Color"), ("Distance", "Float"), (SHADE, "Float")):
-        group.interface.new_socket(name, in_out="INPUT", socket_type=f"NodeSocket{kind}")
-    group.interface.new_socket("Surface", in_out="OUTPUT", socket_type="NodeSocketShader")
+    for name, way, kind in SOCKETS:
+        group.interface.new_socket(name, in_out=way, socket_type=f"NodeSocket{kind}")
     new, link = group.nodes.new, group.links.new
     start, end, rays = new("NodeGroupInput"), new("NodeGroupOutput"), new("ShaderNodeLightPath")
     catches, shines, clear = (
