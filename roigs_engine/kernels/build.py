@@ -168,12 +168,25 @@ def _compiler_command(compiler: str, target: str) -> tuple[list[str], bool]:
         if compiler == "zig":
             raise BuildError("The package ziglang is not installed: run `pip install ziglang`.")
     for candidate in (os.environ.get("CXX", ""), "c++", "g++", "clang++"):
-        words = candidate.split()
-        if words and shutil.which(words[0]):
+        name, *options = candidate.split() or [""]
+        if program := _program(name):
             if target != native_platform():
                 raise BuildError(f"Building for {target} here needs `pip install ziglang`.")
-            return words, False
+            return [program, *options], False
     raise BuildError("No C++ compiler found: run `pip install ziglang`, or set CXX.")
+
+
+def _program(name: str) -> str | None:
+    """The full path of a compiler; never one in the working folder, which may be a stranger's.
+
+    There, `shutil.which` and Windows look first, and wherever PATH has a relative entry.
+    """
+    if not name or os.path.dirname(name):
+        return shutil.which(name) if os.path.isabs(name) else None
+    folders = filter(os.path.isabs, os.environ.get("PATH", "").split(os.pathsep))
+    file = f"{name}.exe" if os.name == "nt" and not name.lower().endswith(".exe") else name
+    paths = (os.path.join(folder, file) for folder in folders)
+    return next((p for p in paths if os.path.isfile(p) and os.access(p, os.X_OK)), None)
 
 
 def compile_all(

@@ -12,6 +12,7 @@ import pytest
 from roigs_engine.batch.engine_process import DONE, run_engine
 from roigs_engine.context import QUIET
 from roigs_engine.errors import EngineError
+from roigs_engine.kernels import build
 from roigs_engine.machine import child_environment
 from roigs_engine.reconstruction.child import run_task
 from tests.engine.synthetic_colmap import write_project
@@ -104,3 +105,21 @@ def test_its_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Non
     found = child_environment()
     assert found["PYTHONPATH"].split(os.pathsep) == [str(ROOT), str(tmp_path)]
     assert found["PYTHONSAFEPATH"] == "1"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="makes programs of POSIX")
+@pytest.mark.parametrize("entry", ["", "."])
+def test_a_compiler_in_the_working_folder_is_not_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, entry: str
+) -> None:
+    """Windows looks there first, as POSIX does for such an entry of PATH."""
+    (tmp_path / "own").mkdir()
+    for folder, name in (("", "c++"), ("own", "g++")):
+        (tmp_path / folder / name).write_text("#!/bin/sh\n")
+        (tmp_path / folder / name).chmod(0o755)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", f"{entry}{os.pathsep}{tmp_path / 'own'}")
+    for given, expected in (("", []), ("./c++", []), ("g++ -O1", ["-O1"])):
+        monkeypatch.setenv("CXX", given)
+        command, _ = build._compiler_command("cxx", build.native_platform())
+        assert command == [str(tmp_path / "own" / "g++"), *expected]
