@@ -29,6 +29,8 @@ COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 INSTANCES = "EXT_mesh_gpu_instancing"
 MAGIC, VERSION, JSON, BIN = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
 MOST_JSON = 16 << 20  # bytes
+MOST_VALUES = 4 << 20
+"""Values of JSON: each takes up to a hundred bytes of memory, and two of the file."""
 
 Wanted = Callable[[dict[str, Any]], bool]
 """Whether a primitive is one of those that somebody reads."""
@@ -107,6 +109,9 @@ class GltfFile:
         self.buffers: dict[int, bytes] = {}
         self.beside: dict[str, bytes] = {}  # content of files by their names
         text = raw if path.suffix.lower() == ".gltf" else self._json_of_glb(raw)
+        # A .gltf may be large: with its numbers in it, in letters that are none of these.
+        if sum(map(text.count, (b",", b"[", b"{"))) > MOST_VALUES:
+            raise ValueError("its JSON has too many values")
         self.record: dict[str, Any] = json.loads(text)
         if not isinstance(self.record, dict):
             raise ValueError("no object of JSON")

@@ -265,16 +265,17 @@ def _skip(
             length = element.count * sum(width for _, width in columns)
             file.seek(min(file.tell() + length, size))
             continue
-        for index in range(min(element.count, size + 1)):  # a row has a byte at least
+        for index in range(element.count):  # a row has a byte at least
             if not index % LINES:
                 check()
             for kind, width in columns:
-                values = 1
+                values, there = 1, True
                 if kind:
                     number = file.read(int(kind[1]))
+                    there = len(number) == int(kind[1])  # else rows without end would follow
                     signed = kind[0] == "i"
                     values = int.from_bytes(number, "big" if big else "little", signed=signed)
-                if values < 0 or file.seek(values * width, io.SEEK_CUR) > size:
+                if not there or values < 0 or file.seek(values * width, io.SEEK_CUR) > size:
                     text = f"{path} is truncated: its element {element.name:.40} is cut off."
                     raise RunFolderError(text, HINT_DAMAGED)
 

@@ -22,6 +22,7 @@ from roigs_engine.errors import EngineError
 from roigs_engine.exchange import formats, gltf, gltf_file, libraries, spz
 from roigs_engine.formats.splat_ply import read_ply, write_ply
 from tests.fuzz import exchange
+from tests.waiting import at_most
 
 pytestmark = pytest.mark.cold
 
@@ -297,3 +298,23 @@ def test_gltf_that_shows_one_spz_again_and_again(
     with pytest.raises(EngineError, match="would unpack to"):
         formats.read(path)
     assert (decoded.call_count, moved.call_count) == (2, 1 + 120 + 1)
+
+
+def test_gltf_of_millions_of_empty_lists(tmp_path: Path) -> None:
+    """Each would take thirty times its bytes."""
+    data = b'{"asset": {"version": "2.0"}, "extras": [' + b"[]," * (2_100_000)
+    with at_most(5, AssertionError("it is parsed")):
+        refused(tmp_path / "a.gltf", data + b"[]]}", "too many values")
+
+
+def test_a_ply_of_many_elements_that_are_cut_off(tmp_path: Path) -> None:
+    """Each would be looked for as often as the file has bytes."""
+    whole = tmp_path / "a.ply"
+    whole.write_bytes(exchange.good(".ply", 1))
+    head, vertices = whole.read_bytes().split(b"end_header")[0].split(b"element vertex", 1)
+    lists = b"".join(
+        b"element e%d 999999999\nproperty list uchar char a\n" % k for k in range(20_000)
+    )
+    whole.write_bytes(head + lists + b"element vertex" + vertices + b"end_header\n" + bytes(2000))
+    with at_most(5, AssertionError("it goes on")), pytest.raises(EngineError, match="cut off"):
+        read_ply(whole)
