@@ -15,7 +15,7 @@ import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,7 @@ READ = COMPRESSIONS | {*JPEG_2000, WEBP, PNG}
 TYPE_BYTES = np.array([0, 1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8, 4, 0, 0, 8, 8, 8])
 """Bytes of a value, by the number of its type (TIFF 6.0, section 2, and BigTIFF)."""
 MOST_TAGS = 4096  # of a page
+MOST_LOOKS = 1024  # at lists of tags: of pages, of pages below them, of EXIF data
 MOST_PLACES = 1 << 22  # numbers in a page's lists: the places of strips and tiles, and below it
 LISTS, BELOW = (273, 279, 324, 325, 330), (330, 34665, 34853, 40965)  # BELOW: of other pages
 HINT = "Save it as a TIFF of 8 or 16 bits, grey or RGB, or as PNG."
@@ -114,18 +115,37 @@ def check_tags(file: BinaryIO) -> None:
     if head[:4] not in MAGIC:
         return
     big, size = head[2:4] in (b"+\0", b"\0+"), file.seek(0, io.SEEK_END)
+    kind = _Kind(order, big, size, set())
     with suppress(struct.error):  # the data end
         (at,) = struct.unpack_from(order + ("8xQ" if big else "4xI"), head)
         for page in range(MOST_PAGES):
-            at = _check_directory(file, at, (order, big, size), 0 if page else 2) if at else 0
+            at = _check_directory(file, at, kind, 0 if page else 2) if at else 0
 
 
-def _check_directory(file: BinaryIO, at: int, kind: tuple[str, bool, int], depth: int) -> int:
+class _Kind(NamedTuple):
+    """Of a TIFF's data: byte order, whether it is a BigTIFF, and bytes.
+
+    `looked`: places of its lists of tags that were looked at, and how deep below the first page
+    the lists were that those name: they may name one another.
+    """
+
+    order: str
+    big: bool
+    size: int
+    looked: set[tuple[int, int]]
+
+
+def _check_directory(file: BinaryIO, at: int, kind: _Kind, depth: int) -> int:
     """`check_tags` of the page at `at`; returns the place of the next one, 0 for none.
 
-    `kind`: byte order, whether it is a BigTIFF, bytes of the file; `depth`: of pages below.
+    `depth`: of pages below.
     """
-    order, big, size = kind
+    order, big, size, looked = kind
+    if (at, depth) in looked:
+        return 0
+    looked.add((at, depth))
+    if len(looked) > MOST_LOOKS:
+        raise ValueError(f"it has more than {MOST_LOOKS:,} lists of tags")
     width = 8 if big else 4
     file.seek(at)
     (count,) = struct.unpack(order + ("Q" if big else "H"), file.read(8 if big else 2))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from roigs_engine.photos.headers import PhotoError, open_photo, photo_size
 from roigs_engine.photos.mask_images import alpha_mask, has_alpha
 from roigs_engine.reconstruction.convert import converted
 from roigs_engine.reconstruction.folder import Folder
+from tests.waiting import at_most
 
 tifffile = pytest.importorskip("tifffile")
 pytest.importorskip("imagecodecs")
@@ -335,6 +337,29 @@ def test_exif_data_whose_tags_overlap_are_not_read(tmp_path: Path, suffix: str) 
     with open_photo(path) as photo:
         assert len(photo.getexif()) == 0
     assert np.array_equal(decode(path), COLOUR)
+
+
+def pages_of_pages(count: int, apart: int) -> bytes:
+    """TIFF data with so many lists of tags, `apart` in bytes; each names the first ones of them."""
+    own = b"".join(struct.pack("<HHII", 330, 4, 1, 8 + apart * k) for k in range(count))
+    listed = struct.pack("<H", count) + own + struct.pack("<I", 0)
+    return b"II*\0" + struct.pack("<I", 8) + listed + bytes(apart * count)
+
+
+@pytest.mark.parametrize("apart", [0, 12])
+@pytest.mark.parametrize("suffix", [".tif", ".jpg"])
+def test_pages_below_that_name_one_another_end_soon(
+    tmp_path: Path, suffix: str, apart: int
+) -> None:
+    """1,000 lists of tags that each name all of them: a million looks, each at 1,000 tags."""
+    data, path = pages_of_pages(1000, apart), tmp_path / f"a{suffix}"
+    if suffix == ".tif":
+        path.write_bytes(data)
+    else:
+        Image.fromarray(COLOUR).save(path, exif=b"Exif\0\0" + data)
+    late = MemoryError("it goes on")  # others become a PhotoError
+    with at_most(8, late), suppress(PhotoError), open_photo(path) as photo:
+        photo.load()
 
 
 def test_floats_of_gigabytes_are_not_supported(tmp_path: Path) -> None:
