@@ -46,6 +46,7 @@ EXIF_IFD, COLOUR_SPACE, INTEROPERABILITY_IFD, INDEX = 0x8769, 0xA001, 0xA005, 1
 SAYS_SRGB, SAYS_ADOBE = 1, 2
 GAMMA, GAMMA_TOLERANCE = 1 / 2.2, 0.05  # of a PNG in sRGB, as libpng decides
 ROUNDING = 2  # of 255: sRGB's profiles differ by that
+MOST_PROFILE = 8 << 20  # bytes; those with tables for printers have some 3 MB
 LATTICE = 17  # values of each channel for which a profile is compared with sRGB
 BLACK_POINT: Any = 0x2000  # LittleCMS's flag, which has no name in Pillow 10.1
 MODES = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK", "Lab ": "LAB"}
@@ -196,6 +197,8 @@ def _profile(photo: Image.Image) -> bytes | Space:
         embedded = _of_jpeg2000(path)
     if photo.format == "BMP":
         embedded = _of_bmp(path)
+    if embedded and len(embedded) > MOST_PROFILE:
+        raise ProfileError(f"a profile of {len(embedded) >> 20} MB")
     if embedded:
         return embedded
     if photo.format == "PNG":

@@ -183,7 +183,8 @@ def space_of_profile(icc: bytes) -> Space | None:
     """
     (count,) = struct.unpack_from(">I", icc, 128)
     entries = [struct.unpack_from(">4sII", icc, 132 + 12 * k) for k in range(count)]
-    tags = {name: icc[start : start + size] for name, start, size in entries}
+    whole = memoryview(icc)  # tags may share their data: no copies
+    tags = {name: whole[start : start + size] for name, start, size in entries}
     if icc[20:24] != b"XYZ " or any(name[:3] in (b"A2B", b"D2B") for name in tags):
         return None
     names = (b"k",) if icc[16:20] == b"GRAY" else (b"r", b"g", b"b")
@@ -203,7 +204,7 @@ def space_of_profile(icc: bytes) -> Space | None:
     return Space(tuple(curve.astype(np.float32) for curve in compensated), matrix)
 
 
-def _curve(tag: bytes) -> Values:
+def _curve(tag: memoryview) -> Values:
     """(65536,) linear light of a tag: curveType or parametricCurveType (ICC.1, 10.6 and 10.18)."""
     values = np.linspace(0, 1, 65536)
     if tag[:4] == b"curv":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
+import tracemalloc
 import zlib
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from roigs_engine.photos.colours import colours_in_words
 from roigs_engine.photos.contents import read_contents
 from roigs_engine.photos.decode import decode
 from roigs_engine.photos.headers import CONVERTED, DAMAGED
-from roigs_engine.photos.profiles import ADOBE_GAMMA, SRGB, srgb_curve
+from roigs_engine.photos.profiles import ADOBE_GAMMA, SRGB, space_of_profile, srgb_curve
 from tests.icc_profiles import ADOBE_PROFILE, P3, P3_PROFILE, power_curve, profile
 
 # Colours of sRGB, and the same in other spaces, by the matrices that these are published with.
@@ -244,3 +245,33 @@ def test_damaged_profiles_are_said_and_the_photo_is_read(tmp_path: Path) -> None
         "4 photos with a colour profile that cannot be used, read as sRGB" in t for t in said
     )
     assert any(t.startswith("1 photo in another colour space than sRGB") for t in said)
+
+
+def shared(size: int) -> bytes:
+    """A profile with 60 more tags, which share nearly all of `size` bytes more."""
+    (count,) = struct.unpack_from(">I", P3_PROFILE, 128)
+    first, more = 132 + 12 * count, 60
+    known = [struct.unpack_from(">4sII", P3_PROFILE, 132 + 12 * k) for k in range(count)]
+    tags = [(name, start + 12 * more, length) for name, start, length in known]
+    end = len(P3_PROFILE) + 12 * more + size
+    tags += [(b"x%03d" % k, 128 + k, end - 128 - k) for k in range(more)]
+    table = b"".join(struct.pack(">4sII", *tag) for tag in tags)
+    made = P3_PROFILE[:128] + struct.pack(">I", len(tags)) + table
+    return struct.pack(">I", end) + (made + P3_PROFILE[first:] + bytes(size))[4:]
+
+
+def test_tags_of_a_profile_that_share_their_data_are_not_copied() -> None:
+    """100 tags of 30 MB took 3 GB."""
+    icc = shared(4 << 20)
+    tracemalloc.start()
+    space = space_of_profile(icc)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert space is not None and most < 16 << 20
+
+
+def test_a_profile_of_many_megabytes_is_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "a.tif"
+    for size, said in ((1 << 20, CONVERTED), (9 << 20, DAMAGED)):
+        stored().save(path, icc_profile=shared(size))
+        assert colours_in_words(path) == said
