@@ -8,10 +8,12 @@ pose. What pycolmap must read is checked here first (`pycolmap_model`).
 
 from __future__ import annotations
 
+import io
 import os
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -144,6 +146,8 @@ POINT_HEAD = np.dtype(
     [("id", "<i8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("length", "<u8")]
 )
 ROWS_AT_ONCE = 1 << 14  # rows gathered at a time: the index takes 8 bytes for each of their bytes
+MOST_LINE = 16 << 20
+"""Bytes of a line of a text model: half a million observations of a photo."""
 FIRST_CAMERA = 32  # offset of the first camera's parameters
 FIRST_NEW = 11  # ids of models from here on are younger than forks
 MOST_PARAMETERS = 20
@@ -270,16 +274,23 @@ def _gather(raw: NDArray[np.uint8], starts: Int64, size: int) -> NDArray[np.uint
     return gathered.reshape(-1)
 
 
-def _text_lines(data: bytes) -> list[str]:
-    """All lines, stripped, without comments. Blank lines stay: in images.txt they have meaning."""
-    text = decode_text(data, replace=True)
-    stripped = (line.strip() for line in text.split("\n"))
-    return [line for line in stripped if not line.startswith("#")]
+def _text_lines(data: bytes) -> Iterator[str]:
+    """All lines, stripped, without comments. Blank lines stay: in images.txt they have meaning.
+
+    ValueError: the text has another encoding, or a line is far too long.
+    """
+    decode_text(data[:4096], replace=True)
+    for raw in io.BytesIO(data):  # one after the other: as texts, they take many times the memory
+        if len(raw) > MOST_LINE:
+            raise ValueError(f"a line has {len(raw) >> 20} MB")
+        line = raw.decode("utf-8", "replace").removeprefix("\ufeff").strip()
+        if not line.startswith("#"):
+            yield line
 
 
 def _image_lines(data: bytes) -> Iterator[tuple[str, str]]:
     """The two lines of each photo: pose and name; observations (may be blank)."""
-    lines = iter(_text_lines(data))
+    lines = _text_lines(data)
     for line in lines:
         if line:
             yield line, next(lines, "")
@@ -330,13 +341,17 @@ def _text_points(data: bytes, tracks: bool, context: Context) -> Points:
             raise ValueError("a point needs a position and a colour")
         return int(words[0]), numbers, [int(value) for value in words[8::2]] * tracks
 
-    parsed = [_parsed(line, parse) for line in filter(None, _text_lines(data))]
-    table = np.array([numbers for _, numbers, _ in parsed], dtype=np.float64).reshape(-1, 6)
+    ids, tables, counts, viewers = [NO_IDS], [np.empty((0, 6))], [NO_IDS], [NO_IDS]
+    lines = filter(None, _text_lines(data))
+    while parsed := [_parsed(line, parse) for line in islice(lines, ROWS_AT_ONCE)]:
+        ids.append(np.array([point_id for point_id, _, _ in parsed], dtype=np.int64))
+        tables.append(np.array([numbers for _, numbers, _ in parsed], dtype=np.float64))
+        counts.append(np.array([len(track) for _, _, track in parsed], dtype=np.int64))
+        viewers.append(np.array([v for _, _, track in parsed for v in track], dtype=np.int64))
+    table, lengths = np.concatenate(tables), np.concatenate(counts)
     colors = np.clip(table[:, 3:], 0, 255).astype(np.uint8)
-    ids = np.array([point_id for point_id, _, _ in parsed], dtype=np.int64)
-    rows = np.repeat(np.arange(len(parsed)), [len(track) for _, _, track in parsed])
-    viewers = np.array([viewer for _, _, track in parsed for viewer in track], dtype=np.int64)
-    return ids, table[:, :3].copy(), colors, rows.astype(np.int64), viewers
+    rows = np.repeat(np.arange(len(lengths), dtype=np.int64), lengths)
+    return np.concatenate(ids), table[:, :3].copy(), colors, rows, np.concatenate(viewers)
 
 
 # By suffix; errors about damaged data are those of `_read`.

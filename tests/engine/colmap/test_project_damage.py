@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import random
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from roigs_engine.colmap import model_files
 from roigs_engine.colmap.model_files import read_model
 from roigs_engine.colmap.project import load_colmap
+from roigs_engine.context import QUIET
 from roigs_engine.errors import SceneError
 from tests.engine.synthetic_colmap import write_project
 
@@ -85,3 +88,25 @@ def test_every_cut_of_a_binary_file_is_noticed(tmp_path: Path, stem: str) -> Non
         path.write_bytes(good[:length])
         with pytest.raises(SceneError, match=f"{stem}\\.bin"):
             read_model(path.parent)
+
+
+def test_a_text_model_is_not_read_whole_into_objects() -> None:
+    """100 MB of short lines took 3 GB."""
+    data = b"".join(b"%d 1 0 0 0 0 0 0 %d 0\n" % (k, k) for k in range(100_000))
+    tracemalloc.start()
+    ids, points, _, rows, viewers = model_files._text_points(data, True, QUIET)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert ids.tolist() == rows.tolist() == viewers.tolist() == [*range(100_000)]
+    assert (points == (1, 0, 0)).all() and most < 8 * len(data)
+
+
+def test_a_line_of_a_text_model_that_is_far_too_long(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(model_files, "MOST_LINE", 1 << 20)
+    (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 0 1 a.jpg\n" + "1 " * (1 << 20))
+    (tmp_path / "cameras.txt").touch()
+    (tmp_path / "points3D.txt").touch()
+    with pytest.raises(SceneError, match="a line has 2 MB"):
+        model_files.read_images(tmp_path)
