@@ -12,6 +12,8 @@ from typing import Any
 
 # What moves a terminal's cursor, ends a line or turns the order of letters.
 CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+MARGIN = 50
+"""Calls that whoever hashes or writes a value that was read may be deeper in."""
 NAMED = 4  # names that a sentence lists
 UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 UTF32_MARKS = (codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)  # the first begins with one of UTF-16
@@ -56,13 +58,20 @@ def parse_json(data: bytes) -> Any:
     if not text.strip():
         raise ValueError("it is empty")
     try:
-        return json.loads(text, object_pairs_hook=_object)
+        return _loaded(text)
     except (json.JSONDecodeError, RepeatedKeyError):
         raise
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
     except ValueError as error:  # Python's limit for text that becomes an integer
         raise ValueError("it has a number of thousands of digits") from error
+
+
+def _loaded(text: str, margin: int = MARGIN) -> Any:
+    """The JSON value; RecursionError if it is nested so deeply that others could not write it."""
+    if margin:
+        return _loaded(text, margin - 1)
+    return json.loads(text, object_pairs_hook=_object)
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

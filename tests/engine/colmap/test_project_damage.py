@@ -90,14 +90,15 @@ def test_every_cut_of_a_binary_file_is_noticed(tmp_path: Path, stem: str) -> Non
             read_model(path.parent)
 
 
-def test_a_text_model_is_not_read_whole_into_objects() -> None:
+def test_a_text_model_is_not_read_whole_into_objects(monkeypatch: pytest.MonkeyPatch) -> None:
     """100 MB of short lines took 3 GB."""
-    data = b"".join(b"%d 1 0 0 0 0 0 0 %d 0\n" % (k, k) for k in range(100_000))
+    monkeypatch.setattr(model_files, "ROWS_AT_ONCE", 1000)
+    data = b"".join(b"%d 1 0 0 0 0 0 0 %d 0\n" % (k, k) for k in range(10_000))
     tracemalloc.start()
     ids, points, _, rows, viewers = model_files._text_points(data, True, QUIET)
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert ids.tolist() == rows.tolist() == viewers.tolist() == [*range(100_000)]
+    assert ids.tolist() == rows.tolist() == viewers.tolist() == [*range(10_000)]
     assert (points == (1, 0, 0)).all() and most < 8 * len(data)
 
 

@@ -4,14 +4,24 @@ from __future__ import annotations
 
 import codecs
 import json
+import sys
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from roigs_engine.errors import EngineError, RoiError
 from roigs_engine.formats.files import read_json
 from roigs_engine.formats.rois import read_rois
-from roigs_engine.formats.text import RepeatedKeyError, counted, decode_text, parse_json, printable
+from roigs_engine.formats.text import (
+    RepeatedKeyError,
+    counted,
+    decode_text,
+    json_digest,
+    parse_json,
+    printable,
+)
 
 VALUE = {"name": "Büste", "x": [1.5, None]}
 ENCODINGS = [f"utf-{width}{order}" for width in (16, 32) for order in ("", "-le", "-be")]
@@ -95,3 +105,17 @@ def test_control_characters_become_escapes() -> None:
 
 def test_counts_in_sentences() -> None:
     assert [counted(n, "photo") for n in (0, 1, 12_345)] == ["0 photos", "1 photo", "12,345 photos"]
+
+
+def test_what_is_read_can_be_hashed_by_whoever_is_deeper_in_calls() -> None:
+    """However deep it is nested: else one of some hundred commits ended a batch."""
+
+    def hashed(value: Any, calls: int) -> str:
+        return hashed(value, calls - 1) if calls else json_digest(value)
+
+    depth, read = sys.getrecursionlimit(), 0
+    for deep in range(depth - 300, depth):
+        with suppress(ValueError):
+            hashed(parse_json(b"[" * deep + b"]" * deep), 20)
+            read += 1
+    assert read or sys.version_info >= (3, 12)
