@@ -22,9 +22,10 @@ def known_group(name: str, tree: str, sockets: tuple[Socket, ...]) -> Any | None
         sockets: that it was given.
     """
     wanted = sorted((each, way, f"NodeSocket{kind}") for each, way, kind in sockets)
-    for group in bpy.data.node_groups:
+    groups: Any = bpy.data.node_groups
+    for group in groups:
         if group.bl_idname == tree and (group.name == name or group.name.startswith(f"{name}.")):
-            items: Any = list(group.interface.items_tree)
+            items = list(group.interface.items_tree)
             if all(item.item_type == "SOCKET" for item in items):
                 found = sorted((item.name, item.in_out, item.socket_type) for item in items)
                 if found == wanted:

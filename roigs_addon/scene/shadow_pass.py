@@ -89,8 +89,9 @@ def disconnect(scene: bpy.types.Scene) -> None:
     group.nodes.remove(product)
     for node in [n for n in group.nodes if n.label == CONTACT]:
         for link in list(node.outputs[0].links):
-            if link.to_node.label != CONTACT:
-                group.links.new(_start(group).outputs["Depth"], link.to_socket)
+            depth = _start(group).outputs.get("Depth")
+            if link.to_node.label != CONTACT and depth is not None:
+                group.links.new(depth, link.to_socket)
     for node in [n for n in group.nodes if n.label == CONTACT]:
         group.nodes.remove(node)
     for item in [i for i in group.interface.items_tree if i.name == SOCKET]:
@@ -151,7 +152,8 @@ def _contact(group: Any) -> Any | None:
     None: somebody has changed the group.
     """
     found = [n for n in group.nodes if getattr(n, "operation", "") == "LESS_THAN"]
-    if not found or not found[0].inputs[1].is_linked:
+    picture, depth = (_start(group).outputs.get(name) for name in ("Image", "Depth"))
+    if not found or not found[0].inputs[1].is_linked or picture is None or depth is None:
         return None
     contact, part, whole, least = (
         layer_group.either(group, "ShaderNodeMath", "CompositorNodeMath") for _ in range(4)
@@ -167,7 +169,6 @@ def _contact(group: Any) -> Any | None:
         rim.inputs["Size"].default_value = -1
     else:  # before Blender 4.5
         rim.distance = -1
-    picture, depth = (_start(group).outputs[name] for name in ("Image", "Depth"))
     for source, target in (
         (picture, alpha.inputs[0]),
         (alpha.outputs["Alpha"], part.inputs[0]),

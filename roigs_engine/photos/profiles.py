@@ -207,7 +207,7 @@ def space_of_profile(icc: bytes) -> Space | None:
 def _curve(tag: memoryview) -> Values:
     """(65536,) linear light of a tag: curveType or parametricCurveType (ICC.1, 10.6 and 10.18)."""
     values = np.linspace(0, 1, 65536)
-    if tag[:4] == b"curv":
+    if bytes(tag[:4]) == b"curv":
         (count,) = struct.unpack_from(">I", tag, 8)
         table = np.frombuffer(tag, ">u2", count, 12)
         if count <= 1:

@@ -13,7 +13,7 @@ from PIL import Image
 from ..exchange.arrays import turn
 from ..exchange.gltf import has_triangles
 from ..exchange.gltf_file import GltfFile, shown
-from ..exchange.libraries import NotSupportedError, reading, refuse_bomb
+from ..exchange.libraries import NotSupportedError, reading
 from ..exchange.page import PageMesh
 from ..formats.files import write_bytes
 from ..formats.others import write_beside
@@ -137,19 +137,21 @@ def page_meshes(path: Path, matrix: Float64) -> list[PageMesh]:
     Args:
         matrix: (4, 4) from the world, in which a surface's vertices are, to the page.
     """
-    found = []
+    found, pictures = [], dict[int, bytes]()  # many meshes may show one
     with reading(path, "glTF"):
         for _, mesh in _read(path):
             if mesh.visual.kind != "texture":
                 raise NotSupportedError("a mesh without a texture")
-            picture = io.BytesIO()
-            mesh.visual.material.baseColorTexture.convert("RGB").save(picture, "JPEG", quality=90)
+            texture = mesh.visual.material.baseColorTexture
+            if id(texture) not in pictures:
+                out = io.BytesIO()
+                texture.convert("RGB").save(out, "JPEG", quality=90)
+                pictures[id(texture)] = out.getvalue()
+            picture = pictures[id(texture)]
             vertices = np.asarray(mesh.vertices) @ matrix[:3, :3].T + matrix[:3, 3]
             uv = np.asarray(mesh.visual.uv, dtype=float) * (1.0, -1.0) + (0.0, 1.0)
             faces = np.asarray(mesh.faces)
-            found.append(
-                PageMesh(vertices=vertices, faces=faces, uv=uv, picture=picture.getvalue())
-            )
+            found.append(PageMesh(vertices=vertices, faces=faces, uv=uv, picture=picture))
     return found
 
 
@@ -165,7 +167,7 @@ def _read(path: Path) -> list[tuple[Float64, Any]]:
     faces = [file.rows(int(item["indices"])) for _, item in placed]
     if not faces:
         raise ValueError("no faces")
-    found = []
+    found, materials = [], dict[int, Any]()
     for (matrix, item), corners in zip(placed, faces, strict=True):
         at = item["attributes"]
         wanted = {"POSITION": 3, "NORMAL": 3, "TEXCOORD_0": 2, FILLED: 1}
@@ -182,7 +184,7 @@ def _read(path: Path) -> list[tuple[Float64, Any]]:
             vertices=columns["POSITION"],
             faces=corners.reshape(-1, 3).astype(np.int64),
             vertex_normals=columns.get("NORMAL"),
-            visual=_texture(file, item, columns.get("TEXCOORD_0")),
+            visual=_texture(file, item, columns.get("TEXCOORD_0"), materials),
             vertex_attributes=filled,
             process=False,
             validate=False,
@@ -191,8 +193,11 @@ def _read(path: Path) -> list[tuple[Float64, Any]]:
     return found
 
 
-def _texture(file: GltfFile, item: dict[str, Any], uv: Any) -> Any:
-    """How trimesh has the texture of a primitive; None: it has none."""
+def _texture(file: GltfFile, item: dict[str, Any], uv: Any, materials: dict[int, Any]) -> Any:
+    """How trimesh has the texture of a primitive; None: it has none.
+
+    `materials`: of the file's pictures so far, by their numbers.
+    """
     trimesh: Any = package("trimesh", PURPOSE)
     if uv is None or "material" not in item:
         return None
@@ -201,10 +206,12 @@ def _texture(file: GltfFile, item: dict[str, Any], uv: Any) -> Any:
     if "baseColorTexture" not in about:
         return None
     texture = record["textures"][about["baseColorTexture"]["index"]]
-    content = bytes(file.view(record["images"][texture["source"]]["bufferView"]))
-    picture = Image.open(io.BytesIO(content), formats=("PNG", "JPEG"))
-    refuse_bomb(file.size, 3 * picture.width * picture.height)
-    material = _material(picture)
+    material = materials.get(texture["source"])
+    if material is None:  # many primitives may show one picture
+        content = bytes(file.view(record["images"][texture["source"]]["bufferView"]))
+        picture = Image.open(io.BytesIO(content), formats=("PNG", "JPEG"))
+        file.count(3 * picture.width * picture.height)
+        material = materials[texture["source"]] = _material(picture)
     return trimesh.visual.TextureVisuals(uv=uv * (1, -1) + (0, 1), material=material)
 
 

@@ -259,6 +259,11 @@ def clear_nodes(group: Any) -> None:
     group.nodes.clear()
 
 
+def other_names(group: Any) -> None:
+    for item in group.interface.items_tree:
+        item.name = "mine"
+
+
 def other_images(group: Any) -> None:
     import bpy
 
@@ -268,7 +273,7 @@ def other_images(group: Any) -> None:
 
 
 @pytest.mark.exact_look
-@pytest.mark.parametrize("change", [clear_interface, clear_nodes, other_images])
+@pytest.mark.parametrize("change", [clear_interface, clear_nodes, other_images, other_names])
 def test_a_group_of_nodes_that_somebody_has_changed(
     blender: ModuleType, shown, tmp_path: Path, change: Callable[[Any], None]
 ) -> None:

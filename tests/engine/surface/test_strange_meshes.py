@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from PIL import EpsImagePlugin
 
 from roigs_engine.errors import RunFolderError
 from roigs_engine.exchange.gltf import is_mesh
+from roigs_engine.surface import files
 from roigs_engine.surface.files import convert_mesh, page_meshes, sampled_surface
 from tests.fuzz.exchange import glb_of
 from tests.fuzz.meshes import PROGRAM, mesh_record, picture, repeated
@@ -59,6 +62,27 @@ def test_a_mesh_that_repeats_itself_is_refused_at_once(tmp_path: Path, kind: int
         with pytest.raises(RunFolderError, match=r"a\.glb.*(is not a whole|not supported)"):
             reader(path)
     assert time.monotonic() - began < 10
+
+
+@pytest.mark.parametrize("distinct", [False, True])
+def test_primitives_that_show_large_pictures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, distinct: bool
+) -> None:
+    """30 materials of a file of 50 kB took 2.3 GB. One picture is opened once, many are counted."""
+    record, blob = mesh_record(picture(side=3000))
+    item = record["meshes"][0]["primitives"][0]
+    record["meshes"][0]["primitives"] = [item | {"material": k} for k in range(4)]
+    record["materials"] = [
+        {"pbrMetallicRoughness": {"baseColorTexture": {"index": k}}} for k in range(4)
+    ]
+    record["images"] = 4 * record["images"][:1]
+    record["textures"] = [{"source": k if distinct else 0} for k in range(4)]
+    path, opened = tmp_path / "a.glb", Mock(wraps=files.Image.open)
+    path.write_bytes(glb_of(record, blob))
+    monkeypatch.setattr(files.Image, "open", opened)
+    with pytest.raises(RunFolderError, match="would unpack") if distinct else nullcontext():
+        page_meshes(path, np.eye(4))
+    assert opened.call_count == (3 if distinct else 1)
 
 
 def test_faces_of_vertices_that_are_not_there(tmp_path: Path) -> None:
