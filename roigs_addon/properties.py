@@ -83,9 +83,9 @@ def zero(number: str, otherwise: int, **more: Any) -> Any:
 
 
 class RoigsPhotoItem(bpy.types.PropertyGroup):
-    """A selected photo; `name`, which every property group has, is the photo's."""
+    """A selected photo; `name` (every property group has one) is the photo's."""
 
-    score: FloatProperty(description="How well the photos up to this one cover the box")
+    score: FloatProperty(description="Coverage of the box by the photos up to this one")
 
 
 class RoigsScribble(bpy.types.PropertyGroup):
@@ -154,19 +154,22 @@ class RoigsObject(bpy.types.PropertyGroup):
     level: EnumProperty(items=LEVELS, description="Gaussians: the model they belong to")
     shown_as: EnumProperty(items=SHOWN_AS, description="Gaussians: how they are drawn")
     roi: StringProperty(description="Gaussians, mesh: name of their box")
-    surface: StringProperty(description="Mesh: what the engine says of it, as JSON")
+    surface: StringProperty(description="Mesh: the engine's record of it, as JSON")
     parked: StringProperty(
-        description="Gaussians: not in the result that is shown; how they were seen before"
+        description="Gaussians: hidden, as they are not in the shown result; earlier visibility"
     )
-    off: BoolProperty(description="Gaussians: the other of Result and First pass is shown")
+    off: BoolProperty(
+        description="Gaussians: hidden, as the other of Result and First Pass is shown"
+    )
     stands_on: FloatVectorProperty(
-        default=(0.0, 0.0, 1.0), description="User's objects: normal of what they were put on last"
+        default=(0.0, 0.0, 1.0),
+        description="User's objects: normal of the surface they were last put on",
     )
-    whole: BoolProperty(description="Gaussians: all are drawn, whatever the levels of detail")
-    pair: StringProperty(description="Gaussians: the same as of its other, Result or First pass")
+    whole: BoolProperty(description="Gaussians: always draw all, without levels of detail")
+    pair: StringProperty(description="Gaussians: key shared by Result and First Pass of one box")
     waits: BoolProperty(description="Gaussians: hidden while a preview is shown")
     beside: StringProperty(
-        description="Gaussians, mesh: hidden as a mesh is shown alone; how they were seen before"
+        description="Gaussians, mesh: hidden, as a mesh is shown alone; earlier visibility"
     )
     aside: CollectionProperty(
         type=RoigsEditedMesh, description="Gaussians: edits of results that are not shown"
@@ -286,10 +289,10 @@ class RoigsScene(bpy.types.PropertyGroup):
         description="Train on all photos. Switch off to keep some, and measure the result on them",
     )
     excluded: CollectionProperty(
-        type=RoigsExcludedPhoto, description="Photos that are neither selected nor trained on"
+        type=RoigsExcludedPhoto, description="Photos excluded from selection and training"
     )
     model_cache: StringProperty(description="Folder of the model as exported by the engine")
-    skipped: StringProperty(description="What the import skipped, in words")
+    skipped: StringProperty(description="Photos and points that the import skipped, in words")
     show_masks: BoolProperty(
         name="Show Masks",
         description="Show the photo with the active box's strokes and mask, in a view through a"
@@ -323,10 +326,10 @@ class RoigsScene(bpy.types.PropertyGroup):
         description="Known distance between two points, for Set Scale",
     )
     placement: StringProperty(
-        description="Text of the file beside the model, as placing the scene has written it"
+        description="Text of the placement file beside the model, when it was last written"
     )
     has_floor: BoolProperty(description="Whether the floor was put at z = 0")
-    placement_key: StringProperty(description="Where the root stood then")
+    placement_key: StringProperty(description="Place of the root at that time")
     compared: StringProperty(description="Folder of the earlier result that was shown last")
     carry_colour: BoolProperty(
         name="View-Dependent Colour in the .blend",

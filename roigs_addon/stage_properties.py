@@ -43,7 +43,9 @@ def _set_reflects(stage: RoigsStage, on: bool) -> None:
 class RoigsStage(bpy.types.PropertyGroup):
     """Properties that make the user's objects look as if they stood in the captured scene."""
 
-    before: StringProperty(description="Settings of the scene before, as JSON; empty: none changed")
+    before: StringProperty(
+        description="Earlier settings of the scene, as JSON; empty: none changed"
+    )
     collection: PointerProperty(
         type=bpy.types.Collection, description="The proxies of captured surfaces"
     )
@@ -53,8 +55,8 @@ class RoigsStage(bpy.types.PropertyGroup):
     here: PointerProperty(
         type=bpy.types.Object, description="Empty where the light's picture was taken"
     )
-    radius: FloatProperty(description="Of the user's object there, in units of the world")
-    world: PointerProperty(type=bpy.types.World, description="The world that shines")
+    radius: FloatProperty(description="Radius of the user's object there, in units of the world")
+    world: PointerProperty(type=bpy.types.World, description="The world with the scene's light")
     world_before: PointerProperty(type=bpy.types.World, description="The user's world")
     catches: BoolProperty(
         name="Catch Shadows",

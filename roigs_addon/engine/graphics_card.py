@@ -86,7 +86,7 @@ def choose(card: Card | None, platform: str = sys.platform) -> Choice:
         return Choice(build=None, card=None, reason="No NVIDIA card with a driver was found.")
     known = f"{card.name}, driver {card.driver}"
     if card.capability is not None and card.capability < BUILDS[0].oldest:
-        reason = f"{known}: too old a card for our kernels. The CPU trains."
+        reason = f"{known}: this card is too old for our kernels. The CPU trains."
         return Choice(build=None, card=card, reason=reason)
     for build in BUILDS:
         capability = card.capability or build.oldest

@@ -61,7 +61,7 @@ def make_levels(request: Levels, context: Context = QUIET) -> Result:
 
 def _table_of(ladders: Sequence[Ladder]) -> list[str]:
     rows = [
-        "| part | Gaussians | from | PSNR | whole, drawn so small |",
+        "| part | Gaussians | from | PSNR | PSNR of the whole part |",
         "|---|---:|---:|---:|---:|",
     ]
     for ladder in ladders:

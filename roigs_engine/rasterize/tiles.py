@@ -74,7 +74,7 @@ def touched_tiles(mask: Tensor) -> Tensor:
 
 def _check(tiles: ActiveTiles, size: tuple[int, int]) -> None:
     """Raise EngineError unless these are tiles of an image of this size: kernels rely on it."""
-    hint = "Make them by active_tiles, of this image."
+    hint = "Make them with active_tiles, for this image."
     if tiles.size != size:
         raise EngineError(f"rasterize: tiles of an image of {tiles.size}, not {size} pixels.", hint)
     (left, top, right, bottom), mask = tiles.rectangle, tiles.mask

@@ -38,7 +38,7 @@ class StaticFeatures:
             return ()
         return (
             f"Box '{candidates.roi.name}' contains {counted(len(names), 'camera')}"
-            f" ({named(names, 3)}), whose images it is taken to fill.",
+            f" ({named(names, 3)}): it is assumed to fill their images.",
         )
 
     def to_dict(self, candidates: Candidates) -> dict[str, dict[str, float]]:

@@ -79,7 +79,7 @@ def _listed(found: FileSystem, place: str, url: str) -> dict[str, list[Any]]:
             continue
         lengths = [len(part.encode("utf-8", "replace")) for part in name.split("/")]
         if name in folders or min(lengths) == 0 or max(lengths) > LONGEST:
-            text = f"{name!a:.100}, a name at {url:.100}, is impossible for a file here."
+            text = f"{name!a:.100}, a name at {url:.100}, cannot name a file here."
             raise ConfigError(text, "Rename it there.")
         if inner_path(name):
             with suppress(FileNotFoundError):  # a link of a web page that leads nowhere

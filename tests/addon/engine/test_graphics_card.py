@@ -100,7 +100,7 @@ def test_where_windows_has_it(place: str, monkeypatch: pytest.MonkeyPatch) -> No
         ("527.41", (8, 6), "win32", "cu126", "RTX"),
         ("526.98", (8, 6), "win32", "", "update the driver to 580"),
         ("576.02", (12, 0), "win32", "", "update the driver to 580"),
-        ("581.15", (6, 1), "win32", "", "too old a card"),
+        ("581.15", (6, 1), "win32", "", "this card is too old"),
         ("470.57.02", None, "linux", "", "update the driver to 580"),
     ],
 )
