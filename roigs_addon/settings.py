@@ -84,17 +84,17 @@ def data_folder() -> Path:
 
 
 def models_folder() -> Path:
-    """Where imported models are kept."""
+    """The folder of imported models."""
     return (_chosen_cache() or extension_folder() / "cache") / "models"
 
 
 def pictures_folder() -> Path:
-    """Where pictures of photos are kept that show them as training sees them."""
+    """The folder of photos as training sees them."""
     return (_chosen_cache() or extension_folder() / "cache") / "photos"
 
 
 def unsaved_folder() -> Path:
-    """Where runs of files that were never saved are kept."""
+    """The folder of runs of unsaved files."""
     return (_chosen_cache() or data_folder()) / "unsaved"
 
 

@@ -75,7 +75,7 @@ def exit_status_of(work: Callable[[], int], console: Console, name: str) -> int:
 
 
 def _failure(error: Exception, name: str) -> Failed | None:
-    """What is said of an error; None: it is a fault of the program."""
+    """The words for an error; None: it is a bug."""
     from .app.event_log import failure
 
     if isinstance(error, FileNotFoundError) and error.filename is None:

@@ -61,6 +61,6 @@ def _copy(path: Path, to: Path) -> None:
 
 
 def _keys(arrays: dict[str, splat_ply.Floats]) -> list[bytes]:
-    """What tells a Gaussian from others."""
+    """Keys that distinguish Gaussians."""
     table = np.column_stack([arrays[name].astype(np.float64) for name in SHAPE])
     return [row.tobytes() for row in table]

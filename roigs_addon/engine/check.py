@@ -70,7 +70,7 @@ def _place(path: Path) -> Finding:
 
 
 def _outdated(path: Path) -> str:
-    """What is wrong with a Python of 'Set Up the Engine' for this version of the add-on."""
+    """The reason why a Python of 'Set Up the Engine' does not fit this version of the add-on."""
     wanted = files.read_record(path.parent.parent / python.MARKER).get("requirements")
     made_for_this = wanted in (None, install_steps.requirements())
     return "" if made_for_this else "made for other versions of packages; set up the engine again"

@@ -82,7 +82,7 @@ class FrameEngine:
 
 
 class _Silence:
-    """How long nothing was heard, without the time in which the computer slept."""
+    """The time without a message, except the time in which the computer slept."""
 
     def __init__(self) -> None:
         self._seconds, self._last = 0.0, time.monotonic()

@@ -55,7 +55,7 @@ class Build:
 
     @property
     def index(self) -> str:
-        """Where pip finds it."""
+        """The package index for pip."""
         return f"https://download.pytorch.org/whl/{self.name}"
 
 
@@ -111,7 +111,7 @@ def find() -> Card | None:
 
 
 def _programs() -> Iterator[str]:
-    """Where nvidia-smi may be: it is not always on the path of programs started from a desktop."""
+    """Possible places of nvidia-smi: it is not always on the path of desktop programs."""
     if found := find_program("nvidia-smi"):
         yield str(found)
     places = [Path("/usr/bin"), Path("/usr/lib/wsl/lib"), Path("/run/current-system/sw/bin")]

@@ -155,7 +155,7 @@ class Installation:
             raise AddonError(f"{said} See the log {self.log}")
 
     def _of_the_disk(self) -> str:
-        """What to do if the disk is full: most programs do not say that this was it."""
+        """Advice if the disk is full: most programs do not name this cause."""
         with contextlib.suppress(OSError):
             if shutil.disk_usage(self.folder).free < LEAST_FREE:
                 return f" The disk of {self.folder} is full: free some space."

@@ -84,5 +84,5 @@ def warning_in_words(text: str) -> str:
 
 
 def log_file(folder: Path) -> Path:
-    """Where the engine's words go."""
+    """The engine's log file."""
     return folder / LOG

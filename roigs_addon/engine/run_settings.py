@@ -101,7 +101,7 @@ class RunSettings:
 
 
 def _of_stages(config: Mapping[str, Any]) -> dict[str, Any]:
-    """What a manifest says of the stages."""
+    """The manifest's settings of the stages."""
     stage = config.get("roi")
     return {"made_for": stage.get("made_for")} if isinstance(stage, dict) else {}
 

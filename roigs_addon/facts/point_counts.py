@@ -31,7 +31,7 @@ _last: dict[str, Counts] = {}
 
 
 class _Model:
-    """What counting needs of an imported model, read once."""
+    """Data of an imported model for counting, read once."""
 
     def __init__(self) -> None:
         self.key: tuple[object, ...] = ()

@@ -96,7 +96,7 @@ def of_run(scene: bpy.types.Scene) -> str:
 
 
 def _in_log(log: Path) -> str:
-    """What the log says; it is read again when it has changed."""
+    """The device in the log; it is read again when it has changed."""
     try:
         state = log.stat()
         key = state.st_mtime_ns, state.st_size

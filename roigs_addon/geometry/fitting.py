@@ -70,7 +70,7 @@ def _is_dense(points: Vectors) -> NDArray[np.bool_]:
 
 
 def floor(points: Vectors, half_sides: Vectors, up: int, sign: int) -> float | None:
-    """Where the floor is along an axis of the box: there most points around it are.
+    """Place of the floor along an axis of the box: there, most points around it are.
 
     Args:
         points: (N, 3), also those outside the box.

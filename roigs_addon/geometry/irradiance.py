@@ -28,7 +28,7 @@ def flux(picture: Float32, rows: int = ROWS) -> Float32:
 
 
 def directions(height: int, width: int) -> tuple[Float32, Float32]:
-    """Where each pixel's centre looks (H, W, 3), and its solid angle (H, 1)."""
+    """Direction of each pixel's centre (H, W, 3), and its solid angle (H, 1)."""
     up = np.pi * (0.5 - (np.arange(height) + 0.5) / height)
     turn = 2 * np.pi * (0.5 - (np.arange(width) + 0.5) / width)
     flat, high = np.cos(up)[:, None], np.sin(up)[:, None]

@@ -37,7 +37,7 @@ def unit(frame: Frame, size: tuple[int, int]) -> float:
 
 
 def start(pressed: Place, before: Place | None, after: Place) -> Place:
-    """Where a stroke starts: where the mouse was pressed, or `before`, the last move before that.
+    """Start of a stroke: where the mouse was pressed, or `before`, the last move before that.
 
     A Blender that is busy drawing gives a press the place where the mouse is by then, but each move
     its own. So the one that is nearer to the first move after the press is right.

@@ -46,7 +46,7 @@ nowhere."""
 
 
 def _near_one_plane(points: Vector) -> NDArray[np.bool_]:
-    """Which points are near the plane that has half of them nearest (least median of squares)."""
+    """Points near the plane that has half of them nearest (least median of squares)."""
     random = np.random.default_rng(0)
     some = points[random.permutation(len(points))[:MOST]]
     threes = some[random.integers(0, len(some), (TRIES, 3))]

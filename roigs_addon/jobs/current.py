@@ -44,7 +44,7 @@ def busy() -> bool:
 
 
 def state() -> JobState:
-    """Where the job is that runs, or how the last one ended."""
+    """The state of the running job, or of the last one."""
     return _no_job if job is None else job.state
 
 

@@ -54,7 +54,7 @@ def forget() -> None:
 
 
 def _key(scene: bpy.types.Scene) -> tuple[object, ...]:
-    """What the time depends on."""
+    """Everything that the time depends on."""
     props = scene_props(scene)
     settings = (props.colmap, props.preset, props.strategy, props.steps_factor, props.max_side)
     return (

@@ -121,7 +121,7 @@ MOVED = {"Give its folder with --scene.": "Import its COLMAP project again in st
 
 
 def moved_scene(scene: bpy.types.Scene, folder: Path) -> list[str]:
-    """Where the COLMAP project of a run folder is, if it was moved after the training."""
+    """The COLMAP project of a run folder, if it was moved after the training."""
     trained, now = files.read_record(folder / run_files.SETTINGS).get("scene"), scene_props(scene)
     moved = isinstance(trained, str) and not Path(trained).exists()
     return [f"--scene={now.colmap}"] if moved and now.colmap else []

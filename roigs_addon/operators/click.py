@@ -77,7 +77,7 @@ class PlaceCursor(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Where Gaussians are drawn, and where this key is Blender's for the cursor."""
+        """Whether Gaussians are drawn, and this key is Blender's for the cursor."""
         return _has_gaussians(context) and _left_selects(context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
@@ -93,7 +93,7 @@ class PlaceCursor(bpy.types.Operator):
 
 
 def surface(context: bpy.types.Context, place: Place) -> Vector | None:
-    """Where at the mouse the Gaussians are, in the world; None if they are not in front there."""
+    """The Gaussians' place in the world at the mouse; None if they are not in front there."""
     (region, view), at = place
     found = in_front(context, (region, view), at, [points for _, points in shown_points(context)])
     if found is None or found[1] < 0:

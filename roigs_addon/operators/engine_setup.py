@@ -109,7 +109,7 @@ class SetUpEngine(bpy.types.Operator):
         return {"FINISHED"}
 
     def _torch_index(self) -> str:
-        """Where torch comes from; empty: torch for the CPU."""
+        """The package index of torch; empty: torch for the CPU."""
         if self.build == "CPU" or sys.platform == "darwin":
             return ""
         choice = graphics_card.choice(wait=True)

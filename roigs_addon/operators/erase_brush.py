@@ -75,7 +75,7 @@ class Stroke:
 def _fronts(
     items: Sequence[bpy.types.Object], points: list[NDArray[np.float64]], sight: Sight
 ) -> list[Mask]:
-    """Which points of each object no nearer Gaussians hide, of any object."""
+    """Points of each object that no nearer Gaussians hide, of any object."""
     sizes = np.concatenate([point_edits.scales(item).mean(axis=1) for item in items])
     opacity = np.concatenate([point_edits.opacities(item) for item in items])
     shown = in_front(np.concatenate(points), sizes, opacity, sight)

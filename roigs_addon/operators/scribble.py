@@ -136,7 +136,7 @@ one undo step"""
     def _place(
         self, context: bpy.types.Context, event: bpy.types.Event
     ) -> tuple[tuple[float, float], float] | None:
-        """Where the mouse is on the photo, and the photo's pixels in one of the window."""
+        """Place of the mouse on the photo, and the photo's pixels in one of the window."""
         found, photo = place_in_view(context, event), masks.photo_at_hand(context)
         if found is None or photo is None:
             return None

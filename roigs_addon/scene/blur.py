@@ -196,7 +196,7 @@ def _times(scene: bpy.types.Scene) -> list[float]:
 
 
 def _position(scene: Any) -> str:
-    """Where the shutter's time lies; Cycles had the setting before all engines had it."""
+    """The shutter's position; Cycles had the setting before all engines had it."""
     of_cycles = getattr(scene, "cycles", None)
     old = getattr(of_cycles, "motion_blur_position", "CENTER")
     return str(getattr(scene.render, "motion_blur_position", old))

@@ -257,7 +257,7 @@ def _take_aside(item: bpy.types.Object) -> bpy.types.Mesh | None:
 
 
 def _points_of(data: bpy.types.ID | None) -> object:
-    """What tells the points of one file from those of another, wherever they were placed."""
+    """A key that distinguishes the points of two files, wherever they were placed."""
     return data.get(FILE, data.get(MARK)) if data is not None else None
 
 

@@ -88,7 +88,7 @@ def new_group() -> Any:
 
 
 def _left(group: Any, start: Any, nearer: Any) -> Any:
-    """What Blender's picture leaves to see of the Gaussians: all where they are nearer."""
+    """The share of the Gaussians that Blender's picture does not hide: all if they are nearer."""
     alpha = group.nodes.new("CompositorNodeSeparateColor")
     group.links.new(start.outputs["Image"], alpha.inputs[0])
     clear = _math_node(group, "SUBTRACT", 1.0, alpha.outputs["Alpha"])

@@ -117,7 +117,7 @@ def matrix_world(item: bpy.types.Object | None) -> Matrix:
 
 
 def stands(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Matrix:
-    """Where an object stands in a depsgraph.
+    """The transform of an object in a depsgraph.
 
     In a viewport's, Blender does not move what is hidden there, which a render may show.
 
@@ -132,7 +132,7 @@ def stands(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Matrix:
 
 
 def _unseen(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Matrix:
-    """Where an object stands by its own transformation and its parent's place."""
+    """The transform of a hidden object: its own, and its parent's place."""
     if item.constraints or (item.parent is not None and item.parent_type != "OBJECT"):
         return matrix_world(item.evaluated_get(depsgraph))
     basis: Matrix = np.array(item.matrix_basis, dtype=np.float64)

@@ -291,7 +291,7 @@ def _trees(scene: bpy.types.Scene) -> Iterator[Any]:
 def _material(
     name: str, picture: bpy.types.Image | None, here: bpy.types.Object
 ) -> bpy.types.Material:
-    """What a proxy is made of."""
+    """The material of a proxy."""
     material = textured_meshes.blank_material(name)
     nodes, link = material.node_tree.nodes, material.node_tree.links.new
     surface, output = nodes.new("ShaderNodeGroup"), nodes.new("ShaderNodeOutputMaterial")

@@ -133,7 +133,7 @@ def _on_gaussians(eye: Vector, point: Vector, radius: float, found: Sequence[Poi
 
 
 def _seen_on(point: Vector, along: Vector, middle: Vector, normal: Vector) -> Vector:
-    """Where the plane through `middle` is seen in the direction of a point near it.
+    """The point of the plane through `middle`, seen in the direction of a point near it.
 
     Looked at along the plane, small errors of it would move that far: the foot of the point.
     """

@@ -62,7 +62,7 @@ class CleanUpPanel(SidebarPanel):
 
 
 def _confidence(layout: bpy.types.UILayout, items: list[bpy.types.Object]) -> None:
-    """What photos know of the Gaussians, and its colours."""
+    """Buttons for the confidence of the Gaussians, and its colours."""
     row, most = layout.row(align=True), heat_map.most()
     row.operator(FindConfidence.bl_idname)
     if heat_map.asked(items):

@@ -149,7 +149,7 @@ def progress(layout: bpy.types.UILayout, state: JobState) -> None:
 
 
 def draw_where(layout: bpy.types.UILayout) -> None:
-    """Where to train: a setting of the user's, on the preferences page and in the sidebar."""
+    """The user's choice of where to train, on the preferences page and in the sidebar."""
     page = settings.page()
     if page is None:
         return

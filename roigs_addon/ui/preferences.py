@@ -34,7 +34,7 @@ NEXT = "Next: open the sidebar of a 3D view (N), tab ROI-GS"
 
 
 def _full_path(name: str) -> Callable[[RoigsPreferences, bpy.types.Context], None]:
-    """What happens when a path is set: it is stored in full, and the sidebar looks again.
+    """Store a path in full when it is set, and update the sidebar.
 
     Blender would store `//` for the folder of the open .blend, which means another one in the next.
     """
@@ -141,7 +141,7 @@ class RoigsPreferences(bpy.types.AddonPreferences):
 
 
 def _draw_engine(layout: bpy.types.UILayout, page: RoigsPreferences) -> None:
-    """How to set up the engine, and what it can do."""
+    """The set-up of the engine, and its abilities."""
     made = install.current
     if made is not None and not made.finished:
         row = layout.row(align=True)
@@ -184,7 +184,7 @@ def _draw_offline(layout: bpy.types.UILayout) -> None:
 
 
 def _what_suits(choice: Choice | None) -> str:
-    """What Automatic installs, and why."""
+    """The build that Automatic installs, and the reason."""
     if choice is None:
         return "Asking NVIDIA's driver …"
     what = "torch for the CPU" if choice.build is None else f"torch for CUDA ({choice.build.name})"
@@ -192,7 +192,7 @@ def _what_suits(choice: Choice | None) -> str:
 
 
 def _needed_space(page: RoigsPreferences, choice: Choice | None) -> str:
-    """What setting up takes, in words."""
+    """Download and disk space of the set-up, in words."""
     suits = choice is not None and choice.build is not None
     if page.build == "CUDA" or (page.build == "AUTO" and suits):
         size = f"{CUDA_DOWNLOAD_BYTES / 1e9:.1f}"

@@ -63,7 +63,7 @@ class PhotosPanel(SidebarPanel):
 
 
 def _draw_status(layout: bpy.types.UILayout, status: ReconstructionStatus, *, weak: bool) -> None:
-    """How far it is; weak photos, which step 1 names, are no success either."""
+    """The progress; weak photos, which step 1 names, are no success either."""
     if status.holder:
         text = f"Another Blender or terminal is at work here (process {status.holder})"
         show.paused(layout, text)

@@ -99,7 +99,7 @@ class ResultPanel(SidebarPanel):
 
 
 def _draw_made_for(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
-    """What is drawn by another renderer than it is made for, with the button that adapts it."""
+    """Models drawn by another renderer than their target, with the button that adapts them."""
     if found := made_for.mismatch(scene):
         was, wanted = found
         show.wrong(layout, f"Made for {was.title}, not for {wanted.title}")
@@ -189,7 +189,7 @@ def _draw_name(row: bpy.types.UILayout, item: bpy.types.Object, name: str) -> No
 
 
 def _draw_ways(layout: bpy.types.UILayout, splats: Objects) -> None:
-    """How the Gaussians are shown."""
+    """The display of the Gaussians."""
     if not splats:
         return
     row, now = layout.row(align=True), object_props(splats[0]).shown_as

@@ -24,7 +24,7 @@ NUMBER = 0.1
 
 
 class SuggestionsPanel(SidebarPanel):
-    """Where to take the next photos of the boxes."""
+    """Places for the next photos of the boxes."""
 
     bl_idname = "ROIGS_PT_suggestions"
     bl_parent_id = CamerasPanel.bl_idname

@@ -50,7 +50,7 @@ class TrainPanel(SidebarPanel):
 
 
 def _draw_length(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
-    """How many steps all boxes take, and how long, if that was estimated."""
+    """Number of steps for all boxes, and their time, if it was estimated."""
     props = scene_props(scene)
     boxes = max(1, len(lookup.rois(scene)))
     cut_out = masks.are_there(scene, run_folders.run_folder(scene))

@@ -33,7 +33,7 @@ def frame_of(context: bpy.types.Context) -> Frame | None:
 
 
 def line_of(context: bpy.types.Context, frame: Frame) -> float:
-    """Where the line is, in pixels from the region's left."""
+    """The place of the line, in pixels from the region's left."""
     share: float = scene_props(scene_of(context)).wipe
     return frame[0] + share * (frame[2] - frame[0])
 

@@ -42,7 +42,7 @@ HEAD = ("scene", "objects", "stages", "steps", "memory", "minutes", "")
 
 @dataclass(frozen=True, kw_only=True)
 class Batched(Result):
-    """Where a batch is: a folder or an address, its page, and why scenes failed."""
+    """The result of a batch: a folder or an address, its page, and why scenes failed."""
 
     runs: str
     report: str
@@ -143,7 +143,7 @@ def _chosen(table: Table, scenes: Sequence[str]) -> list[Row]:
 
 
 def _record(folder: Path, store: Store | None, rows: Sequence[Row]) -> BatchRecord:
-    """What earlier batches have done."""
+    """The record of earlier batches."""
     from ..batch.record import BatchRecord
 
     if store is None:

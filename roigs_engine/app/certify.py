@@ -68,7 +68,7 @@ def certify(request: Certify, context: Context = QUIET) -> Certified:
 
 @dataclass(frozen=True, kw_only=True)
 class _Run:
-    """What a run folder tells of its objects; all is empty without one."""
+    """A run folder's facts about its objects; all is empty without one."""
 
     folder: Path | None
     tests: tuple[str, ...]

@@ -248,5 +248,5 @@ class BoxSource:
 
     @property
     def _kept(self) -> list[OrientedBox] | None:
-        """What was found before."""
+        """The box found before."""
         return load_rois(self.file) if self.file is not None and self.file.exists() else None

@@ -119,7 +119,7 @@ class _Maker:
         return folder
 
     def _knowledge(self, roi: OrientedBox, context: Context) -> Knowledge:
-        """What carries masks from photo to photo."""
+        """The model, or points, that carry masks from photo to photo."""
         frame = self.frame
         if self.model is None:
             from ..masking.point_votes import PointVotes

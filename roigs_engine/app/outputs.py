@@ -59,14 +59,14 @@ class Evaluated(Result):
 
 @dataclass(frozen=True, kw_only=True)
 class Trained(Evaluated):
-    """Where a training's result is: the scene's PLY, and the folder with a PLY for each box."""
+    """The result of a training: the scene's PLY, and the folder with a PLY for each box."""
 
     result: Path | None = None
     rois: Path | None = None
 
 
 def result_in(folder: Path, table: str | None) -> Trained:
-    """Where everything is in a run folder; `table` is of the evaluation, None: there is none."""
+    """The paths of a run folder; `table` is of the evaluation, None: there is none."""
     found = Trained(result=folder / run_files.RESULT, rois=folder / run_files.FINE)
     return found if table is None else found.with_evaluation(folder, table)
 

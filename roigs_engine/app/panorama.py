@@ -168,7 +168,7 @@ def _line(
     shone: Shading,
     given: tuple[float | None, float | None],
 ) -> str:
-    """What was found at a point, and how bright what photos cannot show is made."""
+    """The results at a point: factors of the light that photos cannot show, in words."""
     place = ", ".join(f"{value:.4g}" for value in at)
     factors, sides, white = shone.factors, shone.sides, shone.white
     how = "estimated from the scene's shading" if factors.told else "a typical value"

@@ -180,6 +180,6 @@ def up_in_run(path: Path) -> str | None:
 
 
 def _places(folder: Path) -> list[Path]:
-    """Where the scene of a run folder may be, the likelier place first."""
+    """Possible places of a run folder's scene, the likelier one first."""
     known = _path(folder, "scene")
     return [*([] if known is None else [known]), folder / run_files.PROJECT]

@@ -106,7 +106,7 @@ def units_of(folder: Path, scene: SfmScene, context: Context) -> Units:
 
 
 def _painter(request: Suggest, scene: SfmScene, context: Context) -> Draw:
-    """What draws the expected pictures: the model, or points and photos."""
+    """The renderer of the expected pictures: the model, or points and photos."""
     from ..guidance.pictures import PointPictures, from_photos
 
     if request.model is None:

@@ -221,7 +221,7 @@ def _gaussians(run: Run, context: Context) -> Gaussians:
 
 
 def _say_before(gaussians: Gaussians, run: Run, names: Sequence[str], context: Context) -> None:
-    """What memory it takes, and which boxes' objects stay joined to what they stand on."""
+    """Report the memory needed, and the boxes whose objects stay joined to their support."""
     from ..surface.make import surface_plan
     from ..surface.objects import has_masks
 

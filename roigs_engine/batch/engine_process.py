@@ -81,7 +81,7 @@ def _stop(
 
 
 def _outcome(status: int, final: Record, errors: IO[bytes]) -> Outcome:
-    """How a process ended, by its final event, or by its status and its last words."""
+    """The end of a process: its final event, or its status and its last words."""
     if final.get("stopped"):
         return Outcome(state=STOPPED)
     if final.get("event") == "done":

@@ -64,7 +64,7 @@ def share(state: PartState) -> float:
 
 
 def _shown(state: PartState) -> float:
-    """How much of a part its last progress shows, by its stages' work."""
+    """The share of a part that its last progress shows, by its stages' work."""
     total, step = state.progress.get("total"), state.progress.get("step")
     if state.state != RUNNING or not total or step is None or not state.part.work:
         return 0.0

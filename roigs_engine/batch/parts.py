@@ -16,7 +16,7 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True, kw_only=True)
 class Staging:
-    """Where the files of a scene's parts are, if they are on a store."""
+    """The places of a scene's files, if they are on a store."""
 
     url: str  # of the batch's folder
     base: str  # the same folder on the machine that planned; the command line names it

@@ -129,12 +129,12 @@ class BatchRecord:
         write_json(self.folder / BATCH, {"version": VERSION, "scenes": self._scenes})
 
     def _stamps(self, run: Path, files: Iterable[Path]) -> dict[str, list[Any]]:
-        """What changes with files, by their place in the batch's folder; OSError if one is gone."""
+        """Marks of files, by their place in the batch's folder; OSError if one is gone."""
         paths = (run / RESULT, run / REPORT_DATA, *files)
         return {path.relative_to(self.folder).as_posix(): self._stamp(path) for path in paths}
 
     def _stamp(self, path: Path) -> list[Any]:
-        """What changes with a file: size and time; OSError if it is gone."""
+        """A mark that changes with a file: size and time; OSError if it is gone."""
         status = path.stat()
         return [status.st_size, status.st_mtime_ns]
 

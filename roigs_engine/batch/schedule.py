@@ -19,7 +19,7 @@ POLL = 0.5
 
 
 class Executor(Protocol):
-    """Where parts are done; `local.LocalExecutor` says what its methods do."""
+    """An executor of parts; `local.LocalExecutor` describes its methods."""
 
     def has_capacity(self, part: Part, avoid: tuple[str, ...] = ()) -> bool: ...
     def start(self, part: Part, waiting: int, avoid: tuple[str, ...] = ()) -> int: ...

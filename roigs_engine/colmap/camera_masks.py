@@ -123,7 +123,7 @@ class MaskPlan:
 def _plan(
     photo: Path, digest: str, file: Path | None, turn: int, *, inverted: bool, of_object: bool
 ) -> MaskPlan:
-    """How to make a mask of a photo at the size of its file; MaskError if `file` cannot be read.
+    """The plan for a photo's mask at the size of its file; MaskError if `file` cannot be read.
 
     `photo`, `digest`: the photo's file, and its hash; for the others, see `MaskPlan`.
     """

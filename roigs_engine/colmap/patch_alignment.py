@@ -53,7 +53,7 @@ def templates(
 def align(
     photo: Pyramid, places: Float64, jacobians: Float64, references: Grey, reach: Float64
 ) -> tuple[Float64, NDArray[np.bool_], Float64]:
-    """Where a photo shows the references.
+    """Locate the references in a photo.
 
     Args:
         places: (N, 2) where to begin, px.

@@ -97,7 +97,7 @@ def stored_photo(image: ModelImage, model: Model, photos: PhotoFolder) -> Stored
 
 
 def _identity(path: Path) -> tuple[object, ...]:
-    """What the spellings of a file's name share, as each photo counts once.
+    """A key shared by all spellings of a file's name, as each photo counts once.
 
     As `a.jpg`, `./a.jpg`, a path through a link to a folder, and `A.JPG` where case is ignored.
     Links to a file are photos of their own.

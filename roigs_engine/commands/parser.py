@@ -118,7 +118,7 @@ def _add_options(parser: Parser, command: Command) -> None:
 
 
 def _facts(option: Option) -> dict[str, Any]:
-    """What argparse is told of an option."""
+    """An option's arguments for argparse."""
     facts: dict[str, Any] = {"help": option.text().replace("%", "%%"), "dest": option.name}
     if option.hidden:
         facts["help"] = argparse.SUPPRESS

@@ -45,7 +45,7 @@ class Command:
 
 
 def _training(request: runs.Train) -> str:
-    """What does a training: plans it, gives it to a cluster, does parts of it, or all here."""
+    """Train: plan it, give it to a cluster, do parts of it, or do all here."""
     if request.dry_run:
         return "train:plan_training"
     if request.cluster:

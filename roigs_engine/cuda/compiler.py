@@ -207,7 +207,7 @@ def machine_code(compiler: Nvrtc, target: int) -> bytes:
 
 
 def cached(compiler: Nvrtc, target: int) -> Path:
-    """Where compiled kernels are kept: by source, compute capability and compiler."""
+    """The path of compiled kernels: by source, compute capability and compiler."""
     version = ".".join(map(str, compiler.version))
     return user_cache() / "cuda" / f"{source_key()}-sm_{target}-nvrtc-{version}.cubin"
 

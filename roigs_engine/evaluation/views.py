@@ -226,7 +226,7 @@ def measure_view(
 
 
 class _Box:
-    """What is measured of one box on one photo, model by model.
+    """Measurements of one box on one photo, model by model.
 
     Attributes:
         plan, distance: of the box; of the camera from its centre, in its diagonals.

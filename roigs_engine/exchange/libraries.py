@@ -68,7 +68,7 @@ def reading(path: Path, title: str) -> Iterator[None]:
 
 
 def _words(error: Exception) -> str:
-    """What an error says, else its kind: OpenUSD's may quote bytes that are no text."""
+    """The message of an error, else its kind: OpenUSD's may quote bytes that are no text."""
     with suppress(UnicodeError):
         if text := str(error).strip()[:MOST_WORDS]:
             found = OPENUSD.search(text)

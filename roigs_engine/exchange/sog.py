@@ -328,7 +328,7 @@ def _check(data: bytes) -> None:
 
 
 def _pixels(packed: zipfile.ZipFile, name: str) -> int:
-    """How many pixels a picture of the archive has."""
+    """Number of pixels of a picture of the archive."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # Pillow's, of pictures that are far too large
         with packed.open(name) as file, Image.open(file, formats=KINDS) as picture:

@@ -25,7 +25,7 @@ class StageStarted:
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """Where a stage is. Seconds are wall-clock; `psnr` is over recent photos, in dB.
+    """Progress of a stage. Seconds are wall-clock; `psnr` is over recent photos, in dB.
 
     `loss` is NaN in a stage that has none (evaluation), and `null` in JSON. `run_seconds_left` is
     of all stages to come too; NaN where that is not known.

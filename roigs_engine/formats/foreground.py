@@ -94,7 +94,7 @@ def foreground_bounds(
 
 
 def _top(points: Vectors, low: Vectors, high: Vectors, reach: float) -> float:
-    """How high an object goes whose lower part is within these bounds: nothing floats above it.
+    """Height of an object whose lower part is within these bounds: nothing floats above it.
 
     Photos of something tall are often aimed at its foot.
     """

@@ -214,7 +214,7 @@ def _write_record(file: BinaryIO, record: dict[str, Any]) -> None:
 
 
 def _read_record(path: Path) -> dict[str, Any]:
-    """What a lock file says; empty if it is missing or damaged."""
+    """The content of a lock file; empty if it is missing or damaged."""
     try:
         return _parsed(read_bytes(path))
     except OSError:

@@ -68,7 +68,7 @@ def standing_places(
     lens: Camera,
     context: Context = QUIET,
 ) -> Places:
-    """Where a person can stand and see the box: on shells around it, in air that photos passed.
+    """Places where a person can stand and see the box: on shells, in air that rays passed.
 
     The nearest shell is where the box fills the picture, the farthest at the usual distance of its
     photos. Heights are those at which the camera was held. Nothing is nearer to the camera than to
@@ -147,7 +147,7 @@ def _room(scene: SfmScene, eyes: Float64) -> Float64:
 
 @dataclass(frozen=True, kw_only=True)
 class Offset:
-    """Where a place is, as seen from a photo: world units along its right, up and forward."""
+    """A place relative to a photo: world units along its right, up and forward."""
 
     photo: str
     right: float

@@ -85,7 +85,7 @@ def native_platform() -> str:
 
 
 def library_path(folder: Path, target: str, isa: str) -> Path:
-    """Where the library of one instruction set lies below an output folder."""
+    """The path of the library of one instruction set, below an output folder."""
     return folder / target / f"roigs_{isa}{PLATFORMS[target].suffix}"
 
 

@@ -145,7 +145,7 @@ def panorama(
 
 
 def _lamps(white: Mask) -> Mask:
-    """What is white without thin lines and dots: these are bright edges, and no lamps."""
+    """White areas without thin lines and dots, which are bright edges and no lamps."""
     side = math.ceil(LAMP / 180 * len(white))
     return np.asarray(ndimage.binary_opening(white, np.ones((side, side))))
 

@@ -121,7 +121,7 @@ def _sided(light: Float32, sides: Float32) -> Float32:
 
 
 def _above(ways: Float64) -> Float64:
-    """How far directions (..., 3) are above the horizon: from 0 there to 1 and on."""
+    """Height of directions (..., 3) above the horizon: from 0 there to 1 and on."""
     return np.asarray(np.clip(np.degrees(np.arcsin(np.clip(ways[..., 2], -1, 1))) / RAMP, 0, 1))
 
 
@@ -130,7 +130,7 @@ Told = list[tuple[Float64, Float64]]
 
 
 def _near(distance: Float32, place: Float64, objects: Sequence[Surfaces]) -> Told:
-    """What the objects tell that are near the place."""
+    """Brightness of the objects near the place, see `_told`."""
     above = distance[: len(distance) // 2]  # the light's way; what stands on a table is near that
     seen_at = above[above < NOTHING]
     reach = NEAR * float(np.median(seen_at)) if len(seen_at) else 0.0

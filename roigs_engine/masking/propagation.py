@@ -194,7 +194,7 @@ def _with_likelihood(view: View, likely: Floats, trust: float) -> NDArray[np.uin
 
 
 def _trimap(view: View, prior: Prior, likely: Mask, band: float) -> NDArray[np.uint8]:
-    """What is sure and what is likely, in OpenCV's numbers."""
+    """Sure and likely pixels, in OpenCV's numbers."""
     reach = max(2, round(band * math.sqrt(likely.sum())))
     known = prior.unknown < 1 - CERTAIN
     trimap = np.where(likely, np.uint8(MAYBE_OBJECT), np.uint8(MAYBE_BACKGROUND))

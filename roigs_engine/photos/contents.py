@@ -103,7 +103,7 @@ def _remember(memory: Path | None, found: Mapping[str, Content]) -> None:
 
 
 def _stamp(path: Path) -> Content:
-    """What tells that the file is still the same; OSError if there is none."""
+    """A mark that is equal while the file is the same; OSError if there is none."""
     status = path.stat()
     return Content(size=status.st_size, modified=status.st_mtime_ns, changed=status.st_ctime_ns)
 

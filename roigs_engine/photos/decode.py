@@ -387,7 +387,7 @@ def _ends_early(file: BinaryIO) -> bool:
 
 
 def _end_of_first_scan(file: BinaryIO) -> int:
-    """Where the first image data of a JPEG end: at a marker that cannot be within them."""
+    """The end of a JPEG's first image data: at a marker that cannot be within them."""
     file.seek(0)
     restarts = RESTART_INTERVAL in list(jpeg_segments(file))
     at = file.tell()

@@ -229,7 +229,7 @@ STARTS = {
 
 
 def _kind(path: Path) -> str:
-    """What a file that is no photo holds; empty: not known."""
+    """The real kind of a file that is no photo; empty: not known."""
     try:
         with open(path, "rb", opener=regular) as file:
             start = file.read(32)

@@ -53,7 +53,7 @@ class MaskFiles:
     """
 
     def __init__(self, photos: Path, folder: Path | None = None, *, made: bool = True) -> None:
-        """What to look for.
+        """The masks to look for.
 
         Args:
             photos: the photos' folder.

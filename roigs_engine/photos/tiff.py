@@ -424,7 +424,7 @@ def _straight(page: Any, kind: type[np.unsignedinteger[Any]], factor: int) -> ND
 
 
 def _white(values: NDArray[Any], bits: int) -> float:
-    """What is white in a page: the largest value of its type, or of fewer bits in it."""
+    """The value of white in a page: the largest value of its type, or of fewer bits in it."""
     if values.dtype.kind in "bf":
         return 1.0
     # Programs write 16 bits as signed 32; by its type, such a photo would be black.

@@ -102,7 +102,7 @@ def write_masks(
 def _plans(
     photos: Sequence[Photo], source: Path, options: MaskOptions, context: Context
 ) -> dict[str, MaskPlan]:
-    """How to make the masks; nothing is decoded, so of opaque alpha channels as well."""
+    """Plans for the masks; nothing is decoded, so also of opaque alpha channels."""
     files = MaskFiles(source, options.folder, made=False)  # the folder's are made of others
     plans = {}
     for photo in photos if options.used else ():

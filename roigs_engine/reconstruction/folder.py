@@ -98,7 +98,7 @@ class Folder:
             yield
 
     def _of_others(self, *, is_new: bool) -> Iterator[Path]:
-        """What is called like a file of ours, and is none."""
+        """Files with our names that are not ours."""
         if not is_new:
             yield from filter(None, [first_other(self.work(), {RECORD: ("version", PHOTOS)})])
             return
@@ -151,7 +151,7 @@ class Folder:
                 path.unlink(missing_ok=True)
 
     def _replaced(self) -> list[Path]:
-        """What this command may remove, where its record says that it was made by it."""
+        """Files that this command may remove, because its record says that it created them."""
         files = [
             self.database.with_name(DATABASE + end) for end in ("", "-wal", "-shm", "-journal")
         ]

@@ -164,7 +164,7 @@ class Video:
         return graph
 
     def _filtered(self, graph: Any, frame: Any) -> Iterator[Any]:
-        """What comes out of a graph after a frame; None: of the end."""
+        """The output of a graph after a frame; None: at the end."""
         if graph is None:
             return
         graph.push(frame)

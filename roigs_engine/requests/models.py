@@ -147,7 +147,7 @@ class Adapt(PhotoSize, PhotoMasks, Device):
 
 @dataclass(frozen=True, kw_only=True)
 class _Page(Request, heading="web page (OUT.html)"):
-    """What a page shows besides the model."""
+    """Options of a page besides the model."""
 
     title: str | None = option(Name("TEXT"), "of the page (default: the name of OUT)")
     fly_to: Path | None = option(FILE, "rois.json: a button to fly to each box; crops nothing")

@@ -143,7 +143,7 @@ def forecast(run: Run, plan: Plan, context: Context) -> Forecast:
 
 
 def _in_words(device: str) -> str:
-    """What trains, for people."""
+    """The training device, in words."""
     if device != "cpu":
         return device
     gpu = opened()

@@ -82,7 +82,7 @@ def refuse_other_run(folder: Path, manifest: dict[str, Any]) -> None:
 
 
 def _without_contents(manifest: dict[str, Any]) -> dict[str, Any]:
-    """What does not depend on the photos' pixels: a damaged one changes the others' use, too."""
+    """The parts that do not depend on photos: a damaged one also changes the others' use."""
     return {key: manifest.get(key) for key in ("config", "rois")}
 
 
@@ -206,7 +206,7 @@ def _rois(_: str, before: Any, now: Any) -> str:
 
 
 def _changed(one: str, many: str, old: dict[str, Any], new: dict[str, Any]) -> str:
-    """Which of two sets of named values differ, and how."""
+    """The differences between two sets of named values."""
     names = _different(old, new)
     lost, added = (not set(names) & side.keys() for side in (new, old))
     if len(names) == 1:

@@ -279,7 +279,7 @@ def plan_card(
 
 
 def _densifications(*stages: TrainConfig) -> int:
-    """How many densifications these stages have."""
+    """Number of densifications of these stages."""
     return sum(
         max(0, (min(density.until, config.steps) - density.start) // density.every)
         for config in stages

@@ -26,7 +26,7 @@ CELLS, SEEN = "cells", "seen"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Source:
-    """Where Gaussians come from.
+    """The source of Gaussians.
 
     Attributes:
         kind: `points` (the sparse points), `result` (of the one input), `crop` (the base's
@@ -95,7 +95,7 @@ class Stage:
         return json_digest(record)
 
     def _object_masks(self) -> list[tuple[int, int, str]]:
-        """What decides the masks of objects that the stage uses: photo, box, digest of the mask."""
+        """The masks of objects that the stage uses: photo, box, digest of the mask."""
         if not any(each.uses_object_masks for each in self.config.mechanisms):
             return []
         return [
@@ -198,7 +198,7 @@ def camera_record(image: PosedImage) -> tuple[Any, ...]:
 
 
 def _image_record(image: PosedImage) -> tuple[Any, ...]:
-    """What decides how a photo trains a stage."""
+    """The facts that decide how a photo trains a stage."""
     mask = image.mask.digest if image.mask else ""
     observed = hashlib.sha256(image.point_indices.astype("<i8").tobytes()).hexdigest()
     return image.name, image.digest, *camera_record(image), image.pixel_size, mask, observed

@@ -83,7 +83,7 @@ def tuned_baseline(config: RunConfig) -> TunedBaseline:
 
 
 def _without_boxes(stage: TrainConfig, density: DensityControl) -> TrainConfig:
-    """What a box stage uses that fits any scene."""
+    """The settings of a box stage that fit any scene."""
     return replace(
         stage,
         mechanisms=(
@@ -166,7 +166,7 @@ def surroundings_stage(config: TrainConfig, share: float) -> TrainConfig:
 
 
 def _outside_density(config: TrainConfig) -> DensityControl | None:
-    """How a stage densifies outside its boxes; None: it does not."""
+    """The densification of a stage outside its boxes; None: there is none."""
     own = config.get(DensityControl)
     if not isinstance(own, BoxDensityControl):
         return own
@@ -201,7 +201,7 @@ def block_stage(config: TrainConfig, share: float, photos: float) -> TrainConfig
 
 
 def _densify_steps(config: RunConfig) -> int:
-    """How many steps of a baseline densify."""
+    """Number of a baseline's steps that densify."""
     return int(config.baseline_densify * config.total_steps + 1e-9)
 
 

@@ -121,7 +121,7 @@ class StageResult:
 
 
 def folder_of(run: Path, name: str, fingerprint: str) -> Path:
-    """Where a stage is in a run folder: in `stages/NAME-FINGERPRINT`, which need not exist.
+    """The folder of a stage in a run folder: `stages/NAME-FINGERPRINT`; it need not exist.
 
     If that does not exist, a finished stage of the same fingerprint serves, whatever its name: the
     box was renamed, or two stages of a plan are the same.

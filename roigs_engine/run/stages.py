@@ -196,7 +196,7 @@ def _config(photos: PhotoSets, config: TrainConfig, cell: Cell) -> TrainConfig:
 def _start(
     run: Run, base: Source | None, cell: Cell, images: Sequence[PosedImage]
 ) -> Source | None:
-    """What a cell's stage starts from: in a scene that is cut, only what its photos show."""
+    """The start of a cell's stage: in a divided scene, only Gaussians that its photos show."""
     if run.layout.blocks is None:
         return base
     if base is None:

@@ -58,7 +58,7 @@ def _is_here(folder: Path, name: str, sign: list[Any], known: Any) -> bool:
 
 
 def _target(folder: Path, name: str) -> Path:
-    """Where the copy of a file is; RunFolderError: through a link."""
+    """The path of a file's copy; RunFolderError: through a link."""
     return own_file(folder, f"{FILES}/{name}")
 
 

@@ -187,7 +187,7 @@ def _voxel(maps: Sequence[DepthMap], whole: OrientedBox, most: int) -> float:
 
 
 def _finest(maps: Sequence[DepthMap], voxel: float) -> int:
-    """How many times finer voxels may be: as the pixels of the nearest photos."""
+    """The factor by which voxels may be finer: as the pixels of the nearest photos."""
     pixel = min(footprint(depth_map) for depth_map in maps)
     return int(np.clip(voxel / pixel, 1, FINEST))
 
@@ -201,7 +201,7 @@ def _on_cells(whole: OrientedBox, voxel: float) -> OrientedBox:
 def _regions(
     rois: Sequence[OrientedBox], whole: OrientedBox, voxel: float, finest: int
 ) -> tuple[list[_Region], int]:
-    """Where the grid is finer, and how many times: less where all would be too many voxels."""
+    """Regions with a finer grid, and their factors: less if all would be too many voxels."""
     found = []
     most = np.round(2 * whole.half_extents / voxel).astype(int) - 1
     for roi in rois:

@@ -194,7 +194,7 @@ def _read(path: Path) -> list[tuple[Float64, Any]]:
 
 
 def _texture(file: GltfFile, item: dict[str, Any], uv: Any, materials: dict[int, Any]) -> Any:
-    """How trimesh has the texture of a primitive; None: it has none.
+    """A primitive's texture in trimesh's form; None: it has none.
 
     `materials`: of the file's pictures so far, by their numbers.
     """
