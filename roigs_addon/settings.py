@@ -1,7 +1,7 @@
 """The user's settings of the add-on, and the folders derived from them.
 
-They are edited on the preferences page (ui/preferences.py). Where the package is registered
-without being an add-on, as in tests, the defaults hold.
+They are edited on the preferences page (ui/preferences.py). If the package is registered without
+being an add-on, as in tests, the defaults apply.
 """
 
 from __future__ import annotations

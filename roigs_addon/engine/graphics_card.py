@@ -1,6 +1,6 @@
 """Finds the NVIDIA card and driver, and the matching build of torch. No bpy.
 
-What drivers and builds need is in docs/cuda.md, with the sources.
+docs/cuda.md has the requirements of drivers and builds, with the sources.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ FOUND = "The cameras were refined before, in {folder}. That model was imported."
 def spec(scene: bpy.types.Scene) -> JobSpec:
     """The job that refines the cameras of the scene's model and imports the refined model.
 
-    Where there is a refined model already, the job only imports that.
+    If there is a refined model already, the job only imports it.
 
     Raises:
         AddonError: the model is gone, or newer than its refined one; or the cache cannot be

@@ -14,7 +14,7 @@ _active: dict[str, str] = {}  # scene -> its active camera, by name
 def follow(scene: bpy.types.Scene, *_: object) -> None:
     """Set resolution and aspect when another photo's camera has become the active one.
 
-    What a file has when it is loaded stays, and so does what the user sets afterwards.
+    Settings of a loaded file stay, and so do those that the user makes afterwards.
     """
     camera = scene.camera
     name = camera.name if camera else ""

@@ -34,8 +34,8 @@ def show_last(scene: bpy.types.Scene, folder: Path) -> None:
 def switch(scene: bpy.types.Scene, folder: Path) -> None:
     """Show the result of a run folder, or an earlier one.
 
-    What it does not have, such as edited copies, is parked: hidden until a result is shown that
-    has it.
+    Objects that it does not have, such as edited copies, are parked: hidden until a result is shown
+    that has it.
 
     Raises:
         AddonError: a file is missing or damaged.

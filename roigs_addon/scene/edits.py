@@ -6,9 +6,9 @@ to a file in Blender's temporary folder. The .blend has all that is needed: on a
 shows the same picture without the run folder. In edit mode Blender gives no access to attributes,
 so edits are drawn when it is left.
 
-What turns or scales all points at once, such as **Object ▸ Apply**, moves them but
-not their shapes. So each point keeps where it was imported: the map of all points is found by it,
-and drawn like a transformation of the object.
+An operation that rotates or scales all points at once, such as **Object ▸ Apply**, moves them but
+does not change their shapes. So each point keeps where it was imported: the map of all points is
+found by it, and drawn like a transformation of the object.
 """
 
 from __future__ import annotations

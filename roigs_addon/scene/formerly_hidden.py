@@ -11,7 +11,7 @@ from .visibility import SEEN, disable, eye_is_shut, open_eye, wait
 
 
 def take_over(scene: bpy.types.Scene) -> None:
-    """Hide it as this version does. What the user has hidden with H stays so."""
+    """Hide it as this version does. Objects that the user has hidden with H stay hidden."""
     items = lookup.splats(scene)
     training = any(object_props(item).level == "PREVIEW" for item in items)
     for item in (item for item in items if eye_is_shut(scene, item)):

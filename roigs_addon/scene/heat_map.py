@@ -1,6 +1,6 @@
 """The heat map: colours Gaussians by the number of directions that photos show them from.
 
-What photos know is in attributes of the points (`confidence.COLUMNS`): it is saved, and follows the
+The confidence is in attributes of the points (`confidence.COLUMNS`): it is saved, and follows the
 points through edits. The colours are a file in Blender's temporary folder, drawn in place of the
 object's own.
 """

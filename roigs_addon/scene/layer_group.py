@@ -1,6 +1,6 @@
 """The node group that merges the engine's layer with Blender's picture, by depth.
 
-Where Gaussians are nearer than Blender's surface they lie over it, elsewhere below it.
+Gaussians nearer than Blender's surface are drawn over it, others below it.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ FAR = 1e11
 def new_group() -> Any:
     """A new group: picture and passes in; what is seen, Gaussians or not, out.
 
-    Where a depth of the engine's is negative, what Blender's surfaces hide is left out already.
+    A negative depth of the engine's means that Gaussians behind Blender's surfaces are already left
+    out.
     """
     group: Any = bpy.data.node_groups.new(NAME, "CompositorNodeTree")
     group[MARK] = True

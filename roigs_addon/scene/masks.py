@@ -1,7 +1,7 @@
 """Masks of objects: their folders, and the photos that have one.
 
 They are in the folder `masks` beside the photos, as the engine looks for them, or in the run folder
-if that cannot be written. Which of two masks of a photo is used, the engine says (`mask_record`).
+if that cannot be written. The engine decides which of two masks of a photo is used (`mask_record`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ FOLDER = "masks"
 def folder(scene: bpy.types.Scene, run: Path) -> Path:
     """The folder that masks are made in: beside the photos, or in the run folder.
 
-    That is taken if the other cannot be written, and from then on, as long as it has masks.
+    It is used if the other cannot be written, and from then on, as long as it has masks.
 
     Args:
         scene: with a model.

@@ -1,7 +1,7 @@
 """Prepares a scene for the user's own objects: light, proxies, passes; and undoes it.
 
-All of it is in a collection and a world of their own. What else changes is remembered in the .blend
-before it does, so that `remove` brings all back.
+All of it is in a collection and a world of their own. All other settings are saved in the .blend
+before they change, so that `remove` restores them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Suggested photos: numbered cameras at the places for the next photos.
 
-They are in a collection of their own, with a line from each to its box. What a photo should show is
-behind its camera, as a photo is behind that of an imported one.
+They are in a collection of their own, with a line from each to its box. The preview is the
+background of its camera, like the photo of an imported camera.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Both are copies, without their parent, that stand on the origin: the collection's, and their own.
 The mesh's texture, the light that it was captured in and the Gaussians' attributes are in the
-.blend. What the object stood on is cut off, if its box holds a plate of it.
+.blend. The support of the object is cut off, if the box contains a plate of it.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ import bpy
 class ViewHandler:
     """Has a function draw in every 3D viewport.
 
-    What fails once, such as a shader, would fail at every redraw, so drawing then stops.
+    An error, such as that of a shader, would repeat at every redraw, so drawing stops after it.
 
     Attributes:
         failure: why drawing has stopped, in one line; empty if it has not.

@@ -1,7 +1,8 @@
 """Levels of detail in a viewport: an object becomes one object per level, of which a view shows
 one, or two in a fade.
 
-What is not on the GPU yet is not missed: until then, the nearest level that is there stands in.
+A level that is not on the GPU yet leaves no hole: until then, the nearest level that is there
+stands in.
 """
 
 from __future__ import annotations

@@ -130,8 +130,8 @@ def _check_test_photos(test: Sequence[str], split: Path | None, cameras: SfmScen
 def _split_of_run(models: Sequence[Path], context: Context) -> Path | None:
     """The split of the run that all models are from; None, with a warning, if they are from none.
 
-    A model of a run lies in its folder, or in one or two folders below. What its stages of earlier
-    settings were trained on, the run does not know.
+    A model of a run lies in its folder, or in one or two folders below. The run does not know the
+    photos of its stages of earlier settings.
     """
     found = {_split_beside(path.absolute()) for path in models}
     split = found.pop()

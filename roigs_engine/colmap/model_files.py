@@ -3,7 +3,7 @@
 pycolmap's reader is not used: on damaged files it can loop forever or allocate huge amounts of
 memory, and it rejects a model with a single dangling observation. Here, counts are checked before
 memory is allocated. `rigs` and `frames` files are not needed, since `images` has each photo's full
-pose. What pycolmap must read is checked here first (`pycolmap_model`).
+pose. Files for pycolmap are checked here first (`pycolmap_model`).
 """
 
 from __future__ import annotations

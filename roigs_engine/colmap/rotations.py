@@ -1,8 +1,8 @@
 """Finds the photos that a model's software has turned by their EXIF tags.
 
 COLMAP ignores the tags, other software obeys them. A photo on its side tells by its size which it
-was. Where the size cannot tell (upside down, mirrored, square), the model's other photos do, and
-else the points' colours.
+was. If the size does not decide (upside down, mirrored, square), the model's other photos decide,
+or else the points' colours.
 """
 
 from __future__ import annotations

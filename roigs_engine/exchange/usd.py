@@ -180,7 +180,7 @@ def _gaussians(prim: Any) -> Arrays:
 def _in_srgb(prim: Any, sh: Float32) -> Float32:
     """SH of the colour space that the coefficients, the prim or one above names; none: of sRGB.
 
-    That is how trainers have them, though OpenUSD's own default is linear.
+    Trainers use sRGB, though OpenUSD's own default is linear.
     """
     gf, vt = pxr_modules("Gf", "Vt")
     attribute = prim.GetAttribute(SH if prim.GetAttribute(SH).HasValue() else f"{SH}h")

@@ -225,7 +225,7 @@ def atomic_write(
 ) -> Iterator[BinaryIO]:
     """Open a temporary file beside `path`; rename it to `path` once the block ends well.
 
-    What stood under `path` before is untouched until then, and stays when the block fails.
+    An earlier file or folder at `path` is untouched until then, and stays if the block fails.
 
     Args:
         path: of the file.

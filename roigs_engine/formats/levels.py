@@ -1,10 +1,10 @@
 """`levels.json`: the levels of detail of a result, and the rule that chooses a level.
 
-A part (a box, or the surroundings) has a ladder of files, each with fewer Gaussians. What decides
-is how finely a view shows the part, its rate in pixels per unit of length: `Level.farther` is how
-many times coarser than its photos a view must be for that level to do. The rule depends on the view
-alone, not on what was drawn before, so a picture is the same whenever it is drawn. Just before a
-level is left, it and the next are drawn together, one fading out and the other in.
+A part (a box, or the surroundings) has a ladder of files, each with fewer Gaussians. The resolution
+of a view decides: its rate, in pixels per unit of length on the part. A level is used if the view
+is at least `Level.farther` times coarser than the photos. The rule depends on the view alone, not
+on earlier views, so a picture is always the same. Where one level follows another, both are drawn,
+one fading out and the other in.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ def is_other(path: Path, keys: Iterable[str], *, lines: bool = False) -> bool:
 def says_other(data: bytes, keys: Iterable[str]) -> bool:
     """Whether a file's bytes are none of ours: no JSON object with these keys.
 
-    What is empty, or has zeros alone, as after a crash of the computer, holds nothing of anybody.
+    An empty file, or one with only zeros, as after a crash of the computer, belongs to nobody.
     """
     if not data.strip(b"\0 \r\n"):
         return False

@@ -5,8 +5,8 @@ Written is binary little-endian; ASCII and big-endian are read, too.
 docs/conventions.md has the layout. Values go out and come back bit for bit. Centres far from the
 origin, as in map coordinates, are `double x y z`: float32 would be too coarse there.
 
-What a file says of anti-aliasing and light, ours and other programs', is in docs/formats.md (Made
-for).
+docs/formats.md (Made for) describes how files, ours and other programs', record anti-aliasing and
+light.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The GPUs that wgpu finds, and the one in use.
 
-wgpu is a package with a library that reaches GPUs through the driver that is there: Vulkan, Metal
-or DirectX 12. torch cannot; tensors stay in main memory.
+wgpu is a package with a library that uses GPUs through their drivers: Vulkan, Metal or DirectX 12.
+torch does not support these GPUs, so its tensors stay in main memory.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """An optimizer's parameters and moments, kept on a GPU while only steps change them.
 
-A step then sends nothing but the photo's gradient. Whoever looks at the tensors in main memory asks
-for them first (`Resident.settle`), and may have changed them: the next step is one with tensors in
-main memory. So what is looked at after each step is not sent back and forth.
+Then a step sends nothing except the photo's gradient. Code that reads the tensors in main memory
+calls `Resident.settle` first, and may change them. So the next step uses the tensors in main
+memory, and only the one after it moves them to the GPU again. A model that is read after each step
+is not sent back and forth.
 """
 
 from __future__ import annotations

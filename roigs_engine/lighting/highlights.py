@@ -1,11 +1,10 @@
 """Estimates the brightness of lamps, windows and sky, which photos clip or do not show.
 
-Two factors are sought: that of what is clipped, and that of what no photo shows above the horizon,
-where lamps and the sky are. Surfaces of the scene tell them, as light probes whose albedo is not
-known: surfaces of one colour that face different ways have the same albedo, in the usual case, so
-the ratio of their brightness is that of the light on them. A light from far away is assumed, as of
-an environment map (Debevec 1998). Two things that are known of albedos pin the scale: hardly any
-surface gives back more than it gets, and most give back about half.
+It finds two factors: one for clipped light, and one for unseen light above the horizon, where lamps
+and the sky are. Surfaces of the scene serve as light probes of unknown albedo. Surfaces of one
+colour that face different ways usually have the same albedo, so the ratio of their brightness is
+the ratio of their irradiance. The light is assumed to be far away, like an environment map (Debevec
+1998). Two assumptions fix the scale: hardly any albedo is above 0.95, and most are about 0.45.
 """
 
 from __future__ import annotations
@@ -109,8 +108,8 @@ def _share(where: NDArray[Any]) -> float:
 def _usual(parts: Float64, tried: Float64) -> Float64:
     """The factors with which surfaces give back the usual share of the light.
 
-    What they give back is what is seen and not clipped. Both factors are alike where both are
-    sought, as they are of one kind of light.
+    They reflect the light that is seen and not clipped. If both factors are unknown, similar ones
+    are preferred, as they belong to one kind of light.
     """
     flux = (parts * solid_angles(parts.shape[1])).sum(axis=(1, 2))
     total = flux[0] + tried @ flux[1:]

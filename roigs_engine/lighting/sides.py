@@ -1,17 +1,17 @@
 """Estimates the main direction of a scene's light, and its total amount, from the shading.
 
-A lamp out of view, or a window that photos show darker than it is, leaves no trace in a panorama.
-But it lights one side of what stands there. An object with a mesh is a light probe: of its surfaces
-that face one way, the bright ones are about as white as the bright ones that face another way, so
-their ratio is that of the light on them (a white patch for each direction, and for each object of
-its own). The light is multiplied by exp(a · d) of the direction d, the smoothest gain that has a
-side, with the `a` that explains these ratios best. That is done above the horizon, where lamps,
-windows and the sky are: what is below is lit itself, as bright as photos show it.
+A panorama does not show a lamp out of view, or a window that photos show too dark. But such a light
+is visible on one side of the objects. An object with a mesh is a light probe. We assume that its
+bright surfaces are equally white in all directions, so the ratio of their brightness is the ratio
+of their irradiance (a white patch for each direction, separately for each object). The light from
+direction d is multiplied by exp(a · d), the smoothest gain with a direction, and the `a` that fits
+these ratios best. This applies only above the horizon, where lamps, windows and the sky are.
+Surfaces below it are lit themselves, and photos show their brightness.
 
-How much light there is, shading cannot tell: a white thing in half of the light looks like a grey
-one. But nothing is much whiter than white paint or paper. Where the bright parts of what is there
-would have to be, more light must come (the white patch of Retinex, Land and McCann 1971): from
-where photos cannot show it, if that can explain it.
+Shading does not determine the amount of light: a white object in half of the light looks like a
+grey one. But nothing is much whiter than white paint or paper. If bright surfaces would have to be whiter,
+there must be more light (the white patch of Retinex, Land and McCann 1971). It is added where
+photos cannot show it, or everywhere if that is not enough.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def gain(light: Float32, distance: Float32, place: Float64, objects: Sequence[Su
 
 
 def _sided(light: Float32, sides: Float32) -> Float32:
-    """A light (H, W, 3) with its side. What is added is neutral, as with light that none shows."""
+    """A light (H, W, 3) with its side. Added light is neutral, as unseen light is."""
     less, more = np.minimum(sides, 1)[..., None], np.maximum(sides - 1, 0)
     return np.asarray(less * light + (more * light.mean(axis=-1))[..., None], np.float32)
 

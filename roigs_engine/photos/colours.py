@@ -8,8 +8,8 @@ A file's colour space is that of the first of these that it has:
 - Adobe RGB, if the EXIF data say so as cameras do (DCF 2.0: interoperability index R03).
 
 Colours are converted relative to white, with black-point compensation: those that sRGB has stay
-exact. Perceptual conversion would change them too, by tables that each profile has of its own. What
-lies outside sRGB is clipped. A profile that differs from sRGB by no more than rounding changes
+exact. Perceptual conversion would change them too, by tables that each profile has of its own.
+Colours outside sRGB are clipped. A profile that differs from sRGB by no more than rounding changes
 nothing. Photos of more than 8 bits are converted at their full depth, except by profiles of tables.
 """
 

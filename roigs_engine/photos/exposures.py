@@ -58,8 +58,8 @@ def _number(value: Any) -> float | None:
 def relative_exposures(exposures: Mapping[Key, float | None]) -> dict[Key, float]:
     """Stops by which photos are brighter than the middle one; empty: they need no levelling.
 
-    That is so if EXIF tells the exposure of less than half of them, or of none that differ.
-    Photos without an exposure are missing.
+    This is the case if EXIF has the exposure of less than half of them, or if none differ. Photos
+    without an exposure are missing.
     """
     known = {key: value for key, value in exposures.items() if value is not None}
     if 2 * len(known) < len(exposures) or not known:

@@ -162,7 +162,7 @@ def space_of(primaries: Primaries, curve: Curve, *, limited: bool = False) -> Sp
 def space_of_code(primaries: int, transfer: int, *, limited: bool = False) -> Space:
     """The space of two code points of ITU-T H.273 of a photo; unknown ones are those of sRGB.
 
-    What is brighter than the reference white becomes white.
+    Colours brighter than the reference white become white.
     """
     curve = hlg_screen if transfer == HLG else CURVES.get(transfer, CURVES[1])[1]
     known = PRIMARIES.get(primaries, PRIMARIES[1])[1]

@@ -1,7 +1,6 @@
 """The CPU backend: the C++ kernels. kernels/roigs.h documents the interface and call order.
 
-What they compute on the way stays in a `KernelView` on the C++ side, whose memory is reused in each
-step.
+Intermediate results stay in a `KernelView` on the C++ side; its memory is reused in each step.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The CUDA backend: our CUDA kernels.
 
 cuda/kernels/frame.h has the kernels' interface and their order. Between them torch sorts: Gaussians
-by depth, then the (Gaussian, tile) pairs by tile; both sorts are stable. How many pairs there are
-is on the card: a view without a buffer for them (`cuda.pair_buffers`) waits for the number, once.
+by depth, then the (Gaussian, tile) pairs by tile; both sorts are stable. Only the card knows the
+number of pairs: a view without a buffer for them (`cuda.pair_buffers`) waits for the number, once.
 """
 
 from __future__ import annotations

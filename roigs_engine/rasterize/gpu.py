@@ -1,9 +1,9 @@
 """The backend for every GPU: compute shaders, through wgpu (Vulkan, Metal, DirectX 12).
 
 gpu/shaders/frame.wgsl has the kernels' buffers and their order. Tensors are in main memory: the
-parameters are sent to the GPU, pictures and gradients come back. What there are no shaders for, a
-surface and the median depth, is drawn by the processor, as is a view that has more pairs of
-Gaussians and tiles than the GPU's buffers hold.
+parameters are sent to the GPU, pictures and gradients come back. The CPU draws outputs without
+shaders (a surface, the median depth), and views with more pairs of Gaussians and tiles than the
+GPU's buffers hold.
 """
 
 from __future__ import annotations

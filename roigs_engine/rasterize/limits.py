@@ -22,9 +22,9 @@ class Limits:
             standard deviations along the camera's z axis.
         min_transmittance: in pixels that let less light through, nothing that is farther back need
             be drawn, which changes a colour by as much at most. The cpu backend draws it as long as
-            a pixel of the same block lets more through; reference draws it. Nor does a Gaussian
-            get a gradient from pixels (cpu: from blocks of pixels) in which its weight alpha x T is
-            not larger; from reference, it does. What others get there does not change.
+            a pixel of the same block lets more through; reference draws it. Nor does a Gaussian get
+            a gradient from pixels (cpu: from blocks of pixels) in which its weight alpha x T is not
+            larger; from reference, it does. The gradients of other Gaussians there do not change.
     """
 
     max_slope: float = math.inf

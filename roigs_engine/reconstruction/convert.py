@@ -37,8 +37,8 @@ SRGB = " sRGB"  # behind the digest of a photo whose colours were converted, too
 def converted(files: Mapping[str, Path], folder: Folder, context: Context) -> dict[str, Path]:
     """The photos (name -> file), foreign ones replaced by JPEG files in the folder's images.
 
-    `a.heic` becomes `a.heic.jpg`. A photo that cannot be read stays as it is. What an earlier call
-    has converted is used again.
+    `a.heic` becomes `a.heic.jpg`. A photo that cannot be read stays as it is. Files converted by an
+    earlier call are used again.
 
     Raises:
         EngineError: pillow-heif is not installed, and needed.

@@ -1,8 +1,7 @@
 """Masks of the photos to reconstruct, in the form that pycolmap reads: one file per photo.
 
-Where masks are, and what they may be, is decided as in training (`photos.mask_paths`,
-`photos.mask_images`). pycolmap needs them in one folder, `NAME.png` for the photo NAME, at its
-size.
+Places and formats of masks are the same as in training (`photos.mask_paths`, `photos.mask_images`).
+pycolmap needs them in one folder, `NAME.png` for the photo NAME, at its size.
 """
 
 from __future__ import annotations

@@ -131,7 +131,7 @@ class Folder:
     def emptied(self, *names: str) -> Path:
         """An empty folder of the engine's own; RunFolderError: something in it cannot be removed.
 
-        What stayed could be links, through which pycolmap would write.
+        Remaining files could be links, and pycolmap would write through them.
         """
         folder = self.work(*names)
         try:

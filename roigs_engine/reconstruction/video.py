@@ -235,7 +235,7 @@ class Seen:
 
 
 def take_frames(path: Path, folder: Folder, wanted: int, context: Context) -> dict[str, Path]:
-    """Write the frames of a video that become photos; name -> file. What is there is kept.
+    """Write the frames of a video that become photos; name -> file. Existing files are kept.
 
     `wanted`: about how many frames; 0: as many as the motion asks for.
 

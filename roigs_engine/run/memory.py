@@ -1,8 +1,9 @@
 """Estimates of a run's memory, on the machine and on a GPU, before it starts.
 
 The machine's constants were measured with `python -m benchmarks.memory` (docs/reliability.md). A
-GPU's are what a training's tensors take, counted on the simulated GPU of the tests
-(tests/engine/run/test_card_memory.py compares). How much more torch's cache takes is an assumption.
+GPU's are the sizes of a training's tensors, counted on the simulated GPU of the tests
+(tests/engine/run/test_card_memory.py compares). The additional memory of torch's cache is an
+assumption.
 """
 
 from __future__ import annotations

@@ -108,7 +108,7 @@ def cutout_stage(config: RunConfig) -> TrainConfig:
 def surface_stage(config: RunConfig) -> TrainConfig:
     """The stage that makes the result a surface: the box stage's settings at its end, masks alone.
 
-    What it makes of what is beside the boxes is of no use.
+    Its changes outside the boxes are not used.
     """
     steps = max(1, round(SURFACE_SHARE * config.roi.steps))
     stage = replace(

@@ -109,8 +109,8 @@ def ground_cells(views: Views, count: int) -> tuple[Int64, Int64]:
     """The cell of each point (P,) and of each camera (V,).
 
     A cell is cut across its longer side until there are `count`, so that both sides have their
-    share of the cameras and of the observations, which weigh as much in sum. Where cameras stand
-    so close together that one side would have next to nothing to show, observations alone count.
+    share of the cameras and of the observations, which weigh as much in sum. If cameras are so
+    close together that one side would have almost no observations, observations alone count.
     """
     scene = views.scene
     cameras, points = len(scene.images), len(scene.points)

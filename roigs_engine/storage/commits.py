@@ -3,7 +3,7 @@
 Files go to `objects`, named by their hashes; a small record of names and hashes, a commit, is
 written last. Readers know only what commits name, and check every hash, so half of an upload is
 never seen, on any file system. The commit of the last part has all files under their own names.
-Whoever may write to the store can write commits, too, unless they are signed with a key.
+Anyone who can write to the store can also write commits, unless they are signed with a key.
 """
 
 from __future__ import annotations

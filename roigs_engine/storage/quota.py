@@ -77,7 +77,7 @@ def keep(folder: Path) -> None:
 def enforce_quota(context: Context = QUIET) -> None:
     """Remove the copies that were used longest ago, until all are within the limit.
 
-    What cannot be removed stays, for another time.
+    Files that cannot be removed stay for another time.
     """
     left = limit()
     try:

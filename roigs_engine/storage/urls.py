@@ -84,7 +84,7 @@ class FileSystem:
     Those of `READS` raise FileNotFoundError for what is missing.
 
     A call may wait for ever, so it is left to itself, in a thread, soon after a stop was requested:
-    then it raises Stopped. What it writes may be half there, as if this process had been killed.
+    then it raises Stopped. Its files may be half written, as if this process had been killed.
 
     Args:
         own: a folder of this machine below which links, pipes and devices are refused; empty: none.

@@ -1,10 +1,10 @@
 """Fusion of depth maps into a truncated signed distance field (TSDF) of a box.
 
 After Curless and Levoy (1996), with space carving: a ray that passes a voxel before its depth says
-that it is free. Two additions are ours. Where many more rays end far in front of a voxel than near
-it, they say, faintly, that it is inside: so a depth that is wrong in a few photos makes no layer
-inside an object. The larger a photo's pixels are at the voxel, the less it says so. And the field
-is computed coarsely first, then finely where the coarse one has a surface. Depth with a negative
+that it is free. Two additions are ours. If many more rays end far in front of a voxel than near it,
+they vote weakly that it is inside: so a depth that is wrong in a few photos makes no layer inside
+an object. The larger a photo's pixels are at the voxel, the less it says so. And the field is
+computed coarsely first, then finely where the coarse one has a surface. Depth with a negative
 weight is not the object's: it is free in front of it and, faintly, behind.
 """
 

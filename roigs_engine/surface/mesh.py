@@ -220,7 +220,7 @@ def _large_parts(mesh: Mesh) -> Mesh:
 def simplified(mesh: Mesh, faces: int) -> Mesh:
     """The mesh with about so many faces at most (quadric errors, Garland and Heckbert 1997).
 
-    A closed mesh stays closed; for that, it may keep more. What merging cuts off is removed.
+    A closed mesh stays closed; for that, it may keep more. Parts cut off by merging are removed.
     """
     wanted, is_closed = faces, mesh.is_closed()
     while len(mesh.faces) > wanted:

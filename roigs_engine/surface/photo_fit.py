@@ -68,7 +68,7 @@ def fitted(
 ) -> Mesh:
     """The mesh, moved to where its photos agree, by at most four pixels of the best of them.
 
-    Where photos have no detail, it stays, and where it would leave its box.
+    It stays where photos have no detail, and where it would leave its box.
 
     Args:
         mesh: in the frame of the maps and the box.

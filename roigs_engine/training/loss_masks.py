@@ -2,7 +2,7 @@
 
 In a photo with a mask of a box's object, the object takes the place of the box's silhouette. Masks
 are whole 16x16 tiles, the rasterizer's unit of work (ours, docs/method.md, "Masks"; the paper's
-loss is on the entire image, sec. II-B). What a photo's own mask ignores, no stage trains.
+loss is on the entire image, sec. II-B). No stage trains pixels that the photo's own mask ignores.
 """
 
 from __future__ import annotations
