@@ -82,7 +82,7 @@ class Finished:
         return int(self.manifest["config"].get("blocks", 1))
 
     def partition(self) -> Partition:
-        """Who owns what of the result."""
+        """The owners of a result's Gaussians."""
         rois: list[OrientedBox] = [
             self.frame.box(roi_from_dict(record)) for record in self.manifest["rois"]
         ]

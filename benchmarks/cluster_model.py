@@ -1,4 +1,4 @@
-"""How long a batch takes on many machines, some of which are slow and some are lost: a simulation.
+"""Simulates the time of a batch on many machines, some of them slow, some lost.
 
     python -m benchmarks.cluster_model BATCH [--objects 200] [--machines 10 100] [--out DIR]
 
@@ -34,7 +34,7 @@ HEAD = ("machines", "objects", "lost", "hours", "bound, h", "hours / bound", "wo
 
 @dataclass(frozen=True)
 class World:
-    """What the simulated machines are like.
+    """Properties of the simulated machines.
 
     Attributes:
         machines: their number.

@@ -1,4 +1,4 @@
-"""How long a training step takes on an NVIDIA GPU, beside a bare one; `step --device cuda`.
+"""Time of a training step on an NVIDIA GPU, compared with a bare one; `step --device cuda`.
 
 The bare step is what gsplat's own trainer does for a photo: `gsplat.rasterization`, L1 and SSIM,
 and torch's fused Adam over all Gaussians, on the same scene. The two take turns, round by round.
@@ -34,7 +34,7 @@ Step = Callable[[Tensor], None]
 
 @dataclass(kw_only=True)
 class Row:
-    """What was measured for one number of Gaussians and one size.
+    """Measurements for one number of Gaussians and one size.
 
     Attributes:
         gaussians, size: of the scene, of the photo.
@@ -167,7 +167,7 @@ def _settle(photos: SyntheticPhotos) -> None:
 
 
 def _waits(step: Step, photos: SyntheticPhotos) -> int:
-    """How often one step makes the host wait for the GPU."""
+    """Number of times that one step makes the host wait for the GPU."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         torch.cuda.set_sync_debug_mode("warn")

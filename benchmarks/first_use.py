@@ -1,4 +1,4 @@
-"""How long the CUDA kernels take at first and later uses: `python -m benchmarks.first_use`.
+"""Time of the CUDA kernels at first and later uses: `python -m benchmarks.first_use`.
 
 It needs NVRTC (`pip install nvidia-cuda-nvrtc`, or torch for CUDA) and no GPU: everything up to the
 calls of the driver is timed, each time in a new process with a folder of its own as the cache.

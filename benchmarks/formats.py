@@ -51,7 +51,7 @@ def compared(arrays: Arrays, photos: list[PosedImage], wanted: list[Tensor]) -> 
 
 
 def foreign(path: Path, folder: Path) -> Arrays | None:
-    """What the other program reads; None where it is not installed or does not read it."""
+    """The PLY as the other program reads it; None if it is not installed or does not read it."""
     if shutil.which(TOOL) is None or not path.name.endswith(ITS):
         return None
     back = folder / "foreign.ply"

@@ -58,7 +58,7 @@ class Part:
 
 @dataclass(frozen=True, kw_only=True)
 class Ended:
-    """How a part ended: `status` is its exit status, or why there is none."""
+    """The end of a part: `status` is its exit status, or why there is none."""
 
     name: str
     status: str
@@ -70,7 +70,7 @@ SHADERS = ("check-gpu", "--device", "gpu")
 
 
 def parts(scene: Path | None, out: Path, *, gsplat: bool) -> list[Part]:
-    """What is measured, the most valuable first.
+    """The measurements, the most valuable first.
 
     Args:
         scene: to train on; None: nothing is trained.

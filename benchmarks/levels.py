@@ -1,4 +1,4 @@
-"""What levels of detail cost and give: `python -m benchmarks.levels RUN SCENE --out DIR`.
+"""Cost and gain of levels of detail: `python -m benchmarks.levels RUN SCENE --out DIR`.
 
 RUN is a run folder after `levels RUN`. Three figures, each on views that no level was trained on:
 
@@ -90,7 +90,7 @@ def far(run: Path, photos: Sequence[PosedImage], frame: LocalFrame, times: float
 
 
 def timed(draw: Callable[[], RenderedView]) -> tuple[Tensor, float]:
-    """What it draws, and the CPU time of the second of two calls, ms."""
+    """The picture, and the CPU time of the second of two calls, ms."""
     draw()
     began = time.process_time()
     picture = draw().image

@@ -92,7 +92,7 @@ class StepBenchmark:
         self.passes = 0
 
     def counts(self) -> dict[str, list[int]]:
-        """What is counted -> its number for each camera."""
+        """Counts by name -> the number for each camera."""
         found: dict[str, list[int]] = {}
 
         def count(view: KernelView, name: str, call: Callable[[], int]) -> int:

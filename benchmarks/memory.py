@@ -1,4 +1,4 @@
-"""What a training keeps in memory: `python -m benchmarks.memory` (Linux).
+"""Memory of a training: `python -m benchmarks.memory` (Linux).
 
 Synthetic Gaussians train on synthetic photos that lie on disk as JPEG files, with the engine's own
 cache and trainer, in a fresh process for each of two settings: one keeps the number of Gaussians,

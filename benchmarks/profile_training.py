@@ -1,4 +1,4 @@
-"""Where a training's time goes: `python -m benchmarks.profile_training SCENE`.
+"""Profile of a training: `python -m benchmarks.profile_training SCENE`.
 
 Trains the Full Scene baseline of a preset and measures the time of the training thread: in the
 compiled kernels, and in each part of the Python around them. A part's time leaves out the parts and

@@ -71,7 +71,7 @@ def arguments() -> argparse.Namespace:
 
 
 def automatic(images: Path, out: Path, threads: int) -> None:
-    """What COLMAP's automatic reconstructor does with single photos, at its medium quality."""
+    """COLMAP's automatic reconstructor on single photos, at its medium quality."""
     colmap = pycolmap_module("The comparison")
     extraction, matching = colmap.FeatureExtractionOptions(), colmap.FeatureMatchingOptions()
     extraction.max_image_size, extraction.sift.max_num_features = 1600, 4096
@@ -85,7 +85,7 @@ def automatic(images: Path, out: Path, threads: int) -> None:
 
 
 def mapped(database: Path, images: Path, out: Path, mapper: str, threads: int) -> None:
-    """What a mapper of COLMAP makes of a database, with its own settings."""
+    """The models of a COLMAP mapper from a database, with its own settings."""
     colmap = pycolmap_module("The comparison")
     kind = {
         "incremental": colmap.IncrementalPipelineOptions,

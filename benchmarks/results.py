@@ -1,4 +1,4 @@
-"""What was measured, and the numbers of the tables that come from it."""
+"""The measurements, and the numbers of the tables made from them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ WALL, CPU = 0, 1
 
 @dataclass(frozen=True)
 class Row:
-    """What a process measures."""
+    """The measurements of one process."""
 
     gaussians: int
     width: int
@@ -95,7 +95,7 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Growth:
-    """How a step's CPU time grows with its work, over rows that differ in this alone.
+    """Growth of a step's CPU time with its work, over rows that differ only in this.
 
     Attributes:
         per_visible: nanoseconds per visible Gaussian in the linear fit
@@ -110,7 +110,7 @@ class Growth:
     exponent: float
 
     def milliseconds(self, m: Measurement) -> float:
-        """What the linear fit says about a row."""
+        """The prediction of the linear fit for a row."""
         visible, pairs = m.count("visible") or 0, m.count("pairs") or 0
         return 1e-6 * (self.per_visible * visible + self.per_pair * pairs)
 

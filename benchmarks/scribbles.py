@@ -1,4 +1,4 @@
-"""How good the masks are that `masks` makes from one person's scribble, against true masks.
+"""Quality of masks that `masks` makes from one person's scribble, against true masks.
 
     python demo/masks.py --out true
     python -m benchmarks.scribbles demo/scene --truth true --model runs/demo/result.ply

@@ -1,4 +1,4 @@
-"""What the benchmarks train on: all photos of a scene, in shuffled epochs."""
+"""Training data of the benchmarks: all photos of a scene, in shuffled epochs."""
 
 from __future__ import annotations
 

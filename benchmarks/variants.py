@@ -1,4 +1,4 @@
-"""What is compared: revisions of the engine and instruction sets, each in processes of its own."""
+"""The compared revisions of the engine and instruction sets, each in its own processes."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where the photos of the demo are taken from: wide ones round the room, close ones per object.
+"""Cameras of the demo's photos: wide ones round the room, close ones per object.
 
 Each wish for a place is moved a little until rays cast into the scene say that the camera stands
 free: not inside furniture, nothing right in front of the lens, the object not hidden.

@@ -140,7 +140,7 @@ def developed(light: np.ndarray, stops: float) -> Image.Image:
 
 
 def exif(stops: float) -> Image.Exif:
-    """What the camera writes: whole stops by its sensitivity, the rest by time."""
+    """The camera's EXIF: whole stops by its sensitivity, the rest by time."""
     whole = math.floor(stops)
     data = Image.Exif()
     tags = data.get_ifd(ExifTags.IFD.Exif)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How large the demo room is, and how high its table and sideboard are, in metres."""
+"""Sizes of the demo room, and heights of its table and sideboard, in metres."""
 
 HALF_X, HALF_Y, HEIGHT = 2.6, 2.2, 2.6
 TABLE_TOP = 0.76

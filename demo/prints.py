@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is painted or printed in the demo room: pictures, maps, newspapers, labels, a dial.
+"""Paintings and prints in the demo room: pictures, maps, newspapers, labels, a dial.
 
 Arrays as in `textures`.
 """

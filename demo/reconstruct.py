@@ -94,7 +94,7 @@ def boxes(truth: dict, margin: float) -> list[dict]:
 
 
 def inside(points: np.ndarray, roi: dict) -> np.ndarray:
-    """Which points lie in the box."""
+    """Points in the box."""
     return np.all((points >= roi["min"]) & (points <= roi["max"]), axis=1)
 
 

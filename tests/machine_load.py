@@ -8,7 +8,7 @@ SAMPLE = 0.1  # seconds of work that measure it
 
 
 def slowness() -> float:
-    """How many times as long as on an idle machine work takes now; at least 1."""
+    """Present time of work divided by that on an idle machine; at least 1."""
     began, worked = time.monotonic(), time.thread_time()
     while time.thread_time() - worked < SAMPLE:
         sum(range(1000))

@@ -1,4 +1,4 @@
-"""Where the cameras of tests stand; with numpy alone, which a real Blender has."""
+"""Cameras of the tests; with numpy alone, which a real Blender has."""
 
 from __future__ import annotations
 

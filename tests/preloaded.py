@@ -1,4 +1,4 @@
-"""What a process imports before engines are forked from it: all that a training needs.
+"""Imports for a process before engines are forked from it: all that a training needs.
 
 An engine that imports them by itself takes longer for that than for a tiny scene.
 """

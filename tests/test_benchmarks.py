@@ -200,7 +200,7 @@ def code(name: str, text: str, minutes: float = 1) -> gpu.Part:
 
 
 def test_a_gpu_is_measured_part_by_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What fails, hangs or is killed does not stop the others; every part leaves its figures."""
+    """A part that fails, hangs or is killed does not stop the others; all leave figures."""
     found = [
         code("good", "print('12 ms')"),
         code("bad", "print('7 ms'); raise SystemExit(2)"),

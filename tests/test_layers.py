@@ -251,7 +251,7 @@ def test_one_version_number() -> None:
 
 
 def test_tests_share_modules_not_one_another() -> None:
-    """What several tests use is in a module of its own, whose name is no `test_*`."""
+    """Code used by several tests is in its own module, whose name is no `test_*`."""
     statement = re.compile(
         r"^ *(?:from +(?:tests\b|\.)[\w.]* +import +(?:\([^)]*\)|.*)|import +tests\b.*)",
         re.MULTILINE,

@@ -1,4 +1,4 @@
-"""What benchmarks and window stories of masks read: true masks, strokes, the photos of a run."""
+"""Inputs of benchmarks and window stories of masks: true masks, strokes, the photos of a run."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ OWN_FILES = {
 
 
 def test_no_pipe_is_waited_for() -> None:
-    """Whatever was looked at before may be a pipe by the time that it is opened."""
+    """A checked file may be a pipe by the time that it is opened."""
     plain = []
     for path in sorted((ROOT / "roigs_engine").rglob("*.py")):
         name = path.relative_to(ROOT / "roigs_engine").as_posix()

@@ -1,4 +1,4 @@
-"""How large files and functions may be, and how small a file that one other imports."""
+"""Limits for the sizes of files and functions, and for files that only one other imports."""
 
 from __future__ import annotations
 

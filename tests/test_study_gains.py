@@ -1,4 +1,4 @@
-"""What the study's tables say of gains near, far and on single photos, by records made by hand."""
+"""Gains in the study's tables, near, far and on single photos, from records made by hand."""
 
 from __future__ import annotations
 

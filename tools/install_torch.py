@@ -80,7 +80,7 @@ def pip(*arguments: str, capture: bool = False) -> subprocess.CompletedProcess[s
 
 
 def ask_pip(requirement: str) -> dict[str, Any] | None:
-    """What pip would install for the requirement; None when it cannot say."""
+    """The version that pip would install for the requirement; None if it cannot say."""
     version = tuple(int(part) for part in re.findall(r"\d+", metadata.version("pip"))[:2])
     if version < PIP_WITHOUT_DOWNLOAD:
         least = ".".join(map(str, PIP_WITHOUT_DOWNLOAD))

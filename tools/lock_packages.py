@@ -28,7 +28,7 @@ def entries(text: str) -> list[str]:
 
 
 def compiled(requirements: Sequence[str], constraints: Path | None = None) -> str:
-    """What pip would install for the requirements, with hashes, without torch's own packages."""
+    """Packages that pip would install for the requirements, with hashes, without torch's own."""
     uv = shutil.which("uv", path=str(Path(sys.executable).parent)) or shutil.which("uv")
     if uv is None:
         raise SystemExit("error: uv is not installed; run python -m pip install uv")

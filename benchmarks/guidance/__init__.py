@@ -1,1 +1,1 @@
-"""What the guide's photos gain, with truth: the demo's script renders any photo."""
+"""Gain of the guide's photos, with truth: the demo's script renders any photo."""

@@ -1,4 +1,4 @@
-"""What the guide gains: `python -m benchmarks.guidance --out DIR`; see benchmarks/README.md.
+"""Gain of the guide: `python -m benchmarks.guidance --out DIR`; see benchmarks/README.md.
 
 From some of the demo's photos, the guide proposes photos of each object; they are rendered from
 there and trained with, against random and even photos from the same shell. All models are scored

@@ -1,1 +1,1 @@
-"""Things put into the demo's capture against its true room: `python -m benchmarks.insertion`."""
+"""Objects inserted into the demo's capture, against its true room: `benchmarks.insertion`."""

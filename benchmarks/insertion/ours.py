@@ -102,7 +102,7 @@ def set_up(scene: Any, samples: int) -> None:
 
 
 def stage(scene: Any, row: str) -> None:
-    """What the row has of the add-on."""
+    """The add-on's settings of the row."""
     operators: Any = getattr(bpy.ops, "roigs")  # noqa: B009
     world: Any = bpy.data.worlds.new("grey")
     if world.node_tree is None:

@@ -1,4 +1,4 @@
-"""How near pictures with things put in come to the truth: NumPy alone.
+"""Scores of pictures with inserted objects against the truth: NumPy alone.
 
 Pictures are (H, W, 3) in linear light. `without` is the same view with nothing put in: for ours the
 captured scene as it is drawn, for the truth the room itself, so what the capture got wrong counts
@@ -36,12 +36,12 @@ def psnr(ours: Picture, truth: Picture, mask: Mask) -> float:
 
 
 def ratio(after: Picture, before: Picture) -> Picture:
-    """What is left of a picture's light, (H, W, 3)."""
+    """The remaining share of a picture's light, (H, W, 3)."""
     return (np.maximum(after, 0) + FLOOR) / (np.maximum(before, 0) + FLOOR)
 
 
 def smooth_ratio(after: Picture, before: Picture, things: Mask) -> Picture:
-    """What is left of the light around each pixel, (H, W, 3): textures keep a renderer's noise.
+    """The remaining light around each pixel, (H, W, 3): textures keep a renderer's noise.
 
     Both pictures are means of the pixels that are at most `AROUND` away and show no thing.
     """
@@ -82,7 +82,7 @@ def likeness(ours: Picture, truth: Picture, mask: Mask) -> float:
 
 
 def strength(ours: Picture, truth: Picture, mask: Mask) -> float:
-    """How strong ours changes beside the truth: the ratio of their mean logarithms."""
+    """Strength of our changes against the truth: the ratio of their mean logarithms."""
     first, second = (float(np.log(np.maximum(each[mask], 1e-6)).mean()) for each in (ours, truth))
     return first / second if abs(second) > 1e-9 else 0.0
 

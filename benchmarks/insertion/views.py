@@ -51,7 +51,7 @@ def load(folder: Path, photo: str, state: str) -> Picture | None:
 
 
 def index_of(folder: Path, photo: str) -> NDArray[np.uint8]:
-    """Which thing each pixel shows (H, W): 0 none, `VASE` the captured vase."""
+    """Index of the object in each pixel (H, W): 0 none, `VASE` the captured vase."""
     found: NDArray[np.uint8] = np.load(picture_file(folder, photo, "index"))
     return found
 
@@ -101,7 +101,7 @@ def lamp(changes: Sequence[tuple[Picture, Picture]]) -> dict[str, float]:
 
 
 def _ratio(folder: Path, photo: str, state: str, without: Mask) -> Picture | None:
-    """What a state leaves of the light (H, W, 3), around each pixel, apart from some pixels."""
+    """The share of the light (H, W, 3) that remains in a state, around each pixel, without some."""
     after, before = load(folder, photo, state), load(folder, photo, "without")
     if after is None or before is None:
         return None

@@ -1,4 +1,4 @@
-"""What the study's tables show: their lines and columns, and the notes on them."""
+"""Content of the study's tables: lines, columns, notes."""
 
 from __future__ import annotations
 

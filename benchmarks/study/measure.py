@@ -68,7 +68,7 @@ class Bench:
     context: Context = QUIET
 
     def manifest(self, row: Row) -> dict[str, Any]:
-        """What decides a row's numbers, as JSON. A record with another manifest is out of date."""
+        """Everything that decides a row's numbers, as JSON. Records of other manifests are old."""
         inputs = inputs_record(self.sfm, self.scene.rois)
         baseline = asdict(stage_configs.baseline(self._own_config()))
         config = self._config(row).to_dict()
@@ -276,7 +276,7 @@ def longer_box_stage(config: RunConfig, factor: float) -> RunConfig:
 
 
 def machine() -> dict[str, Any]:
-    """What the seconds were measured on."""
+    """The machine of the measurement."""
     return {
         "cpu": processor_name(),
         "cores": usable_cores(),

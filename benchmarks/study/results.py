@@ -1,4 +1,4 @@
-"""What was recorded, and numbers from it: one for each seed, their mean and standard deviation."""
+"""The records, and numbers from them: one for each seed, mean and standard deviation."""
 
 from __future__ import annotations
 
@@ -211,7 +211,7 @@ class Results:
 
     @property
     def photos(self) -> str:
-        """What was measured: `test` or `validation` photos."""
+        """The photos of the measurement: `test` or `validation`."""
         found = (record["evaluation"].get("photos") for record in self.records)
         return next((photos for photos in found if photos), TEST)
 

@@ -1,4 +1,4 @@
-"""What a row of the study is: which models it trains, with which settings, for which tables."""
+"""Definition of a row of the study: its models, settings and tables."""
 
 from __future__ import annotations
 

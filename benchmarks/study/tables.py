@@ -30,7 +30,7 @@ from roigs_engine.evaluation.scores import FULL_SCENE_TUNED as TUNED
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """What the page is about.
+    """The content of the page.
 
     Attributes:
         results: everything recorded.
@@ -108,7 +108,7 @@ class Study:
         return NOTES.format(baseline=self.results.baseline, photos=self.results.photos)
 
     def _equal_time(self) -> list[str]:
-        """How many times our steps the row of equal time took."""
+        """Steps of the row of equal time, as a multiple of ours."""
         factors = [
             f"{record['scene']} {record['steps_factor']:.2g} (seed {record['seed']})"
             for record in self.results.records
@@ -333,5 +333,5 @@ def _beyond_cells(stats: Sequence[Stat]) -> list[str]:
 
 
 def kind_of(row: Row) -> str:
-    """What a row of Table III is, whatever its share: `gp6-20` is `gp6`."""
+    """The kind of a row of Table III, without its share: `gp6-20` is `gp6`."""
     return row.name.removesuffix(f"-{row.percent}")

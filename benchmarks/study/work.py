@@ -129,7 +129,7 @@ class Work:
 
 
 def _earlier(path: Path, manifest: Any) -> Path:
-    """Where a record of an earlier manifest is."""
+    """Path of a record of an earlier manifest."""
     return path.parent / "earlier" / f"{path.stem}-{json_digest(manifest)[:8]}.json"
 
 

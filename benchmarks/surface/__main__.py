@@ -41,7 +41,7 @@ HEAD_PICTURES = (
 
 
 def true_surfaces(folder: Path) -> dict[str, Triangles]:
-    """What `demo/meshes.py` writes; made if the folder does not have it, which needs `bpy`."""
+    """The meshes of `demo/meshes.py`; made (needs `bpy`) if the folder does not have them."""
     file = folder / "meshes.npz"
     if not file.exists():
         file.parent.mkdir(parents=True, exist_ok=True)

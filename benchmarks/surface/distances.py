@@ -95,7 +95,7 @@ def sampled(triangles: Triangles, count: int, seed: int = 0) -> Samples:
 def views_of(
     samples: Samples, scene: Triangles, images: Iterable[PosedImage]
 ) -> tuple[NDArray[np.int64], Float64]:
-    """How many photos see each sample, and its normal, turned to where it is seen from.
+    """Number of photos that see each sample, and its normal, turned to where it is seen from.
 
     Args:
         samples: of a surface that belongs to the scene.

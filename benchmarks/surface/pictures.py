@@ -102,7 +102,7 @@ def load_mesh(path: Path, roi: OrientedBox) -> Mesh:
 
 
 def _components(vertices: Float64, faces: Ints) -> int:
-    """How many parts do not touch; vertices at one place, as at a texture's seams, are one."""
+    """Number of parts that do not touch; vertices at one place, as at a seam, are one."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -134,7 +134,7 @@ def drawn(mesh: Mesh, camera: Camera, world_to_camera: Float64) -> tuple[Float64
 def rasterized(
     pixels: Float64, depth: Float64, faces: Ints, shape: tuple[int, int]
 ) -> tuple[Ints, Float64]:
-    """Which face each pixel's centre shows, -1 for none, and its corners' weights there.
+    """The face at each pixel's centre, -1 for none, and its corners' weights there.
 
     Args:
         pixels, depth: (V, 2), (V,) of `project`.

@@ -9,9 +9,9 @@ these ratios best. This applies only above the horizon, where lamps, windows and
 Surfaces below it are lit themselves, and photos show their brightness.
 
 Shading does not determine the amount of light: a white object in half of the light looks like a
-grey one. But nothing is much whiter than white paint or paper. If bright surfaces would have to be whiter,
-there must be more light (the white patch of Retinex, Land and McCann 1971). It is added where
-photos cannot show it, or everywhere if that is not enough.
+grey one. But nothing is much whiter than white paint or paper. If bright surfaces would have to be
+whiter than that, there must be more light (the white patch of Retinex, Land and McCann 1971). It is
+added where photos cannot show it, or everywhere if that is not enough.
 """
 
 from __future__ import annotations

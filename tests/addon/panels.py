@@ -1,4 +1,4 @@
-"""What panels draw, without a window."""
+"""Draws panels without a window."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def start_training(engine, scene):
 
 
 def status(scene):
-    """What the scene's run folder says."""
+    """The state of the scene's run folder."""
     from roigs_addon.engine import run_status
     from roigs_addon.jobs import run_folders
 
@@ -141,7 +141,7 @@ def command_line(engine, *arguments: object) -> subprocess.CompletedProcess[str]
 
 
 def drawn_points(bpy: ModuleType) -> dict[str, dict[str, object]]:
-    """What the geometry nodes make: object -> number, attributes and first radius of its points."""
+    """The points from geometry nodes: object -> number, attributes and first radius."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     found = {}
     for instance in depsgraph.object_instances:

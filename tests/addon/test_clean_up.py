@@ -34,7 +34,7 @@ def points(item) -> np.ndarray:
 
 
 def drawn(item) -> dict[str, np.ndarray]:
-    """What viewport, renders and export show of an object."""
+    """The Gaussians that viewport, renders and export show of an object."""
     from roigs_addon.scene import edits
 
     edits.look_again(item)

@@ -1,4 +1,4 @@
-"""What photos know of Gaussians, in Blender: asked, kept, a heat map, a limit to clean up."""
+"""Confidence of Gaussians in Blender: measured, kept, a heat map, a limit to clean up."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def directions(item) -> np.ndarray:
 
 
 def drawn_colours(item) -> np.ndarray:
-    """What the viewport draws, as sRGB."""
+    """Colours in the viewport, as sRGB."""
     from roigs_addon.viewport import objects
 
     (one,) = objects.marked([item])

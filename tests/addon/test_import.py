@@ -55,7 +55,7 @@ def ply(tmp_path: Path) -> Path:
 def test_every_format_stands_upright(
     blender: ModuleType, engine, tmp_path: Path, form: formats.FileFormat
 ) -> None:
-    """What is up in the file, by its convention, is Blender's z."""
+    """The file's up direction, by its convention, becomes Blender's z."""
     if not form.reads:
         pytest.skip("only written")
     random = np.random.default_rng(0)

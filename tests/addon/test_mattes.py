@@ -1,4 +1,4 @@
-"""What the compositor's node tells of objects: indices, mattes, and depth, beside meshes."""
+"""Outputs of the compositor's node: indices, mattes and depth, beside meshes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a stranger's .blend holds: odd values are no errors, and nothing waits, or is written away.
+"""A stranger's .blend: odd values are no errors, nothing waits, nothing is written elsewhere.
 
 Panels, views and handlers read it as soon as the file is open.
 """
@@ -43,7 +43,7 @@ def all_panels(bpy: ModuleType) -> None:
 
 
 def refusal(operator: Callable[[], object]) -> str:
-    """What an operator says if it does not do it."""
+    """The message of an operator that refuses."""
     try:
         operator()
     except RuntimeError as error:
@@ -394,7 +394,7 @@ def test_a_root_that_stands_nowhere(blender: ModuleType, shown, scale: float) ->
 
 
 def test_the_size_of_any_folder_is_not_added_up(blender: ModuleType, shown, tmp_path: Path) -> None:
-    """Who made the .blend may have named `/` as its run folder."""
+    """The author of the .blend may have named `/` as its run folder."""
     from roigs_addon.facts import run_facts
 
     scene, folder = shown

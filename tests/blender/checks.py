@@ -1,4 +1,4 @@
-"""What the scripts of checks in Blender share: objects, a picture, and how they are run."""
+"""Shared code of the checks in Blender: objects, a picture, and how they are run."""
 
 from __future__ import annotations
 

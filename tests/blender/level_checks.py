@@ -1,4 +1,4 @@
-"""What the viewport must do with levels of detail; run as viewport_checks.py, on its folder."""
+"""Checks of levels of detail in the viewport; run as viewport_checks.py, on its folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the viewport's splats must do besides looking like the engine's; run as viewport_parity.py.
+"""Checks of the viewport's splats besides their look; run as viewport_parity.py.
 
     blender -b --factory-startup --python viewport_checks.py -- FOLDER
 
@@ -190,7 +190,7 @@ def covered(cloud: SplatCloud, *, antialiased: bool | None = None) -> np.ndarray
 
 
 def check_depth(a: bpy.types.Object, _b: bpy.types.Object) -> None:
-    """What lies in front hides splats, pixel by pixel, and only those behind it."""
+    """Surfaces in front hide splats, pixel by pixel, and only those behind."""
     view = Matrix.Translation((0, 0, -DISTANCE)) @ TURN
     focal = 0.4 * SIDE * DISTANCE
     camera = {"width": SIDE, "height": SIDE, "fx": focal, "fy": focal}

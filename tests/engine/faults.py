@@ -1,4 +1,4 @@
-"""What may happen to an engine from outside, done by the engine's process to itself.
+"""Faults from outside, which the engine's process does to itself.
 
 Its standard input and output are pipes whose other ends it holds, so that it can close them.
 """

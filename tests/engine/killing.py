@@ -63,7 +63,7 @@ class Moment:
 
 @dataclass(frozen=True)
 class Ended:
-    """How it ended: exit status, -9 when killed; what it wrote on standard error; its moments."""
+    """The end of a process: exit status, -9 when killed; its standard error; its moments."""
 
     status: int
     errors: str
@@ -286,7 +286,7 @@ class _Clock:
         self._stage = getattr(event, "stage", self._stage)
 
     def open(self, path: Any, mode: str = "r", **options: Any) -> Any:
-        """What `files` opens to write is written in halves."""
+        """Files that `files` opens for writing are written in halves."""
         if mode != "wb":
             return open(path, mode, **options)
         clock, name = self, Path(path).name.split(".")[1]

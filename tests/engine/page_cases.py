@@ -82,7 +82,7 @@ def ours(
 
 
 def bare(shown: chromium.Page) -> np.ndarray:
-    """What is seen without texts and buttons, 0 to 1."""
+    """The picture without texts and buttons, 0 to 1."""
     shown.run(
         "document.querySelectorAll('header, nav, #models, #message')"
         ".forEach(e => { e.style.visibility = 'hidden'; })"

@@ -1,4 +1,4 @@
-"""What tests of several modules look at: made once in a test run, by whichever process is first."""
+"""Runs shared by tests of several modules: made once, by the first process that needs one."""
 
 from __future__ import annotations
 

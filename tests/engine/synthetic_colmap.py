@@ -18,7 +18,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True, kw_only=True)
 class Project:
-    """What was written: names, (V, 4, 4) poses, (P, 3) points, cameras and each photo's index."""
+    """The written project: names, (V, 4, 4) poses, (P, 3) points, cameras, photos' indices."""
 
     folder: Path
     names: list[str]

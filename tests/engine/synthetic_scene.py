@@ -98,7 +98,7 @@ def _photo(k: int, views: int) -> bytes:
 
 
 def stage_data(scene: SfmScene, seed: int = 3, **changes: Any) -> StageData:
-    """What trains on whole photos, each once before any comes again; `changes` are fields of it."""
+    """Data to train on whole photos, each once per round; `changes` are fields of it."""
     data = StageData(
         images=scene.images,
         photos=PhotoCache(scene.images),

@@ -176,7 +176,7 @@ def adapt(dice: random.Random, folder: Path) -> Case:
 
 
 def confidence(dice: random.Random, folder: Path) -> Case:
-    """What the photos of a damaged run know of its Gaussians, or of a damaged model's."""
+    """Confidence of a damaged run's Gaussians, or of a damaged model's."""
     scene, out = good_scene(folder), folder / "out"
     good_boxes(folder)
     run_folder(dice, out / "run", scene)

@@ -28,7 +28,7 @@ ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MALLOC_ARENA
 
 @dataclass
 class Result:
-    """What became of cases.
+    """The results of cases.
 
     Attributes:
         ended: (family, exit status) -> how many.
@@ -42,7 +42,7 @@ class Result:
 
     @property
     def cases(self) -> int:
-        """How many were run."""
+        """Number of cases that ran."""
         return self.ended.total() + len(self.wrong)
 
 

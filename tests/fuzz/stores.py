@@ -48,7 +48,7 @@ HOSTILE = (
 
 @dataclass(frozen=True, kw_only=True)
 class StoreWork(Request):
-    """What is done on a store, and how that fails."""
+    """Work on a store, and how it fails."""
 
     plan: Path = option(PATH, "file", required=True, flags=())
 

@@ -45,7 +45,7 @@ class Frames(Request):
 
 
 def take(request: Any, context: Context) -> Result:
-    """What `reconstruct` does with a video before it looks for features."""
+    """The part of `reconstruct` before it looks for features, on a video."""
     folder = Folder(request.out)
     with folder.held(context.warn):
         for frame in take_frames(request.video, folder, 3, context).values():

@@ -124,7 +124,7 @@ class Afternoon:
             raise WindowError(str(error))
 
     def ask(self, code: str) -> Any:
-        """What an expression gives inside Blender."""
+        """The value of an expression inside Blender."""
         return self.blender.ask(code)
 
 

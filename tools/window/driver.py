@@ -54,7 +54,7 @@ class Screen:
         subprocess.run(["xdotool", *command], env=self.variables, check=True)
 
     def picture(self, path: Path, crop: str = "", *options: str) -> None:
-        """What is on the screen, as PNG with a small palette; `crop` is ImageMagick's WxH+X+Y."""
+        """The screen, as PNG with a small palette; `crop` is ImageMagick's WxH+X+Y."""
         path.parent.mkdir(parents=True, exist_ok=True)
         whole = path.with_suffix(".whole.png")
         subprocess.run(["import", "-window", "root", whole], env=self.variables, check=True)
@@ -147,7 +147,7 @@ class Blender:
             raise WindowError("Blender did not quit at Ctrl-Q") from None
 
     def ask(self, code: str, seconds: float = 60.0) -> Any:
-        """What an expression gives inside Blender; statements give None.
+        """The value of an expression inside Blender; statements give None.
 
         Raises:
             WindowError: it failed there, or no answer came in time.

@@ -1,4 +1,4 @@
-"""What levels of detail save in a real Blender window, and whether a fly-in shows them switch.
+"""Measures levels of detail in a real Blender window, and whether a fly-in shows them switch.
 
     python -m tools.window.levels BLENDER --engine-python PYTHON --run FOLDER [--frames 120]
 
@@ -267,7 +267,7 @@ def main() -> int:
 
 
 def copied(run: Path, folder: Path) -> Path:
-    """What the add-on reads of a run, with its times: Blender writes into the folder."""
+    """The files of a run that the add-on reads, with their times: Blender writes into it."""
     folder.mkdir()
     for name in ("rois", "coarse", "levels"):
         shutil.copytree(run / name, folder / name)

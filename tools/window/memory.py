@@ -1,4 +1,4 @@
-"""How much memory Blender takes while results are loaded, replaced and unloaded again and again.
+"""Measures Blender's memory while results are loaded, replaced and unloaded again and again.
 
     python -m tools.window.memory BLENDER --engine-python PYTHON --run FOLDER [FOLDER]
 
@@ -74,7 +74,7 @@ def settle(blender: Blender) -> None:
 
 
 def cycle(blender: Blender, run: Path, source: Path) -> None:
-    """What a user does in a few minutes."""
+    """The actions of a user in a few minutes."""
     blender.ask("call('roigs.look_through', step=1)")
     blender.ask(PUSH.format("Look Through"))
     settle(blender)

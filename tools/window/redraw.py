@@ -1,4 +1,4 @@
-"""How long a real Blender window takes to draw a trained scene: still, turning, and at rest again.
+"""Measures how long a real Blender window takes to draw a scene: still, turning, at rest again.
 
     python -m tools.window.redraw BLENDER --engine-python PYTHON --run FOLDER
 

@@ -1,4 +1,4 @@
-"""How all window scripts begin: the demo scene, in a Blender that has the extension."""
+"""The start of all window scripts: the demo scene, in a Blender with the extension."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ PHOTO = "bpy.context.scene.camera.name"
 
 @dataclass(frozen=True, kw_only=True)
 class Story:
-    """What is done.
+    """The actions of the story.
 
     Attributes:
         scene: a copy of the scene's folder, with `images` and `rois.json`.
@@ -80,7 +80,7 @@ class Story:
 
 
 def strokes(blender: Blender) -> int:
-    """How many strokes the box has."""
+    """Number of strokes of the box."""
     return int(blender.ask(STROKES.replace("BOX", BOX)))
 
 

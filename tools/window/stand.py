@@ -112,11 +112,11 @@ class Story:
         self.blender, self.out = blender, out
 
     def ask(self, code: str) -> Any:
-        """What an expression gives inside Blender."""
+        """The value of an expression inside Blender."""
         return self.blender.ask(code)
 
     def picture(self, name: str) -> None:
-        """What is in the window."""
+        """The picture of the window."""
         self.blender.screen.do("mousemove", "3", "450")
         self.blender.pause(3.0)
         self.blender.screen.picture(self.out / f"{name}.png")

@@ -1,4 +1,4 @@
-"""What NVIDIA's driver says, and which build of torch it is good for; with made-up drivers."""
+"""Answers of NVIDIA's driver, and the matching build of torch; with made-up drivers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the folder of a reconstruction says, by the files that the engine writes."""
+"""The state of a reconstruction's folder, by the files that the engine writes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run folder says."""
+"""The state of a run folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the panel learns of the engine."""
+"""The engine's abilities in the panel."""
 
 from __future__ import annotations
 

@@ -162,7 +162,7 @@ def test_an_earlier_result_with_these_settings(trained) -> None:
 
 
 def test_undo_of_a_setting_is_seen(trained) -> None:
-    """What an artist met: undo had set the photo size back, and the panel said 'Trained'."""
+    """An artist's bug: undo had set the photo size back, and the panel said 'Trained'."""
     scene, folder = trained
     scene.roigs.max_side = 16
     write(scene, folder)

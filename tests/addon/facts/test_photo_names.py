@@ -1,4 +1,4 @@
-"""How the panel names photos."""
+"""Names of photos in the panel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the panel learns of the scene's run folder."""
+"""Facts about the scene's run folder in the panel."""
 
 from __future__ import annotations
 

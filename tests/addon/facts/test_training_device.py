@@ -1,4 +1,4 @@
-"""Which device trains: the panel and the preferences say what the engine has said."""
+"""The training device: panel and preferences repeat the engine's words."""
 
 from __future__ import annotations
 

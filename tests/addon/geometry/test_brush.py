@@ -1,4 +1,4 @@
-"""What lies below a brush, and what is in front there."""
+"""Gaussians below a brush, and those of them in front."""
 
 from __future__ import annotations
 

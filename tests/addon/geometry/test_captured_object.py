@@ -1,4 +1,4 @@
-"""What is known of a captured object from numbers alone: its light, its support, its picture."""
+"""A captured object from numbers alone: its light, its support, its picture."""
 
 from __future__ import annotations
 

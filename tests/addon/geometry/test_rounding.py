@@ -1,4 +1,4 @@
-"""How far from the origin positions lose what one sees."""
+"""The distance from the origin at which rounding becomes visible."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What tests of jobs share."""
+"""Shared fixtures of the job tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the engine is asked to do: the options files of jobs, and why one cannot be written."""
+"""Options files of jobs, and reasons why one cannot be written."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said of jobs that were stopped or killed."""
+"""Messages about jobs that were stopped or killed."""
 
 from __future__ import annotations
 

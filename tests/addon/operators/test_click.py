@@ -1,4 +1,4 @@
-"""What a click in the 3D view means where Gaussians are; the click itself needs a window."""
+"""Clicks on Gaussians in the 3D view; the click itself needs a window."""
 
 from __future__ import annotations
 

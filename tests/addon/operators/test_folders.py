@@ -1,4 +1,4 @@
-"""Where file browsers start."""
+"""First folders of file browsers."""
 
 from __future__ import annotations
 

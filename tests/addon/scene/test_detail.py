@@ -1,4 +1,4 @@
-"""What the add-on hides, Alt-H leaves hidden; copies have Coarse and Fine of their own."""
+"""Alt-H keeps objects hidden that the add-on hides; each copy has its own Result and First Pass."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the engine is asked to draw for a frame of a render."""
+"""Requests to the engine for a frame of a render."""
 
 from __future__ import annotations
 

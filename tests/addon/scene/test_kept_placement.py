@@ -145,7 +145,7 @@ def test_a_file_of_another_model_is_not_used(blender: ModuleType, garden, capfd)
 
 
 def test_a_training_is_not_outdated_by_it(blender: ModuleType, garden, engine) -> None:
-    """What the engine gets is the same to the last digit."""
+    """The engine's input is the same to the last digit."""
     from roigs_addon.scene import cameras, lookup, rois
 
     scene, folder = garden

@@ -1,4 +1,4 @@
-"""Which files stand for an object, by `levels.json` in its run folder."""
+"""The files that stand for an object, by `levels.json` in its run folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the panels draw."""
+"""The content of the panels."""
 
 from __future__ import annotations
 

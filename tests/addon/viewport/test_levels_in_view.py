@@ -1,4 +1,4 @@
-"""Which levels a viewport draws: what a view asks for, of what is on the GPU already."""
+"""Levels drawn by a viewport: the wanted ones, among those already on the GPU."""
 
 from __future__ import annotations
 

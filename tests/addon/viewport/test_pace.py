@@ -1,4 +1,4 @@
-"""How coarsely a viewport is drawn while it changes."""
+"""Resolution of a viewport while it changes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a camera's picture is in a viewport."""
+"""Place of a camera's picture in a viewport."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def turned(scene: Path) -> None:
 
 
 def unknown(scene: Path) -> None:
-    """What the folder says is of no use."""
+    """The folder's record is of no use."""
     (scene.parent / "run/manifest.json").write_text('{"contents": [], "model": 7}')
 
 

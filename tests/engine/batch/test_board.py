@@ -1,4 +1,4 @@
-"""What a batch shows: on a terminal, as lines, as events; its page."""
+"""Progress of a batch: on a terminal, as lines, as events; its page."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def scheduler() -> Scheduler:
 
 
 def reporter(scheduler: Scheduler, *, json_lines: bool = False) -> Reporter:
-    """What tells a console of a batch of 15 s: one scene was done, and half of the other."""
+    """A console's reporter of a batch of 15 s: one scene was done, and half of the other."""
     found = Reporter(scheduler.scenes, Console(json_lines=json_lines).context)
     scheduler.scenes["attic"].parts["all"].state = DONE
     found._started, found._before = time.monotonic() - 15, 0.0

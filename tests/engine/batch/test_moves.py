@@ -1,4 +1,4 @@
-"""Which parts go on elsewhere or later."""
+"""Parts that move to another machine or a later time."""
 
 from __future__ import annotations
 

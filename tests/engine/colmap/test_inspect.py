@@ -1,4 +1,4 @@
-"""What `inspect` reports about a scene and its boxes."""
+"""The report of `inspect` about a scene and its boxes."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ PINHOLE = camera(params=[100.0, 90.0, 45.1, 39.6])
 
 
 def messages(folder: Path) -> list[str]:
-    """What loading says, without warnings."""
+    """Messages of loading, without warnings."""
     said: list[Event] = []
     load_colmap(folder, pixels=False, context=Context(emit=said.append))
     return [event.text for event in said if isinstance(event, Message) and event.level == "info"]

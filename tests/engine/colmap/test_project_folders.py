@@ -1,4 +1,4 @@
-"""Where a COLMAP project's model and photos are, and what they are called."""
+"""Folders and names of a COLMAP project's model and photos."""
 
 from __future__ import annotations
 

@@ -106,7 +106,7 @@ def captured(folder: Path, *, zoom: float = 0.0) -> Project:
 
 
 def inconsistency(model: Path, made: Project) -> float:
-    """How far cameras miss common places that truly see one, px: mean over photos."""
+    """Disagreement of cameras about common places, px: mean over photos."""
     scene = pycolmap.Reconstruction(str(model))
     misses: dict[str, list[np.ndarray]] = {name: [] for name in NAMES}
     truth = [made.project(row) for row in range(len(NAMES))]

@@ -1,4 +1,4 @@
-"""Where a refined model is written: whole or not at all, and never through links of a project."""
+"""Folder of a refined model: written whole or not at all, never through links of a project."""
 
 from __future__ import annotations
 

@@ -149,7 +149,7 @@ def test_distorted_photos_are_turned_before_they_are_undistorted(tmp_path: Path)
 
 
 def test_a_turned_photo_has_a_digest_of_its_own(tmp_path: Path) -> None:
-    """What is kept of a photo as stored is not used for the turned one."""
+    """The cached copy of a photo as stored is not used for the turned one."""
     painted(tmp_path)
     scene, _ = load(tmp_path)
     stored = {image.name: image.digest for image in scene.images}

@@ -252,7 +252,7 @@ def test_a_selected_photo_that_is_lost_is_left_out(
 def test_a_run_with_selected_and_damaged_photos_resumes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Which photos are damaged is known only after they are decoded."""
+    """Damaged photos are known only after they are decoded."""
     project, run = scene(tmp_path), tmp_path / "run"
     name = selected(project, tmp_path / "chosen")[0]
     photo = project.folder / "images" / name

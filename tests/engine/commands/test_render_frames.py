@@ -47,7 +47,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def fails(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """What is printed on standard error when it ends with 2."""
+    """The text on standard error when it ends with 2."""
     assert main(arguments) == 2
     return capsys.readouterr().err
 

@@ -54,7 +54,7 @@ class Far(Tensor):
         return made
 
     def storage_size(self) -> tuple[int, int]:
-        """What the tensor's memory is known by, and its bytes."""
+        """A key of the tensor's memory, and its bytes."""
         storage = self.near.untyped_storage()
         return storage.data_ptr(), storage.nbytes()
 

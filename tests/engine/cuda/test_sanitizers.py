@@ -45,7 +45,7 @@ print("done", *sorted(set(program.launched)))
 
 
 def run(flags: tuple[str, ...], runtime: str, edits: Sequence[Edit] = ()) -> str:
-    """What a step prints with the kernels made with these flags."""
+    """The output of a step with kernels compiled with these flags."""
     library = compiled(flags, edits)
     compiler = shutil.which("g++")
     assert compiler is not None

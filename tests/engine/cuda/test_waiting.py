@@ -199,7 +199,7 @@ def test_a_view_without_a_buffer_is_drawn_again(
 
 
 def leaves(state: Any, name: str = "") -> Iterator[tuple[str, Any]]:
-    """What nested dicts hold, by its path."""
+    """The leaves of nested dicts, by path."""
     if isinstance(state, dict):
         for key, value in state.items():
             yield from leaves(value, f"{name}/{key}")

@@ -1,4 +1,4 @@
-"""What photos know of each Gaussian: counted photos and directions, and errors that fall on it."""
+"""Confidence of each Gaussian: number of photos and directions, colour errors."""
 
 from __future__ import annotations
 

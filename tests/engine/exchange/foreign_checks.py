@@ -1,4 +1,4 @@
-"""What is read of a file is compared with the values that it was built of."""
+"""Compares the content read from a file with the values it was built from."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ ROWS = {0: 0, 1: 3, 2: 8, 3: 15, 4: 24}
 
 
 def values(degree: int = 0) -> dict[str, np.ndarray]:
-    """What each file can hold to within its precision; `sh` has any degree."""
+    """Values that each file can hold within its precision; `sh` has any degree."""
     dice = np.random.default_rng(degree)
     quats = dice.normal(size=(COUNT, 4))
     quats[:, 0] = 2  # SPZ 1 and 2 do not store it, so little of it would be rough

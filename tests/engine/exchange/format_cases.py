@@ -59,7 +59,7 @@ TOOL = shutil.which("splat-transform")
 
 
 def read_by(package: str, needed: str, script: str, path: Path) -> dict[str, np.ndarray]:
-    """What npm's package finds in a file; skips without it."""
+    """A file's content as read by npm's package; skips without it."""
     folders = [folder for folder in os.environ.get("NODE_PATH", "").split(os.pathsep) if folder]
     there = [folder for folder in folders if Path(folder, package, needed).is_file()]
     if shutil.which("node") is None or not there:

@@ -115,7 +115,7 @@ def test_options_of_pages_are_for_pages(tmp_path: Path, capsys: Any) -> None:
 
 
 def test_a_wheel_holds_the_parts_of_a_page(tmp_path: Path) -> None:
-    """What `build_py` gathers is what a wheel holds, besides the kernels."""
+    """A wheel contains the files of `build_py`, besides the kernels."""
     pytest.importorskip("setuptools")
     root = Path(page.__file__).parents[2]
     names = ("setup.py", "pyproject.toml", "README.md", "LICENSE", "MANIFEST.in")

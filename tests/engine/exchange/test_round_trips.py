@@ -65,7 +65,7 @@ def rotation(before: str, after: str) -> np.ndarray:
 
 
 def assert_turned(found: Arrays, model: Arrays, turn: np.ndarray, most: tuple[float, ...]) -> None:
-    """What was found is the model after a rotation, in any order."""
+    """The found model is the model after a rotation, in any order."""
     _, order = cKDTree(model["means"] @ turn.T).query(found["means"])
     assert sorted(order) == list(range(len(model["means"])))
     wanted = {name: values[order] for name, values in model.items()}

@@ -1,4 +1,4 @@
-"""Which Gaussians can be drawn, and with which numbers."""
+"""Drawable Gaussians, and their numbers."""
 
 from __future__ import annotations
 

@@ -315,7 +315,7 @@ def test_numbers_of_a_stranger_with_a_hole(tmp_path: Path) -> None:
 
 
 def test_the_first_file_of_a_process_tidies_its_folder(tmp_path: Path) -> None:
-    """Whatever command it is, and whatever another one was about to write when it was killed."""
+    """Any command does, after any other one was killed while it wrote."""
     dead = tmp_path / ".points.npy.4000000-0123abcd.part"
     others = (tmp_path / ".points.npy.part", tmp_path / "a.part", tmp_path / "below" / dead.name)
     for path in (dead, *others):

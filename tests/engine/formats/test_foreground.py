@@ -1,4 +1,4 @@
-"""Where the first box goes: around what the photos show."""
+"""The first box: around the main object of the photos."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which way is up: from level photos with any pitch, in any frame."""
+"""The up direction: from level photos with any pitch, in any frame."""
 
 from __future__ import annotations
 

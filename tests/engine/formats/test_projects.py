@@ -1,4 +1,4 @@
-"""Where refined models are, and whether they are still right."""
+"""Refined models: where they are, and whether they are still valid."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a model stands in the world, as a file beside it says."""
+"""A model's place in the world, from the file beside it."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ def write_foreign(
 
 
 def columns(model: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """What the layout says the columns hold, written independently of the writer."""
+    """The content of the columns by the layout, written independently of the writer."""
     out = {axis: model["means"][:, k] for k, axis in enumerate("xyz")}
     out |= {f"f_dc_{k}": model["sh"][:, 0, k] for k in range(3)}
     higher = model["sh"].shape[1] - 1

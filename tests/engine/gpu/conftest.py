@@ -12,6 +12,6 @@ from tests.engine.gpu.software import software_adapter
 
 @pytest.fixture
 def software() -> Iterator[Program]:
-    """What is drawn in this process is drawn by it; the test is skipped where there is none."""
+    """The GPU that draws in this process; the test is skipped if there is none."""
     yield open_gpu(software_adapter().name)
     close_gpu()

@@ -32,7 +32,7 @@ def one_side() -> KnownBox:
 
 
 def side(known: KnownBox, positive: bool) -> float:
-    """What is known of the directions on one side of the ball, along x."""
+    """Coverage of the directions on one side of the ball, along x."""
     weight, value = known.map.of_directions()
     rows = (known.map.directions[:, 0] * (1 if positive else -1) > 0.3) & (weight > 0)
     return float((value[rows] * weight[rows]).sum() / weight[rows].sum())

@@ -41,7 +41,7 @@ AT_A_LIMIT = 0.15
 
 @dataclass(frozen=True, kw_only=True)
 class SceneKind:
-    """What is drawn of a scene; its numbers follow from this and the seed.
+    """The properties of a random scene; its numbers follow from this and the seed.
 
     Attributes:
         count: Gaussians.
@@ -224,7 +224,7 @@ def agrees_with_float64(kind: SceneKind) -> None:
 
 
 def conditioning(scene: Scene, truth: list[Tensor]) -> dict[str, float]:
-    """How far float32 may be off in a scene that is ill-conditioned; about one in 500 is.
+    """Allowed error of float32 in an ill-conditioned scene; about one in 500 is.
 
     A gradient may cancel to nearly nothing (a group of one Gaussian): torch's float32 shows that.
     Or an alpha lies at ALPHA_MIN to the last bits, where the picture jumps: then the truth itself

@@ -51,7 +51,7 @@ def words(run: Path) -> list[object]:
 
 
 def contents(run: Path) -> dict[str, bytes]:
-    """What `levels` writes."""
+    """The files of `levels`."""
     files = [run / "levels.json", *sorted((run / "levels").rglob("*"))]
     return {str(p.relative_to(run)): p.read_bytes() for p in files if p.is_file()}
 

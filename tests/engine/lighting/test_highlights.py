@@ -1,4 +1,4 @@
-"""How bright lamps are, from the shading of surfaces whose light is known."""
+"""Brightness of lamps, from the shading of surfaces whose light is known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a model is made for belongs to it, whatever is done with it."""
+"""A model keeps its target through all operations."""
 
 from __future__ import annotations
 

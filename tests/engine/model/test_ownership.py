@@ -1,4 +1,4 @@
-"""Who owns what of several models of one scene."""
+"""Ownership among several models of one scene."""
 
 from __future__ import annotations
 

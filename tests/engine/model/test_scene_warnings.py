@@ -1,4 +1,4 @@
-"""What is said of scenes and boxes that train badly."""
+"""Warnings about scenes and boxes that train badly."""
 
 from __future__ import annotations
 

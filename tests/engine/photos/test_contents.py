@@ -1,4 +1,4 @@
-"""What photos hold is found once, remembered, and found again when a file has changed."""
+"""Contents of photos are found once, remembered, and found again when a file has changed."""
 
 from __future__ import annotations
 

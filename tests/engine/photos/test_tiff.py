@@ -115,7 +115,7 @@ def test_every_kind_is_decoded_to_the_pixels_that_were_written(tmp_path: Path) -
 
 
 def test_pycolmap_gets_the_same_pixels(tmp_path: Path) -> None:
-    """What it reads otherwise becomes JPEG."""
+    """Files that it reads differently become JPEG."""
     pycolmap = pytest.importorskip("pycolmap")
     (tmp_path / "photos").mkdir()
     wanted = {}

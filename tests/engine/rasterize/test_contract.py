@@ -1,4 +1,4 @@
-"""What `rasterize` promises besides numbers: bad input, memory, threads, where gradients go."""
+"""Promises of `rasterize` besides numbers: bad input, memory, threads, gradients."""
 
 from __future__ import annotations
 

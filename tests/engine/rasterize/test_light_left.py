@@ -1,4 +1,4 @@
-"""Where blending ends: behind Gaussians that let hardly any light through (`min_transmittance`)."""
+"""The end of blending: behind Gaussians that let hardly any light through (`min_transmittance`)."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ def test_parts_with_one_index_are_one_object() -> None:
 
 
 def test_the_mean_of_samples_is_that_of_their_shares() -> None:
-    """What a surface hides has no share in that sample; an object may be in some samples only."""
+    """Hidden surfaces have no share in that sample; an object may be in some samples only."""
     one, two = objects(2)
     layer = render_instances([one, two], CAMERA, POSE, mattes=True)
     alone = render_instances([one], CAMERA, POSE, mattes=True)

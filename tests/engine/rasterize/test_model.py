@@ -94,7 +94,7 @@ def test_blending_is_front_to_back_whatever_the_order_of_the_rows(backend: str) 
     ],
 )
 def test_median_depth(backend: str, opacities: list[float], median: float) -> None:
-    """That of the Gaussian with which half of what the pixel shows is reached."""
+    """The depth of the Gaussian where half of the pixel's weights is reached."""
     output = on_the_axis(
         backend,
         depths=[9.0, 2.0, 3.0],

@@ -248,7 +248,7 @@ def test_limits_beyond_everything_change_no_bit() -> None:
 
 
 def test_pictures_have_limits_and_consistency_has_none() -> None:
-    """What a training photo shows is decided as training draws it."""
+    """Consistency draws a training photo as training does."""
     means, quats, scales, opacities, sh = needle()
     raw = Gaussians(
         means=means,

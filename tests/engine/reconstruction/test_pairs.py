@@ -1,4 +1,4 @@
-"""Which photos are matched, and how alike they are."""
+"""Pairs of photos to match, and the similarity of photos."""
 
 from __future__ import annotations
 

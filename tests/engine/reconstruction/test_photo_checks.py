@@ -1,4 +1,4 @@
-"""What photos tell before anything is matched."""
+"""Checks of photos before matching."""
 
 from __future__ import annotations
 

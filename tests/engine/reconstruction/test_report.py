@@ -1,4 +1,4 @@
-"""What is said about matches and results."""
+"""Messages about matches and results."""
 
 from __future__ import annotations
 

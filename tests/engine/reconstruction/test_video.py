@@ -220,7 +220,7 @@ def test_interlaced_frames_are_deinterlaced(
 
 
 def combs(picture: np.ndarray) -> float:
-    """How much lines differ from the mean of those beside them."""
+    """Mean difference of lines from those beside them."""
     beside = (picture[:-2:2] + picture[2::2]) / 2
     return float(np.abs(picture[1:-1:2] - beside).mean())
 

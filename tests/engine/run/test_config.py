@@ -137,7 +137,7 @@ def test_with_steps_changes_the_length_only() -> None:
 
 
 def events(config: TrainConfig) -> dict[str, int]:
-    """How often the schedule densifies, raises the SH degree, resets opacities, and so on."""
+    """Number of densifications, SH degrees, opacity resets, and so on in the schedule."""
     due, density = range(1, config.steps + 1), config.of(DensityControl)
     idle = config.get(IdlePruning)
     return {
@@ -240,7 +240,7 @@ def test_both_stages_are_made_for_the_same() -> None:
 
 
 def difference(before: RunConfig, now: RunConfig) -> str:
-    """What tells the manifests of two runs apart."""
+    """The difference between the manifests of two runs."""
     records = ({"config": json.loads(json.dumps(each.to_dict()))} for each in (before, now))
     return manifest_difference(*records)
 

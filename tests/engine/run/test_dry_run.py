@@ -1,4 +1,4 @@
-"""What `--dry-run` says: every stage, what is done already; nothing is written or trained."""
+"""`--dry-run` shows every stage and finished work; it writes and trains nothing."""
 
 from __future__ import annotations
 

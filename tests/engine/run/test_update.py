@@ -71,7 +71,7 @@ def run_apart(trained_apart: Path, tmp_path: Path) -> Path:
 
 
 def written(folder: Path, name: str) -> tuple[Path, int]:
-    """What changes when a stage is trained."""
+    """The files that change when a stage is trained."""
     path = stage_of(folder, name) / "stage.json"
     return path, path.stat().st_mtime_ns
 

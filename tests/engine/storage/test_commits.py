@@ -179,7 +179,7 @@ def test_a_commit_that_cannot_be_read_now_is_not_a_missing_one(
 def test_records_that_are_too_large_are_not_read(
     memory_store: Any, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever may write to a store could fill the memory of all machines."""
+    """Anyone who can write to a store could fill the memory of all machines."""
     stored_run(RUNS, "hall").publish(folder, "scene", last=False)
     memory_store.pipe("/museum/runs/hall/.commits/huge.json", bytes(5000))
     memory_store.pipe(f"/museum/runs/hall/.leases/scene/{'a' * 32}", bytes(5000))

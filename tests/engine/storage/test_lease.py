@@ -143,7 +143,7 @@ def test_of_many_at_once_one_is_inside(store: Any) -> None:
 
 
 def test_a_stop_is_heard_among_many_files(store: Any) -> None:
-    """Whoever may write to the store can write thousands, each of which is read."""
+    """Anyone who can write to the store can write thousands; each is read."""
     for number in range(50):
         store.pipe_file(f"{PLACE}/{number:032x}", b"{}")
     read, cat_file = [], store.cat_file

@@ -45,7 +45,7 @@ class Silent:
 
 @pytest.fixture
 def silent(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Silent]:
-    """What all addresses lead to; its calls are given up soon."""
+    """The store of all addresses; its calls are abandoned soon."""
     fsspec = pytest.importorskip("fsspec")
     found = Silent()
     monkeypatch.setenv("ROIGS_CACHE", str(tmp_path / "home"))

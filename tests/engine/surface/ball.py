@@ -57,7 +57,7 @@ def rays_hit(image: PosedImage) -> tuple[NDArray[np.float64], NDArray[np.float64
 
 
 def depth_map(image: PosedImage) -> DepthMap:
-    """What a perfect model says."""
+    """The depth map of a perfect model."""
     depth, _ = rays_hit(image)
     depth = np.where(np.isnan(depth), BEHIND, depth).astype(np.float32)
     return DepthMap(

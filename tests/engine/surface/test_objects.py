@@ -19,7 +19,7 @@ TABLE = -0.45  # height: the ball is sunk a little into it
 
 
 def on_table(masked: bool = True) -> list[DepthMap]:
-    """What photos from above see of the ball and a table."""
+    """Photos from above of the ball and a table."""
     found = []
     for image in images(60):
         if image.centre[2] < TABLE + 0.5:

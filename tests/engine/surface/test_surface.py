@@ -90,7 +90,7 @@ def test_close_photos_do_not_fill_the_air_behind_what_they_show() -> None:
 
 
 def floor_map(eye: tuple[float, float, float]) -> DepthMap:
-    """What a perfect model says of the plane z = 0."""
+    """The depth map of a perfect model of the plane z = 0."""
     image = replace(images(1)[0], world_to_camera=look_at(eye, (0, 0, 0)))
     camera, pose = image.camera, image.world_to_camera
     x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx

@@ -46,7 +46,7 @@ def stats(gradient: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
 
 @dataclass(frozen=True)
 class Training:
-    """What density control asks of a trainer."""
+    """The parts of a trainer that density control needs."""
 
     data: StageData
     gaussians: Gaussians

@@ -1,4 +1,4 @@
-"""How far apart photos stand around a box, and the rate that follows."""
+"""Angular spacing of photos around a box, and the resulting SH rate."""
 
 from __future__ import annotations
 

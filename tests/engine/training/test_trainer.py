@@ -114,7 +114,7 @@ def test_half_of_the_steps_draw_as_pictures_do(
 
 @pytest.mark.parametrize("period", [2, 3, 5, 84, 91])
 def test_every_photo_is_drawn_both_ways(period: int) -> None:
-    """Whatever the order of photos and masks, which often has a period."""
+    """For any order of photos and masks, which often has a period."""
     drawn = [
         training_limits(step, linear_light=False) != TRAINING_LIMITS for step in range(12 * period)
     ]

@@ -1,4 +1,4 @@
-"""What hangs among the cameras where no photo looks goes, and what is real stays."""
+"""Gaussians among the cameras where no photo looks are removed; real ones stay."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What fills a view between the photos goes if no photo shows it, and what is real stays."""
+"""Gaussians that fill a view between photos are removed if no photo shows them; others stay."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the photos vouch for, among Gaussians whose place is known."""
+"""Gaussians confirmed by photos, among Gaussians at known places."""
 
 from __future__ import annotations
 
