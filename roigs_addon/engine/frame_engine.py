@@ -100,6 +100,6 @@ class _Silence:
 
 
 def _forget(path: Path) -> None:
-    """Delete a request that nobody will answer."""
+    """Delete a request that no engine will answer."""
     with suppress(OSError):
         path.unlink()

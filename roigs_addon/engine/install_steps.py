@@ -53,7 +53,7 @@ class Step:
 
     Attributes:
         title, command: of it.
-        optional: the engine works without it; if it fails, the set-up goes on.
+        optional: the engine works without it; if it fails, the set-up continues.
     """
 
     title: str

@@ -1,7 +1,7 @@
 """One engine command as a child process: starts it, reads its events, stops it. No bpy.
 
 The engine writes one JSON line per event to its standard output (`shared.events`) and text for
-people to standard error. It stops when its standard input ends, so no engine outlives Blender.
+users to standard error. It stops when its standard input ends, so no engine outlives Blender.
 Threads only queue what arrives; the owner takes it from the queue, on Blender's main thread.
 """
 
@@ -213,7 +213,7 @@ class _Log:
         self.write(in_words(event))
 
     def note(self, line: str) -> None:
-        """A line for people."""
+        """One line for users."""
         self.said.append(line.rstrip("\n"))
         self.write(line.rstrip("\n"))
 

@@ -37,7 +37,7 @@ def excluded(scene: bpy.types.Scene) -> list[str]:
 
 
 def short_name(scene: bpy.types.Scene, photo: str) -> str:
-    """A photo's name as far as it tells the photo from the others: a sidebar is narrow."""
+    """The part of a photo's name that distinguishes it from the others: a sidebar is narrow."""
     return _short_names(scene).get(photo, photo)
 
 

@@ -44,7 +44,7 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
 
 
 def _some_kept(folder: Path) -> bool:
-    """Whether a result has a level beside itself; a damaged list is told by the panel."""
+    """Whether a result has a level beside itself; the panel reports a damaged list."""
     try:
         return any(len(ladder.levels) > 1 for ladder in levels.read_ladders(folder).values())
     except EngineError:

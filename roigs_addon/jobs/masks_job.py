@@ -24,7 +24,7 @@ DRAW_FIRST = "Draw strokes on a photo first: on the object, and around it."
 
 
 def spec(scene: bpy.types.Scene, roi: bpy.types.Object, *, anew: bool = False) -> JobSpec:
-    """The job that makes the masks of a box: those whose strokes have changed, or all `anew`.
+    """The job that makes the masks of a box: those with changed strokes, or all if `anew`.
 
     Raises:
         AddonError: there is no model, there are no strokes, or files cannot be written.

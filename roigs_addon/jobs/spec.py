@@ -58,7 +58,7 @@ class JobSpec:
         then: called with the engine's outputs (name -> path) after a command that was finished, not
             stopped; returns the command with which the job goes on, or None if there is none; may
             raise AddonError.
-        done_text: what the user is told then; empty where the window shows it anyway.
+        done_text: the message to the user then; empty where the window shows it anyway.
         is_so: whether the scene still is as `done_text` says: a panel asks, also after an undo.
         words: option of the command -> the panel's name of it, for the engine's errors.
     """

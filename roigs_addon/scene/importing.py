@@ -158,7 +158,7 @@ def _extent(record: dict[str, Any]) -> float:
 def _root(
     scene: bpy.types.Scene, name: str, record: dict[str, Any], *, same_frame: bool
 ) -> bpy.types.Object:
-    """The scene's root, made if there is none, and placed anew for another model.
+    """The scene's root, created if there is none, and placed again for another model.
 
     It is placed as the file beside the model says, else upright.
     """

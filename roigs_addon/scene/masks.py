@@ -89,7 +89,7 @@ def photo_at_hand(context: bpy.types.Context) -> Photo | None:
 
 
 def size_of(photo: Photo) -> tuple[int, int]:
-    """Width and height of a photo's file; of its camera, if an old .blend does not tell."""
+    """Width and height of a photo's file; of its camera, if an old .blend does not name it."""
     if photo.lens_size is not None:
         return photo.lens_size
     for image in bpy.data.images:

@@ -244,7 +244,7 @@ def _dress(scene: bpy.types.Scene, item: bpy.types.Object, picture: bpy.types.Im
 
 
 def set_reach(scene: bpy.types.Scene, radius: float) -> None:
-    """Have proxies shine, and hide the world, near the place of the light's picture.
+    """Make proxies emit light, and hide the world, near the place of the light's picture.
 
     Args:
         scene: of the proxies.
@@ -274,7 +274,7 @@ def usual_radius(scene: bpy.types.Scene) -> float:
 
 
 def use_light(scene: bpy.types.Scene, image: bpy.types.Image) -> None:
-    """Have proxies without a picture of their own shine with that of the light."""
+    """Make proxies without their own picture emit the light's picture."""
     for nodes in _trees(scene):
         for node in (n for n in nodes if n.bl_idname == "ShaderNodeTexEnvironment"):
             node.image = image

@@ -1,7 +1,7 @@
 """Prepares a scene for the user's own objects: light, proxies, passes; and undoes it.
 
-All of it is in a collection and a world of their own. All other settings are saved in the .blend
-before they change, so that `remove` restores them.
+All of it is in a separate collection and a separate world. All other settings are saved in the
+.blend before they change, so that `remove` restores them.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def clear_film(scene: bpy.types.Scene) -> None:
 
 
 def free_lamps(scene: bpy.types.Scene) -> None:
-    """Have the user's lamps shine on captured surfaces, too.
+    """Let the user's lamps light captured surfaces, too.
 
     To Blender, a lamp is part of what was captured, unless its **Shadow Catcher** is off. A lamp is
     changed only once, so that the user may change it back.

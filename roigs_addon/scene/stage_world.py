@@ -1,6 +1,6 @@
 """A world with the captured scene's light around a point, invisible to the camera.
 
-It is a copy of the user's world, which the camera goes on seeing; all other rays meet the picture.
+It is a copy of the user's world, which the camera still sees; all other rays meet the picture.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def shine(
     at: Vector,
     mirror: bpy.types.Image | None = None,
 ) -> None:
-    """Have the world shine with a picture; one that shone before is replaced.
+    """Let the world emit a picture; an earlier one is replaced.
 
     Args:
         scene: that is lit.

@@ -1,7 +1,7 @@
 """Suggested photos: numbered cameras at the places for the next photos.
 
-They are in a collection of their own, with a line from each to its box. The preview is the
-background of its camera, like the photo of an imported camera.
+They are in a separate collection, with a line from each to its box. The preview is the background
+of its camera, like the photo of an imported camera.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def are_there(scene: bpy.types.Scene) -> bool:
 
 
 def faults_of(scene: bpy.types.Scene, roi: bpy.types.Object) -> list[tuple[str, str]]:
-    """The photos of a box that should be looked at, each with its reason."""
+    """The photos of a box to check, each with its reason."""
     found = [c.get(FAULTS) for c in _collections(scene)]
     return [fault for line in found if isinstance(line, str) for fault in _faults(line, roi.name)]
 

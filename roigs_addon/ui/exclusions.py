@@ -38,7 +38,7 @@ def toggle(layout: bpy.types.UILayout, scene: bpy.types.Scene, photo: str) -> No
 
 
 def weak(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
-    """The photos whose cameras hang on few points, each with the button that excludes it."""
+    """Photos with few points for their cameras, each with the button that excludes it."""
     names = weak_photos.used(scene)
     if not names:
         return

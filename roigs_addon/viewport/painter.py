@@ -143,10 +143,10 @@ class Painter:
             objects: all there are, hidden or not.
             view: from where, and how large.
             key: which viewport this is.
-            depth: of what hides splats; None: nothing does.
+            depth: of surfaces that hide splats; None: there are none.
             linear_target: whether the framebuffer converts linear light to sRGB when written.
-            strength: less than 1 lets what is there show through.
-            rested: whether a coarse picture of the same shall be replaced by a full one.
+            strength: less than 1 lets the existing picture show through.
+            rested: whether to replace a coarse picture of the same view by a full one.
             wait: whether to wait for files and sorting, and draw in full.
         """
         seen = InView.of(objects, view, fade=not self._lean)
@@ -289,7 +289,7 @@ class Painter:
         rested: bool,
         wait: bool,
     ) -> Picture:
-        """The picture of a viewport; drawn anew only if it would be another one."""
+        """The picture of a viewport; drawn again only if it would change."""
         frame = view.frame or whole(view.size)
         objects_there = object_texels(order.gaussians.files, objects, view)
         clip = np.array(view.projection).tobytes()

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Asked:
-    """A training as its request tells it, before the scene is looked at."""
+    """A training as requested, before the scene is read."""
 
     request: Train  # with the COLMAP project that photos become as its scene
     photos: Path | None  # the photos that it is made of; None: the scene has a model

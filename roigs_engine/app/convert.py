@@ -121,7 +121,7 @@ def _write_streamed(request: Convert, context: Context) -> Result:
 
 
 def _warn_of_light(target: Target, form: FileFormat, context: Context) -> None:
-    """Say that a format cannot tell other programs in which light to blend."""
+    """Warn that a format cannot record in which light to blend."""
     context.warn(
         f"{form.title} cannot record that these Gaussians are made for {target.title}: other "
         "programs will show them too dark. Adapt them to these programs first (`adapt`)."
@@ -129,7 +129,7 @@ def _warn_of_light(target: Target, form: FileFormat, context: Context) -> None:
 
 
 def _say_photos_unknown(form: FileFormat, context: Context) -> None:
-    """Refuse to write anti-aliased Gaussians as plain ones; warn if the format cannot tell."""
+    """Refuse to write anti-aliased Gaussians as plain ones; warn if the format cannot record it."""
     why = "their training photos are unknown"
     if form.keeps_antialiased:
         raise ConfigError(

@@ -142,7 +142,7 @@ def _say_owned(
 
 
 def find_floaters(request: Floaters, context: Context = QUIET) -> Result:
-    """Find what hangs in the air in a model, by the rule with which a training ends.
+    """Find Gaussians in the air in a model, by the rule at the end of a training.
 
     EngineError: an input cannot be used.
     """

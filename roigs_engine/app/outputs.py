@@ -104,7 +104,7 @@ def refuse_inputs(
 def named_files(option: str, texts: Iterable[str], form: str) -> dict[str, Path]:
     """Name -> path of an option's values such as `NAME=FILE`; `form` says how they are written.
 
-    ConfigError: a name or a path is missing, or a name is there twice.
+    ConfigError: a name or a path is missing, or a name occurs twice.
     """
     found: dict[str, Path] = {}
     for text in texts:

@@ -159,7 +159,8 @@ class Models:
     def get(self, paths: list[str], context: Context) -> list[tuple[Gaussians, LocalFrame]]:
         """The models, without what cannot be drawn, and their frames; EngineError: one is damaged.
 
-        The context gets the progress: whoever waits for a picture sees that the engine works.
+        The context gets the progress: a program that waits for a picture sees that the engine
+        works.
         """
         known, self._read = self._read, {}
         different, started = dict.fromkeys(paths), time.monotonic()

@@ -50,7 +50,7 @@ class SurfaceRecord:
 
     @property
     def text(self) -> str:
-        """A line for people."""
+        """One line for users."""
         sides = " x ".join(f"{side:.3g}" for side in self.size)
         whole = f"closed, volume {self.volume:.3g}" if self.volume is not None else "with holes"
         found = [f"{share:.0%} {side}" for side, share in self.unseen.items() if share >= LEAST]

@@ -44,7 +44,7 @@ class Part:
 
     @property
     def label(self) -> str:
-        """For people."""
+        """Its name for users."""
         return self.scene if self.name == WHOLE else f"{self.scene}: {self.name}"
 
 

@@ -178,7 +178,7 @@ class RayExecutor:
     def _take_looks(self, alive: Mapping[str, Any], patience: float) -> None:
         """Send looks to new machines, and judge those that came back.
 
-        A machine that does not answer is looked at again: its memory may be full for a while. A
+        A machine that does not answer is checked again: its memory may be full for a while. A
         warning says so if it goes on.
         """
         self._looks = {node: found for node, found in self._looks.items() if node in alive}

@@ -44,7 +44,7 @@ def do_part(part: Part, threads: int, mailbox: Any, version: str, sign: str) -> 
 
 
 def misfit(found: dict[str, Any], version: str, sign: str) -> str:
-    """Why a machine that was looked at cannot be used; empty: it can."""
+    """The reason why a checked machine cannot be used; empty: it can."""
     if found["version"] != version:
         return f"has roigs {found['version']}, this computer {version}; install the same"
     if not found["sees"]:

@@ -51,7 +51,7 @@ class BatchRecord:
             pass
 
     def begin(self) -> None:
-        """Write the record, unless it is there: it tells whose the folder is."""
+        """Write the record, unless it is there: it identifies the owner of the folder."""
         if not self.was_there:
             self._write()
 

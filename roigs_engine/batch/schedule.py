@@ -127,7 +127,7 @@ class Scheduler:
             self._move([state for _, state in ready if state.state == WAITING])
 
     def _move(self, ready: Sequence[PartState]) -> None:
-        """Stop a part that is to go on elsewhere or later, if there is one."""
+        """Stop a part that should continue elsewhere or later, if there is one."""
         states = [state for _, state in self._states()]
         idle = bool(states) and self._executor.has_capacity(states[0].part, self._slow)
         found = next_move(states, self._after, ready, time.monotonic(), idle=idle)

@@ -125,7 +125,7 @@ def _leased(
 def _at_work(
     run: StoredRun, folder: Path, part: str, staging: Staging, lease: Lease
 ) -> Iterator[None]:
-    """Publish checkpoints as the engine writes them, for the machine that goes on if this ends.
+    """Publish checkpoints as the engine writes them, for the machine that resumes if this one ends.
 
     The copies that the engine uses are kept.
     """

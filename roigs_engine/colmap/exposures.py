@@ -1,8 +1,8 @@
 """Exposures of a scene's photos, from EXIF (checked against the photos) or from sparse points.
 
-A point has one colour, so the light that photos show there tells their exposures. EXIF is more
-exact, but stays as it was taken when a program brightens photos, and levelling those would be wrong
-by stops. So EXIF is believed if photos agree better once it is used. Without EXIF, exposures are
+A point has one colour, so its brightness in the photos shows their exposures. EXIF is more exact,
+but stays as it was taken when a program brightens photos, and levelling those would be wrong by
+stops. So EXIF is believed if photos agree better once it is used. Without EXIF, exposures are
 solved from the points, and used as far as two halves of the points agree.
 """
 
@@ -137,7 +137,7 @@ def solve(observed: Observed, photos: int) -> Float64:
     """(V,) stops of the photos by their points; zeros: they do not differ, or it is not certain.
 
     The light at a point in a photo is the point's times the photo's; medians in turn solve for
-    both. Halves of the points, solved alone, tell how much of a difference is chance.
+    both. Halves of the points, solved alone, show how much of a difference is chance.
     """
     stops = _solved(observed, photos)
     even = observed.point % 2 == 0

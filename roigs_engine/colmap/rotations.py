@@ -1,8 +1,8 @@
 """Finds the photos that a model's software has turned by their EXIF tags.
 
-COLMAP ignores the tags, other software obeys them. A photo on its side tells by its size which it
-was. If the size does not decide (upside down, mirrored, square), the model's other photos decide,
-or else the points' colours.
+COLMAP ignores the tags, other software obeys them. The size of a photo on its side shows whether it
+was turned. If the size does not decide (upside down, mirrored, square), the model's other photos
+decide, or else the points' colours.
 """
 
 from __future__ import annotations

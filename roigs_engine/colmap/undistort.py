@@ -401,7 +401,7 @@ def remove_unused(cache: Path, images: Iterable[PosedImage]) -> None:
 
 
 def _memory(plans: Sequence[UndistortionPlan], context: Context) -> int:
-    """Bytes that the largest photo needs; tells the user what all threads take."""
+    """Bytes that the largest photo needs; reports the memory of all threads to the user."""
     largest = max(plans, key=UndistortionPlan.memory)
     needed, machine = largest.memory(), machine_memory()
     if needed + ENGINE > machine:

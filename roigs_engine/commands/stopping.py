@@ -23,7 +23,7 @@ SIGNALS = tuple(getattr(signal, name) for name in NAMES if hasattr(signal, name)
 
 
 class StopRequest:
-    """Whether the command shall end, with a checkpoint (`asked`) or at once (`leaving`).
+    """Whether the command should end, with a checkpoint (`asked`) or at once (`leaving`).
 
     Plain attributes, set by one assignment: a signal handler may run between any two instructions,
     and a lock could wait for itself.

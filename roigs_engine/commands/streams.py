@@ -2,7 +2,7 @@
 
 A reader may go away, a disk may be full, a terminal may vanish, a stream may be closed from the
 start. Work must not end in a traceback for that, so everything that writes (the console, progress
-bars, warnings, argparse) gets streams that take note and go on.
+bars, warnings, argparse) gets streams that note the error and continue.
 """
 
 from __future__ import annotations
@@ -119,6 +119,6 @@ def _stream(stream: Any, number: int, stop: StopRequest) -> Stream:
 
 
 def _reader_is_gone(error: OSError) -> bool:
-    """Whether nobody will ever read again, or nobody did for long enough."""
+    """Whether the reader is gone, or did not read for long enough."""
     # Windows says EINVAL of a pipe without a reader.
     return isinstance(error, (BrokenPipeError, TimeoutError)) or error.errno == errno.EINVAL

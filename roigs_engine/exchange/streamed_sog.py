@@ -147,7 +147,8 @@ def _remove(folder: Path) -> None:
 def _files_of_ours(meta: dict[str, Any]) -> tuple[str, ...]:
     """The files of a SOG by its `meta.json`, which is the last; none if another program wrote it.
 
-    If an engine is killed while it deletes them, `meta.json` still tells the next one the others.
+    If an engine is killed while it deletes them, `meta.json` still lists the others for the next
+    one.
     """
     if meta.get("asset") != {"generator": sog.GENERATOR}:
         return ()

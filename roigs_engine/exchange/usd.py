@@ -231,7 +231,7 @@ def _alone(path: Path) -> tuple[Any, bool]:
 def _refuse_crash(path: Path) -> None:
     """Raise ValueError for a file that would end this process, or fill its memory.
 
-    A process of its own opens it first.
+    A separate process opens it first.
     """
     limit = max(SMALL, MOST_RATIO * path.stat().st_size)
     command = [sys.executable, "-m", f"{__package__}.usd_probe", str(path), str(limit)]

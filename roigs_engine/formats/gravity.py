@@ -45,7 +45,7 @@ def gravity_alignment(poses: NDArray[np.float64]) -> Matrix:
 
 
 def up_direction(poses: NDArray[np.float64]) -> tuple[Vector, float]:
-    """Up as a unit vector, zero if nothing tells, and its standard error in radians.
+    """Up as a unit vector, zero if it is unknown, and its standard error in radians.
 
     Portraits are taken for such only where they look all around: a pan of portraits and a tilt of
     landscapes are the same. They are taken to be stored as phones do, with their top at the left.

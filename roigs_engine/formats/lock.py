@@ -1,7 +1,7 @@
 """Locks of run folders: only one engine at a time, and others can see which.
 
-The lock is the operating system's, so it ends with the process, however that ends. The file says
-who holds it, for people and for a Blender that was opened again.
+The lock is the operating system's, so it ends with the process, however that ends. The file names
+its holder, for users and for a Blender that was opened again.
 
 A file system without locks needs a fallback: there, a lock file belongs to the process that its
 record names. It appears with its record or not at all, and is taken over only if that process has

@@ -45,7 +45,7 @@ if sys.platform == "win32":
         return False
 
     def keep(file: BinaryIO) -> int | None:
-        """Nothing: nobody can delete a file that is open."""
+        """Nothing: an open file cannot be deleted."""
         return None
 
 else:

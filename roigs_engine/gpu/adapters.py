@@ -33,7 +33,7 @@ class Adapter:
 
     @property
     def title(self) -> str:
-        """Its name and how it is reached, for people."""
+        """Its name and its API, for users."""
         return f"{self.name}, {self.api}"
 
     @property
@@ -71,7 +71,7 @@ def wgpu() -> Any:
 
 @functools.cache
 def adapters() -> tuple[Adapter, ...]:
-    """All GPUs, the best ones first: those with memory of their own. KernelError: no wgpu."""
+    """All GPUs, the best ones first: those with their own memory. KernelError: no wgpu."""
     found = []
     for handle in wgpu().gpu.enumerate_adapters_sync():
         info = handle.info

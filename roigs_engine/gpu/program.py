@@ -1,7 +1,7 @@
 """The shaders on a GPU: compiled kernels, buffers, launches, results.
 
-The shaders are WGSL, in files of their own. All kernels of a file share its buffers; a kernel
-names those that it uses.
+The shaders are WGSL, in separate files. All kernels of a file share its buffers; a kernel names
+those that it uses.
 """
 
 from __future__ import annotations
@@ -218,7 +218,7 @@ class Memory:
 
     @classmethod
     def take(cls, program: Program) -> Memory:
-        """The one given back last, or a new one."""
+        """The one released last, or a new one."""
         while cls._idle:
             memory = cls._idle.pop()
             if memory.program is program:

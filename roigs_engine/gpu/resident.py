@@ -23,7 +23,7 @@ class Resident:
     """State that may be on a GPU.
 
     Attributes:
-        is_newer: whether it is there, newer than the tensors.
+        is_newer: whether it is on the GPU, newer than the tensors.
     """
 
     def __init__(self, state: Callable[[], Sequence[Sequence[Tensor]]], *, stays: bool) -> None:
@@ -37,7 +37,7 @@ class Resident:
         self.memory: Memory | None = None
 
     def hold(self, program: Program) -> bool:
-        """Bring the state to the GPU, unless it was looked at since the last step."""
+        """Bring the state to the GPU, unless it was read since the last step."""
         if self.is_newer:
             return True
         if not self._is_idle:
@@ -56,7 +56,7 @@ class Resident:
         return True
 
     def settle(self) -> None:
-        """Bring it back, to be looked at and changed. Raises KernelError."""
+        """Bring it back, so that it can be read and changed. Raises KernelError."""
         self._is_idle = False
         if not self.is_newer:
             return

@@ -13,13 +13,13 @@ measurements add up, and I / (1 + I) is the share by which they reduce a varianc
 a patch as seen from b is also due to directions nearby, less with the angle: sigma is the spacing
 of the directions b, which are even over the sphere.
 
-`known` is told to people. Photos are chosen by the error in decibels, as it is measured later: by
+`known` is shown to users. Photos are chosen by the error in decibels, as it is measured later: by
 the mean of 10 log10(1 + I), how much lower the variance is than without a photo. It is monotone and
 submodular in the photos, as a concave function of sums; `known` would be, too, but counts a gap
 half closed for more than the next halves.
 
 Means are over patches and directions, each weighted by cos(theta), its share of a picture from
-there; directions from which nobody can look have no weight.
+there; directions from which no camera can look have no weight.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class BoxMap:
         return weight, np.where(weight > 0, known / np.maximum(weight, 1e-300), np.nan)
 
     def of_patches(self) -> Float64:
-        """(P,) what is known of each patch over its directions; NaN if nobody can look at it."""
+        """(P,) what is known of each patch over its directions; NaN if no camera can see it."""
         weight = self.weights.sum(axis=1)
         known = (self.weights * self.known).sum(axis=1)
         return np.asarray(np.where(weight > 0, known / np.maximum(weight, 1e-300), np.nan))

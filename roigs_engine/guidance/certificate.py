@@ -82,7 +82,7 @@ class Certificate:
 
     @property
     def text(self) -> str:
-        """A line for people."""
+        """One line for users."""
         units = Units(scale=self.metres)
         sides = " x ".join(units.length(side) for side in self.size)
         psnr = self.scores.get("object_psnr")

@@ -4,8 +4,8 @@ A photo is compared with the others at the same patches (`photo_quality`). Infor
 the square of the resolution (`box_map`), so a photo with less than 1/sqrt(2) of the sharp photos'
 resolution tells less than half of what it could: it is blurred, or, if it is sharp elsewhere, out
 of focus at the object. Exposures are named that differ by a stop, half or twice the light, and are
-outliers: where many differ, they are levelled (`photos.exposures`). A camera that hangs on few
-points may be misplaced (`formats.projects`).
+outliers: where many differ, they are levelled (`photos.exposures`). A camera with few points may be
+misplaced (`formats.projects`).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ BLURRED, FOCUS, EXPOSED, PLACED, UNREADABLE = (
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoFault:
-    """A photo of a box that should be looked at, and perhaps left out.
+    """A photo of a box that the user should check, and perhaps exclude.
 
     Attributes:
         photo: its name.

@@ -4,7 +4,7 @@
 
 The compiler is the one in the `ziglang` wheel when that is installed (it also cross-compiles), else
 the system's. The module imports nothing but the standard library and nothing of this package:
-setup.py runs it where neither numpy nor torch is there.
+setup.py runs it without numpy and torch.
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ def compile_all(
 ) -> dict[str, Path]:
     """Compiles sources for a platform, in parallel: instruction set -> library in `folder`.
 
-    Raises `BuildError`. Benchmarks measure the processor with sources of their own.
+    Raises `BuildError`. Benchmarks measure the processor with their own sources.
     """
     command, is_zig = _compiler_command(compiler, target)
     spec = PLATFORMS[target]

@@ -82,7 +82,7 @@ def make_levels(
     steps: int = STEPS,
     context: Context = QUIET,
 ) -> list[Ladder]:
-    """Make the levels of a run's result; those that are there and fit are kept.
+    """Make the levels of a run's result; existing valid ones are kept.
 
     Args:
         folder: of the run, locked.
@@ -93,7 +93,7 @@ def make_levels(
     Raises:
         RunFolderError: there is no result, or it is damaged.
         SceneError: no photo shows a part.
-        Stopped: on request; the same call goes on later.
+        Stopped: on request; the same call resumes later.
     """
     remove_leftovers(folder)
     parts = parts_of_run(folder, images, frame)

@@ -55,7 +55,7 @@ class Brightness:
     Attributes:
         highlights: where photos are clipped.
         unseen: where no photo shows anything, above the horizon.
-        told: whether the scene's shading tells it; else it is as in a usual place.
+        told: whether the scene's shading determines it; else it is a typical value.
     """
 
     highlights: float = 1.0
@@ -106,7 +106,7 @@ def _share(where: NDArray[Any]) -> float:
 
 
 def _usual(parts: Float64, tried: Float64) -> Float64:
-    """The factors with which surfaces give back the usual share of the light.
+    """The factors with which surfaces reflect the usual share of the light.
 
     They reflect the light that is seen and not clipped. If both factors are unknown, similar ones
     are preferred, as they belong to one kind of light.
@@ -119,7 +119,7 @@ def _usual(parts: Float64, tried: Float64) -> Float64:
 
 
 def _told(panorama: Panorama, place: Float64, surfaces: Surfaces, tried: Float64) -> Float64 | None:
-    """The factors that the surfaces tell; None: they do not."""
+    """The factors by the surfaces' shading; None: it does not determine them."""
     rows = _usable(panorama, place, surfaces)
     if len(rows) < NEIGHBOURS:
         return None

@@ -41,7 +41,7 @@ HALVINGS = 8  # of the range of a factor that is sought, in its logarithm: to 1 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Shading:
-    """The light of a panorama as the scene's shading tells it.
+    """The light of a panorama, estimated from the scene's shading.
 
     Attributes:
         light: (H, 2 H, 3) linear.

@@ -195,7 +195,7 @@ def _inputs(views: Iterable[View], strokes: Strokes, basis: str) -> dict[str, st
 
     The inputs are the photo with its camera and strokes, the strokes that the work begins with, the
     boxes, and the model (`basis`). Strokes that correct another photo are none of them: masks that
-    a person has looked at stay as they are.
+    the user has checked stay as they are.
     """
     views = list(views)
     drawn = [view for view in views if view.is_scribbled]

@@ -185,7 +185,7 @@ def _with_likelihood(view: View, likely: Floats, trust: float) -> NDArray[np.uin
     """(H, W, 3) what GrabCut works on: brightness, one channel of colour, and the likelihood.
 
     As a third channel, the likelihood enters GrabCut's models beside the colours, and its ramp
-    tells the object from things of the same colours.
+    separates the object from things of the same colours.
     """
     cv2 = opencv()
     bright, red, blue = cv2.split(cv2.cvtColor(view.smooth, cv2.COLOR_RGB2YCrCb).astype(np.float32))

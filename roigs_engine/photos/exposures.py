@@ -81,7 +81,7 @@ def levelled(pixels: NDArray[np.uint8], stops: float) -> NDArray[np.uint8]:
 
 
 def not_clipped(pixels: NDArray[np.uint8], stops: float) -> NDArray[np.bool_]:
-    """(H, W) which of a brighter photo's own pixels (H, W, 3) say how bright the scene is there."""
+    """(H, W) which of a brighter photo's pixels (H, W, 3) show the true brightness of the scene."""
     if stops <= 0:
         return np.ones(pixels.shape[:-1], dtype=bool)
     return np.asarray((pixels < CLIPPED).all(axis=-1))

@@ -163,7 +163,7 @@ class Folder:
         return self.work(RECORD)
 
     def is_done(self, key: str) -> bool:
-        """Whether the model that is there was made with this key."""
+        """Whether the existing model was made with this key."""
         return self._was_finished() and read_record(self._record).get("done") == key
 
     @property

@@ -68,7 +68,7 @@ def find_features(folder: Folder, found: Found, request: Reconstruct, context: C
 
 
 def threads_of(request: Reconstruct) -> int:
-    """The threads of a reconstruction: so many as are asked for, or one for each core."""
+    """The threads of a reconstruction: the requested number, or one for each core."""
     return request.threads or usable_cores()
 
 

@@ -220,7 +220,7 @@ def _normalise(model: Any) -> None:
 def normalisation(poses: Matrix, points: Matrix, distance: float) -> Matrix:
     """The similarity (3, 4) to a usual frame: z up, floor at 0, foreground at the origin, metres.
 
-    Photos alone tell no direction, position or scale; the scale is a guess.
+    Photos alone do not determine direction, position or scale; the scale is a guess.
 
     Args:
         poses: (N, 4, 4) world_to_camera of the photos.

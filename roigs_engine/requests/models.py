@@ -247,7 +247,7 @@ class Cut(PhotoSize, Boxes, Device):
 
 @dataclass(frozen=True, kw_only=True)
 class Floaters(Scene, Boxes, Device):
-    """Gaussians that hang in the air in a model."""
+    """Find Gaussians in the air of a model."""
 
     model: Path = option(
         FILE,

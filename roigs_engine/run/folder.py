@@ -1,7 +1,7 @@
 """A run folder in use, locked by one engine, or by one for each stage.
 
 A run holds `run.lock`; an engine that trains one stage holds `STAGE.lock` beside it. Each takes its
-own lock first, then looks at the other's, so one of two always sees the other.
+own lock first, then checks the other's, so one of two always sees the other.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ def claim(
 
     With `update`, the results of another manifest move to `earlier/`, and those of this one come
     back from there. An engine may be killed at any moment: results move while the manifest still
-    says whose they are, and the next engine goes on.
+    identifies them, and the next engine continues.
 
     Raises:
         RunFolderError: the folder was made for other settings, or by another version.
@@ -69,7 +69,7 @@ def claim(
 def refuse_other_run(folder: Path, manifest: dict[str, Any]) -> None:
     """Raise RunFolderError if the folder has a run of other settings or boxes, or another scene.
 
-    As `claim`, before the photos are looked at: without what depends on which of them are damaged.
+    As `claim`, before the photos are read: without what depends on which of them are damaged.
     """
     path, now = folder / MANIFEST, from_json(manifest)
     before = read_manifest(path) if path.exists() else None

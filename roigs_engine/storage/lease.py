@@ -1,10 +1,10 @@
 """Leases on a store without locks: one engine at a time, even if another died or returns.
 
-Everybody who wants a lease writes a file of its own, as a claim, and then lists the folder. Without
-a holder, the claim of the smallest name becomes the holder, and lists again: a smaller name that
-came meanwhile makes it give way. Everybody writes before it lists, so one of two always sees the
-other. Files are rewritten again and again; one that does not change for `EXPIRY` seconds, by the
-watcher's own clock, is dead: no two clocks are compared.
+An engine that wants a lease writes its own file, as a claim, and then lists the folder. Without a
+holder, the claim of the smallest name becomes the holder, and lists again: a smaller name that came
+meanwhile makes it give way. Everybody writes before it lists, so one of two always sees the other.
+Files are rewritten again and again; one that does not change for `EXPIRY` seconds, by the watcher's
+own clock, is dead: no two clocks are compared.
 """
 
 from __future__ import annotations

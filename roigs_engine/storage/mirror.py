@@ -52,7 +52,7 @@ def mirror(url: str, context: Context) -> Path:
 
 
 def _is_here(folder: Path, name: str, sign: list[Any], known: Any) -> bool:
-    """Whether the copy of a file is there, and as the store has it now."""
+    """Whether the copy of a file exists, and equals the store's present file."""
     target = _target(folder, name)
     return known == sign and target.is_file() and target.stat().st_size == sign[0]
 

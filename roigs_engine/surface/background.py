@@ -105,7 +105,7 @@ class BackgroundPlan:
 
     @property
     def text(self) -> str:
-        """A line for people."""
+        """One line for users."""
         return f"Memory: up to about {in_gb(self.memory)} of {in_gb(self.machine)}."
 
 

@@ -50,7 +50,7 @@ class SurfacePlan:
 
     @property
     def text(self) -> str:
-        """A line for people."""
+        """One line for users."""
         return f"Memory: up to about {in_gb(self.memory)} of {in_gb(self.machine)}."
 
 

@@ -208,9 +208,9 @@ def _between(first: PosedImage, second: PosedImage, share: float) -> Float64:
 def hangs_among_cameras(
     gaussians: Gaussians, images: Sequence[PosedImage], points: Float64, shown: Tensor
 ) -> Tensor:
-    """(N,) bool: which Gaussians hang in the air among the cameras, where no photo looks.
+    """(N,) bool: which Gaussians are in the air among the cameras, where no photo looks.
 
-    `shown` is (N,), the largest share of a photo that each fills. Without points, nothing hangs.
+    `shown` is (N,), the largest share of a photo that each fills. Without points, none is.
     """
     if len(points) == 0:
         return torch.zeros_like(shown, dtype=torch.bool)

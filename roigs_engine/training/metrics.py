@@ -64,7 +64,7 @@ class TrainingMetrics:
         self._error = None
 
     def take_back(self, loss: Tensor) -> None:
-        """The running loss is this one again: the steps since are done anew."""
+        """The running loss is this one again: the steps since are repeated."""
         self.loss, self._error = loss, None
 
 

@@ -65,7 +65,7 @@ class Running:
     needs_surface: bool = False
 
     def own_step(self, training: Training) -> tuple[int, Tensor] | None:
-        """Take this step in a way of its own; returns its photo and its loss, or None."""
+        """Take this step in its own way; returns its photo and its loss, or None."""
         return None
 
     def mask(self, step: int, photo: int) -> LossMask | None:

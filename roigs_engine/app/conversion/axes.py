@@ -26,8 +26,8 @@ SCENE_UP = "-y"
 def to_upright(request: Convert, path: Path, context: Context) -> Float64:
     """(4, 4) from a file's frame to one in which -y points up.
 
-    By --from-up, else by what the file says, else as its format has it. A file that says that its
-    axes are left-handed is mirrored in both cases.
+    By --from-up, else by what the file says, else as its format has it. A file with left-handed
+    axes is mirrored in both cases.
     """
     said = context.interruptible(lambda: formats.frame(path))
     if request.from_up is None:

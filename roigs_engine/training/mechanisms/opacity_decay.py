@@ -44,7 +44,7 @@ class _Running(Running):
         self._every = max(photos, DECAY_EVERY)
 
     def is_due(self, step: int) -> bool:
-        """Not after the last step, as no photo could give back what is needed."""
+        """Not after the last step, as no photo could restore necessary opacity."""
         return step < self._steps and step % self._every == 0
 
     def after_step(self, training: Training) -> None:
