@@ -158,6 +158,7 @@ class GltfFile:
             values = np.zeros((count, width), kind)
         if sparse := accessor.get("sparse"):
             replaced = int(sparse["count"])
+            self.count(4 * replaced * (width + 1))
             whole = np.dtype(KINDS[sparse["indices"]["componentType"]])
             rows = self._numbers(sparse["indices"], replaced, 1, whole)[:, 0]
             values = values.copy()

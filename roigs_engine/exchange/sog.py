@@ -318,6 +318,8 @@ def _check(data: bytes) -> None:
             sets = meta["shN"].get("count", 1)
             if type(sets) is not int or not 0 < sets <= MOST_PALETTE:
                 raise ValueError("a palette of another kind")
+        if len(names) > MOST_FILES:
+            raise ValueError(f"it names {len(names):,} pictures")
         refuse_bomb(len(data), 4 * count * len(names))
         for name in names:
             if not count <= _pixels(packed, name) <= 4 * count + (1 << 16):

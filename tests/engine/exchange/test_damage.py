@@ -300,6 +300,16 @@ def test_gltf_that_shows_one_spz_again_and_again(
     assert (decoded.call_count, moved.call_count) == (2, 1 + 120 + 1)
 
 
+def test_a_sog_that_names_one_picture_again_and_again(tmp_path: Path) -> None:
+    for package in ("gsply", "imagecodecs"):
+        pytest.importorskip(package)
+    files = exchange.unzipped(exchange.good(".sog", 1))
+    meta = json.loads(files["meta.json"])
+    meta["means"]["files"] += 100 * meta["means"]["files"][:1]
+    data = exchange.zipped(files | {"meta.json": json.dumps(meta).encode()})
+    refused(tmp_path / "a.sog", data, "names 10[0-9] pictures")
+
+
 def test_gltf_of_millions_of_empty_lists(tmp_path: Path) -> None:
     """Each would take thirty times its bytes."""
     data = b'{"asset": {"version": "2.0"}, "extras": [' + b"[]," * (2_100_000)
@@ -318,3 +328,21 @@ def test_a_ply_of_many_elements_that_are_cut_off(tmp_path: Path) -> None:
     whole.write_bytes(head + lists + b"element vertex" + vertices + b"end_header\n" + bytes(2000))
     with at_most(5, AssertionError("it goes on")), pytest.raises(EngineError, match="cut off"):
         read_ply(whole)
+
+
+def test_rows_that_an_accessor_replaces_are_counted(tmp_path: Path) -> None:
+    """4,096 primitives of one such accessor took minutes."""
+    rows = 1_000_000
+    accessor = {"componentType": 5126, "count": 1, "type": "SCALAR"}
+    places, values = ({"bufferView": k} for k in range(2))
+    sparse = {"count": rows, "indices": {**places, "componentType": 5121}, "values": values}
+    record = {
+        "accessors": [{**accessor, "sparse": sparse}],
+        "bufferViews": [{"byteLength": rows}, {"byteOffset": rows, "byteLength": 4 * rows}],
+        "buffers": [{"byteLength": 5 * rows}],
+    }
+    path = tmp_path / "a.glb"
+    path.write_bytes(exchange.glb_of(record, bytes(5 * rows)))
+    file = gltf_file.GltfFile(path)
+    with pytest.raises(ValueError, match="would unpack"):
+        [file.rows(0) for _ in range(100)]

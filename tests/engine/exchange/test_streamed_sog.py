@@ -70,6 +70,24 @@ def test_playcanvas_reads_it(tmp_path: Path) -> None:
     assert len(found["bounds"]) == 12
 
 
+def test_levels_that_need_more_than_the_memory_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A list of levels may name one file any number of times."""
+    monkeypatch.setattr("roigs_engine.app.convert.machine_memory", lambda: 10_000_000)
+    run = tmp_path / "run"
+    for name in ("result.ply", "background.ply"):
+        run.mkdir(exist_ok=True)
+        write_ply(run / name, arrays(500))
+    levels = tuple(
+        Level(ply="background.ply", gaussians=1, farther=2.0**k if k else 0.0, measured={})
+        for k in range(90)
+    )
+    write_ladders(run, [Ladder(box="", rate=1.0, probes=np.zeros((1, 3)), levels=levels)])
+    line = ["convert", str(run / "result.ply"), str(tmp_path / "out/lod-meta.json")]
+    assert "90 levels of detail" in refused(capsys, *line)
+
+
 def test_a_run_is_converted_with_its_levels(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
