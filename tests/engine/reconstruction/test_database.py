@@ -34,6 +34,10 @@ DAMAGE = (
     *(f"INSERT INTO two_view_geometries VALUES ({1 << 62}, {row})" for row in ("'x', 2", "9, 'x'")),
     "DROP TABLE images",
     f"DROP TABLE images; CREATE VIEW images AS {ENDLESS} SELECT 1 image_id, x name, 1 FROM c",
+    "ALTER TABLE keypoints ADD COLUMN more BLOB AS (zeroblob(1000000000))",
+    "ALTER TABLE keypoints ADD COLUMN more BLOB GENERATED ALWAYS AS/**/( hex(data) )",
+    "CREATE INDEX i ON images (length(zeroblob(1000000000)))",
+    "CREATE TABLE t (a INTEGER CHECK (length(printf('%1000000000d', a)) > 0))",
     f"CREATE TRIGGER t AFTER INSERT ON images BEGIN DELETE FROM images; {'END'}",
 )
 
