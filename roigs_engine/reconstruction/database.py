@@ -26,7 +26,7 @@ FEWEST_INLIERS = 15  # matches of a pair that COLMAP's mapper uses
 PANORAMIC = (5, 6)
 STILL = (7,)
 COMPUTES = re.compile(r"\bVIRTUAL\b|\bAS\s*\(|(blob|printf|format)\s*\(|/\*|--", re.IGNORECASE)
-"""In what makes a table or an index: values that are computed, and comments, which could hide it."""
+"""In what makes a table or an index: computed values, and comments, which may hide them."""
 Pair = tuple[str, str]
 
 

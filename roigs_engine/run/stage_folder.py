@@ -48,6 +48,7 @@ from ..training.trainer import Trainer
 from .earlier import move_damaged
 
 CHECKPOINT_SECONDS = 60.0
+MOST = 1 << 40  # steps, Gaussians, seconds
 CHECKSUM = "checksum"
 
 
@@ -67,6 +68,17 @@ class StageRecord:
     device: str  # the type of device that it was trained on: `cpu`, `cuda`, `gpu`
     model_sha256: str  # of the file with the model, in hexadecimal digits
 
+    def check(self) -> None:
+        """Raise ValueError unless training can have written it: who knows the checksum may have."""
+        texts = self.fingerprint, self.device, self.model_sha256
+        counts, times = (self.steps, self.gaussians), (self.seconds, self.cpu_seconds)
+        if not (
+            all(type(text) is str for text in texts)
+            and all(type(count) is int and 0 <= count <= MOST for count in counts)
+            and all(type(time) in (int, float) and 0 <= time <= MOST for time in times)
+        ):
+            raise ValueError("a value of another kind")
+
 
 def read_record(path: Path) -> StageRecord | None:
     """The record; None if there is none.
@@ -79,7 +91,9 @@ def read_record(path: Path) -> StageRecord | None:
         value = json.loads(read_bytes(path))
         if value.pop(CHECKSUM) != json_digest(value):
             raise DamagedError(f"{path} is damaged (wrong checksum)")
-        return StageRecord(**value)
+        record = StageRecord(**value)
+        record.check()
+        return record
     except FileNotFoundError:
         return None
     except OSError as error:

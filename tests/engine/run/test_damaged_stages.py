@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from roigs_engine.context import Context
 from roigs_engine.errors import RunFolderError, Stopped
 from roigs_engine.formats.events import Event, Message
+from roigs_engine.formats.text import json_digest
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run import stage_folder
 from roigs_engine.run.definition import define_run
@@ -152,6 +154,35 @@ def test_a_stage_killed_at_its_end_resumes_from_its_checkpoint(
     assert "scene: resumes at step" in ended.errors
     whole, made = contents(request_.whole), contents(run)
     assert {k: v for k, v in made.items() if "-damaged" not in k} == whole
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *(("gaussians", value) for value in ("x", [1], None, 1e999, -1, 1.5, True)),
+        *(("seconds", value) for value in ("x", -1, [], 10**400)),
+        *(("steps", "x"), ("cpu_seconds", {}), ("device", 5), ("model_sha256", 5)),
+    ],
+)
+def test_a_record_of_other_values_with_the_right_checksum(
+    tmp_path: Path, key: str, value: object
+) -> None:
+    """Whoever gives a run folder away can make one."""
+    good = {
+        "fingerprint": "a",
+        "seconds": 1.0,
+        "cpu_seconds": 1.0,
+        "steps": 1,
+        "gaussians": 1,
+        "device": "cpu",
+        "model_sha256": "b",
+    }
+    path = tmp_path / "stage.json"
+    for values, said in ((good, ""), (good | {key: value}, "no record of a stage")):
+        record = values | {stage_folder.CHECKSUM: json_digest(values)}
+        path.write_text(json.dumps(record), encoding="utf-8")
+        with pytest.raises(DamagedError, match=said) if said else nullcontext():
+            read_record(path)
 
 
 def test_a_record_of_no_finite_times(tmp_path: Path) -> None:
