@@ -20,9 +20,10 @@ PAGE = Path(__file__).resolve().parents[1] / "docs" / "options.md"
 HEAD = """\
 # Options
 
-All options of all commands, made from their declarations by `python -m tools.option_reference`.
-[Commands](commands.md) explains them. An [options file](files.md#options-file) and a request in
-Python have the names in the second column as keys; those without an option are for these alone.
+This page lists all options of all commands. `python -m tools.option_reference` generates it from
+their declarations. [Commands](commands.md) explains them. In an [options
+file](files.md#options-file) and in a request in Python, use the keys of the second column. A key
+without an option exists only there.
 """
 SHARED: tuple[type[Request], ...] = (
     *(groups.Scene, groups.ObjectMasks, groups.Boxes, groups.Selection, groups.Training),
@@ -41,7 +42,7 @@ def page() -> str:
         own = {key: value for key, value in options.items() if key not in shared}
         parts += [f"## {name}", "", f"`{name}`: {command.help}.", ""]
         found = ", ".join(_link(group) for group in _shared(command.request))
-        parts += [f"Besides: {found}.", ""] if found else []
+        parts += [f"Also the options of {found}.", ""] if found else []
         parts += _table(own) if own else []
     return "\n".join(parts).rstrip() + "\n"
 
@@ -61,7 +62,7 @@ def _link(group: type[Request]) -> str:
 
 def _used(group: type[Request]) -> str:
     names = [name for name, c in COMMANDS.items() if issubclass(c.request, group)]
-    return f"Of {', '.join(f'`{name}`' for name in names)}."
+    return f"For {', '.join(f'`{name}`' for name in names)}."
 
 
 def _table(options: dict[str, Option]) -> Iterator[str]:

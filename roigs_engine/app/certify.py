@@ -68,7 +68,7 @@ def certify(request: Certify, context: Context = QUIET) -> Certified:
 
 @dataclass(frozen=True, kw_only=True)
 class _Run:
-    """A run folder's facts about its objects; all is empty without one."""
+    """A run folder's facts about its objects; all are empty without a run folder."""
 
     folder: Path | None
     tests: tuple[str, ...]

@@ -107,15 +107,15 @@ class ObjectMasks(Request, heading="masks of objects"):
 
     no_object_masks: bool = option(
         FLAG,
-        "use whole boxes: no masks of their objects (masks/vase/012.jpg.png shows the object"
-        " of box vase on the photo 012.jpg; white is the object)",
+        "use whole boxes, without masks of their objects (the mask of box vase on the photo"
+        " 012.jpg is masks/vase/012.jpg.png; white is the object)",
         False,
     )
     object_masks: Path | None = option(
         DIR,
-        "folder of such masks for photos without one in masks: DIR/vase/012.jpg.png (`train` "
-        f"and `run` use {OBJECT_MASKS} of the run folder, Blender's place if it cannot write "
-        "beside the photos)",
+        "folder with masks of objects, DIR/vase/012.jpg.png, for photos without one in the "
+        f"folder masks (default for `train` and `run`: {OBJECT_MASKS} of the run folder, where "
+        "Blender writes if it cannot write beside the photos)",
     )
 
 

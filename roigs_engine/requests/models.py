@@ -47,7 +47,7 @@ class Render(PhotoSize, Device):
     )
     quality: float = option(
         Number(low=0.01, high=100, metavar="Q"),
-        "with --levels: draw levels so many times finer (default: {default})",
+        "with --levels: draw levels Q times finer (default: {default})",
         1.0,
     )
     out: Path = option(DIR, "folder for the pictures", required=True)
@@ -72,8 +72,8 @@ class Panorama(Threads, Device):
     )
     at: tuple[tuple[float, float, float], ...] = option(
         Place("X,Y,Z"),
-        "point that receives the light, in the frame of MODEL (--at=-1,0,2 if it begins with a "
-        "minus); repeatable: then the files are FILE-1, FILE-2 ...",
+        "point that receives the light, in the frame of MODEL; write --at=-1,0,2 if it begins "
+        "with a minus; repeatable, with the files FILE-1, FILE-2 ...",
         required=True,
         repeat=True,
     )
@@ -149,7 +149,7 @@ class Adapt(PhotoSize, PhotoMasks, Device):
 class _Page(Request, heading="web page (OUT.html)"):
     """Options of a page besides the model."""
 
-    title: str | None = option(Name("TEXT"), "of the page (default: the name of OUT)")
+    title: str | None = option(Name("TEXT"), "title of the page (default: the name of OUT)")
     fly_to: Path | None = option(FILE, "rois.json: a button to fly to each box; crops nothing")
     before: Path | None = option(FILE, "a second model, to switch between before/after")
     mesh: tuple[Path, ...] = option(
@@ -222,8 +222,8 @@ class Masks(Photos, Threads, Boxes, Device):
     )
     out: Path = option(
         DIR,
-        "folder of the masks, of the box vase in DIR/vase; existing masks from elsewhere are "
-        "used, and stay",
+        "folder of the masks; those of box vase are in DIR/vase; your own masks there are used "
+        "and kept",
         required=True,
     )
 

@@ -165,8 +165,8 @@ class Certify(Scene, ObjectMasks, Boxes):
 
     run_dir: Path | None = option(
         DIR,
-        "folder of a finished run of these boxes: certifies its scores, software, settings and "
-        "hashes, too, does not count its test photos, and adds a section to its reports",
+        "folder of a finished run of these boxes: its scores, software, settings and hashes are "
+        "certified, too, its test photos do not count, and its reports get a section",
     )
     out: Path = option(
         DIR, "folder to write to: a page for each box, and certificates.json", required=True

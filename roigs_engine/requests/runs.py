@@ -230,7 +230,7 @@ class Batch(Request):
         RETRIES,
     )
     dry_run: bool = option(
-        FLAG, "check the table, print its plan (stages, steps, memory, time), and do nothing", False
+        FLAG, "check the table and print its plan (stages, steps, memory, time); do no work", False
     )
 
 
