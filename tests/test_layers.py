@@ -46,7 +46,7 @@ PACKAGES = (
     "cli",
     "__main__",
 )
-# What the add-on may import of the engine: nothing else.
+# Modules of the engine that the add-on may import: no others.
 SHARED = ("errors", "formats", "requests")
 # Entries that must work, up to their first use of anything else, without torch.
 TORCH_FREE = (
@@ -63,9 +63,9 @@ TORCH_FREE = (
     ),
     *("guidance", "reconstruction", "run.config", "run.presets", "selection"),
 )
-# Where pycolmap may be imported.
+# Modules that may import pycolmap.
 PYCOLMAP = {"colmap.library"}
-# What may write to the terminal: the command line, and the build script that setup.py runs.
+# Modules that may write to the terminal: the command line, and the build script of setup.py.
 PRINTING = {"commands", "cli", "kernels.build"}
 IMPORT_NAMES = {
     "flip-evaluator": "flip_evaluator",

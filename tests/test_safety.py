@@ -90,7 +90,7 @@ def test_the_test_above_would_find_them() -> None:
         assert RUNS_CODE.fullmatch(name)
 
 
-# What these files open plainly is their own, or the system's.
+# Files opened plainly by these modules are their own, or the system's.
 OWN_FILES = {
     *("formats/lock.py", "machine.py", "reconstruction/worker.py"),  # /proc, /sys, descriptors
     *("kernels/build.py", "cuda/compiler.py", "gpu/program.py", "exchange/page.py"),  # sources

@@ -17,7 +17,7 @@ HOME = ROOT / ".venv-blender"
 VERSION = "4.5.15"
 REQUIREMENT = f"bpy=={VERSION}"
 PYTHON = (3, 11)
-# What bpy needs on a Linux without a desktop, as Debian and Ubuntu name it.
+# Packages that bpy needs on a Linux without a desktop, by their names in Debian and Ubuntu.
 LIBRARIES = (
     "libx11-6 libxext6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libice6 libgl1 libegl1"
 )

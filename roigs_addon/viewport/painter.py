@@ -208,7 +208,7 @@ class Painter:
         False if they would not fit there unless it becomes lean, which it is then.
         """
         there = self._set.files if self._set else ()
-        # What another viewport has asked for is not dropped before it has come.
+        # A request of another viewport is not dropped before it is answered.
         held = Counter(there) | Counter(self._asked) if not self._lean else Counter()
         files = needed([item for item in objects if item.file not in self._broken], held)
         if wait and files != there:

@@ -1,6 +1,6 @@
 """Masks of a scene's photos as its cameras see them: read, undistorted, resampled, kept.
 
-Those of the photos themselves say what counts, those of boxes show their objects.
+Masks of photos mark the used pixels, masks of boxes show their objects.
 """
 
 from __future__ import annotations

@@ -121,7 +121,7 @@ def _packed(arrays: Arrays, fraction: int, step: float, *, antialiased: bool = F
         spz.write_spz(made, data, version=3, fractional_bits=fraction)
         whole = bytearray(gzip.decompress(made.read_bytes()))
     whole[FLAGS] |= ANTIALIASED if antialiased else 0  # gsply sets no flags
-    # What gsply compresses with is fast, and makes files that are a tenth larger.
+    # gsply's own compression is fast, but its files are a tenth larger.
     return gzip.compress(whole, 6, mtime=0)
 
 
@@ -305,7 +305,7 @@ def _zstd(raw: bytes, streams: int, sizes: list[int]) -> tuple[bytes, bytes]:
         start += packed
         if not unpacked:
             continue
-        # What a stream says of itself is what is allocated for it.
+        # The size in a stream's header is the size that is allocated for it.
         said = zstd.get_frame_parameters(part).content_size
         if said not in (0, unpacked, zstd.CONTENTSIZE_UNKNOWN):
             raise ValueError("a part has another size than its header says")

@@ -1,8 +1,8 @@
 """PlayCanvas's Streamed SOG: levels of detail, of which a viewer loads only what it needs.
 
 `lod-meta.json` lists parts with their bounds, and for each level of a part the folder of a SOG. The
-folder's name has a hash of its files, so writing a new model changes nothing that the old
-`lod-meta.json` names: that one is right until the new one takes its place.
+folder's name has a hash of its files, so writing a new model changes no file of the old
+`lod-meta.json`, which stays valid until the new one replaces it.
 """
 
 from __future__ import annotations

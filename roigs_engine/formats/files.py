@@ -1,6 +1,6 @@
 """Atomic writes that never follow links, and reads of regular files only.
 
-The rules for what is written below a run folder or `--out`:
+The rules for files in a run folder or `--out`:
 
 - A file appears under its name when it is complete. A link in its place is replaced.
 - A folder below it must not be a link. The folder itself may be one: the user names it.

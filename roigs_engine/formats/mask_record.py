@@ -1,9 +1,9 @@
 """Record of the masks that the engine made from scribbles and may replace.
 
-`made.json` beside the masks of a box has, by file, the SHA-256 as it was written ("masks"), a hash
-of what it was made of ("inputs"), by which masks that need not change are kept, and what is being
-written ("writing"), so that the masks of a killed process are known as well. Any other file, or one
-that has been changed since, is a person's: it is never replaced.
+`made.json` beside the masks of a box has three entries by file. "masks" is the SHA-256 of the
+written file. "inputs" is a hash of its inputs: a mask with unchanged inputs is kept. "writing"
+lists unfinished files, so that the masks of a killed process are known as well. Any other file, or
+one that has changed since, is the user's: it is never replaced.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """`roigs_placement.json`: pose and scale of a model in Blender's world; numpy only.
 
-docs/files.md describes the file. A transform applies to the model whose cameras are where it says:
+docs/files.md describes the file. A transform applies only to a model with the recorded cameras:
 another model of the project, or one that was made again, has another frame.
 """
 

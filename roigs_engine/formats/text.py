@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Container, Sequence
 from typing import Any
 
-# What moves a terminal's cursor, ends a line or turns the order of letters.
+# Characters that move a terminal's cursor, end a line or reverse the order of letters.
 CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 MARGIN = 50
 """Calls that whoever hashes or writes a value that was read may be deeper in."""

@@ -337,7 +337,8 @@ class Commands:
         return now
 
     def set_job(self, job: int, *values: int) -> None:
-        """Set what a kernel of sort.wgsl is told; to be read, so once for each place and run."""
+        """Set the arguments of a kernel of sort.wgsl; to be read, so once for each place and
+        run."""
         self._memory.write("job", struct.pack("4I", *values), at=job * JOB_BYTES)
 
     def read(self, *wanted: tuple[str, int] | tuple[str, int, int]) -> list[NDArray[np.uint8]]:

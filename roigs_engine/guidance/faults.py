@@ -2,10 +2,10 @@
 
 A photo is compared with the others at the same patches (`photo_quality`). Information grows with
 the square of the resolution (`box_map`), so a photo with less than 1/sqrt(2) of the sharp photos'
-resolution tells less than half of what it could: it is blurred, or, if it is sharp elsewhere, out
-of focus at the object. Exposures are named that differ by a stop, half or twice the light, and are
-outliers: where many differ, they are levelled (`photos.exposures`). A camera with few points may be
-misplaced (`formats.projects`).
+resolution has less than half of the possible information: it is blurred, or, if it is sharp
+elsewhere, out of focus at the object. Exposures are reported if they differ by a stop, half or
+twice the light, and are outliers; if many differ, they are levelled (`photos.exposures`). A camera
+with few points may be misplaced (`formats.projects`).
 """
 
 from __future__ import annotations

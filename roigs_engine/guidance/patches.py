@@ -1,7 +1,7 @@
 """Surface patches of a boxed object: from sparse points, and from their hull where these end.
 
-A side that no photo shows has no points. There, patches of the points' convex hull stand for it,
-unless photos have looked through the place: so what is missing is on the map.
+A side without photos has no points. There, patches of the points' convex hull represent it, unless
+photos have looked through the place. So missing sides are on the map.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A grid as robots keep it (occupancy mapping; Moravec and Elfes 1985): each ray passes through air
 and ends at something solid. A cell is solid if at least as many rays end in it as pass through it,
-and air if rays pass and fewer end. Nothing is known of the other cells.
+and air if rays pass and fewer end. The other cells are unknown.
 """
 
 from __future__ import annotations

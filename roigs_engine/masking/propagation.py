@@ -1,7 +1,7 @@
 """Propagates an object's masks from photos with strokes to all photos, until they agree.
 
-In each photo, GrabCut (Rother et al. 2004, OpenCV's) cuts the object out, with what the other
-photos say of it (docs/method.md, "Masks from strokes").
+In each photo, GrabCut (Rother et al. 2004, OpenCV's) cuts the object out, with the votes of the
+other photos (docs/method.md, "Masks from strokes").
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Contents of photo files: hash, completeness, colours, exposure.
 
-All are remembered in a small file with the size and times of the photo's file. So a photo is read
-for them only once, and again when its file has changed.
+A small file stores them, with the size and times of the photo's file. So a photo is read only once,
+and again when its file has changed.
 """
 
 from __future__ import annotations

@@ -361,7 +361,7 @@ def check_whole(path: Path) -> str:
             return tone_if_deep(photo)
         with open(path, "rb", opener=regular) as file:
             last = _eighth(file)[-1:, -2:]
-            # Where libjpeg has filled in, the last pixels have one colour.
+            # If libjpeg has filled in missing data, the last pixels have one colour.
             if (last == last[:, -1:]).all() and _ends_early(file):
                 raise ValueError("its data end before the photo does")
     return ""  # a JPEG has 8 bits a channel

@@ -2,7 +2,7 @@
 
 A camera on automatic exposure lets in more light where the scene is dark, by stops. Without the
 exposures, a model learns that as view dependence, or as a mean of photos that disagree. With them,
-each photo is decoded as the photo of the exposure in the middle would be.
+each photo is decoded as if it had the median exposure.
 """
 
 from __future__ import annotations

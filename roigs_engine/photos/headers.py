@@ -37,7 +37,7 @@ TAIL = 1 << 16  # bytes at the end of a file that are searched for them
 # and Pillow rejects more than 179.
 MAX_PIXELS = 178_000_000
 LONGEST = 65_535  # pixels of a side, as in JPEG: Pillow takes memory for each row
-# What is done about a photo's colour space if it is not sRGB (`colours`).
+# The treatment of a photo's colour space if it is not sRGB (`colours`).
 CONVERTED, DAMAGED = "converted", "damaged profile"
 # The user can do nothing about Pillow's warnings on a photo's metadata.
 warnings.filterwarnings("ignore", module=r"PIL\.")

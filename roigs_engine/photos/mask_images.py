@@ -1,7 +1,7 @@
 """Mask images of photos: used and ignored pixels; pixels of an object.
 
-A mask is (H, W) bool, True where a pixel counts. docs/files.md (Masks) says what files may hold,
-and what becomes of a pixel of a resampled mask.
+A mask is (H, W) bool, True where a pixel counts. docs/files.md (Masks) describes the files, and the
+resampling of masks.
 """
 
 from __future__ import annotations

@@ -15,8 +15,9 @@ centres lie at +0.5. The constants of the model (near plane, opacity bounds) are
 
 Within `limits`, a Gaussian is culled if it lies far beside the image or reaches behind the camera.
 There the EWA approximation fails: a needle just before the camera plane would cover the image like
-fog. `view.render_view` has such limits (`limits.PICTURE_LIMITS`), training has none. Training stops
-earlier where hardly any light is left (`limits.TRAINING_LIMITS`).
+fog. `view.render_view` has such limits (`limits.PICTURE_LIMITS`), and so have half of the training
+steps (`limits.training_limits`). Training stops earlier where hardly any light is left
+(`limits.TRAINING_LIMITS`).
 
 A `mask` is x0, y0, x1, y1 in pixels, end exclusive, or bool (H, W). Only the 16x16 tiles that it
 touches are active, forward and backward; other pixels get the background. `ActiveTiles` are faster,

@@ -1,7 +1,7 @@
 """The compiled backends as one differentiable torch function.
 
-Projection, colours, sorting and blending are one function to autograd; what a backward pass needs
-of its forward pass stays in a `BackendView`.
+Projection, colours, sorting and blending are one function to autograd; data of the forward pass for
+the backward pass stay in a `BackendView`.
 """
 
 from __future__ import annotations

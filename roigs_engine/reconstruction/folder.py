@@ -1,7 +1,7 @@
 """Folder of a reconstruction: a COLMAP project, and files needed to resume.
 
 SCENE/images has the photos, SCENE/database.db COLMAP's database, SCENE/sparse/0 the model, and
-SCENE/reconstruction.md what was found. SCENE/reconstruction is the engine's own.
+SCENE/reconstruction.md the report. SCENE/reconstruction is the engine's own.
 """
 
 from __future__ import annotations

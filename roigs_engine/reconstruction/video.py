@@ -1,7 +1,7 @@
 """Chooses frames of a video as photos: the sharpest in each part of the camera's path.
 
-A video is read as a stream, twice: to measure how the picture moves, and to write what was chosen.
-PyAV is imported when it is used.
+A video is read as a stream, twice: to measure the movement of the picture, and to write the chosen
+frames. PyAV is imported when it is used.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Layout of a run's training: blocks of the scene, groups of boxes, or one stage.
 
-A cell is what one stage trains: the surroundings of a block (the Scene-GS of a scene that is cut),
-or a group of boxes with the surroundings nearest to them. The results of cells are joined by their
-partition. A run of one block and one group has one cell, which is the whole scene.
+One stage trains one cell: the surroundings of a block (the Scene-GS of a divided scene), or a group
+of boxes with the surroundings nearest to them. The results of cells are joined by their partition.
+A run of one block and one group has one cell, which is the whole scene.
 """
 
 from __future__ import annotations

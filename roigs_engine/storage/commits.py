@@ -1,7 +1,7 @@
 """A run folder on a store: each part commits all of its changes, or none.
 
 Files go to `objects`, named by their hashes; a small record of names and hashes, a commit, is
-written last. Readers know only what commits name, and check every hash, so half of an upload is
+written last. Readers use only files named in commits, and check every hash, so half of an upload is
 never seen, on any file system. The commit of the last part has all files under their own names.
 Anyone who can write to the store can also write commits, unless they are signed with a key.
 """

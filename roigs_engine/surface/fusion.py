@@ -1,11 +1,11 @@
 """Fusion of depth maps into a truncated signed distance field (TSDF) of a box.
 
-After Curless and Levoy (1996), with space carving: a ray that passes a voxel before its depth says
+After Curless and Levoy (1996), with space carving: a ray that passes a voxel before its depth votes
 that it is free. Two additions are ours. If many more rays end far in front of a voxel than near it,
 they vote weakly that it is inside: so a depth that is wrong in a few photos makes no layer inside
-an object. The larger a photo's pixels are at the voxel, the less it says so. And the field is
-computed coarsely first, then finely where the coarse one has a surface. Depth with a negative
-weight is not the object's: it is free in front of it and, faintly, behind.
+an object. Photos with larger pixels at the voxel have less weight. And the field is computed
+coarsely first, then finely where the coarse one has a surface. Depth with a negative weight is not
+the object's: it is free in front of it and, faintly, behind.
 """
 
 from __future__ import annotations

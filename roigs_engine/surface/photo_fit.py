@@ -1,9 +1,9 @@
 """Fits a mesh to its photos: moves it along its normals to where the photos agree.
 
-Gaussians leave their surface inside an object, everywhere by about a pixel of the best photos. A
-patch that is matched between photos says only roughly, and now and then wrongly, where the surface
-is (plane sweep, Collins 1996; oriented patches, Furukawa and Ponce 2010). The sum of what all
-patches of a neighbourhood say is sharp. So a mesh gets one smooth field of offsets.
+The Gaussians' surface is inside the object, everywhere by about a pixel of the best photos. A
+single patch matched between photos gives the place of the surface only roughly, and sometimes
+wrongly (plane sweep, Collins 1996; oriented patches, Furukawa and Ponce 2010). The sum of the
+correlations of a neighbourhood has a sharp peak. So a mesh gets one smooth field of offsets.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Object labels of Gaussians, by votes of the object's masks on some photos.
 
-A Gaussian belongs to the object if the votes for it are more: this is the optimum in closed form
-of fitting binary labels to the masks (FlashSplat, Shen et al. 2024; docs/method.md, "Objects by
+A Gaussian belongs to the object if most votes are for it. This is the closed-form optimum of
+fitting binary labels to the masks (FlashSplat, Shen et al. 2024; docs/method.md, "Objects by
 masks").
 """
 

@@ -1,7 +1,7 @@
 """Training metrics: loss and PSNR for the progress; checks for NaN and outlier photos.
 
-Losses stay on their device. The checks read them every `CHECK_EVERY` steps, and look at the
-parameters then: in between, the CPU does not wait for a GPU.
+Losses stay on their device. Every `CHECK_EVERY` steps, the checks read them and the parameters. In
+between, the CPU does not wait for a GPU.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ from tests.fuzz import (
 MEMORY = 2 << 30  # bytes of a case, above what the process has
 SECONDS = 60.0
 LARGE = 1 << 30  # bytes: no case has so large a file that is no hole
-# What no terminal may get of names; only progress bars may go back to the start of a line.
+# Characters of names that no terminal may get; only progress bars may return to a line's start.
 CONTROLS = re.compile(r"[\x00-\x09\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202e]")
 HEAVY = ("torch", "scipy.spatial", "sklearn.gaussian_process", "pycolmap", "PIL.Image", "tqdm",
          "sklearn.cluster",

@@ -1,6 +1,6 @@
 """Background initialisation: Gaussians where photos show no sparse point (ours).
 
-docs/method.md, "A backdrop", says how and why.
+docs/method.md, "A backdrop", describes the method and the reasons.
 """
 
 from __future__ import annotations

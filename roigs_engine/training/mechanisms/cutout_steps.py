@@ -1,8 +1,8 @@
 """Steps on the boxes' objects alone, as they look without the rest of the scene.
 
-Fog before an object colours its pixels, and the object learns to make up for it: alone, its colours
-are wrong. Gaussians on its edge reach over it. In pixels where a mask shows something else, the
-object must be invisible, unless something is in front of it.
+Fog in front of an object changes its pixels, and the object's colours learn to compensate: drawn
+alone, they are wrong. Gaussians on its edge extend beyond it. In pixels where a mask shows
+something else, the object must be invisible, unless something is in front of it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Importance pruning: removes Gaussians of little effect when densification ends (ours).
 
-The least important go, as many as the photos do not miss (docs/method.md, "Faint Gaussians").
-Photos are judged one by one, and a smaller error counts as the same one. Otherwise a photo that fog
-covers would decide: without the fog its error falls to a fraction, and most Gaussians could go.
+The least important are removed, as many as hardly change the photos (docs/method.md, "Faint
+Gaussians"). Photos are judged one by one, and a smaller error counts as unchanged. Otherwise a
+photo covered by fog would decide: without the fog, its error falls to a fraction, and most
+Gaussians could be removed.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from roigs_engine.cli import main
 from roigs_engine.exchange import formats
 from roigs_engine.formats.splat_ply import read_ply
 
-# What files may round by.
+# Allowed rounding of files.
 STEPS = {"means": 1e-3, "log_scales": 1e-4, "logit_opacities": 0.1, "sh": 0.02, "quats": 0.01}
 EXACT = dict.fromkeys(STEPS, 1e-4)
 

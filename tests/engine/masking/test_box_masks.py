@@ -128,7 +128,7 @@ def test_a_persons_masks_are_used_and_stay(ball: BallScene, tmp_path: Path) -> N
     # Only a mask, and no stroke at all, is enough.
     made = work(ball, tmp_path, {}).make(votes(ball))
     assert len(made) == 5 and min(scores(ball, tmp_path)) > 0.9
-    # What was made and then painted over is a person's too.
+    # A mask that was made and then painted over is the user's, too.
     edited = tmp_path / "4.png.png"
     Image.fromarray(~ball.true["4.png"]).save(edited)
     before = edited.read_bytes()

@@ -32,7 +32,7 @@ from tests.engine.synthetic_scene import BOX, make_scene
 
 TUNED = ("full-scene-tuned", "full-object-tuned")
 SECOND = OrientedBox.between("second", [-0.2, -0.2, -0.2], [0.5, 0.5, 0.5])
-# What fits any scene.
+# Mechanisms that fit any scene.
 USED = (
     *(SpacedShRate, MeasuredShRate, DensityControl, WarmRestarts, ModelAveraging),
     *(OpacityDecay, ImportancePruning, FloaterPruning),

@@ -167,7 +167,7 @@ def test_a_moved_box_keeps_the_scene(
     assert written(folder, "scene") == before["scene"]
     assert stage_of(folder, name) != before[name][0].parent
     assert before[name][0].exists()
-    # What a fresh run would have made.
+    # The files of a fresh run.
     train(tmp_path / "fresh", scene, [MOVED], config)
     for path in ("result.ply", "rois/thing.ply"):
         assert (folder / path).read_bytes() == (tmp_path / "fresh" / path).read_bytes()

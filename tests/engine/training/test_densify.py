@@ -86,7 +86,7 @@ def test_clones_and_splits_are_counted_and_traced(count: int, seed: int) -> None
     clones, splits = int((chosen & ~large).sum()), int((chosen & large).sum())
     assert len(edit.gaussians) == len(edit.rows) == count + clones + splits
     assert int((edit.rows == -1).sum()) == clones + 2 * splits
-    # What is not split stays as it was, in place and with its optimiser state.
+    # Unsplit Gaussians stay as they were, in place and with their optimiser state.
     old = edit.rows >= 0
     assert edit.rows[old].tolist() == torch.nonzero(~(chosen & large)).flatten().tolist()
     for name in NAMES:
