@@ -7,12 +7,12 @@ It talks to the engine as to another program, through options files, JSON lines 
 | package | contents |
 |---|---|
 | `geometry/` | cameras and boxes in COLMAP's frame and in Blender's; no bpy |
-| `engine/` | the engine as another program: run, find, install, look at its runs; no bpy |
+| `engine/` | the engine as another program: runs, finds, installs it, reads its runs; no bpy |
 | `scene/` | COLMAP models, boxes and Gaussians as Blender objects |
-| `jobs/` | the one engine job that runs at a time, and what is asked of it |
-| `facts/` | what panels and buttons need to know, cached |
+| `jobs/` | the one engine job at a time, and its request |
+| `facts/` | data for panels and buttons, cached |
 | `viewport/` | Gaussians, points and boxes drawn in the 3D view |
-| `operators/` | what the user can do |
+| `operators/` | the user's actions |
 | `ui/` | the sidebar and the preferences page |
 """
 

@@ -1,7 +1,7 @@
 """Environments of **Set Up the Engine**: their users, and their removal. No bpy.
 
-Several Blenders share them, so each engine that runs in one holds a lock in it, and one lock of
-their folder belongs to whoever makes or removes environments.
+Several Blenders share them. So each engine that runs in one holds a lock in it. A process that
+makes or removes environments holds the lock of their folder.
 """
 
 from __future__ import annotations

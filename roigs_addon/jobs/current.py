@@ -1,7 +1,7 @@
 """The engine job that is running; there is at most one.
 
-In a window a timer polls it, and the window stays free. In a script or in background mode, where
-Blender calls no timers, the same job is waited for.
+In a window a timer polls it, and the window stays free. In a script or in background mode, Blender
+calls no timers, so the caller waits for the same job.
 """
 
 from __future__ import annotations

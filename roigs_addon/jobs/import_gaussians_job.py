@@ -1,6 +1,6 @@
 """Importing Gaussians: the engine converts a file of any format to a PLY in the run folder.
 
-There it stays with the scene, whatever happens to the file that was imported.
+There it stays with the scene, even if the imported file is moved or deleted.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Making the stage for the user's objects: a panorama, and a mesh of the background.
 
-A job makes what is asked for and missing, one command after the other; then the scene gets all at
-once, so that one undo takes all back.
+A job makes the requested files that are missing, one command after the other. Then the scene gets
+all at once, so that one undo reverts all.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Step 5, Result: a brush that erases Gaussians in the 3D view.
 
 Blender's own circle select reaches all points below the circle, also those that surfaces hide. This
-brush can take only what is seen.
+brush can be limited to visible ones.
 """
 
 from __future__ import annotations

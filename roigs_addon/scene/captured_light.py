@@ -1,8 +1,7 @@
 """The light on a captured object when it was photographed, at each vertex of its mesh.
 
-From a picture all around the object: what each vertex' surroundings shine, without what the object
-itself hides of them; there, its own mean colour shines. Shadows of single lamps on the object stay
-unknown.
+It comes from a panorama around the object: the light of each vertex' surroundings. Where the object
+itself hides them, its own mean colour is used. Shadows of single lamps on the object stay unknown.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Display of an object's Gaussians: as Blender's own splats, by the add-on, or as points.
 
-This is the one place that decides it. However it is shown, an object is the same mesh of points
-with attributes, so whatever changes those works in each way. From Blender 5.3 on, a modifier makes
-Blender's own splats of it. Before, and as the exact look, a modifier hides the points, and the
-add-on draws the Gaussians of the object's file.
+Only this module decides it. In each display, an object is the same mesh of points with attributes,
+so all edits of these work. From Blender 5.3 on, a modifier converts them to Blender's own splats.
+Before, and for the exact look, a modifier hides the points, and the add-on draws the Gaussians of
+the object's file.
 """
 
 from __future__ import annotations

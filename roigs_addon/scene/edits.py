@@ -1,10 +1,10 @@
 """The source of an object's Gaussians: its PLY, or its points after edits by the user.
 
-Viewport, renders and export read files. An object's own file is the fast way, as long as it holds
-what was imported from it, and the object's points are still those. Otherwise the points are written
-to a file in Blender's temporary folder. The .blend has all that is needed: on another computer, it
-shows the same picture without the run folder. In edit mode Blender gives no access to attributes,
-so edits are drawn when it is left.
+Viewport, renders and export read files. An object's own file is the fast way, as long as it is the
+imported one, and the object's points are unchanged. Otherwise the points are written to a file in
+Blender's temporary folder. The .blend has all that is needed: on another computer, it shows the
+same picture without the run folder. In edit mode Blender gives no access to attributes, so edits
+are drawn when it is left.
 
 An operation that rotates or scales all points at once, such as **Object ▸ Apply**, moves them but
 does not change their shapes. So each point keeps where it was imported: the map of all points is

@@ -1,6 +1,6 @@
 """Photos that the user excludes from selection and training, by name or by deleting cameras.
 
-Hiding a camera excludes nothing: whoever hides all cameras only wants to see the model.
+Hiding a camera excludes nothing: users hide all cameras only to see the model.
 """
 
 from __future__ import annotations

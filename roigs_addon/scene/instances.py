@@ -1,6 +1,6 @@
 """Instances of Gaussian objects by geometry nodes or a collection, also a linked one.
 
-Blender draws nothing of them; each is drawn like an object of its own, without being made real.
+Blender draws nothing for them. Each is drawn like a separate object, without being made real.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 Blender's PLY importer makes a point cloud object of a 3DGS PLY, with the attributes of
 docs/conventions.md, its values in the file's own frame; a change of axes goes into the object's
-matrix. What an importer makes is checked; anything else is removed. Blender draws all splats in its
-own way: what they are made for is only remembered, for the way back.
+matrix. The importer's result is checked; any other object is removed. Blender draws all splats in
+its own way; their target is only stored, for the way back.
 """
 
 from __future__ import annotations

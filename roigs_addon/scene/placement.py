@@ -1,6 +1,6 @@
 """Moves a whole scene by its root, and writes the file beside the model.
 
-The file follows undo and redo: what was there before a step is there again after its undo.
+The file follows undo and redo: the undo of a step restores its earlier content.
 """
 
 from __future__ import annotations

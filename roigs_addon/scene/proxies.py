@@ -1,10 +1,10 @@
 """Proxies: meshes that stand for captured surfaces in renders, where the user's objects meet them.
 
-To the camera, a proxy is a shadow catcher of Cycles: it shows nothing itself. All other rays find a
-surface that shines as the photos saw it, and that hides the world behind it. So nothing is counted
-twice: near things shine themselves, with the right parallax; beyond `REACH` proxies let the world's
-light through, which shows those things from where its picture was taken, lamps included. Mirrors
-and glass, which see a picture without lamps, see proxies at any distance.
+To the camera, a proxy is a shadow catcher of Cycles: it shows nothing itself. For all other rays,
+it is a surface that emits the light in the photos, and hides the world behind it. So no light is
+counted twice. Near objects emit their own light, with the right parallax. Beyond `REACH`, proxies
+let the world's light through; its picture shows those objects from its own place, lamps included.
+Mirrors and glass, which see a picture without lamps, see proxies at any distance.
 """
 
 from __future__ import annotations

@@ -1,18 +1,18 @@
 """Draws Gaussians in the 3D viewport.
 
-| module | what |
+| module | content |
 |---|---|
 | `sorting` | back-to-front order |
 | `packing` | several clouds as one set of texel arrays |
-| `objects` | which objects are drawn |
-| `placed` | those on the GPU: in which order, and how |
-| `levels_in_view` | at which levels of detail |
-| `view` | from where; where in it the camera's picture is |
+| `objects` | the objects to draw |
+| `placed` | those on the GPU: their order and display |
+| `levels_in_view` | their levels of detail |
+| `view` | the viewpoint; the camera's picture in it |
 | `shaders` | the GPU programs, from `shaders/` |
 | `targets` | images on the GPU: the splats' own, and the scene's depth |
-| `pace` | how coarsely a view is drawn while it changes |
+| `pace` | the resolution of a view while it changes |
 | `painter` | keeps the sets and orders on the GPU, and draws them |
-| `handler` | what Blender calls for each viewport |
+| `handler` | the draw handler for each viewport |
 | `draw` | the Gaussians in the viewport |
 | `picture` | the viewport as a picture |
 | `points` | the sparse points in their colours |
