@@ -285,6 +285,22 @@ def new_temporary(path: Path) -> tuple[Path, BinaryIO, int | None]:
         os.close(owner)
 
 
+@contextmanager
+def written_by_name(path: Path) -> Iterator[Path]:
+    """A temporary file beside `path` for others who write it by its name; removed in the end.
+
+    If it is whole, the block renames it. The next engine removes that of a killed process.
+    """
+    temporary, file, owner = new_temporary(path.with_name("copy"))  # its own may be too long
+    try:
+        file.close()
+        yield temporary
+    finally:
+        temporary.unlink(missing_ok=True)
+        if owner is not None:
+            os.close(owner)
+
+
 def _new(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0), 0o666)
 

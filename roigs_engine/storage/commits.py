@@ -14,7 +14,6 @@ import hmac
 import json
 import os
 import re
-import tempfile
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
@@ -22,7 +21,7 @@ from typing import Any
 from urllib.parse import quote
 
 from ..errors import RunFolderError, Stopped
-from ..formats.files import LEFTOVER, own_file, regular
+from ..formats.files import LEFTOVER, own_file, regular, remove_leftovers, written_by_name
 from ..formats.names import inner_path
 from ..formats.run_files import CACHE, PREVIEW, UNDISTORTED
 from ..formats.text import json_digest, parse_json
@@ -81,6 +80,7 @@ class StoredRun:
                 link.
         """
         self._had = {}
+        remove_leftovers(folder)
         for name, entry in self.entries().items():
             if self._found.should_stop():
                 raise Stopped
@@ -153,8 +153,8 @@ class StoredRun:
     def _digest(self, body: dict[str, Any]) -> str:
         """Of a commit of this run; with a key, only those who have it can make one."""
         text = json_digest(body | {"run": self._place.rpartition("/")[2]})
-        key = os.environ.get(KEY, "")
-        return hmac.digest(key.encode(), text.encode(), "sha256").hex() if key else text
+        key = os.fsencode(os.environ.get(KEY, ""))
+        return hmac.digest(key, text.encode(), "sha256").hex() if key else text
 
     def _put(self, path: Path, name: str) -> Entry:
         """Store a file that may be replaced here meanwhile, by its hash or under its own name."""
@@ -179,18 +179,15 @@ class StoredRun:
     def _get(self, name: str, entry: Entry, target: Path) -> bool:
         """Whether a file could be copied here as its entry says."""
         target.parent.mkdir(parents=True, exist_ok=True)
-        number, temporary = tempfile.mkstemp(dir=target.parent)
-        os.close(number)
-        try:
-            self._found.get_file(f"{self._place}/{entry['at']}", temporary)
-            if not _fits(Path(temporary), entry):
+        with written_by_name(target) as temporary:
+            try:
+                self._found.get_file(f"{self._place}/{entry['at']}", str(temporary))
+            except FileNotFoundError:
+                return False
+            if not _fits(temporary, entry):
                 return False
             os.replace(temporary, target)
             return True
-        except FileNotFoundError:
-            return False
-        finally:
-            Path(temporary).unlink(missing_ok=True)
 
     def _tidy(self, keep: str) -> None:
         """Remove what the last commit replaces; what stays by accident harms nothing."""

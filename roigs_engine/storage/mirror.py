@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
@@ -11,7 +10,7 @@ from typing import Any
 
 from ..context import Context
 from ..errors import ConfigError, EngineError
-from ..formats.files import own_file, read_json, write_json
+from ..formats.files import own_file, read_json, remove_leftovers, write_json, written_by_name
 from ..formats.names import inner_path
 from .quota import alone, claim, enforce_quota, keep, limit
 from .urls import FileSystem, StoreError, file_system, folder_of, guarded
@@ -31,6 +30,7 @@ def mirror(url: str, context: Context) -> Path:
     folder = folder_of(url, SCENES)
     claim(context, folder)
     with alone(folder, LOCK, context):
+        remove_leftovers(folder)
         files = _listed(found, place, url)
         known = _index(folder)
         changed = [n for n, sign in files.items() if not _is_here(folder, n, sign, known.get(n))]
@@ -104,15 +104,11 @@ def sign(facts: Mapping[str, Any]) -> list[Any]:
 
 def _copy(found: FileSystem, source: str, target: Path, size: int) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
-    number, name = tempfile.mkstemp(dir=target.parent)
-    os.close(number)
-    try:
-        found.get_file(source, name)
-        if os.path.getsize(name) != size:
+    with written_by_name(target) as temporary:
+        found.get_file(source, str(temporary))
+        if temporary.stat().st_size != size:
             raise OSError("the file changed while it was read")
-        os.replace(name, target)
-    finally:
-        Path(name).unlink(missing_ok=True)
+        os.replace(temporary, target)
 
 
 def _index(folder: Path) -> dict[str, Any]:

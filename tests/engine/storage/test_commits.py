@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -198,3 +199,16 @@ def test_records_that_are_too_large_are_not_read(
     with Lease(found, run.lease_folder("scene")):
         pass
     assert not [path for path in read if "huge" in path or "a" * 32 in path]
+
+
+def test_a_key_of_any_bytes(
+    memory_store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(KEY, os.fsdecode(b"\xff\xfe"))
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "result.ply").write_bytes(b"made")
+    run = stored_run(RUNS, "hall")
+    run.publish(tmp_path / "run", "all", last=True)
+    assert list(run.entries()) == ["result.ply"]
+    monkeypatch.setenv(KEY, "another")
+    assert not run.entries()

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from roigs_engine.batch.staged import stored_run
 from roigs_engine.context import QUIET
 from roigs_engine.errors import ConfigError, RunFolderError
 from roigs_engine.formats.lock import locked
@@ -42,6 +43,31 @@ def store(memory_store: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
         lambda self, path, *rest: (found.read.append(path), real(self, path, *rest)),
     )
     return found
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
+@pytest.mark.parametrize("what", ["scene", "run"])
+def test_a_killed_copy_leaves_nothing_for_long(
+    store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "result.ply").write_bytes(b"made")
+    run = stored_run("memory://museum/runs", "hall")
+    run.publish(tmp_path / "run", "all", last=True)
+
+    def copy() -> Path:
+        if what == "scene":
+            return mirror(URL.format("hall"), QUIET)
+        run.fetch(tmp_path / "copy")
+        return tmp_path / "copy"
+
+    if not (child := os.fork()):
+        monkeypatch.setattr(os, "replace", lambda *_: os._exit(0))
+        copy()
+        os._exit(1)
+    assert os.waitpid(child, 0)[1] == 0
+    names = {path.name for path in copy().rglob("*") if path.is_file()}
+    assert names == ({"1.png", "2.png"} if what == "scene" else {"result.ply"})
 
 
 def test_a_file_is_read_once_until_it_changes(store: Any) -> None:
@@ -117,7 +143,7 @@ def test_a_name_that_no_file_can_have_is_named(
         return real(self, place, **options) | {f"{place}/{name}": {"size": 9, "type": "file"}}
 
     monkeypatch.setattr(type(store), "find", find)
-    with pytest.raises(ConfigError, match="impossible for a file here") as error:
+    with pytest.raises(ConfigError, match="cannot name a file here") as error:
         mirror(URL.format("hall"), QUIET)
     assert error.value.hint == "Rename it there."
 
