@@ -11,7 +11,7 @@ SCENE is a COLMAP project with rois.json, and may be left out. `pip install gspl
 adds gsplat's times, where there is a compiler (docs/cuda.md). With an hour, leave out `--minutes`.
 
 The most valuable figures come first: is it right, how fast is a step, is it right in all cases, all
-sizes, beside gsplat, a whole training. Each part is a process of its own with a limit on its time,
+sizes, beside gsplat, a whole training. Each part is a separate process with a limit on its time,
 and what it prints is in DIR at once: a part that fails, hangs or is killed costs only itself.
 `DIR/summary.md` has how each ended, and its last lines.
 """

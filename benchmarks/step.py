@@ -1,6 +1,6 @@
 """Time of a training step: `python -m benchmarks.step` (nothing else should run meanwhile).
 
-Every row is measured in a process of its own; where engines or instruction sets are compared, their
+Every row is measured in a separate process; where engines or instruction sets are compared, their
 processes take turns, one round each. benchmarks/README.md explains the options and the tables.
 """
 

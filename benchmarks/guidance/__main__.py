@@ -46,7 +46,7 @@ HEAD = ("draw", "box", "photos", "object PSNR (dB)", "near", "far", "over even",
 
 
 def render(folder: Path, *more: str) -> None:
-    """Render what a folder's list asks for, in a process of its own."""
+    """Render what a folder's list asks for, in a separate process."""
     words = [sys.executable, "-m", "benchmarks.guidance.photographer", str(folder), *more]
     subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
 

@@ -17,7 +17,7 @@ TRUE_ROOM = Path(__file__).resolve().parents[2] / "demo/inserted.py"
 
 
 def make_truth(given: argparse.Namespace) -> None:
-    """Render what is missing of the truth, in a process of its own, which needs `bpy`."""
+    """Render what is missing of the truth, in a separate process, which needs `bpy`."""
     photos = _test_photos(given.run)
     command = [sys.executable, str(TRUE_ROOM), str(given.out.resolve())]
     command += ["--width", str(given.width), "--samples", str(given.samples), "--photos"]
@@ -26,7 +26,7 @@ def make_truth(given: argparse.Namespace) -> None:
 
 
 def make_ours(given: argparse.Namespace) -> None:
-    """Render what is missing of the rows, each in a process of its own, which needs `bpy`."""
+    """Render what is missing of the rows, each in a separate process, which needs `bpy`."""
     photos = photos_that_show_most(given.truth, _test_photos(given.run))[: given.views]
     for row in given.rows or (*ROWS, LAMP):
         command = [str(given.bpy), "-m", "benchmarks.insertion.ours", str(given.run.resolve())]

@@ -114,7 +114,7 @@ def _convert(source: Path, target: Path, known: str) -> str:
             file.write(data)
     elif read_bytes(target, most=None) != data:
         raise SceneError(
-            f"{target} is another photo than {source}.", "Remove it, or give another --out."
+            f"{target} exists and is not {source}.", "Remove it, or give another --out."
         )
     return record
 

@@ -273,7 +273,7 @@ class Folder:
                     same = same or filecmp.cmp(photo.path, target, shallow=False)
                 if not same:
                     raise SceneError(
-                        f"{target} is another photo than {photo.path}.",
+                        f"{target} exists and is not {photo.path}.",
                         "Remove it, or give another --out.",
                     )
                 continue

@@ -76,7 +76,7 @@ class Ended:
 
 
 def engine(arguments: Sequence[object], at: Moment | None = None) -> Ended:
-    """`python -m roigs_engine ARGUMENTS` in a process of its own; it has a preset `tiny` besides.
+    """`python -m roigs_engine ARGUMENTS` in a separate process; it has a preset `tiny` besides.
 
     Args:
         arguments: of the command line.
@@ -107,7 +107,7 @@ def killed_everywhere(
     Args:
         start: the folder is a copy of it each time.
         folder: where the work is done; it is replaced.
-        work: a function of a module, or a partial of one; it gets to a process of its own.
+        work: a function of a module, or a partial of one; it gets to a separate process.
         step: only before every so many changes.
 
     Yields:
@@ -126,7 +126,7 @@ def killed_everywhere(
 
 
 def _dying(number: int, folder: str, work: Callable[[], object]) -> None:
-    """In a process of its own, as an audit hook stays."""
+    """In a separate process, as an audit hook stays."""
     left = number
 
     def watch(event: str, values: tuple[Any, ...]) -> None:
@@ -235,7 +235,7 @@ def timeless(value: Any) -> Any:
 
 
 def _engine(arguments: list[str], at: Moment | None, folder: Path) -> None:
-    """In a process of its own."""
+    """In a separate process."""
     if hasattr(signal, "SIGHUP"):  # `nohup` would have every process below it ignore that
         signal.signal(signal.SIGHUP, signal.SIG_DFL)
     sys.modules["tqdm"] = None  # type: ignore[assignment] # its semaphores would outlive a kill

@@ -1,4 +1,4 @@
-"""The command line for the tests: called, or as a process of its own."""
+"""The command line for the tests: called, or as a separate process."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ EMPTY = "nothing=30,30,30,31,31,31"  # no points in it
 
 
 def start(*arguments: object, cold: bool = False) -> subprocess.Popen[str]:
-    """The command line as a process of its own, its input open.
+    """The command line as a separate process, its input open.
 
     Args:
         arguments: of the command line.
@@ -39,7 +39,7 @@ def start(*arguments: object, cold: bool = False) -> subprocess.Popen[str]:
 
 
 def python(*arguments: object, cold: bool = False) -> subprocess.CompletedProcess[str]:
-    """The command line as a process of its own, to its end; its input stays open until then."""
+    """The command line as a separate process, to its end; its input stays open until then."""
     with start(*arguments, cold=cold) as process:
         assert process.stdout is not None and process.stderr is not None
         out, err = process.stdout.read(), process.stderr.read()

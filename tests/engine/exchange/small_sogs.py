@@ -1,4 +1,4 @@
-"""Streamed SOGs without pictures, written at once; a process of its own can import this."""
+"""Streamed SOGs without pictures, written at once; a separate process can import this."""
 
 from __future__ import annotations
 

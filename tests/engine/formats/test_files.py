@@ -1,4 +1,4 @@
-"""A name never stands for half a file."""
+"""Atomic writes: a file has its name only when it is complete."""
 
 from __future__ import annotations
 
