@@ -143,7 +143,7 @@ def test_photos_of_phones_keep_their_camera(tmp_path: Path) -> None:
     write_noise(tmp_path / "photos/IMG 1.png")
     (tmp_path / "photos/IMG 1.png").unlink()
     Image.new("RGB", (640, 480)).save(tmp_path / "photos/IMG 1.HEIC")
-    with pytest.raises(SceneError, match="another photo"):
+    with pytest.raises(SceneError, match="exists and is not"):
         converted(folder.photos_of(tmp_path / "photos"), folder, QUIET)
 
 

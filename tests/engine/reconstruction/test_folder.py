@@ -60,7 +60,7 @@ def test_another_photo_of_that_name_is_not_replaced(photos: Path, tmp_path: Path
     folder = Folder(tmp_path / "scene")
     write_noise(folder.images / "sub/1.png", 7)
     before = (folder.images / "sub/1.png").read_bytes()
-    with pytest.raises(SceneError, match="another photo"):
+    with pytest.raises(SceneError, match="exists and is not"):
         folder.take_photos(looked(folder, photos))
     assert (folder.images / "sub/1.png").read_bytes() == before
 
