@@ -238,10 +238,13 @@ def _tables(
             if only_header or not count:
                 yield np.zeros(0, row)
             elif form == "ascii":
-                yield from _text_rows(file, count, row, path)
+                yield from _text_rows(file, count, row, path, check)
             else:
                 for start in range(0, count, ROWS):
-                    yield np.fromfile(file, row, min(ROWS, count - start))
+                    rows = np.fromfile(file, row, min(ROWS, count - start))
+                    if len(rows) < min(ROWS, count - start):  # it was cut off meanwhile
+                        raise _truncated(path, start + len(rows), count)
+                    yield rows
     except OSError as error:
         raise RunFolderError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
 
@@ -265,19 +268,19 @@ def _skip(
             length = element.count * sum(width for _, width in columns)
             file.seek(min(file.tell() + length, size))
             continue
-        for index in range(element.count):  # a row has a byte at least
+        places = (column for _ in range(element.count) for column in columns)
+        for index, (kind, width) in enumerate(places):  # a row has a byte at least
             if not index % LINES:
                 check()
-            for kind, width in columns:
-                values, there = 1, True
-                if kind:
-                    number = file.read(int(kind[1]))
-                    there = len(number) == int(kind[1])  # else rows without end would follow
-                    signed = kind[0] == "i"
-                    values = int.from_bytes(number, "big" if big else "little", signed=signed)
-                if not there or values < 0 or file.seek(values * width, io.SEEK_CUR) > size:
-                    text = f"{path} is truncated: its element {element.name:.40} is cut off."
-                    raise RunFolderError(text, HINT_DAMAGED)
+            values, there = 1, True
+            if kind:
+                number = file.read(int(kind[1]))
+                there = len(number) == int(kind[1])  # else rows without end would follow
+                signed = kind[0] == "i"
+                values = int.from_bytes(number, "big" if big else "little", signed=signed)
+            if not there or values < 0 or file.seek(values * width, io.SEEK_CUR) > size:
+                text = f"{path} is truncated: its element {element.name:.40} is cut off."
+                raise RunFolderError(text, HINT_DAMAGED)
 
 
 def _check_lines(
@@ -301,11 +304,11 @@ def _check_lines(
 
 
 def _text_rows(
-    file: BinaryIO, count: int, row: np.dtype[np.void], path: str | Path
+    file: BinaryIO, count: int, row: np.dtype[np.void], path: str | Path, check: Check
 ) -> Iterator[NDArray[np.void]]:
     """The vertices of an ASCII PLY, each in a line of its own, in parts."""
     names = row.names or ()
-    lines = (line for line in iter(lambda: _line(file, path), b"") if line.strip())
+    lines = filter(bytes.strip, _lines(file, path, check))
     for start in range(0, count, LINES):
         part = [*islice(lines, min(LINES, count - start))]
         # Before memory is taken for so many numbers in every row.
@@ -326,6 +329,14 @@ def _text_rows(
             for index, name in enumerate(names):
                 table[name] = numbers[:, index]
         yield table
+
+
+def _lines(file: BinaryIO, path: str | Path, check: Check) -> Iterator[bytes]:
+    """The lines of an ASCII PLY from here on, blank ones too."""
+    for index, line in enumerate(iter(lambda: _line(file, path), b"")):
+        if not index % LINES:
+            check()
+        yield line
 
 
 def _line(file: BinaryIO, path: str | Path) -> bytes:

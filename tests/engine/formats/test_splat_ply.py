@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -469,6 +470,39 @@ def test_a_stop_while_reading_is_heard(
     with pytest.raises(Stopped):
         read_ply(path, stop_at_third)
     assert_same(model, read_ply(path))  # whatever the number of parts
+
+
+@pytest.mark.parametrize("kind", ["blank lines", "a row of lists"])
+def test_a_stop_is_heard_where_nothing_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    monkeypatch.setattr(splat_ply, "LINES", 10)
+    path, asked = tmp_path / "a.ply", []
+    if kind == "blank lines":
+        as_text(path, arrays(3, 1))
+        path.write_bytes(path.read_bytes().replace(b"end_header\n", b"end_header\n" + b"\n" * 500))
+    else:
+        write_ply(path, arrays(3, 1))
+        lists = b"".join(b"property list uchar uchar a%d\n" % k for k in range(500))
+        head = b"element wide 1\n" + lists + b"element vertex"
+        data = path.read_bytes().replace(b"element vertex", head)
+        path.write_bytes(data.replace(b"end_header\n", b"end_header\n" + bytes(500)))
+    read_ply(path, lambda: asked.append(1))
+    assert len(asked) > 50
+
+
+def test_a_file_that_is_cut_off_while_it_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(splat_ply, "ROWS", 10)
+    path = tmp_path / "a.ply"
+    write_ply(path, arrays(4000, 1))
+
+    def cut_off() -> None:
+        os.truncate(path, path.stat().st_size // 2)
+
+    with pytest.raises(RunFolderError, match="is truncated: it has [0-9]+ of 4000 Gaussians"):
+        read_ply(path, cut_off)
 
 
 def test_an_ascii_file_without_its_rows(tmp_path: Path) -> None:
