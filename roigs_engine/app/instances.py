@@ -12,12 +12,14 @@ import numpy as np
 
 from ..context import QUIET, Context
 from ..errors import ConfigError
+from ..formats.clean_up import disk_size
 from ..formats.drawable import drawable, usable
 from ..formats.files import read_json
 from ..formats.names import usable_path
 from ..formats.splat_ply import Check, read_ply, target_of
-from ..formats.text import counted
+from ..formats.text import counted, in_gb
 from ..formats.transforms import numbers
+from ..machine import machine_memory
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,6 +35,7 @@ LIST = ".json"
 MOST_INDEX = 2**15 - 1  # as in Blender
 MOST = 2.0**20  # gain of a colour: 16 stops of a tint of 16
 FAR = 1e15  # as for boxes
+COPIES = 3  # of all models in memory at once
 
 
 class InstanceRecord(NamedTuple):
@@ -70,6 +73,18 @@ def read_list(path: Path, context: Context = QUIET) -> tuple[list[InstanceRecord
         return instances(record, path.parent, context), poses
     except (AttributeError, TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{path} is malformed ({error}).", HINT) from error
+
+
+def refuse_much(wanted: Sequence[InstanceRecord]) -> None:
+    """Raise ConfigError if the models, as often as each is listed, need more than the memory."""
+    sizes = {name: disk_size([Path(name)]) for name in {item.file for item in wanted}}
+    needed, memory = COPIES * sum(sizes[item.file] for item in wanted), machine_memory()
+    if len(wanted) > 1 and needed > memory:
+        raise ConfigError(
+            f"{counted(len(wanted), 'model')} of the list need {in_gb(needed)} of memory; this"
+            f" machine has {in_gb(memory)}.",
+            "List fewer models, or smaller ones.",
+        )
 
 
 def listed_models(path: Path) -> list[InstanceRecord]:
@@ -127,11 +142,12 @@ def as_one(
 
     Raises:
         RunFolderError: a file is missing or damaged.
-        ConfigError: nothing can be drawn.
+        ConfigError: nothing can be drawn, or the models need too much memory.
     """
     from ..exchange.transform import merged
     from ..model.gaussians import Gaussians
 
+    refuse_much(wanted)
     into = np.diag([*[frame.scale] * 3, 1.0])
     into[:3, 3] = -frame.scale * frame.origin
     masks, models = [], []

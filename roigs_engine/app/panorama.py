@@ -18,7 +18,7 @@ from ..formats.gravity import gravity_alignment
 from ..model.roi import OrientedBox, roi_from_dict
 from ..requests.models import Panorama
 from .inputs import on_device, use_threads
-from .instances import LIST, InstanceRecord, drawable_model, read_list
+from .instances import LIST, InstanceRecord, drawable_model, read_list, refuse_much
 from .outputs import Result, refuse_inputs, refuse_run_files
 from .run_scene import folder_of_model, poses_of_run
 
@@ -112,7 +112,9 @@ def _models(
     """The models, in a world in which z is up, and (4, 4) from the frame of the points to it."""
     upright = np.eye(4)
     if request.model.suffix.lower() == LIST:
-        return read_list(request.model, context)[0], upright
+        records, _ = read_list(request.model, context)
+        refuse_much(records)
+        return records, upright
     poses = poses_of_run(folder)
     if poses is None:
         context.warn(

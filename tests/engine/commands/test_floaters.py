@@ -112,6 +112,28 @@ def test_wrong_input_is_one_line(
     assert not (tmp_path / "o.npy").exists()
 
 
+def test_a_list_that_needs_more_than_the_memory(
+    project: Project,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of one model, again and again: before any is read."""
+    monkeypatch.setattr("roigs_engine.app.instances.machine_memory", lambda: 1_000_000)
+    cloud().save_ply(tmp_path / "a.ply")
+    size = (tmp_path / "a.ply").stat().st_size
+    model = {"ply": "a.ply", "matrix": np.eye(4).tolist()}
+    models = [model] * (1 + 1_000_000 // size)
+    (tmp_path / "list.json").write_text(json.dumps({"models": models}))
+    listed = str(tmp_path / "list.json")
+    for line in (
+        ["floaters", str(project.folder), "--model", listed, "--out", str(tmp_path / "o.npy")],
+        ["panorama", listed, "--at=0,0,0", "--out", str(tmp_path / "o.hdr")],
+    ):
+        assert main(line) == 2
+        assert f"{len(models):,} models of the list need" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("most", [False, True])
 def test_both_kinds_are_judged_as_most_are(tmp_path: Path, most: bool) -> None:
     wanted = []
