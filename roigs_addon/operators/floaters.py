@@ -14,8 +14,7 @@ from .clean_up import ACTIONS, act
 
 
 class FindFloaters(EngineOperator):
-    """Find floaters in front of the boxes or among the cameras, by the same rule as at the end of \
-training"""
+    """Find floaters in front of the boxes or among the cameras, by the rule that training uses"""
 
     bl_idname = "roigs.find_floaters"
     bl_label = "Floaters"

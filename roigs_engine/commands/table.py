@@ -239,7 +239,7 @@ COMMANDS: dict[str, Command] = {
     "floaters": Command(
         request=models.Floaters,
         does="objects:find_floaters",
-        help="find floaters, by the same rule as at the end of training",
+        help="find floaters, by the same rule as in training",
         examples=("garden --rois garden/rois.json --model result.ply --out floaters.npy",),
     ),
     "levels": Command(

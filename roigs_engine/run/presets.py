@@ -20,7 +20,6 @@ from ..training.mechanisms.masked_steps import MaskedSteps
 from ..training.mechanisms.measured_sh_rate import MeasuredShRate
 from ..training.mechanisms.model_averaging import ModelAveraging
 from ..training.mechanisms.opacity_decay import OpacityDecay
-from ..training.mechanisms.spaced_sh_rate import SpacedShRate
 from ..training.mechanisms.surroundings_rate import SurroundingsRate
 from ..training.mechanisms.warm_restarts import WarmRestarts
 from .config import RunConfig
@@ -105,7 +104,6 @@ def _box_mechanisms(steps: int) -> tuple[Mechanism, ...]:
     """The mechanisms of the joint recipe's box stage."""
     return (
         MaskedSteps(reinvested=0.5, view_weighting=1.5),
-        SpacedShRate(limit=25.0),
         MeasuredShRate(),
         # 3 would make up for the fewer steps, but loses where SH learn fast.
         SurroundingsRate(factor=2.0),

@@ -16,7 +16,6 @@ from ..training.mechanisms.masked_steps import MaskedSteps
 from ..training.mechanisms.measured_sh_rate import MeasuredShRate
 from ..training.mechanisms.model_averaging import ModelAveraging
 from ..training.mechanisms.opacity_decay import OpacityDecay
-from ..training.mechanisms.spaced_sh_rate import SpacedShRate
 from ..training.mechanisms.surface_losses import SurfaceLosses
 from ..training.mechanisms.warm_restarts import WarmRestarts
 from .config import RunConfig
@@ -87,7 +86,7 @@ def _without_boxes(stage: TrainConfig, density: DensityControl) -> TrainConfig:
     return replace(
         stage,
         mechanisms=(
-            *stage.chosen(SpacedShRate, MeasuredShRate),
+            *stage.chosen(MeasuredShRate),
             density,
             *stage.chosen(WarmRestarts, ModelAveraging, OpacityDecay),
             *stage.chosen(ImportancePruning, FloaterPruning),
@@ -101,7 +100,7 @@ def cutout_stage(config: RunConfig) -> TrainConfig:
     stage = replace(
         config.roi, steps=steps, sh_start=config.roi.sh_degree, lr_means=config.roi.lr_means / 10
     )
-    stage = _no_more(stage.only(MaskedSteps, SpacedShRate, MeasuredShRate))
+    stage = _no_more(stage.only(MaskedSteps, MeasuredShRate))
     return stage.using(CutoutSteps(), ModelAveraging(steps=steps // 2))
 
 
@@ -118,7 +117,7 @@ def surface_stage(config: RunConfig) -> TrainConfig:
         lr_means=SURFACE_RATE * config.roi.lr_means,
         lr_means_final=SURFACE_RATE * config.roi.lr_means / 10,
     )
-    stage = stage.only(SpacedShRate, MeasuredShRate)
+    stage = stage.only(MeasuredShRate)
     masks = config.roi.get(MaskedSteps) or MaskedSteps()
     return stage.using(
         replace(masks, whole_share=0.0, reinvested=0.0),
@@ -188,7 +187,7 @@ def block_stage(config: TrainConfig, share: float, photos: float) -> TrainConfig
         photos: share of all photos that the block has.
     """
     config = config.only(
-        *(MaskedSteps, SpacedShRate, MeasuredShRate, DensityControl, IdlePruning, WarmRestarts),
+        *(MaskedSteps, MeasuredShRate, DensityControl, IdlePruning, WarmRestarts),
         *(ModelAveraging, ImportancePruning, FloaterPruning, CutoutSteps, SurfaceLosses),
     )
     masks = config.get(MaskedSteps)
@@ -220,7 +219,5 @@ def refine_stage(config: RunConfig) -> TrainConfig:
         sh_start=config.roi.sh_degree,
         made_for=config.roi.made_for,
     )
-    stage = _no_more(
-        stage.only(MaskedSteps, SpacedShRate, MeasuredShRate, ModelAveraging, FloaterPruning)
-    )
+    stage = _no_more(stage.only(MaskedSteps, MeasuredShRate, ModelAveraging, FloaterPruning))
     return stage.using(ModelAveraging(steps=steps // 2))

@@ -102,7 +102,7 @@ def make_stage(
         name, config: of the stage; the folder of `photos` precedes the name.
         photos: of the run, or of a part of it.
         images: to train on.
-        rois: boxes to densify in; without, the spacing of views is that around all boxes.
+        rois: boxes to densify in.
         start: what it starts from; None: the sparse points.
         order: `shuffled`: all photos equally often; `ordered`: as given (paper, sec. III-A);
             `mixed`: selected photos more often than others.

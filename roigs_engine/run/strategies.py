@@ -179,7 +179,7 @@ def full_objects(photos: PhotoSets) -> Plan:
 def full_scene_tuned(photos: PhotoSets) -> Plan:
     """Baseline: Full Scene with every setting of ours that fits any scene.
 
-    Boxes are used for the view spacing and the consistency test only.
+    Boxes are used for the points whose colours are compared, and the consistency test, only.
     """
     config = stage_configs.tuned_baseline(photos.run.config)
     stages = _tuned(photos, run_files.SCENE_STAGE, photos.images, config, photos.run.rois)

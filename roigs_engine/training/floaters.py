@@ -208,7 +208,7 @@ def _between(first: PosedImage, second: PosedImage, share: float) -> Float64:
 def hangs_among_cameras(
     gaussians: Gaussians, images: Sequence[PosedImage], points: Float64, shown: Tensor
 ) -> Tensor:
-    """(N,) bool: which Gaussians are in the air among the cameras, where no photo looks.
+    """(N,) bool: which Gaussians are in the air among the cameras, where no photo looks closely.
 
     `shown` is (N,), the largest share of a photo that each fills. Without points, none is.
     """
@@ -226,7 +226,7 @@ def hangs_among_cameras(
     with np.errstate(divide="ignore"):  # a Gaussian at a camera's very place
         filled = opacity * np.minimum(area / distance**2, 1.0)
     seen = shown.cpu().numpy()
-    unseen = (seen < LEAST) & (filled > LEAST) & (filled > MORE * seen)
+    unseen = (filled > LEAST) & (filled > MORE * seen)
     return torch.from_numpy(unseen).to(shown.device) & in_the_air(
         gaussians, images, points, MUCH_NEARER
     )

@@ -1,4 +1,4 @@
-"""Floater pruning: removes Gaussians in the air at the end of a stage (ours)."""
+"""Floater pruning: removes Gaussians in the air before the last steps of a stage (ours)."""
 
 from __future__ import annotations
 
@@ -9,16 +9,20 @@ from ...context import Context
 from ...requests.choices import MIN_VIEWS
 from ..config import Mechanism, TrainConfig, limited
 from ..running import Running
+from .model_averaging import ModelAveraging
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from ..running import Training
+    from ..state_reader import StateReader
 
 
 @dataclass(frozen=True, kw_only=True)
 class FloaterPruning(Mechanism):
-    """Removes Gaussians that photos cannot judge (`training.floaters`).
+    """Removes Gaussians that photos cannot judge (`training.floaters`), before the averaging.
+
+    Some of them carry light of a few photos. The steps that are averaged make up for it.
 
     Earns: +0.06 dB in the silhouettes (marginal): validation photos hardly show what it is for,
         views between the photos. Draft, six boxes of kumamon, flowerpot and the demo, two seeds
@@ -33,14 +37,32 @@ class FloaterPruning(Mechanism):
     min_views: int = limited(MIN_VIEWS, least=1)
 
     def begin(self, config: TrainConfig, training: Training) -> Running:
-        return _Running(self.min_views)
+        averaging = config.get(ModelAveraging)
+        return _Running(self.min_views, config.steps - (averaging.steps if averaging else 0))
+
+    def check_state(self, state: StateReader) -> None:
+        state.flag("done")
+        state.tensors({}, besides=("done",))
 
 
 class _Running(Running):
-    def __init__(self, min_views: int) -> None:
-        self._min_views = min_views
+    kept = ("done",)
+
+    def __init__(self, min_views: int, due: int) -> None:
+        self._min_views, self._due = min_views, due
+        self.done = False
+
+    def between_steps(self, training: Training, context: Context) -> bool:
+        if self.done or training.step < self._due or not training.settled():
+            return True
+        self.done = self._prune(training, context)
+        return self.done
 
     def end(self, training: Training, context: Context) -> bool:
+        """In a stage without averaging."""
+        return self.done or self._prune(training, context)
+
+    def _prune(self, training: Training, context: Context) -> bool:
         from ..floaters import floaters
 
         def search() -> Tensor:

@@ -25,7 +25,6 @@ from roigs_engine.training.mechanisms.importance_pruning import ImportancePrunin
 from roigs_engine.training.mechanisms.measured_sh_rate import MeasuredShRate
 from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
 from roigs_engine.training.mechanisms.opacity_decay import OpacityDecay
-from roigs_engine.training.mechanisms.spaced_sh_rate import SpacedShRate
 from roigs_engine.training.mechanisms.warm_restarts import WarmRestarts
 from tests.engine.runs import tiny, train, train_run
 from tests.engine.synthetic_scene import BOX, make_scene
@@ -34,7 +33,7 @@ TUNED = ("full-scene-tuned", "full-object-tuned")
 SECOND = OrientedBox.between("second", [-0.2, -0.2, -0.2], [0.5, 0.5, 0.5])
 # Mechanisms that fit any scene.
 USED = (
-    *(SpacedShRate, MeasuredShRate, DensityControl, WarmRestarts, ModelAveraging),
+    *(MeasuredShRate, DensityControl, WarmRestarts, ModelAveraging),
     *(OpacityDecay, ImportancePruning, FloaterPruning),
 )
 
@@ -70,7 +69,7 @@ def test_settings_are_ours_without_the_boxes(name: str) -> None:
     ours = preset("standard").roi
     for field in ("lr_shN", "lr_scales", "lr_means", "sh_start"):
         assert getattr(fine, field) == getattr(ours, field)
-    for kind in (SpacedShRate, OpacityDecay, FloaterPruning):
+    for kind in (MeasuredShRate, OpacityDecay, FloaterPruning):
         assert fine.of(kind) == ours.of(kind)
     assert fine.of(ModelAveraging).steps == fine.steps // 10
     densify = first.until + last.until
@@ -89,7 +88,7 @@ def test_all_photos_whole_shuffled_and_everywhere(scene: SfmScene) -> None:
     assert tuned.order.kind == "shuffled" and tuned.order.count == len(tuned.images)
     assert (tuned.seed, tuned.extent) == (joint.seed, joint.extent)
     assert [roi.name for roi in tuned.rois] == [roi.name for roi in joint.rois]
-    assert tuned.config.lr_shN == joint.config.lr_shN < config.roi.lr_shN  # by view spacing
+    assert tuned.config.lr_shN == joint.config.lr_shN
     assert type(tuned.config.of(DensityControl)) is DensityControl
 
 

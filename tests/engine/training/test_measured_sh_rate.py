@@ -173,6 +173,18 @@ def test_the_rate_follows() -> None:
     assert lowered.lr_shN == pytest.approx(1.25e-4 * 12 ** max(part, 0.0))
 
 
+def test_what_cannot_be_measured_is_not_assumed() -> None:
+    """As with a dozen photos from all sides: none shows what is between them."""
+    whole = data(shine)
+    config = TrainConfig(steps=9, lr_shN=1.5e-3, mechanisms=(MeasuredShRate(),))
+    few = replace(whole, images=whole.images[:4], photos=Photos(whole.photos[:4]))  # type: ignore[index, arg-type]
+    said: list[Event] = []
+    lowered = config.measured(few, Context(emit=said.append))
+    assert lowered == replace(config, lr_shN=TrainConfig.lr_shN) and len(said) == 1
+    bare = [replace(image, point_indices=np.zeros(0, dtype=np.int64)) for image in whole.images]
+    assert config.measured(replace(whole, images=bare), QUIET) == config
+
+
 def test_a_lower_rate_is_said() -> None:
     said: list[Event] = []
     config = TrainConfig(steps=9, lr_shN=1.5e-3, mechanisms=(MeasuredShRate(),))

@@ -266,6 +266,30 @@ def test_a_stage_ends_without_floaters(scene: SfmScene) -> None:
     assert left == {0: 2, 3: 0}
 
 
+def test_floaters_go_before_the_averaging_and_stopped_there_it_ends_the_same(
+    scene: SfmScene,
+) -> None:
+    """The steps that are averaged make up for the light that they had carried."""
+    model, data = with_floaters(scene), one_side(scene)
+    config = RESTING.using(ModelAveraging(steps=10), FloaterPruning(min_views=3))
+    begins = config.steps - 10
+    whole, stopped = (Trainer(model, data, config) for _ in range(2))
+    counts: dict[int, int] = {}
+
+    def count() -> bool:
+        counts.setdefault(whole.step, len(whole.gaussians))
+        return False
+
+    assert whole.run(Context(should_stop=count))
+    assert counts[begins] == len(model) > counts[begins + 1] == len(whole.gaussians)
+    assert not stopped.run(Context(should_stop=lambda: stopped.step == begins + 5))
+    state = stopped.state_dict()
+    resumed = Trainer(Gaussians(**state["parameters"]), data, config)
+    resumed.load_state_dict(state)
+    assert resumed.run()
+    assert same_bits(resumed.gaussians, whole.gaussians)
+
+
 def test_stopped_among_the_floaters_it_goes_on_to_the_same_end(scene: SfmScene) -> None:
     model, data = with_floaters(scene), one_side(scene)
     config = RESTING.using(FloaterPruning(min_views=3))

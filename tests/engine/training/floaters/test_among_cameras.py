@@ -6,7 +6,7 @@ import numpy as np
 
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import Float64, PosedImage
-from roigs_engine.training.floaters import hangs_among_cameras
+from roigs_engine.training.floaters import LEAST, hangs_among_cameras
 from tests.engine.training.floaters.photos import (
     DISTANCE,
     NO_POINTS,
@@ -45,6 +45,15 @@ def test_a_faint_blot_in_photos_from_far_away_goes() -> None:
     blot = at(0.0, 0.9 * DISTANCE), 0.05
     assert sees(far, blot[0]) and not sees(near, blot[0])
     assert hangs(gaussians(blot), [near, far]) == [True]
+
+
+def test_haze_that_photos_show_from_afar_goes() -> None:
+    """They show more of it than a speck, but a camera beside it would see nothing else."""
+    near = photo("near", at(0.0), target=at(0.25, 100.0))
+    far = photo("far", at(0.5, 2 * DISTANCE))
+    haze = gaussians((at(0.0, 0.9 * DISTANCE), 0.1))
+    assert LEAST < float(shown(haze, [near, far])) < 1 / 16
+    assert hangs(haze, [near, far]) == [True]
 
 
 def test_what_is_near_the_scene_stays_though_no_photo_looks() -> None:
