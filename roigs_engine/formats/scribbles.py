@@ -16,6 +16,8 @@ from .transforms import numbers
 OBJECT, BACKGROUND = "object", "background"
 """Kinds of strokes."""
 MOST = 1e6  # pixels; larger numbers are no places in a photo
+MOST_POINTS = 500_000
+"""Of all strokes of a file: hours of a hand's work. Each of a wide stroke takes 0.3 ms to draw."""
 HINT = (
     'Give --scribbles a JSON file with a list "scribbles" of {"box", "photo", "strokes"}'
     " (docs/files.md)."
@@ -50,6 +52,12 @@ def read_scribbles(path: Path) -> list[Scribble]:
         found = [_scribble(record) for record in records]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{path} is malformed ({error}).", HINT) from error
+    points = sum(len(stroke.points) for scribble in found for stroke in scribble.strokes)
+    if points > MOST_POINTS:
+        raise ConfigError(
+            f"{path} has {points:,} points of strokes; at most {MOST_POINTS:,} are used.",
+            "Draw fewer strokes.",
+        )
     pairs = [(scribble.box, scribble.photo) for scribble in found]
     if len(set(pairs)) < len(pairs):
         raise ConfigError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from roigs_engine.errors import ConfigError, EngineError
+from roigs_engine.formats import scribbles
 from roigs_engine.formats.files import sha256
 from roigs_engine.formats.mask_record import MADE, generated_masks, record_masks, remove_masks
 from roigs_engine.formats.scribbles import (
@@ -65,6 +67,17 @@ def test_a_file_without_strokes_is_refused_in_one_line(tmp_path: Path, document:
     with pytest.raises(ConfigError) as error:
         read_scribbles(path)
     assert "\n" not in str(error.value) and error.value.hint
+
+
+def test_a_file_of_far_too_many_points(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wide strokes of a million points took minutes to draw, without a look at Ctrl-C."""
+    monkeypatch.setattr(scribbles, "MOST_POINTS", 5)
+    path = tmp_path / "s.json"
+    for count, said in ((2, ""), (3, "has 6 points of strokes; at most 5 are used")):
+        strokes = [STROKE] * count
+        path.write_text(json.dumps({"scribbles": [GOOD | {"strokes": strokes}]}))
+        with pytest.raises(ConfigError, match=said) if said else nullcontext():
+            read_scribbles(path)
 
 
 def test_only_masks_that_were_made_are_removed(tmp_path: Path) -> None:
