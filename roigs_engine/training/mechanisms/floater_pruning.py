@@ -38,7 +38,8 @@ class FloaterPruning(Mechanism):
 
     def begin(self, config: TrainConfig, training: Training) -> Running:
         averaging = config.get(ModelAveraging)
-        return _Running(self.min_views, config.steps - (averaging.steps if averaging else 0))
+        before = config.steps - (averaging.steps if averaging else 0)
+        return _Running(self.min_views, before if before > 0 else config.steps)
 
     def check_state(self, state: StateReader) -> None:
         state.flag("done")
@@ -59,7 +60,7 @@ class _Running(Running):
         return self.done
 
     def end(self, training: Training, context: Context) -> bool:
-        """In a stage without averaging."""
+        """In a stage without averaging, or that averages all its steps."""
         return self.done or self._prune(training, context)
 
     def _prune(self, training: Training, context: Context) -> bool:
