@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 from pathlib import Path
 from typing import Any
@@ -217,7 +218,19 @@ def _texture(file: GltfFile, item: dict[str, Any], uv: Any, materials: dict[int,
 
 def _material(picture: Image.Image) -> Any:
     trimesh: Any = package("trimesh", PURPOSE)
-    return trimesh.visual.material.PBRMaterial(
+    kind: Any = trimesh.visual.material.PBRMaterial
+
+    class Material(kind):  # type: ignore[misc]
+        """Is hashed once: trimesh hashes all pixels, for each mesh that shows the picture."""
+
+        @functools.cached_property
+        def known(self) -> int:
+            return int(super().__hash__())
+
+        def __hash__(self) -> int:
+            return self.known
+
+    return Material(
         name="photos", baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=1.0
     )
 

@@ -114,6 +114,7 @@ there are in the long run."""
 def all_families() -> dict[str, tuple[Family, int]]:
     """All families of all files."""
     from tests.fuzz import (
+        amplified,
         command_files,
         exchange,
         foreign_folders,
@@ -154,6 +155,7 @@ def all_families() -> dict[str, tuple[Family, int]]:
         videos,
         work_folders,
         working_folders,
+        amplified,
     )
     tables = [file.FAMILIES for file in (*files, levels_and_scribbles)]
     return functools.reduce(operator.or_, tables)

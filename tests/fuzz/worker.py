@@ -208,7 +208,8 @@ def main(chosen: list[tuple[str, int]]) -> None:
     complaint("model_bytes", 0)  # loads what is loaded late
     if {"checkpoints", "stage_records"} & {family for family, _ in chosen}:
         run_folders.stopped_runs()  # kept: making them would count against a case's time
-    if {"store_commits", "store_outages", "clean", "caches"} & {family for family, _ in chosen}:
+    on_stores = {"store_commits", "store_outages", "clean", "caches", "amplified"}
+    if on_stores & {family for family, _ in chosen}:
         stores.published()
     for family, number in chosen:
         limit_memory()

@@ -128,3 +128,19 @@ def test_files_of_others_beside_a_mesh_stay(tmp_path: Path, suffix: str, beside:
     (tmp_path / beside).write_text("of an earlier mesh")
     convert_mesh(source, out)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == made
+
+
+def test_a_picture_that_many_primitives_show_is_hashed_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """800 primitives of one picture took minutes: each hashed all pixels."""
+    trimesh = pytest.importorskip("trimesh")
+    kind = trimesh.visual.material.PBRMaterial
+    hashed = Mock(return_value=1)
+    monkeypatch.setattr(kind, "__hash__", hashed)
+    record, blob = mesh_record(picture())
+    record["meshes"][0]["primitives"] *= 50
+    path = tmp_path / "a.glb"
+    path.write_bytes(glb_of(record, blob))
+    assert files.convert_mesh(path, tmp_path / "b.obj") == 200
+    assert hashed.call_count <= 1
