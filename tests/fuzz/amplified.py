@@ -9,15 +9,16 @@ import functools
 import io
 import json
 import random
+import sqlite3
 import struct
 from collections.abc import Callable
+from contextlib import closing, suppress
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
-from tests.engine.reconstruction import test_database
-from tests.fuzz import inputs, meshes, pictures, run_folders, stores
+from tests.fuzz import inputs, meshes, pictures, run_folders, stores, work_folders
 from tests.fuzz.cases import MODEL, Case, good_boxes, good_photos, good_scene, write, write_scene
 from tests.fuzz.exchange import (
     INSTALLED,
@@ -294,7 +295,9 @@ def computed(dice: random.Random, folder: Path) -> Case:
     write(folder / "in" / "photos" / "a.png", good_photos()[inputs.NAMES[0]])
     out = folder / "out" / "scene"
     out.mkdir(parents=True)
-    test_database.made(out / "database.db", damage)
+    work_folders.write_database(dice, out / "database.db")
+    with suppress(sqlite3.Error), closing(sqlite3.connect(out / "database.db")) as file:
+        file.executescript(damage)  # of a file that may be damaged already
     return Case(["resume", str(out)])
 
 
