@@ -191,7 +191,7 @@ def _shows_colour(node: Any) -> bool:
 
 
 def _colours(product: Any) -> tuple[int, int]:
-    """Names of the node's colour inputs."""
+    """Rows of the node's colour inputs."""
     found = [
         i for i, socket in enumerate(product.inputs) if socket.enabled and socket.type == "RGBA"
     ]

@@ -27,7 +27,7 @@ def light(scene: bpy.types.Scene) -> bpy.types.World | None:
 
 
 def picture(scene: bpy.types.Scene) -> bpy.types.Image | None:
-    """The settings of the light's picture; None if there is no light."""
+    """The picture of the light; None if there is no light."""
     own: Any = stage_props(scene).world
     nodes = own.node_tree.nodes if own is not None else ()
     turn = stage_props(scene).turn

@@ -10,23 +10,19 @@ from ..errors import ConfigError
 from ..exchange import formats, gltf
 from ..exchange.arrays import turn
 from ..formats.clean_up import disk_size
-from ..formats.text import counted, in_gb
-from ..machine import machine_memory
+from ..formats.text import counted
 from ..requests.models import Convert
 from .conversion.axes import SCENE_UP, turned, warn_of_axes
 from .conversion.models import listed, single
 from .conversion.page import compared, page_extras, refuse_page_options
 from .conversion.reading import read_arrays, refuse_own_inputs, shortened
 from .inputs import boxes_of
-from .instances import LIST
+from .instances import LIST, refuse_beyond_memory
 from .outputs import Result, refuse_run_files
 from .run_scene import levelled_run
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from ..exchange.formats import FileFormat
-    from ..formats.levels import Level
     from ..formats.targets import Target
 
 STREAMED = "lod-meta.json"
@@ -106,7 +102,12 @@ def _write_streamed(request: Convert, context: Context) -> Result:
     if request.from_up is None:
         warn_of_axes(request.source, before, context)
     ladders = read_ladders(folder)
-    _refuse_much(folder, [level for ladder in ladders.values() for level in ladder.levels])
+    plys = [folder / level.ply for ladder in ladders.values() for level in ladder.levels]
+    refuse_beyond_memory(
+        2 * sum(disk_size([ply]) for ply in plys),
+        f"The {len(plys):,} levels of detail of {folder} need",
+        "Make fewer levels (`levels`), or use a machine with more memory.",
+    )
     parts, files = [], []
     for ladder in ladders.values():
         levels = []
@@ -125,17 +126,6 @@ def _write_streamed(request: Convert, context: Context) -> Result:
     written = streamed_sog.write(request.out, parts, check, antialiased=smooth)
     text = f"{counted(written, 'Gaussian')} in levels of detail in {request.out.parent}"
     return Result(files={"result": request.out}, text=text)
-
-
-def _refuse_much(folder: Path, levels: Sequence[Level]) -> None:
-    """Raise ConfigError if levels of detail, as often as they are listed, need too much memory."""
-    needed, memory = 2 * sum(disk_size([folder / level.ply]) for level in levels), machine_memory()
-    if needed > memory:
-        raise ConfigError(
-            f"The {len(levels):,} levels of detail of {folder} need {in_gb(needed)} of memory; this"
-            f" machine has {in_gb(memory)}.",
-            "Make fewer levels (`levels`), or use a machine with more memory.",
-        )
 
 
 def _warn_of_light(target: Target, form: FileFormat, context: Context) -> None:

@@ -78,12 +78,19 @@ def read_list(path: Path, context: Context = QUIET) -> tuple[list[InstanceRecord
 def refuse_much(wanted: Sequence[InstanceRecord]) -> None:
     """Raise ConfigError if the models, as often as each is listed, need more than the memory."""
     sizes = {name: disk_size([Path(name)]) for name in {item.file for item in wanted}}
-    needed, memory = COPIES * sum(sizes[item.file] for item in wanted), machine_memory()
-    if len(wanted) > 1 and needed > memory:
-        raise ConfigError(
-            f"{counted(len(wanted), 'model')} of the list need {in_gb(needed)} of memory; this"
-            f" machine has {in_gb(memory)}.",
+    if len(wanted) > 1:
+        refuse_beyond_memory(
+            COPIES * sum(sizes[item.file] for item in wanted),
+            f"{counted(len(wanted), 'model')} of the list need",
             "List fewer models, or smaller ones.",
+        )
+
+
+def refuse_beyond_memory(needed: int, what: str, advice: str) -> None:
+    """Raise ConfigError if so many bytes are more than the memory; `what`: "3 models need"."""
+    if needed > (memory := machine_memory()):
+        raise ConfigError(
+            f"{what} {in_gb(needed)} of memory; this machine has {in_gb(memory)}.", advice
         )
 
 

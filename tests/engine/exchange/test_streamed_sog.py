@@ -74,7 +74,7 @@ def test_levels_that_need_more_than_the_memory_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A list of levels may name one file any number of times."""
-    monkeypatch.setattr("roigs_engine.app.convert.machine_memory", lambda: 10_000_000)
+    monkeypatch.setattr("roigs_engine.app.instances.machine_memory", lambda: 10_000_000)
     run = tmp_path / "run"
     for name in ("result.ply", "background.ply"):
         run.mkdir(exist_ok=True)
