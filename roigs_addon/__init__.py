@@ -79,6 +79,7 @@ MODULES = (
     "ui.wipe_handle",
     "ui.cameras",
     "ui.suggestions",
+    "ui.selected",
     "ui.masks",
     "ui.train",
     "ui.result",

@@ -150,6 +150,7 @@ class RoigsObject(bpy.types.PropertyGroup):
         description="Box: half its sides below its parent",
     )
     selected_box: StringProperty(description="Box: where it was when its photos were selected")
+    checked: StringProperty(description="Box: what its photos show, as JSON")
     ply: StringProperty(description="Gaussians: their file", subtype="FILE_PATH")
     level: EnumProperty(items=LEVELS, description="Gaussians: the model they belong to")
     shown_as: EnumProperty(items=SHOWN_AS, description="Gaussians: how they are drawn")

@@ -1,4 +1,7 @@
-"""Suggesting photos: the engine finds the most informative places; cameras are put there."""
+"""Checking photos and suggesting new ones: one command of the engine finds both.
+
+A check gives the boxes their facts; a suggestion also puts cameras at the places for new photos.
+"""
 
 from __future__ import annotations
 
@@ -11,37 +14,56 @@ from ..engine import own_files
 from ..engine.python import FOR_SUGGESTING, FOR_TRAINING
 from ..engine.writing import made_folder
 from ..properties import scene_props
-from ..scene import suggestions
+from ..scene import checked, suggestions
 from ..shared import files, run_files, text
 from . import options_files, run_folders
-from .spec import SUGGESTING, JobSpec
+from .spec import CHECKING, SUGGESTING, JobSpec
 
 LIST, PAGE = "suggestions.json", "suggestions.html"
 
 
-def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> JobSpec:
-    """The job that suggests photos of some boxes.
+def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object], *, show: bool) -> JobSpec:
+    """The job that checks the photos of some boxes and, with `show`, shows suggestions.
 
     Raises:
         AddonError: something is missing, or the run folder cannot be written to.
     """
     options = options_files.write_suggest_options(scene, boxes, model=_model(scene))
     out, find = made_folder(options.parent, own_files.SUGGESTED), run_folders.finder(scene)
+    request, places = files.sha256(options), checked.places_of(boxes, scene)
 
     def take() -> str | None:
         now = find()
         if now is None:
             return None
-        count = suggestions.show(now, out / LIST)
-        return f"{text.counted(count, 'photo')} suggested, the best first"
+        checked.take(now, places, out / LIST, request)
+        return in_words(suggestions.show(now, out / LIST)) if show else None
 
     return JobSpec(
-        title=SUGGESTING,
+        title=SUGGESTING if show else CHECKING,
         arguments=["suggest", str(options), "--out", str(out)],
         log=own_files.log_file(run_folders.run_folder(scene)),
         on_done=take,
-        is_so=lambda: (now := find()) is not None and suggestions.are_there(now),
+        is_so=lambda: (now := find()) is not None and (not show or suggestions.are_there(now)),
     )
+
+
+def in_words(count: int) -> str:
+    """What was done."""
+    return f"{text.counted(count, 'photo')} suggested, the best first"
+
+
+def kept(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> Path | None:
+    """The engine's list, if the last check asked the same of the same boxes; else None.
+
+    Raises:
+        AddonError: as `spec`.
+    """
+    if not all(map(checked.of_box, boxes)):
+        return None
+    options = options_files.write_suggest_options(scene, boxes, model=_model(scene))
+    listed = options.parent / own_files.SUGGESTED / LIST
+    return listed if checked.is_fresh(scene, listed, files.sha256(options)) else None
 
 
 def packages(scene: bpy.types.Scene) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from ..jobs import select_job
 from ..jobs.spec import JobSpec
 from ..properties import object_props
 from ..scene import exclusions, lookup, selections
+from ..shared import text
 from .base import FRESH, NO_BOX, EngineOperator, available, box_problem, engine_problem, failed
 
 if TYPE_CHECKING:
@@ -22,7 +23,9 @@ SELECT_FIRST = "Select cameras first."
 
 
 class SelectCameras(EngineOperator):
-    """Select the best photos of each box"""
+    """Select the best photos of each box. Training does this by itself. With All boxes together, \
+the default, boxes train on all photos that show them, and the selection hardly matters. With One \
+by one (paper), a box trains on its selected photos alone"""
 
     bl_idname = "roigs.select_cameras"
     bl_label = "Select Cameras"
@@ -108,6 +111,13 @@ class ExcludePhotos(bpy.types.Operator):
     photo: StringProperty(
         description="Name of the photo; empty: those of the selected cameras", options=FRESH
     )
+    reason: StringProperty(description="Why, for the tooltip", options=FRESH)
+
+    @classmethod
+    def description(cls, _: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
+        """With the reason, if the button has one; else Blender takes the docstring."""
+        reason = text.printable(str(getattr(properties, "reason", "")))
+        return f"Exclude this photo from selection and training. It is {reason}" if reason else ""
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Remember their names in the scene; their cameras become red."""

@@ -1,4 +1,4 @@
-"""Step 3, Cameras: suggest the next photos."""
+"""Step 3, Cameras: check the photos, and suggest the next ones."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import bpy
 from bpy.props import StringProperty
 
 from ..blender import registration, scene_of, view_3d_of, view_layer_of
-from ..jobs import suggest_job
+from ..errors import AddonError
+from ..jobs import suggest_job, undo
 from ..jobs.spec import JobSpec
 from ..scene import cameras, lookup, suggestions
-from .base import FRESH, EngineOperator, available, engine_problem, failed
+from .base import FRESH, EngineOperator, available, engine_problem, failed, tell
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
@@ -19,9 +20,31 @@ if TYPE_CHECKING:
 NONE = "Click Suggest Photos first"
 
 
+class CheckPhotos(EngineOperator):
+    """Find out how well the photos cover each box, and which of them are blurred, out of focus, \
+too bright or dark, or misplaced. Nothing is excluded without a click"""
+
+    bl_idname = "roigs.check_photos"
+    bl_label = "Check Photos"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There must be a model, a box, and an idle engine."""
+        return available(cls, engine_problem(context))
+
+    def packages(self, context: bpy.types.Context) -> tuple[str, ...]:
+        """A trained model needs more than points."""
+        return suggest_job.packages(scene_of(context))
+
+    def spec(self, context: bpy.types.Context) -> JobSpec:
+        """For all boxes."""
+        scene = scene_of(context)
+        return suggest_job.spec(scene, lookup.rois(scene), show=False)
+
+
 class SuggestPhotos(EngineOperator):
     """Show where to take the next photos: the most informative for each box, from reachable \
-places"""
+places. After Check Photos, they are shown at once"""
 
     bl_idname = "roigs.suggest_photos"
     bl_label = "Suggest Photos"
@@ -38,7 +61,31 @@ places"""
     def spec(self, context: bpy.types.Context) -> JobSpec:
         """For all boxes."""
         scene = scene_of(context)
-        return suggest_job.spec(scene, lookup.rois(scene))
+        return suggest_job.spec(scene, lookup.rois(scene), show=True)
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Show what the last check found, or ask the engine and wait."""
+        return self._at_once(context) or EngineOperator.execute(self, context)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+        """Show what the last check found, or ask the engine, and leave the window free."""
+        return self._at_once(context) or EngineOperator.invoke(self, context, event)
+
+    def _at_once(self, context: bpy.types.Context) -> OperatorResult | None:
+        """None: the engine must be asked; so it is if suggestions are shown already."""
+        scene = scene_of(context)
+        if suggestions.are_there(scene):
+            return None
+        try:
+            listed = suggest_job.kept(scene, lookup.rois(scene))
+            if listed is None:
+                return None
+            count = suggestions.show(scene, listed)
+        except AddonError as error:
+            return failed(self, error)
+        undo.push(self.bl_label)
+        tell(self, "INFO", suggest_job.in_words(count))
+        return {"FINISHED"}
 
 
 class RemoveSuggestions(bpy.types.Operator):
@@ -105,5 +152,5 @@ class LookThroughSuggestion(bpy.types.Operator):
 
 
 register, unregister = registration(
-    SuggestPhotos, RemoveSuggestions, OpenSuggestions, LookThroughSuggestion
+    CheckPhotos, SuggestPhotos, RemoveSuggestions, OpenSuggestions, LookThroughSuggestion
 )

@@ -25,8 +25,6 @@ from . import backgrounds, cameras, lookup
 COLLECTION = "Suggested Photos"
 MARK = "roigs_suggested"
 """Custom property of that collection."""
-FAULTS = "roigs_faults"
-"""Custom property of that collection: JSON, box -> photos to look at, each with its reason."""
 COLOUR = (1.0, 0.63, 0.0, 1.0)
 CAMERA_SIZE = 0.1
 """Of a camera's drawing, where no photo's camera tells."""
@@ -79,18 +77,13 @@ def show(scene: bpy.types.Scene, listed: Path) -> int:
     if root is None:
         raise AddonError("The empty of the COLMAP model is deleted. Import the model again.")
     try:
-        whole = text.parse_json(files.read_bytes(listed))
-        records = whole["cameras"]
-        faults = {
-            str(box["name"]): [[str(f["photo"]), str(f["text"])] for f in box["faults"]]
-            for box in whole["boxes"]
-        }
+        records = text.parse_json(files.read_bytes(listed))["cameras"]
         pairs = [(Suggestion.from_dict(each), _photo(each, listed.parent)) for each in records]
     except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
         raise AddonError(f"The suggestions are unreadable ({error}).") from error
     remove(scene)
     collection = bpy.data.collections.new(COLLECTION)
-    collection[MARK], collection[FAULTS] = True, json.dumps(faults)
+    collection[MARK] = True
     scene.collection.children.link(collection)
     size = _size(scene)
     for suggestion, photo in pairs:
@@ -119,21 +112,6 @@ def of_box(scene: bpy.types.Scene, roi: bpy.types.Object) -> list[bpy.types.Obje
 def are_there(scene: bpy.types.Scene) -> bool:
     """Whether any photo is suggested."""
     return bool(_collections(scene))
-
-
-def faults_of(scene: bpy.types.Scene, roi: bpy.types.Object) -> list[tuple[str, str]]:
-    """The photos of a box to check, each with its reason."""
-    found = [c.get(FAULTS) for c in _collections(scene)]
-    return [fault for line in found if isinstance(line, str) for fault in _faults(line, roi.name)]
-
-
-@lru_cache(maxsize=1 << 6)
-def _faults(line: str, box: str) -> tuple[tuple[str, str], ...]:
-    try:
-        found = [(photo, said) for photo, said in text.parse_json(line.encode())[box]]
-        return tuple(pair for pair in found if all(isinstance(part, str) for part in pair))
-    except (ValueError, KeyError, TypeError, OverflowError):
-        return ()
 
 
 def known_of(item: bpy.types.Object) -> Suggestion | None:

@@ -1,114 +1,59 @@
-"""Step 3, Cameras."""
+"""Step 3, Cameras: what the photos of the active box show, and which of them may be bad."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import bpy
 
 from ..blender import layout_of, registration, scene_of
-from ..facts import photo_names, photo_pictures
-from ..jobs.spec import SELECTING
-from ..operators.photos import EditSelection, SelectCameras
-from ..operators.scene import LookThrough
-from ..properties import RoigsPhotoItem, object_props, scene_props
-from ..scene import exclusions as used
-from ..scene import lookup, selections
+from ..jobs.spec import CHECKING
+from ..operators.photos import SelectCameras
+from ..operators.suggest import CheckPhotos
+from ..properties import object_props
+from ..scene import checked, lookup, selections
+from ..shared import text
 from . import exclusions
 from . import layout as show
 from .layout import SidebarPanel
 
-if TYPE_CHECKING:
-    from bpy.stub_internal.rna_enums import IconItems
-
-EDIT_ICONS: dict[str, IconItems] = {
-    "ADD": "ADD",
-    "REMOVE": "REMOVE",
-    "UP": "TRIA_UP",
-    "DOWN": "TRIA_DOWN",
-}
-PICTURE_SCALE = 6.0
-"""Size of the active photo's picture, in buttons."""
-
-
-class PhotoList(bpy.types.UIList):
-    """The photos of a box, best first."""
-
-    bl_idname = "ROIGS_UL_photos"
-
-    def draw_item(  # type: ignore[override] # Blender passes as much as the function takes
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        _data: object,
-        item: RoigsPhotoItem,
-        _icon: int,
-        _active_data: object,
-        _active_property: str,
-    ) -> None:
-        """Name, the score as a bar, and a button that looks through the camera."""
-        excluded = used.is_excluded(scene_of(context), item.name)
-        split = layout.split(factor=0.36, align=True)
-        split.active = not excluded
-        split.label(text=photo_names.short_name(scene_of(context), item.name))
-        row = split.row(align=True)
-        if excluded:
-            row.label(text="excluded")
-        elif item.score:
-            row.progress(factor=min(max(item.score, 0.0), 1.0), text=f"{item.score:.0%} covered")
-        else:
-            row.label(text="by hand")
-        row.operator(LookThrough.bl_idname, text="", icon="HIDE_OFF").photo = item.name
-
 
 class CamerasPanel(SidebarPanel):
-    """Selection of photos, and the selected ones."""
+    """The check of the photos."""
 
     bl_idname = "ROIGS_PT_cameras"
     bl_label = "3. Cameras"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The method, the button, and the photos of the active box."""
-        layout, scene = layout_of(self), scene_of(context)
-        props = scene_props(scene)
-        column = show.setting_column(layout)
-        column.prop(props, "method")
-        show.or_number(column, props, "Photos", "all_useful", "count")
-        layout.operator(SelectCameras.bl_idname, icon="CAMERA_DATA")
+        """The button, and what was found for the active box."""
+        layout, scene, roi = layout_of(self), scene_of(context), lookup.active_roi(context)
+        layout.operator(CheckPhotos.bl_idname, icon="VIEWZOOM")
         exclusions.counted(layout, scene)
-        roi = lookup.active_roi(context)
-        if show.job(layout, SELECTING):
-            return
         if roi is None:
             show.todo(layout, "Add a box first")
             return
-        photos = len(object_props(roi).selection)
-        if not photos:
-            show.todo(layout, f"{roi.name}: photos will be selected when training starts")
-        elif selections.is_stale(roi, scene):
-            show.wrong(layout, f"{roi.name} was moved: click Select Cameras")
-        else:
-            show.done(layout, f"{roi.name}: {photos} photos, best first")
-        if photos:
-            _draw_list(layout, roi, scene)
-        else:
-            text = "Add Selected Cameras"
-            layout.operator(EditSelection.bl_idname, text=text, icon="ADD").action = "ADD"
+        if not show.job(layout, CHECKING):
+            _draw_check(layout, roi, scene)
+        if object_props(roi).selection and selections.is_stale(roi, scene):
+            show.wrong(layout, f"{roi.name} was moved after its photos were selected")
+            again = layout.operator(SelectCameras.bl_idname, text="Select Again")
+            again.active_only = True
 
 
-def _draw_list(layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.types.Scene) -> None:
-    row, props = layout.row(), object_props(roi)
-    row.template_list(PhotoList.bl_idname, "", props, "selection", props, "selection_index", rows=5)
-    column = row.column(align=True)
-    for action, icon in EDIT_ICONS.items():
-        column.operator(EditSelection.bl_idname, text="", icon=icon).action = action
-    layout.operator(EditSelection.bl_idname, text="Clear List", icon="X").action = "CLEAR"
-    if 0 <= props.selection_index < len(props.selection):
-        photo = props.selection[props.selection_index].name
-        layout.separator()
-        if picture := photo_pictures.icon(scene, photo):
-            layout.template_icon(icon_value=picture, scale=PICTURE_SCALE)
-        exclusions.toggle(layout, scene, photo)
+def _draw_check(layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.types.Scene) -> None:
+    """What the photos show of a box, and those to look at."""
+    found = checked.of_box(roi)
+    if found is None:
+        show.todo(layout, f"{roi.name}: photos not checked yet")
+        return
+    if checked.is_stale(roi, scene):
+        show.wrong(layout, f"{roi.name} was moved: click Check Photos")
+        return
+    photos = text.counted(found.photos, "photo")
+    show.done(layout, f"{roi.name}: {photos}, {found.pixels:.0f} px across")
+    more = f", {found.later:.0%} with {found.suggested} more" if found.suggested else ""
+    layout.progress(factor=found.known, text=f"{found.known:.0%} covered{more}")
+    if sides := checked.sides_without_photos(roi, scene):
+        show.wrong(layout, f"No photo from {' and '.join(sides)}")
+    exclusions.faulty(layout, scene, checked.faults_of(roi))
 
 
-register, unregister = registration(PhotoList, CamerasPanel)
+register, unregister = registration(CamerasPanel)

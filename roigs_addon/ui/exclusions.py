@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import bpy
 
 from ..facts import photo_names, weak_photos
 from ..operators.photos import ExcludePhotos, IncludePhotos
+from ..operators.scene import LookThrough
 from ..scene import exclusions, lookup
 from ..shared import projects as rule
 from ..shared import text
@@ -52,18 +55,26 @@ def weak(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
 
 
 def faulty(
-    layout: bpy.types.UILayout, scene: bpy.types.Scene, faults: list[tuple[str, str]]
+    layout: bpy.types.UILayout, scene: bpy.types.Scene, faults: Sequence[tuple[str, str, str]]
 ) -> None:
-    """Photos with a reason to leave them out, each with the button that excludes it."""
+    """Photos with a reason to leave them out: one looks through each, and excludes it, by a click.
+
+    Args:
+        faults: name, reason in a word or two, reason with its figure for the tooltip.
+    """
     left = [fault for fault in faults if not exclusions.is_excluded(scene, fault[0])]
     if not left:
         return
     show.wrong(layout, "Look at these photos, and exclude the bad ones:")
-    for photo, reason in left[:MOST_FAULTY]:
-        column = layout.column(align=True)
-        label = f"Exclude {photo_names.short_name(scene, photo)}"
-        column.operator(ExcludePhotos.bl_idname, text=label, icon="CANCEL").photo = photo
-        show.say(column, reason, "BLANK1")
+    column = layout.column(align=True)
+    for photo, reason, figure in left[:MOST_FAULTY]:
+        row = column.row(align=True)
+        split = row.split(factor=0.45, align=True)
+        split.label(text=photo_names.short_name(scene, photo), icon="BLANK1")
+        split.label(text=reason)
+        row.operator(LookThrough.bl_idname, text="", icon="HIDE_OFF").photo = photo
+        button = row.operator(ExcludePhotos.bl_idname, text="", icon="CANCEL")
+        button.photo, button.reason = photo, figure
     if len(left) > MOST_FAULTY:
         show.say(layout, f"{len(left) - MOST_FAULTY} more", "BLANK1")
 

@@ -1,4 +1,4 @@
-"""Step 3, Cameras: suggestions for the next photos."""
+"""Step 3, Cameras: places for the next photos."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from ..operators.suggest import (
 )
 from ..properties import scene_props
 from ..scene import lookup, suggestions
-from . import exclusions
 from . import layout as show
 from .cameras import CamerasPanel
 from .layout import SidebarPanel
@@ -65,7 +64,6 @@ class SuggestionsPanel(SidebarPanel):
         known = suggestions.known_of(active) if active is not None else None
         if known is not None:
             show.say(layout, known.words, "INFO")
-        exclusions.faulty(layout, scene, suggestions.faults_of(scene, roi))
 
 
 register, unregister = registration(SuggestionsPanel)

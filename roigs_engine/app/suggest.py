@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..guidance.box_map import BoxMap
+    from ..guidance.known import KnownBox
     from ..guidance.page import Shots
     from ..guidance.suggest import Suggestion
     from ..guidance.words import Units
@@ -48,7 +49,6 @@ class Suggested(Result):
 
 def suggest(request: Suggest, context: Context = QUIET) -> Suggested:
     """Find the next photos of each box, and write them; EngineError for bad input."""
-    from ..guidance.faults import photo_faults
     from ..guidance.known import known_box
     from ..guidance.page import suggestions_page
     from ..guidance.suggest import suggested
@@ -79,11 +79,7 @@ def suggest(request: Suggest, context: Context = QUIET) -> Suggested:
         for camera, jpeg in zip(cameras, box.pictures, strict=True):
             write_bytes(pictures / Path(camera["picture"]).name, jpeg)
         record["cameras"] += cameras
-        found = box.known.map
-        names = [image.name for image in found.images]
-        faults = [fault.to_dict() for fault in photo_faults(box.known)]
-        box_record = {"name": found.roi.name, "known": found.value, "photos": names}
-        record["boxes"].append(box_record | {"faults": faults})
+        record["boxes"].append(_box_record(box.known))
     write_json(out / LIST, record)
     write_text(out / PAGE, suggestions_page(boxes, units))
     done = Suggested(record=record, suggestions=out / LIST, page=out / PAGE, pictures=pictures)
@@ -144,6 +140,22 @@ def _shots(known: Any, shots: Sequence[Suggestion], units: Units, draw: Draw) ->
         words=[in_words(shot, roi, up, units) for shot in shots],
         pictures=[as_jpeg(image) for image in images],
     )
+
+
+def _box_record(known: KnownBox) -> dict[str, Any]:
+    """What the photos show of a box, and the photos to check."""
+    from ..guidance.faults import photo_faults
+    from ..guidance.figures import pixels_across, sides_without_photos
+
+    found = known.map
+    return {
+        "name": found.roi.name,
+        "known": found.value,
+        "photos": [image.name for image in found.images],
+        "pixels": pixels_across(found),
+        "without_photos": sides_without_photos(found),
+        "faults": [fault.to_dict() for fault in photo_faults(known)],
+    }
 
 
 def _record(box: Shots, number: int) -> dict[str, Any]:

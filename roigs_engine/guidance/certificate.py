@@ -14,6 +14,7 @@ from ..formats.text import counted, printable
 from ..formats.web_page import html_text, whole_page
 from ..model.scene import Float64
 from .box_map import SPACING, BoxMap, ways_to
+from .figures import pixel_lengths
 from .known import KnownBox
 from .words import Units
 
@@ -105,7 +106,7 @@ def certificate(
     real = found.patches.places[~found.patches.guessed]
     local = real @ found.roi.world_to_box[:3, :3].T
     size = np.ptp(local, axis=0)
-    pixels = _pixels(found)
+    pixels = pixel_lengths(found)
     reachable = found.weights.sum(axis=1) > 0
     seen = np.isfinite(pixels)
     digest = hashlib.sha256()
@@ -137,19 +138,6 @@ def _covered(found: BoxMap) -> float:
         rows = np.flatnonzero(found.seen[:, column])
         near[rows] |= ways[rows] @ found.directions.T >= np.cos(SPACING)
     return float(found.weights[near].sum())
-
-
-def _pixels(found: BoxMap) -> Float64:
-    """(P,) length of a pixel on each patch in the photo that shows it best; infinite: none does."""
-    centres = np.array([image.centre for image in found.images]).reshape(-1, 3)
-    ways = centres[None] - found.patches.places[:, None]
-    ways /= np.maximum(np.linalg.norm(ways, axis=2), 1e-300)[..., None]
-    cosine = np.einsum("pvi,pi->pv", ways, found.patches.normals).clip(0, 1)
-    # The geometric mean of the pixel's two sides on the tilted patch.
-    density = found.density * found.sharpness * np.sqrt(cosine)
-    best = density.max(axis=1, initial=0.0)
-    with np.errstate(divide="ignore"):
-        return np.asarray(1 / best)
 
 
 def _angles(directions: Float64, up: Float64) -> tuple[Float64, Float64]:

@@ -33,9 +33,20 @@ def shown(blender: ModuleType, run):
 
 
 def all_panels(bpy: ModuleType) -> None:
-    from roigs_addon.ui import boxes, cameras, masks, result, stage, suggestions, surface, train
+    from roigs_addon.ui import (
+        boxes,
+        cameras,
+        masks,
+        result,
+        selected,
+        stage,
+        suggestions,
+        surface,
+        train,
+    )
 
-    for module in (boxes, cameras, masks, result, stage, suggestions, surface, train):
+    panels = boxes, cameras, selected, masks, result, stage, suggestions, surface, train
+    for module in panels:
         for cls in vars(module).values():
             own = isinstance(cls, type) and cls.__module__ == module.__name__
             if own and issubclass(cls, bpy.types.Panel) and hasattr(cls, "draw"):
@@ -211,18 +222,29 @@ def test_any_frame_of_a_mesh(blender: ModuleType, shown, value: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "faults",
-    ['[[5, {}], ["a", "b"]]', '[["a", null], ["a", "b"]]', '[[["a"], "x"], ["a", "b"], [[], 1]]'],
+    "changed",
+    [
+        {"faults": [[5, {}], ["a", "b", "c"]]},
+        {"faults": [["a", "b", "c"], 7]},
+        {"known": 1e999},
+        {"photos": "many"},
+        {"without_photos": [[], {}]},
+        {"made": None},
+        {"pixels": -5.0, "known": -1e300, "suggested": 10**30, "without_photos": ["up", "+z"]},
+    ],
 )
-def test_any_faults_of_photos(blender: ModuleType, shown, faults: str) -> None:
-    from roigs_addon.scene import suggestions
+def test_any_check_of_photos(blender: ModuleType, shown, changed: dict[str, object]) -> None:
+    from roigs_addon.scene import checked
+    from roigs_addon.scene.rois import place_key
 
     scene, _ = shown
-    collection = blender.data.collections.new("any")
-    collection[suggestions.MARK] = True
-    collection[suggestions.FAULTS] = f'{{"{box(scene).name}": {faults}}}'
-    scene.collection.children.link(collection)
-    assert suggestions.faults_of(scene, box(scene)) == [("a", "b")]
+    record = {"place": place_key(box(scene), scene), "made": "", "photos": 3, "suggested": 2}
+    record |= {"pixels": 5, "known": 0.5, "later": 0.6, "without_photos": ["+z"], "faults": []}
+    box(scene).roigs.checked = json.dumps(record)
+    assert checked.of_box(box(scene)) is not None
+    box(scene).roigs.checked = json.dumps(record | changed)
+    all_panels(blender)
+    assert not checked.is_stale(box(scene), scene)
 
 
 def test_any_number_of_steps(blender: ModuleType) -> None:

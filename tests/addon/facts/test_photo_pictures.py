@@ -61,7 +61,7 @@ def test_the_panel_shows_the_photo_that_is_active_in_the_list(
     blender: ModuleType, addon: ModuleType, project: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from roigs_addon.facts import photo_pictures
-    from roigs_addon.ui.cameras import CamerasPanel
+    from roigs_addon.ui.selected import SelectedPanel
 
     bpy, scene, shown = blender, imported(blender, project), []
     numbers = {"photo 3.png": 33, "photo 4.png": 44}
@@ -82,7 +82,7 @@ def test_the_panel_shows_the_photo_that_is_active_in_the_list(
     bpy.ops.roigs.add_roi()
     for name in numbers:
         bpy.ops.roigs.edit_selection(action="ADD", photo=name)
-    panel = stand_in(CamerasPanel)
+    panel = stand_in(SelectedPanel)
     panel.layout = Recorder()
     panel.draw(bpy.context)
     scene.roigs.active_roi.roigs.selection_index = 1

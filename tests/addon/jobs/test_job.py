@@ -334,7 +334,7 @@ def test_no_undo_step_comes_before_the_results(addon: ModuleType) -> None:
         *(imports.ImportGaussians, floaters.FindFloaters, levels.MakeLevels, masks.MakeMasks),
         *(adapt.AdaptResult, surface.MakeSurface, suggest.SuggestPhotos, relight.Relight),
         *(stage.LightFromScene, stage.CatchShadows, stand_here.StandHere),
-        confidence.FindConfidence,
+        *(confidence.FindConfidence, suggest.CheckPhotos),
     )
     found = {*EngineOperator.__subclasses__(), *BrowsingOperator.__subclasses__()}
     assert found - {BrowsingOperator} == set(running)

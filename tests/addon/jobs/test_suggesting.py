@@ -95,27 +95,25 @@ def test_one_click_removes_all_and_a_second_run_replaces_them(
     assert not [image for image in bpy.data.images if "suggested" in image.filepath]
 
 
-def test_a_photo_with_a_fault_is_named_and_excluded_by_its_button(
+def test_the_engine_names_photos_with_a_fault(
     blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
 ) -> None:
-    from roigs_addon.scene import exclusions, lookup, suggestions
-    from roigs_addon.ui.suggestions import SuggestionsPanel
+    from roigs_addon.scene import checked, exclusions, lookup
 
-    bpy, scene = blender, suggested(blender, project, tmp_path / "run")
+    scene = suggested(blender, project, tmp_path / "run")
     listed = tmp_path / "run" / "blender" / "suggested" / "suggestions.json"
     record = json.loads(listed.read_text(encoding="utf-8"))
     photo = record["boxes"][0]["photos"][0]
     fault = {"photo": photo, "reason": "blurred", "text": "blurred beyond use"}
     record["boxes"][0]["faults"] = [fault]
     listed.write_text(json.dumps(record), encoding="utf-8")
-    suggestions.show(scene, listed)
     roi = lookup.rois(scene)[0]
-    assert suggestions.faults_of(scene, roi) == [(photo, fault["text"])]
+    places = checked.places_of([roi], scene)
+    checked.take(scene, places, listed, "")
+    assert checked.faults_of(roi) == ((photo, "blurred", "blurred beyond use"),)
     assert not exclusions.is_excluded(scene, photo)  # nothing is left out without a click
-    assert "blurred beyond use" in " ".join(said(bpy, SuggestionsPanel))
-    assert bpy.ops.roigs.exclude_photos(photo=photo) == {"FINISHED"}
-    assert "blurred beyond use" not in " ".join(said(bpy, SuggestionsPanel))
     record["boxes"][0]["faults"] = [{"photo": photo}]
     listed.write_text(json.dumps(record), encoding="utf-8")
     with pytest.raises(Exception, match="suggestions are unreadable"):
-        suggestions.show(scene, listed)
+        checked.take(scene, places, listed, "")
+    assert checked.faults_of(roi)  # the last check stays

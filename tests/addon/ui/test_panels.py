@@ -64,6 +64,7 @@ def test_panels_draw(blender: ModuleType, run) -> None:
         reconstruct,
         result,
         scene,
+        selected,
         train,
     )
 
@@ -71,7 +72,7 @@ def test_panels_draw(blender: ModuleType, run) -> None:
         *(reconstruct.PhotosPanel, reconstruct.PhotosOptionsPanel),
         *(placement.PlacementPanel, look.LookPanel, levels.LevelsPanel),
         *(scene.ScenePanel, boxes.BoxesPanel, boxes.PlacePanel, cameras.CamerasPanel),
-        *(train.TrainPanel, train.TrainSettingsPanel, result.ResultPanel),
+        *(selected.SelectedPanel, train.TrainPanel, train.TrainSettingsPanel, result.ResultPanel),
     )
 
     def draw_all() -> None:

@@ -10,6 +10,7 @@ import pytest
 from roigs_engine.errors import RoiError
 from roigs_engine.guidance.box_map import DIRECTIONS, filling_distance, with_sharpness
 from roigs_engine.guidance.certificate import certificate
+from roigs_engine.guidance.figures import pixels_across, sides_without_photos
 from roigs_engine.guidance.known import KnownBox, known_box
 from roigs_engine.guidance.suggest import suggested
 from roigs_engine.guidance.words import Units
@@ -173,3 +174,18 @@ def test_the_sharpness_of_photos_changes_the_sum_alone(all_around: KnownBox) -> 
     half = with_sharpness(found, np.full(len(found.images), 0.5))
     assert half.information == pytest.approx(found.information / 4)
     assert half.seen is found.seen and half.weights is found.weights
+
+
+def test_sides_without_photos_are_those_of_the_missing_half(
+    all_around: KnownBox, one_side: KnownBox
+) -> None:
+    """No camera is steeper than 20 degrees, and none can be below the table."""
+    assert sides_without_photos(all_around.map) == ["+z"]
+    assert sides_without_photos(one_side.map) == ["-x", "+z"]
+
+
+def test_pixels_across_are_those_of_the_nearest_photos(all_around: KnownBox) -> None:
+    """The box is a unit wide; patches look at the camera at an angle, and are nearer than it."""
+    across = pixels_across(all_around.map)
+    assert across == pytest.approx(CAMERA.fx / np.hypot(AWAY, HEIGHT), rel=0.25)
+    assert pixels_across(replace(all_around.map, sharpness=np.full(VIEWS, 0.5))) == across / 2

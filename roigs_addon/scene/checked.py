@@ -1,0 +1,194 @@
+"""Checked photos: what the photos of each box show, and which of them may be bad.
+
+The engine finds this together with its suggestions. Each box keeps its own part, so undo and the
+.blend do, too.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ..errors import AddonError
+from ..geometry.frames import Matrix
+from ..properties import object_props, scene_props
+from ..shared import files, text
+from . import lookup, rois
+
+STEEP = float(np.sqrt(0.5))
+"""Height of a unit vector: what rises by 45 degrees or more is above."""
+NORMALS = {
+    f"{sign}{axis}": (row, float(f"{sign}1")) for row, axis in enumerate("xyz") for sign in "-+"
+}
+"""Side of a box, as the engine names it -> axis of the box, and sign of the side's normal."""
+
+Fault = tuple[str, str, str]
+"""A photo to look at: its name, the reason in a word or two, the reason with its figure."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checked:
+    """What the photos of a box show.
+
+    Attributes:
+        place: of the box then, see `rois.place_key`.
+        made: digest of the request and of the engine's answer.
+        photos: number of photos that show the box.
+        pixels: along its longest side.
+        known: what the photos cover, 0 to 1.
+        later: the same with the suggested photos.
+        suggested: number of these.
+        without_photos: sides that no photo looks at, see `NORMALS`.
+    """
+
+    place: str
+    made: str
+    photos: int
+    pixels: float
+    known: float
+    later: float
+    suggested: int
+    without_photos: tuple[str, ...]
+    faults: tuple[Fault, ...]
+
+    @classmethod
+    def from_dict(cls, record: dict[str, Any]) -> Checked:
+        """From JSON; raises ValueError, KeyError, TypeError or OverflowError."""
+        known, later, pixels = (float(record[key]) for key in ("known", "later", "pixels"))
+        if not (0 <= known <= 1 and 0 <= later <= 1 and 0 <= pixels < np.inf):
+            raise ValueError("no such figures")
+        return cls(
+            place=str(record["place"]),
+            made=str(record["made"]),
+            photos=int(record["photos"]),
+            pixels=pixels,
+            known=known,
+            later=later,
+            suggested=int(record["suggested"]),
+            without_photos=tuple(side for side in record["without_photos"] if side in NORMALS),
+            faults=tuple((str(a), str(b), str(c)) for a, b, c in record["faults"]),
+        )
+
+
+def places_of(boxes: list[bpy.types.Object], scene: bpy.types.Scene) -> dict[str, str]:
+    """Name -> place of each box, for `take`; raises AddonError if it is not a box."""
+    return {box.name: rois.place_key(box, scene) for box in boxes}
+
+
+def take(scene: bpy.types.Scene, places: Mapping[str, str], listed: Path, request: str) -> None:
+    """Give each box what the engine's list of suggestions says of it.
+
+    Args:
+        places: of the boxes when the engine was asked; others are left alone.
+        listed: the list.
+        request: digest of what the engine was asked.
+
+    Raises:
+        AddonError: the list cannot be read.
+    """
+    try:
+        data = files.read_bytes(listed)
+        whole = text.parse_json(data)
+        made = _made(request, data)
+        found = {
+            str(box["name"]): _from_engine(box, whole["cameras"], made) for box in whole["boxes"]
+        }
+    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
+        raise AddonError(f"The suggestions are unreadable ({error}).") from error
+    for roi in lookup.rois(scene):
+        if roi.name in found and roi.name in places:
+            record = found[roi.name] | {"place": places[roi.name]}
+            object_props(roi).checked = json.dumps(record)
+
+
+def of_box(roi: bpy.types.Object) -> Checked | None:
+    """What the photos of a box show; None: they were not checked."""
+    return _parsed(object_props(roi).checked)
+
+
+def is_stale(roi: bpy.types.Object, scene: bpy.types.Scene) -> bool:
+    """Whether the box was moved after its photos were checked."""
+    found = of_box(roi)
+    try:
+        return found is not None and found.place != rois.place_key(roi, scene)
+    except AddonError:
+        return True
+
+
+def is_fresh(scene: bpy.types.Scene, listed: Path, request: str) -> bool:
+    """Whether the list of suggestions is the answer for all boxes where they are now."""
+    try:
+        made = _made(request, files.read_bytes(listed))
+    except OSError:
+        return False
+    known = {roi: of_box(roi) for roi in lookup.rois(scene)}
+    return all(
+        found is not None and found.made == made and not is_stale(roi, scene)
+        for roi, found in known.items()
+    )
+
+
+def faults_of(roi: bpy.types.Object) -> tuple[Fault, ...]:
+    """The photos of a box to look at."""
+    found = of_box(roi)
+    return () if found is None else found.faults
+
+
+def sides_without_photos(roi: bpy.types.Object, scene: bpy.types.Scene) -> list[str]:
+    """In words: 'above', 'below', or with Blender's names of the box's axes."""
+    found = of_box(roi)
+    if found is None or not found.without_photos:
+        return []
+    try:
+        axes = lookup.box(roi, scene).world_to_box[:3, :3]
+    except AddonError:
+        return []
+    to_world = lookup.matrix_world(scene_props(scene).root)[:3, :3]
+    own = lookup.matrix_world(roi)[:3, :3]
+    sides = [NORMALS[side] for side in found.without_photos]
+    normals = [sign * to_world @ axes[row] for row, sign in sides]
+    return [_in_words(normal, own) for normal in normals]
+
+
+def _in_words(normal: Matrix, own: Matrix) -> str:
+    """A normal in the world; `own` (3, 3): the box's axes there, as columns."""
+    rise = normal[2] / max(float(np.linalg.norm(normal)), 1e-300)
+    if abs(rise) >= STEEP:
+        return "above" if rise > 0 else "below"
+    along = normal @ own / np.maximum(np.linalg.norm(own, axis=0), 1e-300)
+    axis = int(np.abs(along).argmax())
+    return f"its {'+' if along[axis] > 0 else '-'}{'XYZ'[axis]} side"
+
+
+def _from_engine(box: dict[str, Any], cameras: list[dict[str, Any]], made: str) -> dict[str, Any]:
+    """A box of the engine's list as a record, without its place."""
+    values = [float(camera["known"]) for camera in cameras if camera["box"] == box["name"]]
+    record = {
+        "place": "",
+        "made": made,
+        "photos": len(box["photos"]),
+        "later": max(values, default=box["known"]),
+        "suggested": len(values),
+        "faults": [(fault["photo"], fault["reason"], fault["text"]) for fault in box["faults"]],
+    }
+    copied = {key: box[key] for key in ("pixels", "known", "without_photos")}
+    return asdict(Checked.from_dict(record | copied))
+
+
+def _made(request: str, data: bytes) -> str:
+    return text.json_digest([request, data.decode("utf-8", "replace")])
+
+
+@lru_cache(maxsize=1 << 8)
+def _parsed(line: str) -> Checked | None:
+    try:
+        return Checked.from_dict(text.parse_json(line.encode()))
+    except (ValueError, KeyError, TypeError, OverflowError):
+        return None
