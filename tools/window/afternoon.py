@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from .driver import REPOSITORY, Blender, Screen, WindowError, built_extension
-from .scenario import BUSY, SCENE, STATE, addon, parser, show_tab
+from .scenario import BUSY, SCENE, STATE, addon, open_photos_panel, parser, show_tab
 
 SIZE = (1400, 1000)
 COLOURS = ("+dither", "-colors", "96")
@@ -174,6 +174,7 @@ def before_training(story: Afternoon, archive: Path, side: int) -> None:
         expect(story.ask(f"{item}.name == {VASE!r}"), "the box has another name")
 
     def select() -> None:
+        open_photos_panel(blender, "roigs.select_cameras", 0.5)
         story.button("roigs.select_cameras")
         story.until_idle()
         blender.until(f"len(bpy.data.objects[{VASE!r}].roigs.selection) > 5")

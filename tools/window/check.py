@@ -15,7 +15,17 @@ import time
 from pathlib import Path
 
 from .driver import Blender, Screen, with_extension
-from .scenario import BUSY, JOB, STATE, import_demo, load_boxes, parser, prepare, show_tab
+from .scenario import (
+    BUSY,
+    JOB,
+    STATE,
+    import_demo,
+    load_boxes,
+    open_photos_panel,
+    parser,
+    prepare,
+    show_tab,
+)
 
 failures: list[str] = []
 
@@ -109,6 +119,7 @@ def first_window(blender: Blender, folder: Path) -> None:
     blend = folder / "demo.blend"
     blender.ask(f"bpy.ops.wm.save_as_mainfile(filepath={str(blend)!r})")
 
+    open_photos_panel(blender, "roigs.select_cameras", 0.5)
     at = blender.find("roigs.select_cameras")
     start = blender.click(at)
     blender.until("all(len(o.roigs.selection) for o in bpy.data.objects if o.roigs.kind == 'ROI')")

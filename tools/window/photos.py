@@ -21,7 +21,7 @@ from .afternoon import OURS, SIZE, TRAINED, Afternoon, expect
 from .check import gone_after, handled
 from .driver import REPOSITORY, Blender, Screen, WindowError, with_extension
 from .pictures import select
-from .scenario import BUSY, JOB, SCENE, STATE, addon, parser, show_tab
+from .scenario import BUSY, JOB, SCENE, STATE, addon, open_photos_panel, parser, show_tab
 
 ANSWER_SECONDS, STOP_SECONDS, ORPHAN_SECONDS = 1.0, 2.0, 5.0
 RECONSTRUCTIONS = addon("facts.reconstructions")
@@ -163,6 +163,7 @@ def train(story: Afternoon, side: int) -> None:
         story.keys(*FRAME)
 
     def select_cameras() -> None:
+        open_photos_panel(blender, "roigs.select_cameras", 0.5)
         story.button("roigs.select_cameras")
         story.until_idle()
         blender.until(f"len({OURS.format('ROI')}[0].roigs.selection) > 5")

@@ -14,7 +14,16 @@ import tempfile
 from pathlib import Path
 
 from .driver import REPOSITORY, Blender, Screen, with_extension
-from .scenario import BUSY, STATE, addon, import_demo, load_boxes, parser, prepare
+from .scenario import (
+    BUSY,
+    STATE,
+    addon,
+    import_demo,
+    load_boxes,
+    open_photos_panel,
+    parser,
+    prepare,
+)
 
 SIZE = (1040, 980)
 DRAWING = addon("viewport.draw")
@@ -100,6 +109,7 @@ def story(blender: Blender, out: Path, run: Path, max_side: int, *, trained: boo
     look_at_boxes(blender)
     picture("2-boxes", "1040x780+0+0")
 
+    open_photos_panel(blender, "roigs.select_cameras", 0.5)
     blender.click(blender.find("roigs.select_cameras"))
     blender.until("all(len(o.roigs.selection) for o in bpy.data.objects if o.roigs.kind == 'ROI')")
     blender.ask(

@@ -35,6 +35,9 @@ view()["area"].spaces.active.show_region_ui = True
 bpy.context.scene.view_settings.view_transform = "Standard"
 """
 
+ABOVE_TRAIN = {"roigs.scribble": 52, "roigs.select_cameras": 78, "roigs.suggest_photos": 104}
+"""Button -> pixels from the field **Preset** up to the header of its closed sub-panel."""
+
 
 def parser(text: str | None) -> argparse.ArgumentParser:
     """A parser with the options that all of them have."""
@@ -121,6 +124,15 @@ def open_panel(blender: Blender, command: str, x: float, above: tuple[str, float
         else:
             return
     raise WindowError("The panel did not open.")
+
+
+def open_photos_panel(blender: Blender, command: str, x: float) -> None:
+    """Open a sub-panel of step 3 by a click on its header, above the first field of step 4."""
+    scale = blender.ask("bpy.context.preferences.view.ui_scale")
+    column, row = blender.find("roigs.preset", x=0.7)
+    blender.click((column, row - round(scale * ABOVE_TRAIN[command])))
+    blender.pause(1.0)
+    blender.find(command, x=x)
 
 
 def open_result_panel(blender: Blender, command: str, x: float) -> None:

@@ -16,7 +16,6 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -29,7 +28,17 @@ from roigs_engine.formats.scribbles import BACKGROUND, Scribble, read_scribbles
 from .clean_up import IN_WINDOW, SIZE, check
 from .driver import REPOSITORY, Blender, WindowError
 from .pictures import COLOURS, LOOK
-from .scenario import BUSY, SCENE, STATE, addon, parser, pictured_failure, prepare, window
+from .scenario import (
+    BUSY,
+    SCENE,
+    STATE,
+    addon,
+    open_photos_panel,
+    parser,
+    pictured_failure,
+    prepare,
+    window,
+)
 
 DEMO = Path(__file__).with_name("scribbles.json")
 """Strokes on photos of the demo."""
@@ -155,22 +164,10 @@ def make(blender: Blender) -> None:
     check(f"made: {blender.ask(STATE + '.outcome')}", bool(blender.ask(f"{STATE}.outcome")))
 
 
-def open_panel(blender: Blender) -> None:
-    """Open the sub-panel by a click on its header, which is below the button of an empty list."""
-    for below in (30, 36, 24, 42):
-        x, y = blender.find("roigs.edit_selection", x=0.3)
-        blender.click((x, y + below))
-        blender.pause(1.0)
-        with suppress(WindowError):
-            blender.find("roigs.scribble", x=0.4)
-            return
-    raise WindowError("The panel did not open.")
-
-
 def play(blender: Blender, story: Story, shot: Callable[[str], None]) -> None:
     """Scribble, make masks, step through all photos, correct one."""
     masks = story.scene / "masks" / story.box
-    open_panel(blender)
+    open_photos_panel(blender, "roigs.scribble", 0.4)
     for photo in story.photos:
         blender.ask(f"call('roigs.edit_selection', action='ADD', photo={photo!r})")
     blender.ask(f"call('roigs.look_through', photo={story.first.photo!r})")

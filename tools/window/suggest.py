@@ -17,7 +17,7 @@ from .scenario import (
     BUSY,
     import_demo,
     load_boxes,
-    open_panel,
+    open_photos_panel,
     parser,
     pictured_failure,
     prepare,
@@ -26,8 +26,6 @@ from .scenario import (
 
 SIZE = (1040, 980)
 CAMERAS = "[o.name for o in bpy.data.objects if o.roigs.kind == 'SHOT']"
-ABOVE = ("action='ADD'", 0.5)
-"""The last button above the header of **Next Photos**."""
 
 
 def suggest(blender: Blender, out: Path) -> None:
@@ -37,7 +35,7 @@ def suggest(blender: Blender, out: Path) -> None:
     blender.until(f"not {BUSY}", 120)
     imported = time.monotonic() - began
     load_boxes(blender)
-    open_panel(blender, "roigs.suggest_photos", 0.3, ABOVE)
+    open_photos_panel(blender, "roigs.suggest_photos", 0.3)
     button = blender.find("roigs.suggest_photos", x=0.3)
     began = time.monotonic()
     blender.click(button)
