@@ -20,7 +20,6 @@ from .scenario import (
     addon,
     import_demo,
     load_boxes,
-    open_photos_panel,
     parser,
     prepare,
 )
@@ -109,13 +108,10 @@ def story(blender: Blender, out: Path, run: Path, max_side: int, *, trained: boo
     look_at_boxes(blender)
     picture("2-boxes", "1040x780+0+0")
 
-    open_photos_panel(blender, "roigs.select_cameras", 0.5)
-    blender.click(blender.find("roigs.select_cameras"))
-    blender.until("all(len(o.roigs.selection) for o in bpy.data.objects if o.roigs.kind == 'ROI')")
-    blender.ask(
-        "call('roigs.look_through', photo=bpy.data.objects['vase'].roigs.selection[1].name)"
-    )
+    blender.click(blender.find("roigs.check_photos"))
+    blender.until("bpy.data.objects['vase'].roigs.checked", 200)
     blender.until(f"not {BUSY}")
+    blender.ask("call('roigs.look_through', photo='close/vase_00.jpg')")
     blender.pause(2.0)
     picture("3-cameras", "1040x958+0+0")
 
