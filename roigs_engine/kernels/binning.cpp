@@ -1,8 +1,8 @@
 // Binning: every tile's list of splats, front to back.
 //
-// Splats are sorted by depth once (radix sort), then dealt out to the tiles' lists in that order
-// (a counting sort by tile). Both are stable, and both run in parts that keep the order of the
-// result: equal depths stay in the order of the Gaussians at any number of threads.
+// A radix sort puts the splats in order of depth. A counting sort by tile then distributes them to
+// the tiles' lists in that order. Both sorts are stable, and both run in parts that keep the order
+// of the result. So equal depths stay in the order of the Gaussians, at any number of threads.
 #include <cstring>
 
 #include "view.h"
@@ -11,7 +11,7 @@ namespace roigs {
 namespace {
 
 constexpr int kDigitBits = 11, kDigits = 1 << kDigitBits;  // three digits cover 32 bits
-constexpr int64_t kSmallestPart = 8192;                    // splats worth a thread
+constexpr int64_t kSmallestPart = 8192;                    // fewer splats are not worth a thread
 
 struct Part {
     int64_t begin, end;
@@ -25,8 +25,8 @@ Part part(int64_t items, int parts, int64_t p) {
     return {items * p / parts, items * (p + 1) / parts};
 }
 
-// Turns counts per part and bucket into the place where each part's next item of a bucket goes:
-// buckets in order, and within a bucket the parts in order.
+// Turns counts per part and bucket into places: where each part's next item of a bucket goes.
+// Buckets are in order, and within a bucket the parts are in order.
 void places_from_counts(int32_t* counts, int parts, int64_t buckets) {
     int32_t total = 0;
     for (int64_t b = 0; b < buckets; ++b)
@@ -38,7 +38,7 @@ void places_from_counts(int32_t* counts, int parts, int64_t buckets) {
         }
 }
 
-// Depths are positive, so their bit patterns sort as they do.
+// Depths are positive, so their bit patterns have the same order.
 void collect_depths(View& view) {
     uint32_t* keys = view.depth_keys[0].data();
     int32_t* order = view.depth_order[0].data();
@@ -53,7 +53,7 @@ void collect_depths(View& view) {
     });
 }
 
-// One pass of the radix sort: from buffers `from` to the other ones, by the digit at `shift`.
+// One pass of the radix sort, by the digit at `shift`: from buffers `from` to the other ones.
 void sort_pass(View& view, int from, int shift, int parts) {
     const uint32_t *keys = view.depth_keys[from].data();
     const int32_t* order = view.depth_order[from].data();
@@ -79,8 +79,8 @@ void sort_pass(View& view, int from, int shift, int parts) {
     });
 }
 
-// Calls visit(splat, tile, slot) for the splats of one part of the depth order. In this order, they
-// lie scattered in memory: it is fetched some splats ahead, in two steps.
+// Calls visit(splat, tile, slot) for the splats of one part of the depth order. In this order,
+// splats are scattered in memory, so their memory is fetched some splats ahead, in two steps.
 template <class Visit>
 void for_each_tile(const View& view, const int32_t* order, Part r, const Visit& visit) {
     constexpr int64_t kSpanAhead = 32, kTilesAhead = 16;

@@ -1,4 +1,5 @@
-// The constants of the model, those of rasterize/inputs.py, and what follows from float32.
+// The constants of the model (the same as in rasterize/inputs.py), and limits that follow from
+// float32.
 #pragma once
 
 namespace roigs {
@@ -11,8 +12,8 @@ constexpr float kFrustumMargin = 0.3f;           // see linearisation point, geo
 constexpr float kLog2AlphaMin = -7.9943534369f;  // log2(1 / 255), the smallest alpha drawn
 constexpr float kExponentScale = 0.7213475204f;  // log2(e) / 2: exp(-x / 2) = 2^(-x this)
 
-// Culling takes Gaussians and pixel blocks whose log2(alpha) falls short of the limit by less
-// than this, so that rounding never drops what the blending, which decides, would draw.
+// Culling keeps Gaussians and pixel blocks whose log2(alpha) is below the limit by less than this.
+// The blending decides; so rounding in the culling never drops a Gaussian that it would draw.
 constexpr float kCullSlack = 1e-3f;
 
 }  // namespace roigs

@@ -1,5 +1,5 @@
-// Rows of a matrix in another order: what an edit of the model copies. Most of its time goes into
-// the fresh memory that it writes, and all threads take their part of that.
+// Copies rows of a matrix in another order, for edits of the model. Writing fresh memory takes most
+// of the time, so all threads share it.
 #include <algorithm>
 #include <cstring>
 

@@ -1,4 +1,4 @@
-// Which instruction set this processor and operating system can run. library.py asks the generic
+// The instruction set that this processor and operating system can run. library.py asks the generic
 // library before it loads a faster one.
 #include "parallel.h"
 

@@ -1,7 +1,7 @@
-// Which tiles splats touch: those in which the ellipse alpha >= 1/255 meets the hull of the tile's
-// pixel centres. Exact, and one step per row of tiles: a row cuts a horizontal slab out of the
-// ellipse, which is convex, so that the tiles between the slab's leftmost and rightmost point are
-// touched, and no others. Batches of splats, one per lane.
+// The tiles that splats touch: those in which the ellipse alpha >= 1/255 meets the hull of the
+// tile's pixel centres. The result is exact, and takes one step per row of tiles: a row cuts a
+// horizontal slab out of the ellipse. The ellipse is convex, so the splat touches the tiles between
+// the slab's leftmost and rightmost point, and no others. Batches of splats, one per lane.
 #pragma once
 
 #include "constants.h"
@@ -10,7 +10,7 @@
 
 namespace roigs {
 
-// The pixel centres of the tiles being worked on lie in this rectangle.
+// The rectangle of the pixel centres of the tiles to draw.
 struct PixelBounds {
     float left, top, right, bottom;
     explicit PixelBounds(const Camera& c)
@@ -27,7 +27,7 @@ private:
 struct TileRange {
     Floats first, last;
     TileRange(Floats low, Floats high, int begin, int end) {
-        // clipped before rounding: what is far outside does not fit an integer
+        // clipped before rounding, because values far outside do not fit an integer
         const Floats a = (low - (kTile - 0.5f)) * (1.0f / kTile);
         const Floats b = (high - 0.5f) * (1.0f / kTile);
         first = ceil(clamp(a, splat(float(begin)), splat(float(end))));
@@ -55,16 +55,16 @@ struct Ellipses {
                         both(is_finite(splat_columns[9]), is_finite(splat_columns[10])))),
           rows(y - splat_columns[13], y + splat_columns[13], camera.tile_y0, camera.tile_y1) {}
 
-    // x of the leftmost (sign -1) or rightmost (+1) point with dy in [low, high]: the ellipse's
-    // side is furthest out at its extreme point, and falls off from there on both sides.
+    // x of the leftmost (sign -1) or rightmost (+1) point with dy in [low, high]. The ellipse's
+    // side is farthest out at its extreme point, and falls off from there in both directions.
     Floats side(float sign, Floats low, Floats high) const {
         const Floats dy = clamp(sign * extreme_y, low, high), v = l22 * dy;
         return x + slope_x * dy + sign * inverse_l11 * sqrt(max(headroom - v * v, Floats{}));
     }
 };
 
-// A run of neighbouring tiles for each lane: the first one's place in the camera's rectangle of
-// tiles, row by row, and how many.
+// A run of neighbouring tiles for each lane: the place of the first one in the camera's rectangle
+// of tiles, row by row, and their number.
 struct TileRuns {
     Ints first, length;
 };
@@ -76,7 +76,7 @@ ROIGS_INLINE TileRuns runs_in_row(const Ellipses& e, int r, const PixelBounds& b
     const Floats high = min(top + (kTile - 1), splat(bounds.bottom)) - e.y;
     const Floats left = e.side(-1, low, high), right = e.side(1, low, high);
     const TileRange columns(left, right, camera.tile_x0, camera.tile_x1);
-    // the last tile may stick out of the image: its hull ends with the image's pixel centres
+    // the last tile may extend beyond the image, but its hull ends with the image's pixel centres
     const Mask touches = both(e.drawable, both(less(row, e.rows.last + 0.5f),
                                                less(left, splat(bounds.right))));
     const Floats length = max(columns.last - columns.first + 1.0f, Floats{});

@@ -1,5 +1,5 @@
-// What a photo's depth map says of points: how far in front of or behind the surface they are.
-// After Curless and Levoy (1996); surface/fusion.py says what the sums are for.
+// Adds a photo's depth map to points: how far they are in front of or behind the surface. After
+// Curless and Levoy (1996); surface/fusion.py explains the use of the sums.
 #include <algorithm>
 #include <cmath>
 
@@ -14,7 +14,7 @@ struct Sample {
     float depth, weight, slope;
 };
 
-// Between pixels: bilinear on one surface, the nearest pixel's elsewhere.
+// Between pixels: bilinear on one surface, elsewhere the value of the nearest pixel.
 Sample sample(const DepthPhoto& photo, float x, float y) {
     const int32_t left = int32_t(x), top = int32_t(y);
     const float across = x - left, down = y - top;
@@ -56,8 +56,8 @@ void roigs_fuse_depth(const float* points, int64_t count, const roigs::DepthPhot
             const float truncation =
                 std::max(photo->truncation, photo->footprints * found.depth);
             const float distance = (found.depth - z) * found.slope / truncation;
-            // Behind what it shows, a photo counts as its pixels do there: else photos of something
-            // near would outvote, far behind that, all others.
+            // Behind the surface, a photo has the weight of its pixels at the point's distance.
+            // Otherwise, photos of a near object would outvote all others far behind it.
             const float nearer = std::min(found.depth / z, 1.0f);
             const float weight = found.weight * nearer * nearer;
             float* sum = sums + 5 * i;

@@ -1,6 +1,6 @@
 // The projection of a batch of Gaussians, one per lane (EWA splatting, Zwicker et al. 2001; 3DGS,
-// section 4). Forward and backward both start from it: computing it again is cheaper than the
-// memory to keep it in.
+// section 4). Forward and backward passes both start from it. Computing it again is cheaper than
+// keeping it in memory.
 #pragma once
 
 #include "constants.h"
@@ -15,7 +15,7 @@ struct Geometry {
     Floats inverse_z;        // 1 / t[2]
     Floats x, y;             // projected centre, px
     Floats slope[2];         // x / z and y / z where the projection is linearised
-    Mask slope_is_free[2];   // that point is the centre itself, not clamped to the view
+    Mask slope_is_free[2];   // true if that is the centre itself, not clamped to the view
     Floats quat[4];          // unit quaternion wxyz
     Floats inverse_norm;     // 1 / |stored quaternion|
     Floats R[3][3];          // rotation of the Gaussian's axes
@@ -32,7 +32,7 @@ ROIGS_INLINE Floats dot3(const Floats* a, const Floats* b) {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-// Within the range of float; NaN stays NaN, so that the Gaussian is left out.
+// Clamped to the range of float. NaN stays NaN, so that the Gaussian is left out.
 ROIGS_INLINE Floats exp(Floats x) {
     return exp2(clamp(1.44269504f * x, splat(-126.0f), splat(127.0f)));
 }
@@ -57,9 +57,9 @@ ROIGS_INLINE void rotate(const float* quats, const int32_t* ids, Geometry& g) {
     g.R[2][2] = 1.0f - 2.0f * (x * x + y * y);
 }
 
-// T = J W. Far outside the view the linearisation explodes; as in 3DGS, it is taken at the
-// nearest point of the view widened by kFrustumMargin of its half angle. The view's two sides
-// are not symmetric when the principal point is off the image's centre.
+// T = J W. Far outside the view, the linearisation diverges. As in 3DGS, it is taken at the nearest
+// point of the view, widened by kFrustumMargin of its half angle. The view's two sides are not
+// symmetric if the principal point is off the image's centre.
 ROIGS_INLINE void linearise(const Camera& camera, Geometry& g) {
     const float size[2] = {float(camera.width), float(camera.height)};
     const float focal[2] = {camera.fx, camera.fy}, centre[2] = {camera.cx, camera.cy};
@@ -78,8 +78,8 @@ ROIGS_INLINE void linearise(const Camera& camera, Geometry& g) {
     }
 }
 
-// Projects the centres of the Gaussians in rows `ids`. Returns the lanes in front of the near plane
-// that do not lie far beside the image; the others hold finite nonsense or not.
+// Projects the centres of the Gaussians in rows `ids`. Returns the lanes that are beyond the near
+// plane and not far beside the image. The other lanes hold meaningless values, finite or not.
 ROIGS_INLINE Mask project_centres(const Gaussians& gaussians, const Camera& camera,
                                   const int32_t* ids, Geometry& g) {
     Floats mean[4];
@@ -118,7 +118,7 @@ ROIGS_INLINE void project_shapes(const Gaussians& gaussians, const Camera& camer
         }
 
     // det(U U^T + blur I) = |U0 x U1|^2 + blur (|U0|^2 + |U1|^2) + blur^2 (Cauchy-Binet). For
-    // needles xx yy - xy^2 would cancel to nothing, or to something negative.
+    // needles, xx yy - xy^2 would cancel to zero or to a negative number.
     const Floats x2 = dot3(g.U[0], g.U[0]), y2 = dot3(g.U[1], g.U[1]);
     const Floats cross[3] = {g.U[0][1] * g.U[1][2] - g.U[0][2] * g.U[1][1],
                              g.U[0][2] * g.U[1][0] - g.U[0][0] * g.U[1][2],
@@ -147,9 +147,9 @@ ROIGS_INLINE Mask in_front(const Geometry& g, const Camera& camera) {
     return greater(g.t[2], camera.min_sigmas * sqrt(dot3(along, along)));
 }
 
-// A Gaussian that is drawn wider than it is stored is as much fainter: its integral is the same. So
-// it is with anti-aliasing, and where pixels are averages of several of the whole photo's. Elsewhere
-// this is the opacity itself.
+// A Gaussian that is drawn wider than it is stored is drawn fainter, so that its integral stays the
+// same. This happens with anti-aliasing, and if pixels are averages of several pixels of the whole
+// photo. Otherwise, this is the opacity itself.
 ROIGS_INLINE Floats drawn_opacity(const Geometry& g) {
     return g.opacity * sqrt(g.stored_determinant / g.determinant);
 }
@@ -164,7 +164,7 @@ ROIGS_INLINE Whitening whitening(const Geometry& g) {
     return {l11, -l11 * g.xy / g.yy, sqrt(kExponentScale / g.yy)};
 }
 
-// Unit vectors from the camera to the Gaussians' centres, the argument of their colours. Returns
+// Unit vectors from the camera to the Gaussians' centres; colours depend on them. Returns
 // 1 / distance.
 ROIGS_INLINE Floats view_direction(const Floats* mean, const Camera& camera,
                                    Floats (&direction)[3]) {

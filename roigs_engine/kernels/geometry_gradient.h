@@ -1,5 +1,5 @@
-// The gradient of the projection: from what the raster pass found out about a Gaussian to its
-// parameters. Batches of Gaussians, one per lane.
+// The gradient of the projection: from the raster pass's gradients of a splat to those of the
+// Gaussian's parameters. Batches of Gaussians, one per lane.
 #pragma once
 
 #include "geometry.h"
@@ -11,16 +11,16 @@ struct Gradient2d {
     Floats xx, xy, yy;  // dL / d(Sigma'), a symmetric matrix
 };
 
-// .. and of what a plane depends on beside these, see plane.h.
+// .. and of the other values that a plane depends on (plane.h).
 struct PlaneGradient {
     Floats U[2][3], w[3];
     Floats z;         // depth of the centre
     Floats slope[2];  // Geometry::slope
 };
 
-// Through drawn_opacity: with `weight` = dL / d(log opacity) and P the covariance with the blur of
-// the stored opacity, dL / d(Sigma') has weight (P^-1 - Sigma'^-1) / 2 in addition. P may have no
-// blur and be all but singular: such a Gaussian is too faint to be drawn, and has no weight.
+// Through drawn_opacity. With `weight` = dL / d(log opacity) and P the covariance with the blur of
+// the stored opacity, adds weight (P^-1 - Sigma'^-1) / 2 to dL / d(Sigma'). P may have no blur and
+// be nearly singular. Such a Gaussian is too faint to be drawn, and has no weight.
 inline void add_opacity_gradient(const Camera& camera, const Geometry& g, Floats weight,
                                  Gradient2d& d) {
     if (camera.blur == camera.stored_blur) return;
@@ -63,13 +63,13 @@ inline void quaternion_gradient(const Geometry& g, const Floats (&dR)[3][3], Flo
     out[1] = 2.0f * (w * yz + y * sum_xy + z * sum_zx - 2.0f * x * (dR[1][1] + dR[2][2]));
     out[2] = 2.0f * (w * zx + x * sum_xy + z * sum_yz - 2.0f * y * (dR[0][0] + dR[2][2]));
     out[3] = 2.0f * (w * xy + x * sum_zx + y * sum_yz - 2.0f * z * (dR[0][0] + dR[1][1]));
-    // through the normalisation: the part along the quaternion changes nothing
+    // through the normalisation, where the part along the quaternion has no effect
     const Floats along = dot3(out, g.quat) + out[3] * g.quat[3];
     for (int k = 0; k < 4; ++k) out[k] = (out[k] - along * g.quat[k]) * g.inverse_norm;
 }
 
-// Through Sigma' = U U^T + blur and U = T R S: gradients of scale and rotation, and dL / dT. Through a
-// plane, too, if it is not null.
+// Through Sigma' = U U^T + blur and U = T R S: gradients of scale and rotation, and dL / dT. If
+// `plane` is not null, through it, too.
 inline void covariance_gradient(const Camera& camera, const Geometry& g, const Gradient2d& d,
                                 const PlaneGradient* plane, Floats (&scale)[3], Floats (&quat)[4],
                                 Floats (&dT)[2][3]) {
@@ -96,9 +96,8 @@ inline void covariance_gradient(const Camera& camera, const Geometry& g, const G
     quaternion_gradient(g, dR, quat);
 }
 
-// Through the pinhole projection of the centre and through T = J W (see linearise), both of which
-// depend on the camera-frame centre t; then to the world frame. Through a plane, too, if it is not
-// null.
+// Through the pinhole projection of the centre and through T = J W (see linearise); both depend on
+// the camera-frame centre t. Then to the world frame. If `plane` is not null, through it, too.
 inline void centre_gradient(const Camera& camera, const Geometry& g, const Gradient2d& d,
                             const PlaneGradient* plane, const Floats (&dT)[2][3],
                             Floats (&mean)[3]) {

@@ -9,14 +9,14 @@
 //     A = 2 mu_x mu_t + C1                B = 2 (P - mu_x mu_t) + C2
 //     C = mu_x^2 + mu_t^2 + C1            D = S - mu_x^2 - mu_t^2 + C2       SSIM = A B / (C D)
 //
-// SSIM needs only the sum of the two variances, hence four filtered maps and not five. G is
-// symmetric, so it is its own adjoint:
+// SSIM needs only the sum of the two variances, so four filtered maps are enough. G is symmetric,
+// so it is its own adjoint:
 //
 //     dSSIM/dx = G*(dSSIM/dmu_x) + 2 x G*(dSSIM/dS) + t G*(dSSIM/dP)
 //
-// Each task carries one channel of a band of rows through three stages, a group of rows at a
-// time, with a delay between the stages. What is in flight is a few rows per map, which stay in
-// the cache; whole maps would go through main memory about twenty times.
+// Each task takes one channel of a band of rows through three stages, a group of rows at a time,
+// with a delay between the stages. So only a few rows per map are in use at a time, and they stay
+// in the cache. Whole maps would go through main memory about twenty times.
 //
 //     moments     x, x^2 + t^2, x t, t  filtered along rows           group g
 //     similarity  the same along columns, SSIM, and its derivatives
@@ -60,13 +60,13 @@ ROIGS_INLINE float sum(Floats x) {
 
 ROIGS_INLINE Floats absolute(Floats x) { return floats_of(bits_of(x) & 0x7fffffff); }
 
-// Rows of a map that are in flight: `kRingGroups` groups, each row with zeros on both sides.
+// The rows of a map that are in use: `kRingGroups` groups, each row with zeros on both sides.
 class Ring {
 public:
     Ring(float* memory, int64_t stride) : memory_(memory), stride_(stride) {}
     static int64_t size(int64_t stride) { return kRingGroups * kGroup * stride; }
 
-    // First element of an image row; rows from one window above the image on have a place.
+    // First element of an image row. Rows above the image have a place, too, up to one window.
     float* row(int64_t y) const {
         const int64_t place = (y + kRingGroups * kGroup) % (kRingGroups * kGroup);
         return memory_ + place * stride_ + kPad;
@@ -78,7 +78,7 @@ private:
     int64_t stride_;
 };
 
-// out = the row filtered; the row has zeros on both sides.
+// out = the filtered row. The row has zeros on both sides.
 void filter_row(const float* row, float* out, int64_t width) {
     for (int64_t x = 0; x < width; x += kLanes) {
         Floats total = kWindow[0] * load(row + x);
@@ -106,7 +106,7 @@ struct Columns {
     }
 };
 
-// What is asked for, the same for all tasks.
+// The request, the same for all tasks.
 struct Problem {
     int64_t width, height;
     const float* image;     // (3, height, width)
@@ -192,7 +192,7 @@ private:
         filter_row(product, products_.row(y), padded_);
     }
 
-    // Rows outside [begin, end) are needed for their derivatives only: another band counts them.
+    // Rows outside [begin, end) are needed only for their derivatives. Another band counts them.
     void similarity(int64_t y0, int64_t begin, int64_t end) {
         fill_weights(y0);
         const Columns means_x(mean_image_, y0), means_t(mean_target_, y0), squares(squares_, y0),
@@ -226,7 +226,7 @@ private:
             const int64_t y = y0 + j;
             if (y >= begin && y < end) p_.ssim_sums[channel_ * p_.height + y] = sum(total[j]);
             if (!p_.gradient) continue;
-            // Weights are zero outside the image, hence the derivatives are.
+            // Weights are zero outside the image, and so are the derivatives.
             filter_row(group_rows_[0][j], d_mean_.row(y), padded_);
             filter_row(group_rows_[1][j], d_squares_.row(y), padded_);
             filter_row(group_rows_[2][j], d_products_.row(y), padded_);
@@ -270,7 +270,7 @@ private:
         }
     }
 
-    // Weights of a group's rows: 1 where the caller gave none, 0 outside the image.
+    // Weights of a group's rows: 1 if the caller gave none, 0 outside the image.
     void fill_weights(int64_t y0) {
         for (int j = 0; j < kGroup; ++j) {
             float* row = weight_rows_ + j * stride_;
@@ -293,8 +293,9 @@ private:
     float* weight_rows_;
 };
 
-// Memory of the calling thread, kept from call to call and never freed: fresh memory costs a page
-// fault for every 4 KiB. Zeroed when it is new or its layout changes, for the rows' padding.
+// Memory of the calling thread. It is kept from call to call and never freed, because fresh memory
+// costs a page fault for every 4 KiB. It is zeroed if it is new or its layout changes, for the
+// rows' padding.
 float* zeroed_scratch(int64_t size, int64_t layout) {
     thread_local float* memory = nullptr;
     thread_local int64_t capacity = 0, last_layout = 0;
@@ -328,11 +329,11 @@ double sum_of(const float* values, int64_t count) {
 }  // namespace
 }  // namespace roigs
 
-// Loss of `image` (3, height, width) against the photo `target` (height, width, 3), and, unless
-// null, its gradient (3, height, width). `weights` (height, width), or null for equal weights,
-// weigh the pixels in both terms; they are divided by their sum. Writes the loss, its L1 part and
-// the mean SSIM to `result`. Each row's sum is computed the same way whatever the bands are, and
-// rows are added in order: the result does not depend on the number of threads.
+// Loss of `image` (3, height, width) against the photo `target` (height, width, 3), and its
+// gradient (3, height, width) unless that is null. `weights` (height, width) weigh the pixels in
+// both terms; they are divided by their sum. Null means equal weights. Writes the loss, its L1 part
+// and the mean SSIM to `result`. Each row's sum is computed in the same way for any bands, and rows
+// are added in order. So the result does not depend on the number of threads.
 ROIGS_API void roigs_photo_loss(int64_t width, int64_t height, const float* image,
                                 const uint8_t* target, const float* weights, float ssim_weight,
                                 float* gradient, double* result) {
@@ -352,8 +353,8 @@ ROIGS_API void roigs_photo_loss(int64_t width, int64_t height, const float* imag
                           sums.data(),
                           sums.data() + 3 * height};
 
-    // Neighbouring bands both compute the rows around their border: no more bands than threads,
-    // and none of just a few rows.
+    // Neighbouring bands both compute the rows around their border. So there are no more bands than
+    // threads, and no band has just a few rows.
     constexpr int64_t kSmallestBand = 32;
     const int64_t bands = std::max<int64_t>(1, std::min<int64_t>(threads(), height / kSmallestBand));
     const int64_t rows = chunks(chunks(height, bands), kGroup) * kGroup;

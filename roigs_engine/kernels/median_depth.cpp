@@ -1,6 +1,6 @@
-// The median depth of each pixel: that of the Gaussian at which the weights, added front to back,
-// reach half of their sum. The sum is known only after blending: what lies in front of the median is
-// then blended once more, without colours, and the blending itself has nothing to do for it.
+// The median depth of each pixel: the depth of the Gaussian at which the weights, added front to
+// back, reach half of their sum. The sum is known only after blending. So the Gaussians in front of
+// the median are then blended once more, without colours. This costs the blending itself nothing.
 #include "tile.h"
 
 namespace roigs {
@@ -13,8 +13,8 @@ struct Medians {
     Floats half[kBlocks];  // the transmittance behind half of a pixel's weights
 };
 
-// Blends the splats of a batch whose bits are set in `todo` into block b. A pixel's depth is that of
-// its last splat so far, until half is reached. Returns false when it is for all pixels.
+// Blends the splats of a batch whose bits are set in `todo` into block b. A pixel's depth is that
+// of its last splat so far, until half is reached. Returns false when all pixels have reached half.
 ROIGS_INLINE bool pass_block(const Batch& batch, uint64_t todo, int b, Medians& medians) {
     const Floats x = load(kLayout.x[b]), y = load(kLayout.y[b]), half = medians.half[b];
     Floats transmittance = medians.transmittance[b], depth = medians.depth[b];

@@ -1,8 +1,8 @@
-// Mutex, condition and thread of the operating system, as thin as they can be.
+// Thin wrappers of the operating system's mutex, condition and thread.
 //
-// Why not std::mutex and std::thread: they live in the compiled part of the C++ library. The
-// bundled compiler would have to build that library first (30 to 60 seconds during set-up, and
-// ten times the size of our kernels). What the kernels use of C++ is in headers; see runtime.cpp.
+// Why not std::mutex and std::thread: they are in the compiled part of the C++ library. The bundled
+// compiler would have to build that library first (30 to 60 seconds during set-up, and ten times
+// the size of our kernels). The kernels use only the C++ headers; see runtime.cpp.
 #pragma once
 
 #ifdef _WIN32

@@ -1,4 +1,4 @@
-// The thread pool behind parallel_for; see parallel.h for what it promises.
+// The thread pool of parallel_for. parallel.h has its contract.
 #include "parallel.h"
 
 #include <algorithm>
@@ -11,7 +11,7 @@ namespace {
 
 std::atomic<int> wanted_threads{1};
 
-// True on a thread that is inside a loop's body: a nested loop then runs serially.
+// True on a thread that is inside a loop's body. A nested loop then runs serially.
 thread_local bool inside_loop = false;
 
 class Pool {
@@ -35,9 +35,9 @@ public:
         work_available_.notify_all();
         take_tasks();
 
-        // All tasks are taken. Helpers that have not woken up by now are not waited for: they
-        // find no seat and sleep on. Waiting for them would cost a scheduler round trip per loop
-        // when the cores are busy with something else.
+        // All tasks are taken. Do not wait for helpers that have not woken up yet: they find no
+        // seat and go on sleeping. If other programs keep the cores busy, waiting for them would
+        // cost a scheduler round trip per loop.
         Lock lock(state_);
         seats_ = 0;
         while (busy_ > 0) helpers_done_.wait(state_);
@@ -67,11 +67,11 @@ private:
         }
     }
 
-    Mutex callers_;  // held for a whole loop: loops of several callers take turns
+    Mutex callers_;  // held for a whole loop, so loops of several callers take turns
 
-    Mutex state_;  // guards all below but next_
+    Mutex state_;  // guards everything below except next_
     Condition work_available_, helpers_done_;
-    uint64_t loop_ = 0;  // number of the current loop, so that a worker joins each loop once
+    uint64_t loop_ = 0;  // number of the current loop; a worker joins each loop once
     int workers_ = 0;
     int seats_ = 0;  // workers that may still join the current loop
     int busy_ = 0;   // workers inside it
@@ -82,18 +82,18 @@ private:
     std::atomic<int64_t> next_{0};
 };
 
-// The pool is never destroyed. At process exit its threads sleep on condition variables that stay
-// valid until the operating system ends them; joining them in a static destructor hangs on
-// Windows (the loader lock is held) and races with the interpreter's shutdown elsewhere.
+// The pool is never destroyed. At process exit, its threads sleep on condition variables, which
+// stay valid until the operating system ends the threads. Joining them in a static destructor would
+// hang on Windows (the loader lock is held), and race with the interpreter's shutdown elsewhere.
 std::atomic<Pool*> current_pool{nullptr};
 
 Pool& pool() {
     Pool* existing = current_pool.load(std::memory_order_acquire);
-    // A forked child has none of its parent's threads: it starts a pool of its own.
+    // A forked child has none of its parent's threads, so it starts its own pool.
     if (existing && existing->process == this_process()) return *existing;
     Pool* fresh = new Pool;
     if (current_pool.compare_exchange_strong(existing, fresh)) return *fresh;
-    delete fresh;  // another thread was first; this one has started no workers yet
+    delete fresh;  // another thread was first; `fresh` has started no workers yet
     return *existing;
 }
 

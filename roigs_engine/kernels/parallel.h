@@ -1,14 +1,14 @@
-// The kernels' thread pool: a parallel loop with dynamic scheduling, and nothing else.
+// The kernels' thread pool: only a parallel loop with dynamic scheduling.
 //
-// Why not OpenMP: torch brings its own OpenMP runtime, two of them in one process fight over the
-// cores (or crash on macOS), and the compilers we ship with do not carry one for every platform.
+// Why not OpenMP: torch has its own OpenMP runtime. Two such runtimes in one process compete for
+// the cores (or crash on macOS). And our bundled compilers do not have one for every platform.
 //
 // Rules for the body of a loop
 //   * It runs once for each task in [0, tasks), in any order, on any thread.
-//   * It throws nothing; all kernels are compiled without exceptions (see runtime.cpp).
-//   * Results may not depend on which thread runs a task: write to slots owned by the task, and
+//   * It throws nothing: all kernels are compiled without exceptions (see runtime.cpp).
+//   * Results must not depend on which thread runs a task. So write to slots owned by the task, and
 //     add partial sums in task order afterwards. Then every result is the same at any number of
-//     threads, which the tests check bit for bit.
+//     threads; tests check this bit for bit.
 //   * `thread_local` scratch is fine: the pool's threads live as long as the process.
 //   * A parallel_for inside a body runs serially on the thread it is called from.
 #pragma once
@@ -25,7 +25,7 @@
 
 namespace roigs {
 
-// Number of threads a parallel_for uses, the calling one included. At least 1.
+// Number of threads that a parallel_for uses, including the calling one. At least 1.
 int threads();
 
 namespace detail {

@@ -1,12 +1,13 @@
-// Where a Gaussian is densest along rays: a plane (RaDe-GS, Zhang et al. 2024, sec. 3.2). With rays
-// parallel to the one through the centre, and w the camera's z axis in the Gaussian's own axes, its
-// depth changes by
+// The points where a Gaussian is densest along rays form a plane (RaDe-GS, Zhang et al. 2024, sec.
+// 3.2). With rays parallel to the one through the centre, and w the camera's z axis in the
+// Gaussian's own axes, the plane's depth changes by
 //
 //     k = C^-1 U w per pixel,   C = U U^T + kPlaneBlur (U: Geometry),
 //
-// the mean of z at a given place in the image. Steps in the plane from pixel to pixel are orthogonal
-// to its normal: n is m = (f_x k_x / z, f_y k_y / z, ..) with m . r = -1 for the ray r = (x / z, y / z,
-// 1) of the centre, normalised. Batches of Gaussians, one per lane.
+// because it is the mean of z at a given place in the image. Steps in the plane from pixel to pixel
+// are orthogonal to its normal. So the normal n is m, normalised, with m = (f_x k_x / z, f_y k_y /
+// z, ..) and m . r = -1 for the ray r = (x / z, y / z, 1) of the centre. Batches of Gaussians, one
+// per lane.
 #pragma once
 
 #include "geometry_gradient.h"
@@ -46,8 +47,8 @@ ROIGS_INLINE Plane plane_of(const Geometry& g, const Camera& camera) {
     return p;
 }
 
-// From the moments of a surface to what the plane depends on. Adds to the gradient of the centre and,
-// as C depends on U as Sigma' does, to that of Sigma'.
+// From the moments of a surface to the values that the plane depends on. Adds to the gradient of
+// the centre, and to that of Sigma', because C depends on U as Sigma' does.
 inline PlaneGradient plane_gradient(const Camera& camera, const Geometry& g,
                                     const Floats (&moments)[16], Gradient2d& d) {
     const Plane p = plane_of(g, camera);
@@ -55,7 +56,7 @@ inline PlaneGradient plane_gradient(const Camera& camera, const Geometry& g,
     const Floats depth = moments[kPlaneDepth];
     d.x -= depth * p.slope[0];
     d.y -= depth * p.slope[1];
-    // through the normalisation: the part along the normal changes nothing
+    // through the normalisation, where the part along the normal has no effect
     const Floats along = dot3(&moments[kNormal], p.normal);
     Floats dm[3];
     for (int k = 0; k < 3; ++k)

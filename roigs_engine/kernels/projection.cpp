@@ -9,11 +9,11 @@
 namespace roigs {
 namespace {
 
-// Tiles listed before all are counted, which bounds the memory that a refused view takes: 512 MiB.
+// Tiles listed before all are counted. This limits the memory of a refused view to 512 MiB.
 constexpr int64_t kListedUncounted = 1 << 27;
 
-// Writes the splats of the lanes that can touch a pixel to `out`; returns their number. Colours
-// are left open.
+// Writes the splats of the lanes that can touch a pixel to `out`, without colours. Returns their
+// number.
 int pack_splats(const Geometry& g, Mask usable, const PixelBounds& bounds, const int32_t* ids,
                 Splat* out) {
     const Floats log2_opacity = log2(drawn_opacity(g));
@@ -65,13 +65,13 @@ int pack_splats(const Geometry& g, Mask usable, const PixelBounds& bounds, const
     return count;
 }
 
-// Fills `ids` with kLanes consecutive rows; beyond the last row it is repeated.
+// Fills `ids` with kLanes consecutive rows. After the last row, that row is repeated.
 Mask consecutive(int64_t first, int64_t end, int32_t* ids) {
     for (int i = 0; i < kLanes; ++i) ids[i] = int32_t(std::min(first + i, end - 1));
     return first_lanes(int(std::min<int64_t>(end - first, kLanes)));
 }
 
-// Colours max(SH(direction) + 1/2, 0), or their light. A colour that is not finite is left as it is.
+// Colours max(SH(direction) + 1/2, 0), or their light. A colour that is not finite stays unchanged.
 void colour_splats(const Gaussians& gaussians, const Camera& camera, Splat* splats, int count) {
     const int used = used_coefficients(gaussians), stride = 3 * gaussians.sh_coefficients;
     for (int first = 0; first < count; first += kLanes) {
@@ -99,7 +99,7 @@ void colour_splats(const Gaussians& gaussians, const Camera& camera, Splat* spla
     }
 }
 
-// How many tiles the camera's mask wants above and left of each corner of a tile.
+// The number of tiles in the camera's mask above and left of each corner of a tile.
 bool sum_tiles(View& view) {
     const int rows = view.tile_rows(), columns = view.tile_columns();
     if (!view.tile_sums.reserve(int64_t(rows + 1) * (columns + 1))) return false;
@@ -114,7 +114,7 @@ bool sum_tiles(View& view) {
     return true;
 }
 
-// Counts the tiles that the camera's mask wants, and numbers them.
+// Counts and numbers the tiles in the camera's mask.
 bool number_tiles(View& view) {
     view.masked = view.camera.tile_mask != nullptr;
     view.tiles = view.places();
@@ -131,7 +131,7 @@ bool number_tiles(View& view) {
     return sum_tiles(view);
 }
 
-// Keeps the splats whose boxes meet a tile that the mask wants: colours cost more than this.
+// Keeps the splats whose boxes meet a tile in the mask, because colours cost more than this test.
 // Returns their number.
 int keep_wanted(const View& view, Splat* splats, int count) {
     const Camera& camera = view.camera;
@@ -148,14 +148,14 @@ int keep_wanted(const View& view, Splat* splats, int count) {
         const int bottom = tile(s.y + s.reach_y, camera.tile_y0, camera.tile_y1) + 1;
         const int32_t* above = &view.tile_sums[int64_t(top) * stride];
         const int32_t* below = &view.tile_sums[int64_t(bottom) * stride];
-        // no branch: which splats are wanted cannot be guessed
+        // no branch, because the processor cannot predict which splats are kept
         splats[kept] = s;
         kept += below[right] - below[left] != above[right] - above[left];
     }
     return kept;
 }
 
-// Lists the tiles of a chunk's first `count` splats, and notes what is visible.
+// Lists the tiles of a chunk's first `count` splats, and marks visible Gaussians.
 bool list_chunk(View& view, int64_t c, int count, ListBudget& budget, uint8_t* visible) {
     Chunk& chunk = view.chunks[c];
     Splat* splats = &view.splats[c * kChunk];
@@ -185,7 +185,7 @@ bool project_chunk(View& view, const Gaussians& gaussians, int64_t c, ListBudget
     return list_chunk(view, c, count, budget, visible);
 }
 
-// Lists the tiles of the chunks that a first budget did not suffice for.
+// Lists the tiles of the chunks for which the first budget was too small.
 bool list_remaining(View& view, uint8_t* visible) {
     std::atomic<bool> failed{false};
     parallel_for(int64_t(view.chunks.size()), [&](int64_t c) {

@@ -9,16 +9,16 @@ namespace {
 
 constexpr int kTogether = 4;  // splats evaluated side by side
 
-// What a tile's pixels have gathered so far.
+// The sums of a tile's pixels so far.
 struct Gathered {
     Floats transmittance[kBlocks], red[kBlocks], green[kBlocks], blue[kBlocks], depth[kBlocks];
 };
 
-// What is asked for of the weights that a batch's splats have, over the blocks blended so far.
+// The requested values of the weights of a batch's splats, over the blocks blended so far.
 template <bool kMax, bool kSum>
 struct TileWeights {
     Floats largest[kMax ? kBatch + 1 : 1], sum[kSum ? kBatch + 1 : 1];  // as Batch::splats
-    Floats pixel[kSum ? kBlocks : 1];  // what the pixels of each block count in the sums
+    Floats pixel[kSum ? kBlocks : 1];  // the weight of each block's pixels in the sums
 
     TileWeights(const TilePlace& place, const float* pixel_weights) {
         if (!kSum) return;
@@ -27,7 +27,7 @@ struct TileWeights {
             pixel[b] = pixel_weights ? place.load_block(pixel_weights, b) : splat(1.0f);
         }
     }
-    // Clears all, and starts fetching the slots, which lie scattered in memory.
+    // Clears everything, and starts fetching the slots, which are scattered in memory.
     void begin(const View& view, const Batch& batch) {
         if (kMax) largest[kBatch] = Floats{};
         if (kSum) sum[kBatch] = Floats{};
@@ -37,8 +37,8 @@ struct TileWeights {
             if (kSum) sum[i] = Floats{}, __builtin_prefetch(&view.slot_weight_sums[slot], 1);
         }
     }
-    // Over the pixels of a block, too, to the splats' slots. Vectors beyond the batch's hold
-    // anything, and what becomes of them is left.
+    // Also combines the pixels of a block, and writes the results to the splats' slots. Vectors
+    // beyond those of the batch hold anything; their results are ignored.
     void store_to_slots(const View& view, const Batch& batch) const {
         for (int first = 0; first < batch.count; first += kFolded) {
             alignas(64) float largest_of[kFolded], sum_of[kFolded];
@@ -58,7 +58,7 @@ private:
     static Sixteen sixteen(const Floats* first) { return *(const Floats(*)[kFolded])first; }
 };
 
-// What a tile's pixels have gathered of a surface, and the planes of a batch.
+// The sums of a surface in a tile's pixels, and the planes of a batch.
 template <bool kSurface>
 struct TileSurface {
     static constexpr int kPlanes = 5;  // Outputs::surface
@@ -77,7 +77,7 @@ struct TileSurface {
     }
 };
 
-// Adds a splat's weights to a surface, before it takes them from the transmittance.
+// Adds a splat's weights to a surface, before they are taken from the transmittance.
 ROIGS_INLINE void add_plane(const LocalPlane& p, Floats x, Floats y, Floats weight,
                             Floats transmittance, Floats (&gathered)[5]) {
     const Floats depth = plane_depth(p, x, y);
@@ -86,10 +86,10 @@ ROIGS_INLINE void add_plane(const LocalPlane& p, Floats x, Floats y, Floats weig
     for (int k = 0; k < 3; ++k) gathered[2 + k] += weight * p.normal[k];
 }
 
-// Blends the splats of a batch whose bits are set in `todo` into block b. With the block's state
-// in registers, this is the loop that rendering spends its time in. Returns false when the block
-// has ended: no pixel's transmittance is above `least`. What is left in `todo` was not visited then.
-// Sets the bits in `seen` of those with a weight above `least`.
+// Blends the splats of a batch whose bits are set in `todo` into block b. This loop takes most of
+// the rendering's time; the block's state is in registers. Returns false when the block has ended:
+// no pixel's transmittance is above `least`. Then the splats left in `todo` were not visited. Sets
+// the bits in `seen` of the splats with a weight above `least`.
 template <bool kDepth, bool kSurface, bool kMax, bool kSum>
 ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t& todo, uint64_t& seen, int b,
                               Floats least, Gathered& gathered, TileSurface<kSurface>& surface,
@@ -145,8 +145,9 @@ void store_tile(const View& view, const TilePlace& place, const Gathered& g, con
     }
 }
 
-// Leaves out of passed_in the blocks in which a splat is seen, and those in which none is behind it:
-// what is passed there changes no gradient. Entries from `taken` on were not looked at.
+// Removes two kinds of blocks from passed_in: those in which the splat is seen, and those in which
+// no seen splat is behind it, because there the passed splat changes no gradient. Entries from
+// `taken` on were not tested.
 void note_passed(const View& view, int64_t begin, int64_t taken, int64_t end) {
     uint64_t later = 0;
     for (int64_t k = taken - 1; k >= begin; --k) {
@@ -206,7 +207,7 @@ void render_tile(const View& view, int64_t tile, const Outputs& out) {
     view.tile_visits[tile] = visits;
 }
 
-// Outside the tiles worked on: nothing but background.
+// Outside the drawn tiles, there is only background.
 void fill_background(const View& view, const Outputs& out) {
     const Camera& camera = view.camera;
     const int64_t plane = int64_t(camera.window_x1 - camera.window_x0) *
@@ -218,17 +219,17 @@ void fill_background(const View& view, const Outputs& out) {
     if (out.surface) std::fill_n(out.surface, 5 * plane, 0.0f);
 }
 
-// Room for a number per (Gaussian, tile) pair, 0 for those that no block blends, and for a vector
-// that begins at the last one.
+// Room for a number per (Gaussian, tile) pair, and for a vector that begins at the last one. The
+// number stays 0 if no block blends the pair.
 bool clear_slots(Scratch<float>& slots, int64_t count) {
     if (!slots.reserve(count + kLanes)) return false;
     std::fill_n(slots.data(), count, 0.0f);
     return true;
 }
 
-// Combines each splat's slots by `fold`, for which 0 changes nothing, and calls visit(row of the
-// Gaussian, result). Most splats have few slots: a vector holds them all, and there is no loop
-// over them whose end the processor would have to guess.
+// Combines each splat's slots by `fold`, for which 0 is neutral, and calls visit(row of the
+// Gaussian, result). Most splats have few slots, so one vector holds them all. This avoids a loop
+// whose end the processor would have to predict.
 template <class Fold, class Visit>
 void fold_slots(const View& view, const Scratch<float>& slots, const Fold& fold,
                 const Visit& visit) {

@@ -1,11 +1,12 @@
-// The few functions of the C++ library that headers call, so that the library need not be linked.
+// The few functions of the C++ library that headers call. So the library need not be linked.
 //
-// Used with the bundled compiler only (ROIGS_NO_CXX_LIBRARY; see build.py): compiling its C++
-// library takes longer than compiling all kernels. Headers such as <vector>, <algorithm> and
-// <atomic> work as usual. Not available, and an "undefined symbol" error when linking: exceptions,
-// std::thread and std::mutex (os_threads.h has ours), streams, std::string, `static` variables in
-// functions whose initial value is computed at run time, and thread_local objects with a
-// destructor (hold a pointer that is never freed; pool threads live as long as the process).
+// Used only with the bundled compiler (ROIGS_NO_CXX_LIBRARY; see build.py), because compiling its
+// C++ library takes longer than compiling all kernels. Headers such as <vector>, <algorithm> and
+// <atomic> work as usual. The following are not available (an "undefined symbol" error when
+// linking): exceptions, std::thread and std::mutex (os_threads.h has ours), streams, std::string,
+// `static` variables in functions whose initial value is computed at run time, and thread_local
+// objects with a destructor (hold a pointer that is never freed; pool threads live as long as the
+// process).
 #ifdef ROIGS_NO_CXX_LIBRARY
 
 #include <cstdarg>
@@ -42,7 +43,7 @@ void release(void* memory) {
 #endif
 }
 
-constexpr std::size_t kCacheLine = 64;  // plain `new` aligns to it too: vectors load faster
+constexpr std::size_t kCacheLine = 64;  // plain `new` aligns to it too, so vectors load faster
 
 std::size_t at_least_cache_line(std::align_val_t alignment) {
     const auto wanted = static_cast<std::size_t>(alignment);
@@ -67,7 +68,8 @@ void operator delete(void* p, std::size_t, std::align_val_t) noexcept { release(
 void operator delete[](void* p, std::size_t, std::align_val_t) noexcept { release(p); }
 
 #ifdef _LIBCPP_VERSION
-// Where header code ends up that would throw if exceptions were on (vector too long and the like).
+// Called by header code that would throw an exception if they were on (a vector too long and the
+// like).
 _LIBCPP_BEGIN_NAMESPACE_STD
 void __libcpp_verbose_abort(const char* format, ...) _NOEXCEPT {
     va_list arguments;

@@ -37,7 +37,7 @@ ROIGS_INLINE void sh_basis(const Floats (&d)[3], Floats (&b)[kMaxCoefficients]) 
     b[15] = -kSh3A * x * (xx - 3.0f * yy);
 }
 
-// gradient = d / dd of sum_k w_k b_k(d), d taken as three free variables; `w` beyond the bands in
+// gradient = d / dd of sum_k w_k b_k(d), with d as three free variables. `w` beyond the bands in
 // use holds zeros.
 ROIGS_INLINE void sh_direction_gradient(const Floats (&d)[3], const Floats (&w)[kMaxCoefficients],
                                         Floats (&gradient)[3]) {

@@ -1,14 +1,14 @@
-// One vector type for all instruction sets, so that the kernels read the same on each of them.
+// One vector type for all instruction sets, so that kernels need only one source.
 //
-// A vector holds one float for every pixel of a small block of a tile (raster kernels), or one
-// for every Gaussian of a batch (projection kernels):
+// A vector holds one float for each pixel of a small block of a tile (raster kernels), or one for
+// each Gaussian of a batch (projection kernels):
 //
 //     AVX-512     16 lanes, 4x4 pixels
 //     AVX2         8 lanes, 4x2 pixels
 //     otherwise    4 lanes, 2x2 pixels (SSE2, NEON, or whatever the compiler makes of it)
 //
-// `Floats` and `Ints` are GCC/clang vector types: + - * / work on them, with scalars too. What
-// these extensions lack is below. Functions named here take and return lanes; nothing traps.
+// `Floats` and `Ints` are GCC/clang vector types: + - * / work on them, also with scalars. This
+// file adds the other operations. Functions take and return lanes; nothing traps.
 #pragma once
 
 #include <cmath>
@@ -61,7 +61,7 @@ ROIGS_INLINE void store(float* p, Floats x) { std::memcpy(p, &x, sizeof x); }
 
 ROIGS_INLINE Mask greater(Floats a, Floats b) { return _mm512_cmp_ps_mask(a, b, _CMP_GT_OQ); }
 ROIGS_INLINE Mask less(Floats a, Floats b) { return _mm512_cmp_ps_mask(a, b, _CMP_LT_OQ); }
-ROIGS_INLINE Mask not_zero(Floats a) {  // also where it is NaN
+ROIGS_INLINE Mask not_zero(Floats a) {  // true for NaN, too
     return _mm512_cmp_ps_mask(a, Floats{}, _CMP_NEQ_UQ);
 }
 ROIGS_INLINE Mask both(Mask a, Mask b) { return _kand_mask16(a, b); }
@@ -77,7 +77,7 @@ ROIGS_INLINE Floats min(Floats a, Floats b) { return _mm512_min_ps(a, b); }
 ROIGS_INLINE Floats max(Floats a, Floats b) { return _mm512_max_ps(a, b); }
 ROIGS_INLINE Floats sqrt(Floats x) { return _mm512_sqrt_ps(x); }
 
-// 1 / x to about 1e-7: the 14-bit estimate and one Newton step, a third of a division's cost.
+// 1 / x to about 1e-7: the 14-bit estimate and one Newton step, at a third of a division's cost.
 ROIGS_INLINE Floats reciprocal(Floats x) {
     const Floats y = _mm512_rcp14_ps(x);
     return y * (2.0f - x * y);
@@ -156,7 +156,7 @@ ROIGS_INLINE bool any(Mask m) {
 
 #endif
 
-// NaN stays NaN: the second operand of min and max is what comes out when one is NaN.
+// NaN stays NaN: if one operand is NaN, min and max return the second operand.
 ROIGS_INLINE Floats clamp(Floats x, Floats low, Floats high) { return min(high, max(low, x)); }
 
 // For |x| below 2^31.
@@ -166,14 +166,14 @@ ROIGS_INLINE Floats floor(Floats x) {
 }
 ROIGS_INLINE Floats ceil(Floats x) { return -floor(-x); }
 
-// Looks at the bits, so that it holds under compiler flags that assume there are no NaNs.
+// Tests the bits, so that it works under compiler flags that assume there are no NaNs.
 ROIGS_INLINE Mask is_finite(Floats x) {
     return less(bits_of(x) & 0x7fffffff, Ints{} + 0x7f800000);
 }
 
 // 2^x for x in [-126, 127], relative error below 3e-7: x = n + f with |f| <= 1/2, a polynomial for
-// 2^f (minimax, 2^0 = 1 exactly), n added to the exponent. NaN stays NaN; anything may come out for
-// an x outside, and the raster loops, which drop such lanes, are spared a clamp.
+// 2^f (minimax, 2^0 = 1 exactly), n added to the exponent. NaN stays NaN. For an x outside, the
+// result is undefined: the raster loops drop such lanes, so they need no clamp.
 ROIGS_INLINE Floats exp2(Floats x) {
 #if defined(ROIGS_AVX512)
     const Floats n = _mm512_roundscale_ps(x, 0x08), f = x - n;

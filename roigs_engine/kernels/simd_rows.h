@@ -1,17 +1,17 @@
-// Moving data between rows in memory (one row per lane) and vectors (one vector per column).
+// Moves data between rows in memory (one row per lane) and vectors (one vector per column).
 #pragma once
 
 #include "simd.h"
 
 namespace roigs {
 
-// Four neighbouring floats of a row; a vector is made of kLanes / 4 of them.
+// Four neighbouring floats of a row. A vector consists of kLanes / 4 of them.
 typedef float Quad __attribute__((vector_size(16)));
 constexpr int kQuads = kLanes / 4;
 
 #if defined(ROIGS_AVX512)
 
-// Lane j of vector i becomes lane i of vector j. Interleaves 1, 2, then 4 and 8 floats at a time.
+// Lane j of vector i becomes lane i of vector j. Interleaves 1, then 2, 4 and 8 floats at a time.
 ROIGS_INLINE void transpose(Floats (&v)[16]) {
     Floats a[16], b[16];
     for (int i = 0; i < 16; i += 2) {
@@ -36,8 +36,9 @@ ROIGS_INLINE void transpose(Floats (&v)[16]) {
     }
 }
 
-// Writes v[0]'s lanes combined by `fold` (a sum, a maximum) to out[0], v[1]'s to out[1], ..: halves
-// the vectors' width four times, two vectors into one each time. Writes 16 floats.
+// Combines the lanes of v[0] by `fold` (a sum, a maximum) and writes the result to out[0], that of
+// v[1] to out[1], .. Halves the vectors' width four times, each time combining two vectors into
+// one. Writes 16 floats.
 template <int kCount, class Fold>
 ROIGS_INLINE void fold_lanes(const Floats (&v)[kCount], float* out, const Fold& fold) {
     static_assert(kCount <= 16, "one output lane for each vector");
@@ -162,8 +163,8 @@ ROIGS_INLINE void fold_four_lanes(Floats a, Floats b, Floats c, Floats d, float*
 
 #endif
 
-// Writes v[0]'s lanes combined by `fold` (a sum, a maximum) to out[0], v[1]'s to out[1], .. Writes
-// 16 floats.
+// Combines the lanes of v[0] by `fold` (a sum, a maximum) and writes the result to out[0], that of
+// v[1] to out[1], .. Writes 16 floats.
 template <int kCount, class Fold>
 ROIGS_INLINE void fold_lanes(const Floats (&v)[kCount], float* out, const Fold& fold) {
     static_assert(kCount <= 16, "out has 16 places");
@@ -183,10 +184,10 @@ ROIGS_INLINE void store_some(float* p, Floats x, int count) {
 
 #endif
 
-// join and split: a vector's quads. transpose_quads: lane j of quad q of v[i] becomes lane i of quad
-// q of v[j].
+// join and split convert between a vector and its quads. transpose_quads: lane j of quad q of v[i]
+// becomes lane i of quad q of v[j].
 #if defined(ROIGS_AVX512)
-// .. above, with what else is AVX-512
+// .. above, with the other AVX-512 code
 #elif defined(__AVX2__)
 
 ROIGS_INLINE Floats join(const Quad (&q)[2]) { return _mm256_set_m128(q[1], q[0]); }
@@ -215,8 +216,8 @@ struct Larger {
     ROIGS_INLINE Floats operator()(Floats a, Floats b) const { return max(a, b); }
 };
 
-// Starts fetching the first columns of a row that will be read, or written, soon. Rows that belong to
-// visible Gaussians follow no pattern that the processor would fetch ahead by.
+// Starts fetching the first columns of a row that will soon be read or written. Rows of visible
+// Gaussians follow no pattern by which the processor could fetch them ahead.
 template <bool kWrite>
 ROIGS_INLINE void prefetch_row(const float* row, int columns) {
     constexpr int kLine = 16;  // floats
@@ -230,9 +231,9 @@ ROIGS_INLINE Floats gather(const float* values, const int32_t* rows) {
     return x;
 }
 
-// The first `columns` columns of a row-major matrix with `stride` floats a row, at one row per
-// lane, each as a vector. Reads nothing beyond a row's `columns` floats. `out` has room for
-// `columns` rounded up to a multiple of kLanes.
+// The first `columns` columns of a row-major matrix with `stride` floats a row, each as a vector,
+// one row per lane. Reads nothing beyond a row's `columns` floats. `out` has room for `columns`,
+// rounded up to a multiple of kLanes.
 ROIGS_INLINE void load_columns(const float* matrix, int stride, int columns, const int32_t* rows,
                                Floats* out) {
     for (int first = 0; first < columns; first += kLanes) {
@@ -247,7 +248,7 @@ ROIGS_INLINE void load_columns(const float* matrix, int stride, int columns, con
     }
 }
 
-// The same for few columns, at a quarter of the shuffles or less.
+// The same for few columns, with a quarter of the shuffles or fewer.
 template <int kColumns>
 ROIGS_INLINE void load_few_columns(const float* matrix, int stride, const int32_t* rows,
                                    Floats (&out)[4]) {
@@ -262,7 +263,7 @@ ROIGS_INLINE void load_few_columns(const float* matrix, int stride, const int32_
     transpose_quads(out);
 }
 
-// Calls visit(i, quad) for each lane i: what vectors of few columns hold for it.
+// Calls visit(i, quad) for each lane i, with that lane's values from vectors of few columns.
 template <int kColumns, class Visit>
 ROIGS_INLINE void for_each_quad(const Floats (&columns)[kColumns], const Visit& visit) {
     static_assert(kColumns <= 4, "a quad holds them");
@@ -285,8 +286,8 @@ ROIGS_INLINE void add_columns(float* matrix, int stride, int columns, const int3
         const auto place = [&](int i) { return matrix + (int64_t)rows[i] * stride + first; };
         for (int i = 0; i < kLanes; ++i) tile[i] = i < used ? in[first + i] : Floats{};
         transpose(tile);
-        // All loads come before all stores: rows are neighbours in memory, and to load a vector
-        // that overlaps one being stored takes long.
+        // All loads come before all stores: rows are neighbours in memory, and loading a vector
+        // that overlaps one being stored is slow.
         if (used < kLanes) {
             for (int i = 0; i < count; ++i) tile[i] += load_some(place(i), used);
             for (int i = 0; i < count; ++i) store_some(place(i), tile[i], used);

@@ -1,4 +1,4 @@
-// The depth of opaque triangles: a z-buffer, for what hides Gaussians behind it.
+// The depth of opaque triangles: a z-buffer, for objects that hide Gaussians behind them.
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -9,7 +9,7 @@ namespace roigs {
 namespace {
 
 constexpr int64_t kRowsPerTask = 16;
-constexpr double kOverlap = 1e-4;  // px: rounding leaves no gap between neighbours
+constexpr double kOverlap = 1e-4;  // px, so that rounding leaves no gap between neighbours
 
 struct Corner {
     double x, y, w;  // pixels; 1 / depth, which is linear in the image
@@ -31,7 +31,7 @@ Point between(const Point& a, const Point& b, double z) {
     return {a.x + t * (b.x - a.x), a.y + t * (b.y - a.y), z};
 }
 
-// The part of a triangle beyond `near`: a polygon of at most four corners. Returns their number.
+// The part of a triangle beyond `near`: a polygon of up to four corners. Returns their number.
 int clipped(const float* triangle, double near, Point* polygon) {
     int count = 0;
     for (int k = 0; k < 3; ++k) {
@@ -45,7 +45,7 @@ int clipped(const float* triangle, double near, Point* polygon) {
 
 bool flattened(const Corner& a, const Corner& b, const Corner& c, Flat& flat) {
     const double area = (b.x - a.x) * (c.y - a.y) - (c.x - a.x) * (b.y - a.y);
-    if (!(std::abs(area) > 0)) return false;  // or it is NaN
+    if (!(std::abs(area) > 0)) return false;  // also false for NaN
     flat.w_x = ((b.w - a.w) * (c.y - a.y) - (c.w - a.w) * (b.y - a.y)) / area;
     flat.w_y = ((b.x - a.x) * (c.w - a.w) - (c.x - a.x) * (b.w - a.w)) / area;
     flat.w_0 = a.w - flat.w_x * a.x - flat.w_y * a.y;

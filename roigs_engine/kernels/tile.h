@@ -1,7 +1,7 @@
 // A 16x16 tile as the raster kernels see it: blocks of kLanes pixels, one vector each.
 //
-// Splats are taken in batches of 64 from the tile's list. For every splat of a batch, the blocks
-// that its ellipse touches are found first, for many blocks at once; only these are visited.
+// Splats are taken from the tile's list in batches of 64. For each splat of a batch, the kernel
+// first finds the blocks that its ellipse touches, for many blocks at once. Only these are visited.
 #pragma once
 
 #include "simd.h"
@@ -12,7 +12,7 @@ namespace roigs {
 constexpr int kBlockColumns = kTile / kBlockWidth, kBlockRows = kTile / kBlockHeight;
 constexpr int kBlocks = kBlockColumns * kBlockRows;
 constexpr int kBatch = 64;  // splats at once: a bit each in a 64-bit word
-constexpr int kAhead = 12;  // splats fetched early: they lie scattered in memory
+constexpr int kAhead = 12;  // splats fetched early, because they are scattered in memory
 static_assert(kBlocks <= 64 && kBlocks % kLanes == 0, "a bit per block; whole vectors of blocks");
 
 constexpr uint64_t kAllBlocks = ~uint64_t(0) >> (64 - kBlocks);
@@ -35,7 +35,7 @@ struct TileLayout {
 };
 inline constexpr TileLayout kLayout{};
 
-// Where a tile lies in the image, and in planes of the camera's window.
+// The place of a tile in the image, and in planes of the camera's window.
 struct TilePlace {
     int x, y, width, height;  // its corner; the image's size
     int64_t stride, plane;    // pixels of a row, and of a plane
@@ -74,15 +74,15 @@ struct TilePlace {
             std::memcpy(plane + pixel, lanes + lane, bytes);
         });
     }
-    // Starts fetching the tile's part of a plane, to be read or written when it has arrived.
+    // Starts fetching the tile's part of a plane, to be read or written later.
     template <bool kWrite>
     void prefetch(const float* plane) const {
         const int rows = std::min(height - y, kTile);
         for (int r = 0; r < rows; ++r)
             __builtin_prefetch(plane + at(x, y + r), kWrite);
     }
-    // 1 where the lane is a pixel of the image, else 0. As a starting transmittance, 0 keeps
-    // lanes off the image from weighing in anywhere and from holding up a block's end.
+    // 1 if the lane is a pixel of the image, else 0. As an initial transmittance, 0 ensures that
+    // lanes outside the image have no weight anywhere and do not delay a block's end.
     Floats start_transmittance(int b) const {
         if (block_is_whole(b)) return splat(1.0f);
         const Floats right = float(width - x) - load(kLayout.x[b]);
@@ -96,7 +96,7 @@ private:
     template <class F>
     void for_rows(int b, const F& copy) const {
         const int64_t first = at(block_x(b), block_y(b));
-        if (block_is_whole(b)) {  // the sizes are constants here, the copies single moves
+        if (block_is_whole(b)) {  // the sizes are constants here, so each copy is a single move
             for (int r = 0; r < kBlockHeight; ++r)
                 copy(first + r * stride, r * kBlockWidth, sizeof(float) * kBlockWidth);
             return;
@@ -110,8 +110,8 @@ private:
     int64_t before_;  // the window's first pixel, if the image's were number 0
 };
 
-// What blending needs of a splat. The whitened offset of the pixel at (x, y) from the tile's
-// corner is (l11 x + l21 y + u0, l22 y + v0).
+// The values of a splat that blending needs. For the pixel at (x, y) from the tile's corner, the
+// whitened offset is (l11 x + l21 y + u0, l22 y + v0).
 struct LocalSplat {
     float l11, l21, u0, l22, v0, log2_opacity;
     float red, green, blue, depth;
@@ -134,7 +134,8 @@ struct LocalSplat {
 
 // The blocks in which alpha can reach 1/255, a bit each. Exact for the hull of a block's pixel
 // centres: the exponent is concave, so over a rectangle it is largest on an edge that faces the
-// centre, and there at the unconstrained maximum along that edge (slope_x, slope_y), clamped.
+// centre. On that edge, the largest value is at the unconstrained maximum along it (slope_x,
+// slope_y), clamped.
 ROIGS_INLINE uint64_t touched_blocks(const Splat& s, float centre_x, float centre_y) {
     const Floats least = splat(kLog2AlphaMin - kCullSlack - s.log2_opacity), zero = {};
     const auto exponent = [&](Floats x, Floats y) {
@@ -154,8 +155,8 @@ ROIGS_INLINE uint64_t touched_blocks(const Splat& s, float centre_x, float centr
     return touched;
 }
 
-// Swaps bit i of words[b] with bit b of words[i], within squares of kBlocks by kBlocks bits: swaps
-// ever smaller squares.
+// Swaps bit i of words[b] with bit b of words[i], within squares of kBlocks by kBlocks bits, by
+// swapping smaller and smaller squares.
 inline void transpose_squares(uint64_t (&words)[64]) {
     for (int half = std::min(kBlocks / 2, 32); half; half /= 2) {
         const uint64_t low = ~uint64_t(0) / ((uint64_t(1) << half) + 1);
@@ -168,15 +169,15 @@ inline void transpose_squares(uint64_t (&words)[64]) {
     }
 }
 
-// From "blocks per splat" to "splats per block": bit i of words[b] becomes what bit b of words[i]
-// was. Words have kBlocks bits at first, so there are squares to put side by side.
+// From "blocks per splat" to "splats per block": bit i of words[b] gets the value of bit b of
+// words[i]. Words have kBlocks bits at first, so the result consists of squares side by side.
 inline void transpose_to_blocks(uint64_t (&words)[64]) {
     for (int half = 32; half >= kBlocks; half /= 2)
         for (int i = 0; i < half; ++i) words[i] |= words[i + half] << half;
     transpose_squares(words);
 }
 
-// The way back; reads kBlocks words. Bits beyond the first kBlocks of a word are anything.
+// The inverse; reads kBlocks words. Bits after the first kBlocks of a result word are undefined.
 inline void transpose_to_splats(uint64_t (&words)[64]) {
     transpose_squares(words);
     for (int i = kBlocks; i < 64; ++i) words[i] = words[i % kBlocks] >> (i - i % kBlocks);
@@ -185,7 +186,7 @@ inline void transpose_to_splats(uint64_t (&words)[64]) {
 struct Batch {
     LocalSplat splats[kBatch + 1];  // the last one draws nothing
     uint64_t splats_of[kBatch];     // per block, a bit for each splat that touches it
-    int16_t entry_of[kBatch];       // which of the entries taken a splat is
+    int16_t entry_of[kBatch];       // the number of a splat's entry, of those taken
     int count = 0;
 
     Batch() {
@@ -194,8 +195,8 @@ struct Batch {
     }
 };
 
-// Takes up to kBatch entries and keeps those that touch a live block; calls note(i, blocks) with the
-// live blocks that entry i touches, which may be none. Returns the number of entries taken.
+// Takes up to kBatch entries and keeps those that touch a live block. Calls note(i, blocks) with
+// the live blocks that entry i touches; there may be none. Returns the number of entries taken.
 template <class Note>
 ROIGS_INLINE int take_batch(const View& view, const TileEntry* entries, int64_t left,
                             const TilePlace& place, uint64_t live, Batch& batch,
@@ -212,20 +213,21 @@ ROIGS_INLINE int take_batch(const View& view, const TileEntry* entries, int64_t 
         if (!blocks) continue;
         batch.entry_of[batch.count] = int16_t(i);
         batch.splats[batch.count] = LocalSplat(s, entries[i].slot, x, y);
-        batch.splats_of[batch.count++] = blocks;  // blocks per splat, as yet
+        batch.splats_of[batch.count++] = blocks;  // still blocks per splat
     }
     transpose_to_blocks(batch.splats_of);
     return taken;
 }
 
-// log2(alpha) of a splat at pixels, before it is cut or capped, and the pixels' whitened offset.
+// log2(alpha) of a splat at pixels, before alpha is cut off or capped, and the pixels' whitened
+// offset.
 ROIGS_INLINE Floats exponent_at(const LocalSplat& s, Floats x, Floats y, Floats& u, Floats& v) {
     u = s.l11 * x + (s.l21 * y + s.u0);
     v = s.l22 * y + s.v0;
     return (s.log2_opacity - u * u) - v * v;
 }
 
-// Alpha, and where it depends on the parameters: drawn and not capped.
+// Alpha, and the lanes in which it depends on the parameters: drawn and not capped.
 ROIGS_INLINE Floats alpha_of(Floats exponent, Mask& moves) {
     const Mask drawn = greater(exponent, splat(kLog2AlphaMin));
     const Floats uncapped = exp2(exponent);
@@ -247,22 +249,22 @@ ROIGS_INLINE Floats plane_depth(const LocalPlane& p, Floats x, Floats y) {
     return p.depth + (p.slope_x * (x - p.x) + p.slope_y * (y - p.y));
 }
 
-// Whether a splat of this weight takes what is left of a pixel's light below a half.
+// True if a splat of this weight lowers the remaining light of a pixel to below a half.
 ROIGS_INLINE Mask is_median(Floats transmittance, Floats weight) {
-    const Floats half = splat(0.5f), below = splat(0.49999997f);  // the float in front of it
+    const Floats half = splat(0.5f), below = splat(0.49999997f);  // the next smaller float
     return both(greater(transmittance, below), less(transmittance - weight, half));
 }
 
 // The next splats of a block, evaluated side by side. One evaluation is a chain of some twenty
-// operations that wait for each other. A processor sees a hundred operations ahead or so: with
-// several chains among these, it works on one while another waits.
+// operations that wait for each other. A processor looks about a hundred operations ahead. If there
+// are several chains among these, it works on one while another waits.
 template <int kTogether>
 struct Together {
     int index[kTogether];     // in the batch
-    uint64_t bit[kTogether];  // that it had in `todo`; 0: it draws nothing
+    uint64_t bit[kTogether];  // its bit in `todo`; 0: it draws nothing
     Floats alpha[kTogether];
 
-    // Takes splats out of `todo`, front to back; when there are too few, some draw nothing.
+    // Takes splats out of `todo`, front to back. If there are too few, some draw nothing.
     ROIGS_INLINE Together(const Batch& batch, uint64_t& todo, Floats x, Floats y) {
         for (int k = 0; k < kTogether; ++k) {
             index[k] = todo ? __builtin_ctzll(todo) : kBatch;

@@ -1,20 +1,20 @@
-// Gradient of the blending, front to back like the blending itself, splat by splat: its sums stay in
-// registers while the blocks that it touches have their turn, each of which waits for no other.
+// Gradient of the blending, front to back like the blending itself, splat by splat. A splat's sums
+// stay in registers while the blocks that it touches are visited. No block waits for another.
 //
-// With v = dL / dC at a pixel, and R_i = sum_{j>i} w_j (c_j . v) + T_end (background . v) what the
-// pixel gets from behind splat i,
+// With v = dL / dC at a pixel, and R_i = sum_{j>i} w_j (c_j . v) + T_end (background . v) the light
+// that the pixel gets from behind splat i,
 //
 //     dL / d(alpha_i) = T_i (c_i . v) - R_i / (1 - alpha_i).
 //
 // R starts as (pixel colour . v), which the forward pass has computed, and loses w_i (c_i . v) with
-// each splat: one number per pixel instead of a list of what was drawn there, and no division by
-// the tiny transmittances at the back.
+// each splat. So one number per pixel replaces a list of the splats drawn there, and nothing is
+// divided by the tiny transmittances at the back.
 //
-// Through the exponent E (alpha = opacity e^E) every other gradient is a sum of
-// s = alpha dL / d(alpha) times a polynomial in the whitened offset (u, v): the six moments of
-// view.h, from which projection_backward.cpp makes gradients of centre, covariance and opacity.
+// Through the exponent E (alpha = opacity e^E), each other gradient is a sum of s = alpha dL /
+// d(alpha) times a polynomial in the whitened offset (u, v). These are the six moments of view.h;
+// projection_backward.cpp converts them to gradients of centre, covariance and opacity.
 //
-// A surface is blended as colours are: splat i adds w_i (a + d z_i(x) + h . n_i) to the loss, with
+// A surface is blended like colours: splat i adds w_i (a + d z_i(x) + h . n_i) to the loss, with
 // the pixel's dL / d(alpha), dL / d(depth) and dL / d(normal), and z_i affine in the pixel.
 #pragma once
 
@@ -24,7 +24,7 @@
 
 namespace roigs {
 
-namespace {  // of each file: inlined there
+namespace {  // a copy for each file, inlined there
 
 struct PixelBlock {
     Floats transmittance;
@@ -68,7 +68,7 @@ void load_tile(const TilePlace& place, const float* image, const float* gradient
     }
 }
 
-// What a splat's plane adds to the loss at block b's pixels, for a weight of 1.
+// The plane's part of the loss at block b's pixels, for a weight of 1.
 ROIGS_INLINE Floats plane_value(const LocalPlane& plane, const SurfaceBlock& q, Floats depth) {
     return q.alpha + q.depth * depth + q.normal[0] * plane.normal[0] +
            q.normal[1] * plane.normal[1] + q.normal[2] * plane.normal[2];
@@ -85,8 +85,8 @@ ROIGS_INLINE void visit_plane(const LocalPlane& plane, const SurfaceBlock& q, Fl
     for (int k = 0; k < 3; ++k) sum[kNormal + k] += weight * q.normal[k];
 }
 
-// Takes splat `s` off block b's pixels and adds what it finds to `sum`: the code that training spends
-// most of its time in.
+// Removes splat `s` from block b's pixels and adds its moments to `sum`. Training spends most of
+// its time in this function.
 template <bool kSurface, int kSums>
 ROIGS_INLINE void visit(const LocalSplat& s, const LocalPlane& plane, int b, PixelBlock& p,
                         const SurfaceBlock* surface, Floats (&sum)[kSums]) {
@@ -120,7 +120,8 @@ ROIGS_INLINE void visit(const LocalSplat& s, const LocalPlane& plane, int b, Pix
     sum[kBlue] += weight * p.blue;
 }
 
-// The same for a splat with hardly any weight: what is behind it gets its gradient, and it gets none.
+// The same for a splat with hardly any weight. It gets no gradient, but splats behind it get
+// theirs.
 template <bool kSurface>
 ROIGS_INLINE void pass(const LocalSplat& s, const LocalPlane& plane, int b, PixelBlock& p,
                        const SurfaceBlock* surface) {
@@ -135,8 +136,8 @@ ROIGS_INLINE void pass(const LocalSplat& s, const LocalPlane& plane, int b, Pixe
     p.transmittance -= weight;
 }
 
-// Pixels whose gradient is zero, those that a mask ignores, give a splat none. Other tiles may say
-// the same at the same time.
+// Marks a splat that gets a gradient. Pixels whose gradient is zero (those that a mask ignores)
+// give it none. Other tiles may write the same value at the same time.
 ROIGS_INLINE void note_gradient(const SlotGradient& slot, Splat& s) {
     bool found = false;
     for (int k = 0; k < 16; k += kLanes) found |= any(not_zero(load(slot.sum + k)));
@@ -144,8 +145,8 @@ ROIGS_INLINE void note_gradient(const SlotGradient& slot, Splat& s) {
         __atomic_store_n(&s.has_gradient, 1, __ATOMIC_RELAXED);
 }
 
-// `image` is what roigs_render wrote, `gradient` dL / d(image); `out` and `surface_gradient` are read
-// with kSurface alone.
+// `image` comes from roigs_render; `gradient` is dL / d(image). `out` and `surface_gradient` are
+// read only with kSurface.
 template <bool kSurface>
 void tile_gradient(View& view, int64_t tile, const float* image, const float* gradient,
                    const Outputs* out = nullptr, const float* surface_gradient = nullptr) {
@@ -166,7 +167,7 @@ void tile_gradient(View& view, int64_t tile, const float* image, const float* gr
         const TileEntry entry = view.entries[k], ahead = view.entries[std::min(k + kAhead, end - 1)];
         __builtin_prefetch(&view.splats[ahead.splat]);
         __builtin_prefetch(&view.slot_gradients[ahead.slot], 1);
-        // every slot is written: what is there is from an earlier frame
+        // every slot is written, because slots hold values of an earlier frame
         SlotGradient& slot = view.slot_gradients[entry.slot];
         uint64_t seen = view.seen_in[k], passed = view.passed_in[k];
         if (!seen) slot = SlotGradient{};

@@ -8,7 +8,7 @@
 
 namespace roigs {
 
-// From places in the camera's rectangle to numbers of tiles, see View. Runs of length 0 may begin
+// From places in the camera's rectangle to numbers of tiles (see View). Runs of length 0 may begin
 // anywhere.
 ROIGS_INLINE TileRuns wanted_tiles(const View& view, const TileRuns& places) {
     alignas(64) int32_t first[kLanes], length[kLanes];
@@ -26,7 +26,7 @@ ROIGS_INLINE TileRuns wanted_tiles(const View& view, const TileRuns& places) {
     return wanted;
 }
 
-// Writes first, first + 1, .., and up to a vector's width more than `length` of them.
+// Writes first, first + 1, .. It may write up to a vector's width more than `length` numbers.
 ROIGS_INLINE void write_run(uint32_t* out, int32_t first, int32_t length) {
     Ints tiles;
     for (int i = 0; i < kLanes; ++i) tiles[i] = first + i;
@@ -36,8 +36,8 @@ ROIGS_INLINE void write_run(uint32_t* out, int32_t first, int32_t length) {
     }
 }
 
-// How many tiles may be listed before their number is known. Without a limit, lists that turn out
-// to be too many would have filled the memory before.
+// The number of tiles that may be listed before the total is known. Without a limit, too many lists
+// would fill the memory before this is noticed.
 class ListBudget {
 public:
     explicit ListBudget(int64_t tiles) : left_(tiles) {}
@@ -49,12 +49,12 @@ private:
     std::atomic<int64_t> left_;
 };
 
-// Lists the tiles of a chunk's splats and drops the splats that touch none or have no finite
-// colour. Where the budget ends before, it leaves the splats as they are, counts their tiles, and
-// sets chunk.listed to false. Returns false when there is not enough memory.
+// Lists the tiles of a chunk's splats, and drops splats that touch none or have no finite colour.
+// If the budget is too small, it leaves the splats unchanged, counts their tiles, and sets
+// chunk.listed to false. Returns false if there is not enough memory.
 inline bool list_tiles(const View& view, Splat* splats, TileSpan* tiles_of, int count,
                        ListBudget& budget, Chunk& chunk) {
-    constexpr int64_t kTaken = 1 << 12;  // at once: the budget is shared between threads
+    constexpr int64_t kTaken = 1 << 12;  // at once, because threads share the budget
     const Camera& camera = view.camera;
     const PixelBounds bounds(camera);
     int32_t kept = 0, used = 0;

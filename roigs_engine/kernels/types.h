@@ -1,4 +1,4 @@
-// What the kernels are given and give back: plain values, the same for a processor and for a card.
+// Inputs and outputs of the kernels: plain values, the same for a processor and for a card.
 #pragma once
 
 #include <cstdint>
@@ -51,24 +51,24 @@ struct Camera {
     float background[3];
     float blur;         // added to the 2D covariance's diagonal, px^2
     float stored_blur;  // .. with which a Gaussian has its stored opacity
-    float max_slope;   // Gaussians with a centre beside the image and a larger |x / z|, or above or
-                       // below it and a larger |y / z|, are left out
-    float min_sigmas;  // .. and those not farther than so many standard deviations along z
-    float min_transmittance;  // blending ends where less is left in all pixels of a block, and a
-                              // splat gets no gradient from a block in which no weight is larger
+    float max_slope;   // leaves out Gaussians with a centre beside the image and a larger |x / z|,
+                       // or above or below it and a larger |y / z|
+    float min_sigmas;  // .. and those whose z is at most this many standard deviations along z
+    float min_transmittance;  // blending ends when all pixels of a block have less than this left;
+                              // a splat gets no gradient from a block in which no weight is larger
     int32_t width, height;
     int32_t tile_x0, tile_y0, tile_x1, tile_y1;  // tiles to work on, end exclusive
     int32_t window_x0, window_y0, window_x1, window_y1;  // px: whole tiles around these, see Outputs
     const uint8_t* tile_mask;  // of these, the ones to work on, row by row; null: all
 };
 
-// What roigs_render writes: H x W are the pixels of the camera's window, on a card those of its
-// image. A null one of the last five is skipped.
+// Outputs of roigs_render. H x W are the pixels of the camera's window, on a card those of its
+// image. Each of the last five is skipped if it is null.
 struct Outputs {
     float* image;       // (3, H, W)
     float* alpha;       // (H, W)
     float* depth;       // (H, W), the mean
-    float* max_weight;  // (N,), raised where this view has a larger weight
+    float* max_weight;  // (N,), raised if this view has a larger weight
     float* weight_sum;  // (N,), this view's weights are added, each times its pixel's weight:
     const float* pixel_weights;  // (H, W), read; null: 1 everywhere
     float* surface;  // (5, H, W): sum of weight x depth of the planes, their median depth, and sum of
@@ -81,8 +81,7 @@ struct OutputGradients {
     const float* surface;  // (6, H, W): of Outputs::alpha, then of its surface; null: zero
 };
 
-// dL / d(whatever) of a (Gaussian, tile) pair, see raster_backward.cpp. The last six are those of a
-// surface.
+// The gradient sums of a (Gaussian, tile) pair (tile_gradient.h). The last six are for a surface.
 enum Moment {
     kS, kSU, kSV, kSUU, kSUV, kSVV, kRed, kGreen, kBlue, kMoments,
     kPlaneDepth = kMoments, kPlaneX, kPlaneY, kNormal, kSurfaceMoments = kNormal + 3
@@ -90,12 +89,12 @@ enum Moment {
 
 // A depth map (height, width), as roigs_fuse_depth samples it.
 struct DepthPhoto {
-    const float* depth;   // along the camera's z axis; 0: not known
-    const float* weight;  // 0: says nothing
+    const float* depth;   // along the camera's z axis; 0: unknown
+    const float* weight;  // 0: ignored
     const float* slope;   // distance to the surface / difference in depth
     float pose[12];       // from the frame of the points to the camera's
     float lens[4];        // fx, fy, cx, cy
-    float jump;           // depths of neighbours on one surface differ by less, relative
+    float jump;           // relative; depths of neighbours on one surface differ by less
     float truncation;     // of distances, at least
     float footprints;     // .. and relative to the depth
     int32_t size[2];      // width, height

@@ -1,4 +1,4 @@
-// What the stages of one rendering hand on to each other. See roigs.h for their order.
+// The data that the stages of one rendering pass to each other. roigs.h has their order.
 #pragma once
 
 #include <algorithm>
@@ -19,8 +19,8 @@ namespace roigs {
 constexpr int kChunk = 1024;  // Gaussians per task
 constexpr int64_t kMostIntersections = std::numeric_limits<int32_t>::max();  // slots are int32
 
-// Reused memory for plain values: it grows and is never cleared. What is in it is lost when it
-// grows, but for `extend`. False: there is not enough memory; then it is empty.
+// Reused memory for plain values. It grows and is never cleared. Its content is lost when it grows,
+// except in `extend`. Returns false if there is not enough memory; then it is empty.
 template <class T>
 class Scratch {
 public:
@@ -37,7 +37,7 @@ public:
     // Room for `count` elements; the first `used` are kept.
     [[nodiscard]] bool extend(int64_t count, int64_t used) {
         if (count <= capacity_) return true;
-        if (!used) Scratch().swap(*this);  // never both in memory where one will do
+        if (!used) Scratch().swap(*this);  // so that old and new are not both in memory
         Scratch larger;
         const int64_t wanted = count + count / 4;  // room for the next, slightly larger frame
         larger.block_ = std::malloc(sizeof(T) * wanted + kAlignment);
@@ -74,19 +74,19 @@ private:
 //     (u, v) = L^T d = (l11 dx + l21 dy, l22 dy)
 //     alpha  = opacity exp(-1/2 d^T Sigma'^-1 d) = 2^(log2_opacity - u^2 - v^2).
 //
-// It costs fewer operations than the quadratic form, is never positive by rounding, and gives
-// the gradients without inverting anything (projection_backward.cpp).
+// This costs fewer operations than the quadratic form. Rounding never makes it positive, and
+// gradients need no inverse (projection_backward.cpp).
 struct alignas(64) Splat {
     float x, y;  // centre, px
     float l11, l21, l22;
     float log2_opacity;
-    float slope_y;  // dy / dx of the line where, for given dx, alpha is largest
-    float slope_x;  // dx / dy of the line where, for given dy, alpha is largest
+    float slope_y;  // dy / dx of the line on which alpha is largest for a given dx
+    float slope_x;  // dx / dy of the line on which alpha is largest for a given dy
     float red, green, blue;
     float depth;
-    float reach_x, reach_y;  // half size of the box that alpha >= 1/255 lies in, px
+    float reach_x, reach_y;  // half size of the box around alpha >= 1/255, px
     int32_t id;              // row of the Gaussian
-    int32_t has_gradient;    // 0, until roigs_render_backward finds that a pixel gives it one
+    int32_t has_gradient;    // 0; roigs_render_backward sets it to 1 if a pixel gives it one
 };
 static_assert(sizeof(Splat) == 64, "a splat fills one cache line");
 
@@ -97,9 +97,10 @@ struct alignas(32) SplatPlane {
     float normal[3];
 };
 
-// An entry of a tile's list. `slot` numbers the (Gaussian, tile) pairs so that those of one
-// Gaussian are neighbours: what the tiles find out about it is stored there and summed later.
-// No two threads ever add to one place, and sums do not depend on the number of threads.
+// An entry of a tile's list. `slot` numbers the (Gaussian, tile) pairs so that the pairs of one
+// Gaussian are neighbours. Each tile stores its results for the Gaussian there, and they are summed
+// later. So two threads never add to the same place, and sums do not depend on the number of
+// threads.
 struct TileEntry {
     int32_t splat;
     int32_t slot;
@@ -110,11 +111,12 @@ using BlockSet = std::conditional_t<
     kLanes == 16, uint16_t, std::conditional_t<kLanes == 8, uint32_t, uint64_t>>;
 
 struct alignas(64) SlotGradient {
-    float sum[16];  // kMoments or kSurfaceMoments are used; whole cache lines are written faster
+    float sum[16];  // kMoments or kSurfaceMoments are used; writing whole cache lines is faster
 };
 
 // Chunk c owns the Gaussians, and the places in View::splats and View::tiles_of, from c * kChunk
-// on. It packs its visible Gaussians at the front, so what is touched grows with these alone.
+// on. It packs its visible Gaussians at the front, so only the places of visible Gaussians are
+// touched.
 struct Chunk {
     int32_t visible = 0;        // number of splats
     bool listed = false;        // `tiles` holds them all
@@ -122,7 +124,7 @@ struct Chunk {
     int64_t tile_count = 0;     // number of (Gaussian, tile) pairs
     int64_t first_slot = 0;     // slot of the first pair
     Scratch<uint32_t> tiles;    // tiles touched, splat by splat
-    Scratch<int32_t> runs;      // used while they are found, see tile_lists.h
+    Scratch<int32_t> runs;      // used while tiles are found, see tile_lists.h
 };
 
 struct TileSpan {
@@ -130,27 +132,29 @@ struct TileSpan {
     int32_t count;
 };
 
-// Tiles have numbers: row by row within the camera's rectangle of tiles, over those that the
-// camera's mask wants. So a run of neighbouring tiles has neighbouring numbers, masked or not.
+// Tiles have numbers, row by row within the camera's rectangle of tiles; with a mask, only the
+// tiles in the mask. So a run of neighbouring tiles has neighbouring numbers, with or without a
+// mask.
 struct View {
     Camera camera;
     bool masked = false;
-    int64_t tiles = 0;            // tiles worked on
+    int64_t tiles = 0;            // tiles to draw
     Scratch<int32_t> tile_rank;   // masked: per place of the rectangle, wanted tiles before it
     Scratch<int32_t> tile_sums;   // masked: (rows + 1, columns + 1) wanted tiles above and left
     Scratch<int32_t> tile_place;  // masked: per tile, its place in the rectangle
     std::vector<Chunk> chunks;
     Scratch<Splat> splats;
-    Scratch<SplatPlane> planes;  // per splat, where roigs_project_planes made them
-    bool has_plane_gradient = false;  // roigs_render_backward was given that of a surface
+    Scratch<SplatPlane> planes;  // per splat, if roigs_project_planes made them
+    bool has_plane_gradient = false;  // roigs_render_backward got the gradient of a surface
     Scratch<TileSpan> tiles_of;  // per splat
 
     int64_t visible = 0;        // splats in all chunks
     int64_t intersections = 0;  // (Gaussian, tile) pairs
     Scratch<int64_t> tile_begin;  // (tiles + 1,) where a tile's entries begin
     Scratch<TileEntry> entries;   // (intersections,), per tile, front to back
-    // (intersections,) per entry, the tile's blocks in which roigs_render found a weight above
-    // Camera::min_transmittance, and others that it may draw in, before a splat that is seen there
+    // (intersections,) per entry, two sets of the tile's blocks: those in which roigs_render found
+    // a weight above Camera::min_transmittance, and others that it may draw in, in front of a splat
+    // that is seen there
     Scratch<BlockSet> seen_in, passed_in;
 
     Scratch<uint32_t> depth_keys[2];  // (visible,), ping and pong of the radix sort

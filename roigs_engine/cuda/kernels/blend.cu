@@ -37,7 +37,7 @@ extern "C" __global__ void __launch_bounds__(kPixels) blend(const Frame f) {
     float left = inside ? 1.0f : 0.0f, red = 0.0f, green = 0.0f, blue = 0.0f, depth = 0.0f;
     int begin = first;
     for (; begin < end; begin += kPixels) {
-        // waits until all have read the batch before
+        // waits until all threads have read the previous batch
         if (!__syncthreads_or(left > least)) break;
         const int count = load_batch(f, place, begin, end, batch);
         __syncthreads();

@@ -1,5 +1,5 @@
-// Gradient of the blending: kernels/raster_backward.cpp has the formulas. Front to back, a Gaussian
-// per lane (walk.h); every slot is written.
+// Gradient of the blending; kernels/tile_gradient.h has the formulas. Front to back, a Gaussian per
+// lane (walk.h). Every slot is written.
 #include "walk.h"
 
 using namespace roigs;

@@ -1,6 +1,6 @@
-// L1 and SSIM of a picture against its photo, and the gradient: training/losses.py has the formulas,
-// kernels/loss.cpp the same on a processor. A block for a tile of one channel; the window is
-// separable, so it is filtered along rows and then along columns.
+// L1 and SSIM of a picture against its photo, and the gradient. training/losses.py has the
+// formulas, kernels/loss.cpp the version for a processor. Each block takes a tile of one channel.
+// The window is separable: the kernel filters along rows, then along columns.
 #include "frame.h"
 
 namespace roigs {
@@ -50,7 +50,7 @@ struct LossTile {
         x = block % columns * kTile;
         y = block / columns % rows * kTile;
     }
-    // Position of a place of the tile with its halo; -1: off the picture.
+    // Position in the picture of a place of the tile with its halo; -1: outside the picture.
     ROIGS_INLINE int64_t at(const Loss& l, int place) const {
         const int64_t px = x + place % kHalo - kRadius, py = y + place / kHalo - kRadius;
         return px < 0 || py < 0 || px >= l.width || py >= l.height ? -1 : py * l.width + px;
@@ -61,7 +61,7 @@ ROIGS_INLINE float photo(const Loss& l, int channel, int64_t at) {
     return float(l.target[3 * at + channel]) / 255.0f;
 }
 
-// The pixel's column of rows that were filtered along rows, filtered along columns.
+// Filters along columns, at the pixel, values that were filtered along rows.
 ROIGS_INLINE float along_column(const float (&rows)[kHalo][kTile]) {
     const int x = int(threadIdx.x) % kTile, y = int(threadIdx.x) / kTile + kRadius;
     float total = 0.0f;
@@ -172,7 +172,8 @@ extern "C" __global__ void __launch_bounds__(kPixels) loss_gradient(const Loss l
         l.scale() * ((1.0f - l.ssim_weight) * sign - l.ssim_weight * d_ssim);
 }
 
-// The loss and its parts, from the blocks' sums; one block, whose threads take every kPixels-th.
+// The loss and its parts, from the blocks' sums. One block; each of its threads takes every
+// kPixels-th.
 extern "C" __global__ void __launch_bounds__(kPixels) loss_terms(const Loss l) {
     __shared__ double similarities[kPixels], differences[kPixels];
     const int mine = int(threadIdx.x);

@@ -1,4 +1,5 @@
-// From Gaussians in the world to splats on the image, and the tiles they touch. A thread for each.
+// From Gaussians in the world to splats on the image, and the tiles they touch. A thread per
+// Gaussian.
 #include "ellipses.h"
 #include "frame.h"
 #include "geometry.h"
@@ -7,7 +8,7 @@
 
 namespace roigs {
 
-// The splat's columns, colours left open; false: it cannot touch a pixel.
+// The splat's columns, without colours. False: it cannot touch a pixel.
 __device__ bool make_splat(const Geometry& g, const PixelBounds& bounds, float (&c)[kColumns]) {
     const float log2_opacity = log2(drawn_opacity(g));
     const float headroom = log2_opacity - (kLog2AlphaMin - kCullSlack);
@@ -53,7 +54,7 @@ __device__ bool colour_splat(const Gaussians& gaussians, const Camera& camera, i
     return true;
 }
 
-// Calls visit(tile) for the tiles that a splat touches and the camera wants.
+// Calls visit(tile) for the tiles that a splat touches, if they are in the camera's mask.
 template <class Visit>
 __device__ void for_each_tile(const Camera& camera, const float (&c)[kColumns],
                               const Visit& visit) {
@@ -71,8 +72,8 @@ __device__ void for_each_tile(const Camera& camera, const float (&c)[kColumns],
 
 using namespace roigs;
 
-// The camera's values, from matrices that only the card has. In double: the eye is a difference of
-// numbers that may be large.
+// The camera's values, from matrices that only the card has. In double precision, because the eye
+// is a difference of numbers that may be large.
 extern "C" __global__ void __launch_bounds__(32) place_camera(const Frame f) {
     const int row = int(threadIdx.x);
     if (row >= 3) return;
@@ -108,15 +109,15 @@ extern "C" __global__ void __launch_bounds__(128) project(const Frame f) {
         for (int k = 0; k < kColumns; ++k) f.splats[n * kColumns + k] = c[k];
 }
 
-// Fills the slots, Gaussian by Gaussian from front to back: a stable sort by tile is all that is
-// left to do. Where there are not enough of them, the view is void.
+// Fills the slots, Gaussian by Gaussian from front to back. Only a stable sort by tile remains to
+// be done. If there are not enough slots, the view is void.
 extern "C" __global__ void __launch_bounds__(128) list_tiles(const Frame f) {
     const int64_t rank = thread_index();
     if (rank >= f.gaussians.count) return;
     const int64_t n = f.order[rank];
     const int count = f.pair_counts[n];
     if (!count) return;
-    if (f.void_ && *f.void_) {  // as if nothing were seen: no kernel after this one finds any
+    if (f.void_ && *f.void_) {  // as if nothing were visible: the following kernels find no entries
         f.pair_counts[n] = 0;
         f.visible[n] = 0;
         return;
@@ -165,6 +166,6 @@ extern "C" __global__ void __launch_bounds__(kPixels) begin_groups(const Frame f
         __syncthreads();
         if (is_there) f.group_begin[tile + 1] = total + sums[mine];
         total += sums[kPixels - 1];
-        __syncthreads();  // the next tiles' numbers go where these were read
+        __syncthreads();  // the next tiles' numbers overwrite these
     }
 }

@@ -1,5 +1,5 @@
-// The functions of kernels/simd.h and kernels/simd_rows.h on a card, for vectors of one lane: each
-// thread has one Gaussian. The headers on geometry, colours and ellipses compile against either.
+// The functions of kernels/simd.h and kernels/simd_rows.h on a card. Vectors have one lane, because
+// each thread has one Gaussian. The headers for geometry, colours and ellipses compile with either.
 #pragma once
 
 #include <cstdint>
@@ -22,7 +22,7 @@ ROIGS_INLINE Floats keep(Mask m, Floats a) { return m ? a : 0.0f; }
 ROIGS_INLINE Floats select(Mask m, Floats a, Floats b) { return m ? a : b; }
 ROIGS_INLINE Floats min(Floats a, Floats b) { return a < b ? a : b; }
 ROIGS_INLINE Floats max(Floats a, Floats b) { return a > b ? a : b; }
-// NaN stays NaN: the second operand of min and max is what comes out when one is NaN.
+// NaN stays NaN: if one operand is NaN, min and max return the second operand.
 ROIGS_INLINE Floats clamp(Floats x, Floats low, Floats high) { return min(high, max(low, x)); }
 ROIGS_INLINE Floats sqrt(Floats x) { return sqrtf(x); }
 ROIGS_INLINE Floats floor(Floats x) { return floorf(x); }

@@ -1,6 +1,6 @@
-// Depth and normals of the Gaussians' planes (kernels/plane.h), and the gradient of their blending:
-// what a surface adds to that of the colours (gradient.cu). Passes of their own: pictures without a
-// surface have nothing to do for it.
+// Depth and normals of the Gaussians' planes (kernels/plane.h), and the gradient of their blending.
+// It is added to the gradient of the colours (gradient.cu). These are separate passes, so pictures
+// without a surface pay nothing for them.
 #include "plane.h"
 #include "walk.h"
 
@@ -25,12 +25,13 @@ struct LocalPlane {
     }
 };
 
-// Whether a splat of this weight takes what is left of a pixel's light below a half.
+// True if a splat of this weight lowers the remaining light of a pixel to below a half.
 ROIGS_INLINE bool is_median(float left, float weight) {
     return left >= 0.5f && left - weight < 0.5f;
 }
 
-// dL / d(alpha, depth, median depth, normal) of a pixel, and what all splats add to the loss.
+// dL / d(alpha, depth, median depth, normal) of a pixel, and the sum of all splats' parts of the
+// loss.
 struct SurfacePixel {
     float alpha, depth, median, normal[3], total;
 

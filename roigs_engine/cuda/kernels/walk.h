@@ -1,9 +1,9 @@
 // A pass over a tile's pixels with one Gaussian per lane.
 //
-// A warp takes a bucket of kBucket neighbours of a tile's list. Each lane keeps its Gaussian, and
-// the pixels walk past: in step s, lane i is at pixel s - i, and gets from lane i - 1 what the
-// pixel's state is in front of its Gaussian. So sums over a Gaussian's pixels stay in registers.
-// The first lane takes the states from the checkpoints that blending has left.
+// A warp takes a bucket of kBucket neighbours of a tile's list. Each lane keeps its Gaussian, while
+// the pixels move from lane to lane: in step s, lane i is at pixel s - i. It gets the pixel's state
+// in front of its Gaussian from lane i - 1. So sums over a Gaussian's pixels stay in registers. The
+// first lane takes the states from the checkpoints of the blending.
 #pragma once
 
 #include "frame.h"
@@ -12,14 +12,14 @@ namespace roigs {
 
 constexpr unsigned kAllLanes = 0xffffffffu;
 
-// What a block of kGroup threads walks over.
+// The part of the lists that a block of kGroup threads walks over.
 struct Group {
     int tile;
     int entry;      // this thread's, in `entries`
     bool is_there;  // the list has it
     bool is_blended;  // this warp's bucket has a checkpoint
 
-    // `group` is one of f.group_begin[tile_count] many.
+    // `group` is below f.group_begin[tile_count].
     Group(const Frame& f, int group) {
         int low = 0, high = f.tile_count;  // the last tile that begins at `group` or before
         while (high - low > 1) {
@@ -37,9 +37,9 @@ struct Group {
     }
 };
 
-// Walks; all lanes of a warp together. `behind(pixel, checkpoint)` makes the state that is passed on
-// beside the transmittance. visit(sample, pixel, transmittance, state) is called where the Gaussian is
-// drawn, and changes the state; the transmittance is changed here.
+// Walks; all lanes of a warp together. `behind(pixel, checkpoint)` makes the state that is passed
+// on with the transmittance. visit(sample, pixel, transmittance, state) is called if the Gaussian
+// is drawn at the pixel, and changes the state. This function changes the transmittance.
 template <class Behind, class Visit>
 __device__ void walk(const Frame& f, const Group& group, int bucket, const LocalSplat& s,
                      const Behind& behind, const Visit& visit) {

@@ -4,7 +4,7 @@
 using namespace roigs;
 
 extern "C" __global__ void __launch_bounds__(kGroup) weigh(const Frame f) {
-    __shared__ float4 pixels[kPixels];  // x: what the pixel counts in the sums
+    __shared__ float4 pixels[kPixels];  // x: the pixel's weight in the sums
     if (int(blockIdx.x) >= f.group_begin[f.tile_count]) return;
     const Group group(f, int(blockIdx.x));
     const TilePlace place(f.shape, group.tile);

@@ -1,5 +1,5 @@
 // Gradient of the projection: from the moments in a Gaussian's slots to its parameters
-// (kernels/geometry_gradient.h has the formulas). A thread for each Gaussian.
+// (kernels/geometry_gradient.h has the formulas). A thread per Gaussian.
 
 struct Gradient2d { place: vec2<f32>, xx: f32, xy: f32, yy: f32 }
 
@@ -83,7 +83,7 @@ fn shape_gradient(g: ptr<function, Geometry>, d: Gradient2d) -> ShapeGradient {
     return out;
 }
 
-// Writes the gradients of the SH; returns that of the centre through the direction.
+// Writes the gradients of the SH. Returns the centre's gradient through the direction.
 fn colour_gradient(n: u32, mean: vec3<f32>, m: ptr<function, array<f32, MOMENTS>>) -> vec3<f32> {
     var colour: vec3<f32>;
     let drawn = splats[4u * n + 2u].xyz;

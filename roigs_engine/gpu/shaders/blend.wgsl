@@ -4,7 +4,7 @@
 var<workgroup> batch_shape: array<vec4<f32>, PIXELS>;   // l11, l21, l22, log2(opacity)
 var<workgroup> batch_colour: array<vec4<f32>, PIXELS>;  // .. and depth
 var<workgroup> batch_place: array<vec2<f32>, PIXELS>;   // from the tile's corner
-var<workgroup> seeing: atomic<u32>;  // whether a pixel of the tile lets light through
+var<workgroup> seeing: atomic<u32>;  // 1 if a pixel of the tile still lets light through
 var<workgroup> goes_on: u32;
 
 fn write_pixel(at: vec2<i32>, light: vec4<f32>, depth: f32) {
@@ -38,7 +38,7 @@ fn blend(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     var checkpoint = first_bucket(tile, first) * PIXELS + pixel;
     let least = frame.min_transmittance;
     let centre = vec2<f32>(inside) + 0.5;
-    var light = vec4(0.0, 0.0, 0.0, select(0.0, 1.0, is_there));  // colour, and what is let through
+    var light = vec4(0.0, 0.0, 0.0, select(0.0, 1.0, is_there));  // colour, and transmittance
     var depth = 0.0;
     var begin = first;
     for (; begin < end; begin += PIXELS) {

@@ -1,5 +1,5 @@
 // The projection of a Gaussian (EWA splatting, Zwicker et al. 2001; 3DGS, section 4) and its
-// gradient: kernels/geometry.h and geometry_gradient.h have the same functions, and say why.
+// gradient. kernels/geometry.h and geometry_gradient.h have the same functions, and explain them.
 
 struct Geometry {
     mean: vec3<f32>,
@@ -30,7 +30,7 @@ fn shape_values(first: u32) -> vec3<f32> {
     return vec3(shapes[first], shapes[first + 1u], shapes[first + 2u]);
 }
 
-// False: not drawn, wherever its shape reaches; or a parameter is not finite.
+// False: not drawn, whatever its shape; or a parameter is not finite.
 fn project_centre(n: u32, g: ptr<function, Geometry>) -> bool {
     let mean = shape_values(3u * n);
     (*g).mean = mean;
@@ -80,7 +80,7 @@ fn linearise(axis: u32, g: ptr<function, Geometry>) -> vec3<f32> {
     return focal * (*g).inverse_z * (camera_row(axis) - clamped * camera_row(2u));
 }
 
-// After its centre. False: a parameter is not finite.
+// The shape, after the centre. False: a parameter is not finite.
 fn project_shape(n: u32, g: ptr<function, Geometry>) -> bool {
     let count = frame.count;
     let first = 3u * count + 4u * n;
@@ -116,7 +116,7 @@ fn project_shape(n: u32, g: ptr<function, Geometry>) -> bool {
     return true;
 }
 
-// Whether it does not reach behind the camera.
+// True if it does not reach behind the camera.
 fn in_front(g: ptr<function, Geometry>) -> bool {
     let along = (camera_row(2u) * (*g).rotation) * (*g).scale;
     return (*g).t.z > frame.min_sigmas * sqrt(dot(along, along));
@@ -167,7 +167,7 @@ fn sh_basis(d: vec3<f32>) -> array<f32, 16> {
         SH_3E * z * (xx - yy), -SH_3A * x * (xx - 3.0 * yy));
 }
 
-// d / dd of sum_k w_k b_k(d), d taken as three free variables.
+// d / dd of sum_k w_k b_k(d), with d as three free variables.
 fn sh_direction_gradient(d: vec3<f32>, w: ptr<function, array<f32, 16>>) -> vec3<f32> {
     let x = d.x;
     let y = d.y;

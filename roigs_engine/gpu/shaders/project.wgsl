@@ -1,5 +1,5 @@
-// From Gaussians in the world to splats on the picture, and the tiles they touch (kernels/ellipses.h
-// has the rule). A thread for each Gaussian.
+// From Gaussians in the world to splats on the picture, and the tiles they touch
+// (kernels/ellipses.h has the rule). A thread per Gaussian.
 
 fn to_linear(value: f32) -> f32 {
     let power = exp2(2.4 * log2((value + 0.055) / 1.055));
@@ -35,7 +35,7 @@ fn tile_rows(s: Splat) -> vec2<f32> {
     return tile_range(s.y - s.reach.y, s.y + s.reach.y, frame.tile_y0, frame.tile_y1);
 }
 
-// The tiles of one such row: the first one's number, and how many.
+// The tiles of one such row: the number of the first, and their count.
 fn tiles_in_row(s: Splat, row: f32, bounds: vec4<f32>) -> vec2<i32> {
     let side = f32(TILE);
     let top = row * side + 0.5;
@@ -47,7 +47,7 @@ fn tiles_in_row(s: Splat, row: f32, bounds: vec4<f32>) -> vec2<i32> {
     return vec2(i32(tile_number(i32(columns.x), i32(row))), i32(length));
 }
 
-// False: it cannot touch a pixel. Its colour is left open.
+// False: it cannot touch a pixel. Does not set the colour.
 fn make_splat(g: ptr<function, Geometry>, bounds: vec4<f32>, s: ptr<function, Splat>) -> bool {
     let log2_opacity = log2(drawn_opacity(g));
     if (!(log2_opacity > LOG2_ALPHA_MIN)) { return false; }
@@ -115,10 +115,10 @@ fn project(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
 
 var<workgroup> sums: array<u32, ROWS>;
 
-// A sum that stays at the largest number: as a sum, it does not depend on the order.
+// A saturating sum. Like an ordinary sum, it does not depend on the order.
 fn saturated(a: u32, b: u32) -> u32 { return select(a + b, 0xffffffffu, a + b < a); }
 
-// The sum up to each thread's number, its own included.
+// The sum of the numbers up to each thread's own, inclusive.
 fn running_sum(lane: u32, value: u32) -> u32 {
     sums[lane] = value;
     for (var step = 1u; step < ROWS; step *= 2u) {
@@ -143,8 +143,8 @@ fn sum_counts(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation
     if (lane == ROWS - 1u && block * ROWS < frame.count) { numbers[block] = sum; }
 }
 
-// Fills the slots, Gaussian by Gaussian from front to back: a stable sort by tile is all that is
-// left to do.
+// Fills the slots, Gaussian by Gaussian from front to back. Only a stable sort by tile remains to
+// be done.
 @compute @workgroup_size(ROWS)
 fn list_tiles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let block = group_index(group);

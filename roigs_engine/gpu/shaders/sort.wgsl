@@ -1,5 +1,5 @@
-// A stable sort of numbers and their values by one digit of 4 bits, and sums. Runs of a digit of
-// neighbouring blocks follow one another, so the order of equal numbers stays.
+// A stable sort of numbers and their values by one digit of 4 bits, and prefix sums. For each
+// digit, the runs of neighbouring blocks follow one another, so equal numbers keep their order.
 
 struct Job { count: u32, shift: u32, blocks: u32, to_scan: u32 }
 
@@ -77,8 +77,8 @@ var<workgroup> sums: array<u32, THREADS>;
 // See project.wgsl.
 fn saturated(a: u32, b: u32) -> u32 { return select(a + b, 0xffffffffu, a + b < a); }
 
-// Replaces `to_scan` numbers by the sums of those before them; the sum of all follows the last. One
-// group, a chunk at a time.
+// Replaces each of `to_scan` numbers by the sum of those before it. The sum of all follows the
+// last. One group, a chunk at a time.
 @compute @workgroup_size(THREADS)
 fn scan(@builtin(local_invocation_index) lane: u32) {
     var before = 0u;

@@ -1,15 +1,15 @@
 // Passes over a tile's pixels with one Gaussian per thread.
 //
 // A group takes a bucket of neighbours of a tile's list. Each thread keeps its Gaussian, and walks
-// over the pixels: in step s, thread i is at pixel s - i. There it finds what thread i - 1 has left
-// one step before: the pixel's state in front of its Gaussian. So sums over a Gaussian's pixels stay
-// in registers. The first thread finds the states of the checkpoints that blending has left.
+// over the pixels: in step s, thread i is at pixel s - i. There it finds the pixel's state in front
+// of its Gaussian, which thread i - 1 has left one step before. So sums over a Gaussian's pixels
+// stay in registers. The first thread takes the states from the checkpoints of the blending.
 
-var<workgroup> pixels: array<vec4<f32>, PIXELS>;  // of the gradient: see there; weigh: x, a factor
+var<workgroup> pixels: array<vec4<f32>, PIXELS>;  // gradient: see there; weigh: x, a factor
 var<workgroup> let_through: array<f32, PIXELS>;
 var<workgroup> states: array<f32, PIXELS>;
 
-// What a group works on.
+// The work of a group.
 struct Bucket {
     tile: u32,
     corner: vec2<i32>,
@@ -51,7 +51,7 @@ fn sample_at(w: Walker, pixel: u32) -> Sample {
     return sample(centre - w.place, w.shape);
 }
 
-// Gradient of the blending: kernels/raster_backward.cpp has the formulas. Every slot is written.
+// Gradient of the blending; kernels/tile_gradient.h has the formulas. Every slot is written.
 @compute @workgroup_size(BUCKET)
 fn gradient(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let bucket = bucket_of(group_index(group), lane);
