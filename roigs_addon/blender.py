@@ -1,7 +1,7 @@
 """Blender's own data with exact types.
 
 Blender's stubs say that almost everything in a context may be None, and that an object's data may
-be of any kind. The functions here have exact types for the cases where it cannot.
+be of any kind. The functions here have exact types for cases in which it is known.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Code shared with the engine: formats and their errors. Numpy only, no bpy.
 
-In a Blender extension both packages lie in the extension's own package; in a checkout, and in its
+In a Blender extension, both packages are inside the extension's own package. In a checkout and its
 tests, they are top-level packages. All other files of the add-on import from here.
 """
 

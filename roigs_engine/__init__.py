@@ -9,9 +9,9 @@ options of a command (`help(roigs_engine.Train)`):
     request = Train(scene=Path("garden"), roi=("auto",), run_dir=Path("runs/garden"))
     print(train(request).result)
 
-Nothing is printed; a `Context` with `emit` receives the events. What the functions are made of is
-public too: scenes, boxes, selection, plans, training and rendering. The names are imported on first
-use, so `import roigs_engine` and everything before training work without torch.
+Nothing is printed; a `Context` with `emit` receives the events. The parts of these functions are
+public too: scenes, boxes, selection, plans, training and rendering. Names are imported on first
+use. So `import roigs_engine` and everything before training work without torch.
 """
 
 from __future__ import annotations

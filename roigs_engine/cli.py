@@ -1,7 +1,7 @@
 """Entry of the command line: makes a request, prints its result or a one-line error.
 
-Exit status: 0 done; 2 an `EngineError`, wrong options included (one line on standard error);
-3 stopped on request, with a checkpoint written. `commands.process` adds 130 and 141.
+Exit status: 0 done; 2 an `EngineError`, including wrong options (one line on standard error); 3
+stopped on request, with a checkpoint written. `commands.process` adds 130 and 141.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Error tree of the engine. A failure that the user can fix is an `EngineError`.
 
-An `EngineError` has one line that says what is wrong and, where it helps, one line that says what
-to change. The command line prints both without a traceback and exits with status 2. The add-on
-shows them in its panel.
+An `EngineError` has one line for the error and, if it helps, one line that says what to change. The
+command line prints both without a traceback and exits with status 2. The add-on shows them in its
+panel.
 """
 
 LONGEST = 500

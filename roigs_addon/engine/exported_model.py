@@ -1,7 +1,7 @@
 """Reads an exported model (docs/files.md) from the folder named in a .blend. No bpy.
 
-The author of the .blend chose the folder: panels read it while they are drawn, so nothing here
-waits for a pipe, takes more memory than its file has bytes, or runs anything.
+The author of the .blend chose the folder, and panels read it while they are drawn. So nothing here
+waits for a pipe, needs more memory than the file has bytes, or runs anything.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Creates a Python environment for the engine, step by step, in a thread. No bpy.
 
 Environments are in numbered folders. A folder counts once it contains its marker, which is written
-last. A virtual environment cannot be moved after it was made, so none is renamed.
+last. A virtual environment cannot be moved, so none is renamed.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Packages to install for the engine, and the programs that install them. No bpy.
 
-The packages are in pyproject.toml alone, which is part of the extension; versions and hashes of
-what is downloaded are in tools/locked/, made of it by tools/lock_packages.py.
+The packages are only in pyproject.toml, which is part of the extension. The versions and hashes of
+downloads are in tools/locked/; tools/lock_packages.py makes them from pyproject.toml.
 """
 
 from __future__ import annotations

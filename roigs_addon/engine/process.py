@@ -2,7 +2,7 @@
 
 The engine writes one JSON line per event to its standard output (`shared.events`) and text for
 users to standard error. It stops when its standard input ends, so no engine outlives Blender.
-Threads only queue what arrives; the owner takes it from the queue, on Blender's main thread.
+Threads only put events into a queue; the owner takes them out on Blender's main thread.
 """
 
 from __future__ import annotations

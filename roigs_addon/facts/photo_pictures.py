@@ -1,7 +1,7 @@
 """Thumbnails of photos for the panels.
 
-Blender reads a photo in a thread, when its picture is first drawn, and keeps the picture in the
-thumbnail cache of the system: a panel shows one photo at a time and waits for none.
+Blender reads a photo in a thread when its picture is first drawn, and keeps the picture in the
+thumbnail cache of the system. So a panel that shows one photo at a time never waits.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The textured mesh of a box, from the engine's glTF file. Numpy only, no bpy.
 
-Blender's own importer may be switched off. It turns axes, and leaves vertices apart at the seams of
-the texture, so that nothing is watertight. Here each vertex is read once, to the last bit.
+Blender's own importer may be switched off. It also turns axes and splits vertices at the seams of
+the texture, so meshes are not watertight. Here, each vertex is read once, bit for bit.
 """
 
 from __future__ import annotations

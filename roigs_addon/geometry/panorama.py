@@ -1,8 +1,8 @@
 """Rays of Cycles' panoramic cameras. No bpy.
 
-All return (H, W, 3) float32 directions in OpenCV's camera axes (x right, y down, z forward) of
-places in the picture, (H, 1) and (1, W) from 0 to 1, from its left and its lower edge; 0 where the
-picture shows nothing.
+All take places in the picture, (H, 1) and (1, W) from 0 to 1, from its left and its lower edge. All
+return their directions, (H, W, 3) float32, in OpenCV's camera axes (x right, y down, z forward). A
+direction is 0 if the picture shows nothing there.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The record of a photo, stored on its camera object, with COLMAP's exact values. No bpy.
 
 Blender stores matrices as 32-bit floats, and a lens and a shift instead of pixels. The record keeps
-the original, so that the engine gets back exactly the numbers that it gave.
+the original numbers, so that the engine gets them back exactly.
 """
 
 from __future__ import annotations

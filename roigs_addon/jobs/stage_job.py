@@ -1,7 +1,7 @@
 """Making the stage for the user's objects: a panorama, and a mesh of the background.
 
-A job makes the requested files that are missing, one command after the other. Then the scene gets
-all at once, so that one undo reverts all.
+A job makes the missing files, one command after the other. Then it adds everything to the scene at
+once, so that one undo reverts all.
 """
 
 from __future__ import annotations

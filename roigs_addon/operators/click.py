@@ -1,7 +1,7 @@
 """Clicks on Gaussians in the 3D view: select them, and put the 3D cursor on them.
 
-Blender's own clicks miss Gaussians that the add-on draws. They run first; their result stays,
-unless it is behind Gaussians.
+Blender's own clicks miss Gaussians that the add-on draws. Blender's click runs first; its result
+stays unless it is behind Gaussians.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Drop of photos or a video on a 3D view: sets the scene's photos.
 
-Blender hands over files of known suffixes only, so a folder cannot be dropped. It has a handler
-of its own for pictures in a 3D view, and shows a menu of both.
+Blender passes on only files with known suffixes, so a folder cannot be dropped. It has its own
+handler for pictures in a 3D view, and shows a menu of both.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Step 5, Result: a brush that erases Gaussians in the 3D view.
 
-Blender's own circle select reaches all points below the circle, also those that surfaces hide. This
-brush can be limited to visible ones.
+Blender's own circle select selects all points below the circle, including hidden ones behind
+surfaces. This brush can be limited to visible points.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Shows Gaussians in renders that came by Append, Link or a script, not by Load Results.
 
-Once per scene: a user who removes the node from the compositor wants it gone.
+This is done once per scene, because a user may have removed the node from the compositor on
+purpose.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The photos behind cameras' views, as training sees them.
 
 Most are the user's files. For a photo with lens distortion, a colour profile or a rotation, and for
-files that Blender reads otherwise, the engine makes a picture once, in a separate process. Until it
-is finished, the file is shown.
+files that Blender reads differently, the engine makes a picture once, in a separate process. Until
+it is finished, the file itself is shown.
 """
 
 from __future__ import annotations

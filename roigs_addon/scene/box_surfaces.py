@@ -1,7 +1,7 @@
 """The mesh of a box as an object: instead of its Gaussians, or beside them.
 
-A mesh that is made again keeps its object: where it stands, its modifiers and its material. Its
-data is replaced, and the picture in its material.
+A recreated mesh keeps its object, with place, modifiers and material. Only its data and the picture
+in its material are replaced.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The light on a captured object when it was photographed, at each vertex of its mesh.
 
-It comes from a panorama around the object: the light of each vertex' surroundings. Where the object
-itself hides them, its own mean colour is used. Shadows of single lamps on the object stay unknown.
+It comes from a panorama around the object: the light of each vertex' surroundings. If the object
+itself hides them, its own mean colour is used. Shadows of single lamps on the object remain
+unknown.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The Gaussians saved in a .blend: with or without their view-dependent colour.
 
-That colour is two thirds of the size. If the user leaves it out, it is taken from the meshes while
-the file is saved, but only where the PLY can give it back: the file is there and the points are
-still those that were imported. It comes back when the .blend is opened.
+That colour is two thirds of the size. If the user leaves it out, it is removed from the meshes
+while the file is saved, but only if the PLY can restore it: the file exists, and the points are
+still the imported ones. It is restored when the .blend is opened.
 """
 
 from __future__ import annotations

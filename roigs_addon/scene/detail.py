@@ -1,8 +1,8 @@
 """Result or First Pass: two objects of a box, refined and from the whole-scene model.
 
-The other one is switched off, by the properties that Alt-H leaves alone. A copy gets a second
-object of its own when it is needed. The refined one has levels of detail, if they were made
-(`ladders`): they are chosen automatically, or it is always whole.
+The other one is switched off, by properties that Alt-H does not change. A copy gets its own second
+object when it needs one. The refined object has levels of detail if they were made (`ladders`).
+They are chosen automatically, or the object is always drawn whole.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
 """The source of an object's Gaussians: its PLY, or its points after edits by the user.
 
-Viewport, renders and export read files. An object's own file is the fast way, as long as it is the
-imported one, and the object's points are unchanged. Otherwise the points are written to a file in
-Blender's temporary folder. The .blend has all that is needed: on another computer, it shows the
-same picture without the run folder. In edit mode Blender gives no access to attributes, so edits
-are drawn when it is left.
+Viewport, renders and export read files. The object's own file is fastest; it is used as long as it
+is the imported one and the object's points are unchanged. Otherwise, the points are written to a
+file in Blender's temporary folder. The .blend has all data: on another computer, it shows the same
+picture without the run folder. In edit mode, Blender gives no access to attributes, so edits are
+drawn after edit mode ends.
 
 An operation that rotates or scales all points at once, such as **Object ▸ Apply**, moves them but
-does not change their shapes. So each point keeps where it was imported: the map of all points is
-found by it, and drawn like a transformation of the object.
+does not change their shapes. So each point keeps its imported position. From these, the map of all
+points is computed, and drawn like a transformation of the object.
 """
 
 from __future__ import annotations

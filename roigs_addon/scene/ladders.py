@@ -1,7 +1,7 @@
 """Levels of detail: the files of an object, and the one for a view.
 
-They are listed in `levels.json` of the run folder that the object's own file is in. They represent
-the unedited file: edited Gaussians are drawn in full.
+They are listed in `levels.json`, in the run folder of the object's own file. They represent the
+unedited file, so edited Gaussians are drawn in full.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Masks of objects: their folders, and the photos that have one.
 
-They are in the folder `masks` beside the photos, as the engine looks for them, or in the run folder
-if that cannot be written. The engine decides which of two masks of a photo is used (`mask_record`).
+They are in the folder `masks` beside the photos, where the engine looks for them, or in the run
+folder if `masks` cannot be written. The engine decides which of two masks of a photo is used
+(`mask_record`).
 """
 
 from __future__ import annotations

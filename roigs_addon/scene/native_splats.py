@@ -3,7 +3,7 @@
 Blender's PLY importer makes a point cloud object of a 3DGS PLY, with the attributes of
 docs/conventions.md, its values in the file's own frame; a change of axes goes into the object's
 matrix. The importer's result is checked; any other object is removed. Blender draws all splats in
-its own way; their target is only stored, for the way back.
+its own way. Their target is only stored, for converting back.
 """
 
 from __future__ import annotations

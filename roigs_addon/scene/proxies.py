@@ -3,8 +3,8 @@
 To the camera, a proxy is a shadow catcher of Cycles: it shows nothing itself. For all other rays,
 it is a surface that emits the light in the photos, and hides the world behind it. So no light is
 counted twice. Near objects emit their own light, with the right parallax. Beyond `REACH`, proxies
-let the world's light through; its picture shows those objects from its own place, lamps included.
-Mirrors and glass, which see a picture without lamps, see proxies at any distance.
+let the world's light through. The world's picture shows these objects as seen from its own place,
+including lamps. Mirrors and glass, which see a picture without lamps, see proxies at any distance.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ light at each vertex (`captured_light`), so the texture divided by it is the sur
 which lamps, worlds and shadows then light like anything else. Light that the object's own material
 mirrors, and shadows of single lamps, stay in the texture.
 
-It is a material of the object's slots: the mesh keeps its own, which comes back with `remove`. All
-that it needs is in the .blend, also where the add-on is not installed.
+The new material is in the object's slots. The mesh keeps its own material, which `remove` restores.
+The .blend has everything that it needs, so it also works without the add-on.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Recognises boxes with other names in another result by the place of their Gaussians.
 
-The files of an earlier result keep the names of their training, and have no places.
+Files of an earlier result keep the names they had in training. They have no places.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Cycles' pass of shadows on catchers, and the node that multiplies the Gaussians by it.
 
-The pass is the ratio of the light that a catcher receives with the objects and without: coloured,
-above 1 in the light of the user's lamps, and 1 where there is no catcher. While it is rendered,
-Blender's picture itself is empty where a catcher is, for any film setting.
+The pass is the ratio of the light that a catcher receives with and without the objects. It is
+coloured, above 1 in the light of the user's lamps, and 1 without a catcher. While it is rendered,
+Blender's picture itself is empty at a catcher, for any film setting.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """A world with the captured scene's light around a point, invisible to the camera.
 
-It is a copy of the user's world, which the camera still sees; all other rays meet the picture.
+It is a copy of the user's world. The camera still sees the user's world; all other rays hit the
+picture.
 """
 
 from __future__ import annotations

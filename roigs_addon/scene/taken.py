@@ -1,6 +1,6 @@
 """A captured object as an asset: a collection with its mesh and its Gaussians.
 
-Both are copies, without their parent, that stand on the origin: the collection's, and their own.
+Both are copies without a parent. They stand on the collection's origin, which is also their own.
 The mesh's texture, the light that it was captured in and the Gaussians' attributes are in the
 .blend. The support of the object is cut off, if the box contains a plate of it.
 """

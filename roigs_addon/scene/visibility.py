@@ -1,7 +1,7 @@
 """Hides objects for a while, and shows them again as the user had them.
 
-With the property **Disable in Viewports**: Alt-H shows what the eye in the outliner hides, which is
-the user's.
+This uses the property **Disable in Viewports**. The eye in the outliner belongs to the user, and
+Alt-H shows objects that it hides.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Levels of detail in a viewport: an object becomes one object per level, of which a view shows
 one, or two in a fade.
 
-A level that is not on the GPU yet leaves no hole: until then, the nearest level that is there
-stands in.
+A level that is not yet on the GPU leaves no hole: until it arrives, the nearest available level is
+drawn.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Resolution of a viewport while it changes, so that it stays fluent. No bpy.
 
 Most of the time goes into blending, so a picture of half the width and height takes about a
-quarter. It is much closer to the full one than a picture of fewer Gaussians that takes as long
-(notebook/blender.md).
+quarter. It is much closer to the full picture than one with fewer Gaussians that takes the same
+time (notebook/blender.md).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A picture of a 3D view with its Gaussians, in the render's size.
 
-Blender calls no draw handlers where it makes such pictures (View ▸ Viewport Render Image), so these
-have no Gaussians.
+Blender calls no draw handlers for such pictures (View ▸ Viewport Render Image), so they have no
+Gaussians.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Draws the sparse points in their colours, in Solid shading.
 
-There, Blender draws all points of an object in one colour, whatever the attributes and settings
-are. So each point is covered by a disc of its size, a little nearer; the object and the settings of
-the view stay as they are. Other shadings show the colours through the points' material.
+There, Blender draws all points of an object in one colour, for any attributes and settings. So a
+disc of the point's size, a little nearer, covers each point. The object and the settings of the
+view stay unchanged. Other shadings show the colours through the points' material.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The viewpoint of a viewport, and the part of it that the camera's picture fills.
 
 A Gaussian's shape is projected with an approximation that is good in the picture and a little
-around it. So in a view through a camera, what limits it must be the camera's frame, not the region,
-which may be far wider: large Gaussians beside the picture would be smeared over it.
+around it. So in a view through a camera, the camera's frame must limit it, not the region. The
+region may be far wider, and large Gaussians beside the picture would then be smeared over it.
 """
 
 from __future__ import annotations

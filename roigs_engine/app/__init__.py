@@ -1,6 +1,6 @@
 """The application: each piece of work as a function of a request and a context.
 
-`train(Train(scene=..., roi=["auto"], run_dir=...))` does the same as the command of that name: it
-holds the lock, writes manifest, provenance and log, resumes, and returns the paths of the results.
+`train(Train(scene=..., roi=["auto"], run_dir=...))` does the same as the command `train`: it holds
+the lock, writes manifest, provenance and log, resumes, and returns the paths of the results.
 Without a context, nothing is shown; events go to `Context.emit`.
 """

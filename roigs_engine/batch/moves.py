@@ -1,9 +1,9 @@
 """Decides which running part to move to another machine or a later time, to end the batch sooner.
 
-A batch ends with its last part. So the longest remaining part must run, and not on a slow machine:
-a slow machine's part moves to another one, and a short part makes room for a long one that a lost
-or slow machine has left. A part is stopped with a checkpoint, so a move costs the few seconds that
-an engine takes to start.
+A batch ends with its last part. So the longest remaining part must run, and not on a slow machine.
+A part of a slow machine moves to another one. A short part makes room for a long part of a lost or
+slow machine. Parts are stopped with a checkpoint, so a move costs only the few seconds that an
+engine takes to start.
 """
 
 from __future__ import annotations

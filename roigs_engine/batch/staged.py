@@ -1,6 +1,6 @@
 """A part with its run folder on a store: copies its inputs here, and publishes its results.
 
-The engine itself works in folders of this machine, as ever.
+The engine itself works in folders of this machine, as always.
 """
 
 from __future__ import annotations

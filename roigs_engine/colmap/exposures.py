@@ -1,9 +1,9 @@
 """Exposures of a scene's photos, from EXIF (checked against the photos) or from sparse points.
 
-A point has one colour, so its brightness in the photos shows their exposures. EXIF is more exact,
-but stays as it was taken when a program brightens photos, and levelling those would be wrong by
-stops. So EXIF is believed if photos agree better once it is used. Without EXIF, exposures are
-solved from the points, and used as far as two halves of the points agree.
+A point has one colour, so its brightness in the photos shows their exposures. EXIF is more exact.
+But it does not change when a program brightens photos; then levelling by EXIF would be wrong by
+stops. So EXIF is used only if photos agree better with it. Without EXIF, exposures are solved from
+the points, and used as far as two halves of the points agree.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Alignment of photos' patches with reference patches: least-squares matching (Gruen 1985).
 
-A patch is a square of the plane that touches a point, as a photo shows it. The place, shape and
+A patch is a photo's view of a square of the plane that touches a point. The place, shape and
 contrast of a photo's patch are changed until it looks like the reference (Baker and Matthews 2004,
 inverse compositional: the reference's gradients serve all iterations).
 """

@@ -1,7 +1,7 @@
 """Mapping between the pixels of a photo's file and those of its pinhole camera.
 
-Masks and strokes that a person draws are in pixels of the file, lens distortion included, turned if
-the model's cameras are of the turned photo.
+A person's masks and strokes are in pixels of the file, with its lens distortion. They are turned if
+the model's cameras are for the turned photo.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Matches tracks: locates a model's points in photos, to a few hundredths of a pixel.
 
-One photo of each point is its reference, which is looked for in the others, also where the detector
-found nothing (docs/method.md, "Cameras").
+Each point has one reference photo. Its patch is searched for in the other photos, even if the
+detector found no keypoint there (docs/method.md, "Cameras").
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Stop requests: signals, and all other ways to end a command.
 
-Standard library only, and little of it: signals are watched before anything else is imported.
+Imports only little, and only of the standard library, because signals are watched before anything
+else is imported.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Standard output and standard error that never raise, whatever reads them.
 
-A reader may go away, a disk may be full, a terminal may vanish, a stream may be closed from the
-start. Work must not end in a traceback for that, so everything that writes (the console, progress
-bars, warnings, argparse) gets streams that note the error and continue.
+A reader may stop reading, a disk may be full, a terminal may vanish, a stream may be closed from
+the start. None of this must end the work in a traceback. So everything that writes (the console,
+progress bars, warnings, argparse) gets streams that record the error and continue.
 """
 
 from __future__ import annotations

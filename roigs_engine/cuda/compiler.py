@@ -1,9 +1,9 @@
 """Compiles the sources of the CUDA kernels with NVRTC, NVIDIA's run-time compiler.
 
-NVRTC is a library in torch's CUDA wheels and a wheel of its own. It needs no CUDA toolkit, no C++
-compiler and no GPU, and gets the sources as one program and headers by name, so that nothing has to
-be on disk: it has no standard library, and `simd.h` is another one here, with one Gaussian per
-thread. Machine code is kept on disk.
+NVRTC is a library in torch's CUDA wheels, and also a separate wheel. It needs no CUDA toolkit, no
+C++ compiler and no GPU. It gets the sources from memory: one program, and headers by name. It has
+no standard library, and a different `simd.h`, with one Gaussian per thread. Machine code is cached
+on disk.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Buffers for the (Gaussian, tile) pairs of a view, sized without waiting for the GPU.
 
 Only the GPU knows how many pairs a view has. If a step's buffer is too small, this view and all
-after it are *void*: they draw nothing and change nothing. The CPU hears of it some steps later, and
-does the void steps again with large enough buffers (docs/cuda.md).
+later ones are *void*: they draw nothing and change nothing. The CPU learns this some steps later,
+and repeats the void steps with larger buffers (docs/cuda.md).
 """
 
 from __future__ import annotations

@@ -1,13 +1,14 @@
 """Confidence of each Gaussian (ours): photos, directions, and colour error.
 
-A photo shows a Gaussian where its alpha x T is 1/255 or more on some pixel. Its direction is the
-nearest of 128 that are even over the sphere, about 18 degrees apart. The error is of photos that
-trained nothing:
+A photo shows a Gaussian if its alpha x T is 1/255 or more on some pixel. The photo's direction is
+the nearest of 128 that are even over the sphere, about 18 degrees apart. The error comes from
+held-out photos:
 
     error_i = sqrt(sum_p w_i(p) e(p)^2 / sum_p w_i(p))
 
-over the pixels p of held-out photos that show i, with its weight w_i(p) = alpha x T and the
-difference e(p) of picture and photo, so each pixel's error falls on what the pixel shows.
+over the pixels p of held-out photos that show i. w_i(p) = alpha x T is its weight, and e(p) the
+difference of picture and photo. So each pixel's error is assigned to the Gaussians that the pixel
+shows.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Crops of boxes on test photos, with the photo beside the models: files and report page.
 
-For each box there are up to four photos: those with the largest, the median and the least gain of
-the result over the baseline, so that the choice is fair, and the nearest one.
+Each box has up to four photos. To be fair, three are those with the largest, the median and the
+least gain of the result over the baseline. The fourth is the nearest one.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """PSNR, SSIM and FLIP of a render against its photo, over all pixels or over a mask.
 
-Images are (H, W, 3) sRGB values in [0, 1]; masks are (H, W) bool. Higher is better, but for FLIP.
+Images are (H, W, 3) sRGB values in [0, 1]; masks are (H, W) bool. Higher is better, except for
+FLIP.
 """
 
 from __future__ import annotations

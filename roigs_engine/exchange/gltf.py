@@ -1,7 +1,7 @@
 """glTF 2.0 with Khronos's extension KHR_gaussian_splatting, written as one GLB through pygltflib.
 
-A viewer without the extension shows points in the colours of `COLOR_0`. Read are GLBs and .gltf,
-also of the extension's drafts and with SPZ inside.
+A viewer without the extension shows points in the colours of `COLOR_0`. Reads GLBs and .gltf, also
+of the extension's drafts and with SPZ inside.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """PlayCanvas's Streamed SOG: levels of detail, of which a viewer loads only what it needs.
 
 `lod-meta.json` lists parts with their bounds, and for each level of a part the folder of a SOG. The
-folder's name has a hash of its files, so writing a new model changes no file of the old
-`lod-meta.json`, which stays valid until the new one replaces it.
+folder's name has a hash of its files. So writing a new model changes no file of the old one, and
+the old `lod-meta.json` stays valid until the new one replaces it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Events of an engine run: frozen dataclasses, one JSON line each.
 
-The command line turns them into a progress bar or, with `--events`, into JSON lines on standard
-output, which is what the Blender add-on reads. Nothing below the command line prints.
+The command line shows them as a progress bar or, with `--events`, as JSON lines on standard output.
+The Blender add-on reads these lines. Nothing below the command line prints.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ The rules for files in a run folder or `--out`:
 
 - A file appears under its name when it is complete. A link in its place is replaced.
 - A folder below it must not be a link. The folder itself may be one: the user names it.
-- What is read must be a regular file: a pipe or a device would be read for ever.
+- A file that is read must be a regular file. Reading a pipe or a device might never end.
 """
 
 from __future__ import annotations

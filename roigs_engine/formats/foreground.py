@@ -1,8 +1,8 @@
 """Finds the main object of the photos, as the first box; numpy only.
 
-People aim at the object: the sparse points near the middle of many photos, and close together, are
-on it. The support plane (a table, the floor) is the level plane with most of these points. It is
-left out, and so are other objects on the same plane.
+People aim at the object. So sparse points that are near the middle of many photos, and close
+together, are on it. The support plane (a table, the floor) is the level plane with most of these
+points. It is left out, and so are other objects on the same plane.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Estimates the direction of gravity in a COLMAP model from its cameras.
 
-People hold cameras level, but point them up and down. So the side of the picture is horizontal:
-up is the direction to which the photos' x axes (their y axes, in portraits) are most nearly at
-right angles, whatever their pitch. The mean of the pictures' own up axes, which is used where
-photos look only one way, is off by a few degrees: it leans to where most photos look down.
+People hold cameras level, but point them up and down. So the picture's horizontal axis is level. Up
+is the direction that is most nearly at right angles to the photos' x axes (in portraits, their y
+axes), for any pitch. If photos look only one way, the mean of the pictures' own up axes is used. It
+is off by a few degrees, because most photos look down.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """`levels.json`: the levels of detail of a result, and the rule that chooses a level.
 
 A part (a box, or the surroundings) has a ladder of files, each with fewer Gaussians. The resolution
-of a view decides: its rate, in pixels per unit of length on the part. A level is used if the view
-is at least `Level.farther` times coarser than the photos. The rule depends on the view alone, not
-on earlier views, so a picture is always the same. Where one level follows another, both are drawn,
-one fading out and the other in.
+of a view, in pixels per unit of length on the part, decides between them. A level is used if the
+view is at least `Level.farther` times coarser than the photos. The rule depends only on the view,
+not on earlier views, so a picture is always the same. Between two levels, both are drawn: one fades
+out, the other in.
 """
 
 from __future__ import annotations

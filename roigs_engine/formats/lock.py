@@ -1,12 +1,12 @@
 """Locks of run folders: only one engine at a time, and others can see which.
 
-The lock is the operating system's, so it ends with the process, however that ends. The file names
-its holder, for users and for a Blender that was opened again.
+The lock is the operating system's, so it is released when the process ends, in any way. The file
+names its holder, for users and for a restarted Blender.
 
-A file system without locks needs a fallback: there, a lock file belongs to the process that its
-record names. It appears with its record or not at all, and is taken over only if that process has
-ended. The record has the computer and the start of the process beside its number, which the system
-gives to another process later.
+A file system without locks needs a fallback. There, a lock file belongs to the process in its
+record. The file appears together with its record, and is taken over only if that process has ended.
+The system reuses process numbers, so the record also has the computer and the start time of the
+process.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 `made.json` beside the masks of a box has three entries by file. "masks" is the SHA-256 of the
 written file. "inputs" is a hash of its inputs: a mask with unchanged inputs is kept. "writing"
-lists unfinished files, so that the masks of a killed process are known as well. Any other file, or
-one that has changed since, is the user's: it is never replaced.
+lists unfinished files, so that masks of a killed process are known as well. All other files, and
+those changed since, are the user's. They are never replaced.
 """
 
 from __future__ import annotations

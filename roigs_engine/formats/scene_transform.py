@@ -1,7 +1,7 @@
 """`roigs_placement.json`: pose and scale of a model in Blender's world; numpy only.
 
-docs/files.md describes the file. A transform applies only to a model with the recorded cameras:
-another model of the project, or one that was made again, has another frame.
+docs/files.md describes the file. A transform applies only to a model with the recorded cameras,
+because another model of the project, or a recreated one, has another frame.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """The 3DGS PLY layout, which every splat viewer reads; numpy only.
 
-Written is binary little-endian; ASCII and big-endian are read, too.
+Files are written in binary little-endian; ASCII and big-endian are read, too.
 
-docs/conventions.md has the layout. Values go out and come back bit for bit. Centres far from the
-origin, as in map coordinates, are `double x y z`: float32 would be too coarse there.
+docs/conventions.md has the layout. Writing and reading keep values bit for bit. Centres far from
+the origin, as in map coordinates, are `double x y z`, because float32 would be too coarse there.
 
 docs/formats.md (Made for) describes how files, ours and other programs', record anti-aliasing and
 light.

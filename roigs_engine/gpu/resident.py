@@ -1,9 +1,9 @@
 """An optimizer's parameters and moments, kept on a GPU while only steps change them.
 
-Then a step sends nothing except the photo's gradient. Code that reads the tensors in main memory
-calls `Resident.settle` first, and may change them. So the next step uses the tensors in main
-memory, and only the one after it moves them to the GPU again. A model that is read after each step
-is not sent back and forth.
+Then a step sends only the photo's gradient. Code that reads the tensors in main memory calls
+`Resident.settle` first, and may change them. So the next step uses the tensors in main memory, and
+only the step after it moves them to the GPU again. This avoids sending a model back and forth if it
+is read after each step.
 """
 
 from __future__ import annotations

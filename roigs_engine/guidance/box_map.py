@@ -1,7 +1,7 @@
 """Coverage of a box by photos: 0 to 1 for each patch of its surface and each direction.
 
-A photo v that sees the patch p from the direction d_v measures what p looks like from there, with
-a precision that grows with its pixels on the patch:
+A photo v that sees the patch p from the direction d_v measures the look of p from there. Its
+precision grows with its pixels on the patch:
 
     q(v, p) = (s_v rho / rho*)^2 cos(theta),   rho = f / z pixels per unit of length
     I(p, b) = sum_v q(v, p) exp(-angle(b, d_v)^2 / (2 sigma^2))
@@ -10,16 +10,16 @@ a precision that grows with its pixels on the patch:
 theta is the angle to the patch's normal, s_v <= 1 the sharpness of the photo at the box, rho* the
 resolution of the usual lens where the box just fills its picture. Precisions of independent
 measurements add up, and I / (1 + I) is the share by which they reduce a variance of 1. The error of
-a patch as seen from b is also due to directions nearby, less with the angle: sigma is the spacing
-of the directions b, which are even over the sphere.
+a patch as seen from b also depends on photos from nearby directions, less with the angle. sigma is
+the spacing of the directions b, which are even over the sphere.
 
-`known` is shown to users. Photos are chosen by the error in decibels, as it is measured later: by
-the mean of 10 log10(1 + I), how much lower the variance is than without a photo. It is monotone and
-submodular in the photos, as a concave function of sums; `known` would be, too, but counts a gap
-half closed for more than the next halves.
+`known` is shown to users. Photos are chosen by the error in decibels, because it is later measured
+in decibels: by the mean of 10 log10(1 + I), the reduction of the variance by the photos. It is
+monotone and submodular in the photos, as a concave function of sums. `known` is, too, but for it,
+closing the first half of a gap counts more than closing the rest.
 
 Means are over patches and directions, each weighted by cos(theta), its share of a picture from
-there; directions from which no camera can look have no weight.
+there. Directions without a possible camera have no weight.
 """
 
 from __future__ import annotations

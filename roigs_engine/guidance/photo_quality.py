@@ -1,15 +1,16 @@
 """Sharpness and exposure of each photo at a box, from the pixels around its patches.
 
-Of each patch p in each photo v that sees it: the energy L of the Laplacian over the squared
-brightness, so that a dark photo is not called blurred, and the light Y. A patch has its texture,
-and a nearer photo shows finer parts of it, so photos are compared by a model with two effects,
-fitted by medians, which few odd patches do not move:
+Two values are measured of each patch p in each photo v that sees it: the energy L of the Laplacian,
+divided by the squared brightness, so that a dark photo does not count as blurred; and the light Y.
+Each patch has a different texture, and a nearer photo shows finer parts of it. So photos are
+compared by a model with two effects. It is fitted by medians, which a few odd patches do not
+change:
 
     log L(p, v) = texture_p + k log rho(p, v) + sharp_v
     log Y(p, v) = light_p + exposure_v
 
-Photos have a spectrum near 1/f, so L grows with the fourth power of the finest frequency that is
-left: a photo's resolution is reduced by the fourth root of its L over that of sharp photos.
+Photos have a spectrum near 1/f, so L grows with the fourth power of the finest remaining frequency.
+So a photo's resolution is reduced by the fourth root of the ratio of its L to that of sharp photos.
 """
 
 from __future__ import annotations

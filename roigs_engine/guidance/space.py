@@ -1,8 +1,8 @@
 """Finds solid and free space by the rays from photos to their observed points.
 
-A grid as robots keep it (occupancy mapping; Moravec and Elfes 1985): each ray passes through air
-and ends at something solid. A cell is solid if at least as many rays end in it as pass through it,
-and air if rays pass and fewer end. The other cells are unknown.
+A grid as in robotics (occupancy mapping; Moravec and Elfes 1985). Each ray passes through air and
+ends at something solid. A cell is solid if at least as many rays end in it as pass through it, and
+air if rays pass and fewer end. The other cells are unknown.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Chooses the next photos of a box (greedy): each lowers the expected error most.
 
-The expected error in dB is monotone and submodular, so the photos reach at least 1 - 1/e of the
-best gain of so many (Nemhauser, Wolsey and Fisher 1978), and an earlier gain is an upper bound of a
-later one.
+The expected error in dB is monotone and submodular. So greedy photos reach at least 1 - 1/e of the
+best gain of that number of photos (Nemhauser, Wolsey and Fisher 1978), and an earlier gain is an
+upper bound of a later one.
 """
 
 from __future__ import annotations

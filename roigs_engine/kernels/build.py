@@ -2,8 +2,8 @@
 
     python -m roigs_engine.kernels.build [--target PLATFORM] [--compiler zig|cxx]
 
-The compiler is the one in the `ziglang` wheel when that is installed (it also cross-compiles), else
-the system's. The module imports nothing but the standard library and nothing of this package:
+The compiler is that of the `ziglang` wheel if it is installed (it also cross-compiles), otherwise
+the system's. The module imports only the standard library, nothing of this package, because
 setup.py runs it without numpy and torch.
 """
 

@@ -1,6 +1,6 @@
 """Makes the levels of a run's result: trains, measures, and writes them with `levels.json`.
 
-docs/method.md, "Levels of detail", says what a level is trained on, and where it begins.
+docs/method.md, "Levels of detail", describes the training of a level, and where it begins.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The parts of a result (each box, and the surroundings), drawn small for their levels.
 
-Drawn small, with one sample per pixel, each Gaussian is widened to a pixel's size at least: thin
-ones grow, and dense ones cover what is behind them. So what a level learns from is drawn with
-several samples, averaged.
+With one sample per pixel, a small picture widens each Gaussian to at least a pixel. Thin Gaussians
+grow, and dense ones cover those behind them. So a level learns from pictures that are drawn with
+several samples per pixel, averaged.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Carries masks to other photos by votes on sparse points and on colours.
 
-For scenes that are not trained yet. Points are few, so between them the nearest ones decide,
-together with the colours that the object and its surroundings have had so far.
+For untrained scenes. Points are few, so between them the nearest ones decide, together with the
+colours of the object and its surroundings so far.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """The frame for training and rendering, independent of a model's units and origin.
 
 Constants with a length (the near plane, smallest scales) and the resolution of float32 would
-otherwise make a result depend on whether a scene is in millimetres, metres or map coordinates.
-Every trainer of splats normalises scenes for that reason. Here the change is exact: the scale is a
-power of 16, the origin a multiple of a power of two, and both are 1 and 0 for an ordinary model.
+otherwise make a result depend on whether a scene is in millimetres, metres or map coordinates. So
+every trainer of splats normalises scenes. Here the change is exact: the scale is a power of 16, the
+origin a multiple of a power of two, and both are 1 and 0 for an ordinary model.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Ownership of positions and Gaussians: by boxes, and by the models of a scene trained in cells.
 
-A box owns the positions inside it. Where boxes overlap, the box with the nearest centre is the
-owner, with distances in units of each box's half extents. A scene that several models share is
-partitioned by its sparse points, so every position has exactly one owner (docs/method.md, "Blocks
-and groups").
+A box owns the positions inside it. If boxes overlap, the owner is the box with the nearest centre,
+with distances in units of each box's half extents. A scene that several models share is partitioned
+by its sparse points, so every position has exactly one owner (docs/method.md, "Blocks and groups").
 """
 
 from __future__ import annotations

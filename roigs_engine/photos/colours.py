@@ -1,16 +1,16 @@
 """Colour spaces of photos' files, and conversion to sRGB.
 
-A file's colour space is that of the first of these that it has:
+A file's colour space is the first of these that the file has:
 
 - the ICC profile of a JPEG, PNG, TIFF, WebP, HEIC, JPEG 2000 or BMP;
 - in a PNG, by its specification (third edition, 4.3): cICP, iCCP, sRGB, cHRM with gAMA;
 - the code points of a HEIC (nclx, ITU-T H.273);
 - Adobe RGB, if the EXIF data say so as cameras do (DCF 2.0: interoperability index R03).
 
-Colours are converted relative to white, with black-point compensation: those that sRGB has stay
-exact. Perceptual conversion would change them too, by tables that each profile has of its own.
-Colours outside sRGB are clipped. A profile that differs from sRGB by no more than rounding changes
-nothing. Photos of more than 8 bits are converted at their full depth, except by profiles of tables.
+Colours are converted relative to white, with black-point compensation, so colours within sRGB stay
+exact. Perceptual conversion would change them too, by tables that differ between profiles. Colours
+outside sRGB are clipped. A profile that differs from sRGB by no more than rounding changes nothing.
+Photos of more than 8 bits are converted at their full depth, except by profiles of tables.
 """
 
 from __future__ import annotations

@@ -3,12 +3,12 @@
 All photos are decoded here, so that all are converted to sRGB (`colours`). Orientation tags are
 ignored, as in COLMAP: pixels keep the file's order, unless a `turn` is given.
 
-To find damage, a photo is decoded once, at a reduced size where that is cheaper. Pillow reports
-files that break off, bytes that are no image data, and damaged PNG data. It says nothing when the
-data of a JPEG end before the photo does: libjpeg then fills the rest with one colour. `_ends_early`
-finds that, in progressive JPEGs if their first scan is cut; later scans add detail that they then
-lack. Not found is damage that a JPEG decodes to other colours, for example a single changed bit:
-the format has no checksum.
+To find damage, a photo is decoded once, at a reduced size if that is cheaper. Pillow reports
+truncated files, bytes that are no image data, and damaged PNG data. It does not report a JPEG whose
+data end too early: libjpeg then fills the rest of the photo with one colour. `_ends_early` finds
+this; in progressive JPEGs, only if the first scan is cut, because later scans add only detail.
+Damage that a JPEG decodes to other colours, such as a single changed bit, is not found, because the
+format has no checksum.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Exposures of photos from EXIF; levels photos to one exposure in linear light.
 
-A camera on automatic exposure lets in more light where the scene is dark, by stops. Without the
-exposures, a model learns that as view dependence, or as a mean of photos that disagree. With them,
-each photo is decoded as if it had the median exposure.
+A camera on automatic exposure lets in more light if the scene is dark, by stops. Without the
+exposures, a model learns these differences as view dependence, or as a mean of photos that
+disagree. With them, each photo is decoded as if it had the median exposure.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Photo headers: the size of a photo without decoding, and whether the file is complete.
 
 JPEG and PNG headers are read here, five times as fast as by Pillow. Pillow reads other formats, and
-only those in `FORMATS`: by default it would go by the content alone, and start Ghostscript for an
+only those in `FORMATS`. By default, it would look only at the content, and start Ghostscript for an
 EPS file named 'photo.jpg'.
 """
 

@@ -1,9 +1,9 @@
 """Rotates photos by their EXIF tag, for models of software that applies it.
 
-COLMAP ignores the tag, as this engine does for its models: `turn` is then `AS_STORED`. Other
-software shows and measures photos turned. `colmap.rotations` finds out which it was.
+COLMAP ignores the tag, and so does this engine for its models: `turn` is then `AS_STORED`. Other
+software shows and measures turned photos. `colmap.rotations` finds out which rule a model follows.
 
-A turn is the tag's value (Exif 3.0, 4.6.4, Orientation): what must be done to the stored pixels.
+A turn is the tag's value (Exif 3.0, 4.6.4, Orientation): the operation that the stored pixels need.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Opens TIFF photos with tifffile that Pillow cannot read or reads wrongly.
 
 Pillow reads 8 bits, 16 bits of chunky pixels, and floats of one channel; `pillow_reads` has the
-exact rule. All else is read here: other planes, byte orders, numbers, and compressions, and files
-whose first page is a small copy or a mask. As with Pillow, white is the largest value of the type,
-1 for floats.
+exact rule. Everything else is read here: other planes, byte orders, numbers and compressions, and
+files whose first page is a small copy or a mask. As with Pillow, white is the largest value of the
+type, 1 for floats.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Chooses the pairs of photos to match: in order, or by a cheap measure of similarity.
 
-Features of large scales are few and match most often, so a few hundred of a photo show whether
-matching all is worth it (preemptive matching, Wu 2013). Among very many photos, even these are
-compared only with the photos that are nearest by an aggregate of all of them (VLAD, Jégou et al.
-2010, with words from the photos themselves).
+Features of large scales are few and match most often. So a few hundred of a photo show whether
+matching all features is worth it (preemptive matching, Wu 2013). With very many photos, even these
+are compared only with the nearest photos, by an aggregate of all features of a photo (VLAD, Jégou
+et al. 2010, with words from the photos themselves).
 """
 
 from __future__ import annotations

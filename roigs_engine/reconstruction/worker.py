@@ -1,7 +1,7 @@
 """Child process for a long call of pycolmap, which can be killed at any time.
 
 `python -m roigs_engine.reconstruction.worker` reads a task, one line of JSON, from standard input,
-and ends when that is closed. Each line on standard output is JSON: `{"registered": 12}`,
+and ends when standard input is closed. Each line on standard output is JSON: `{"registered": 12}`,
 `{"result": ...}` or `{"error": "..."}`. pycolmap's own messages go to standard error.
 """
 

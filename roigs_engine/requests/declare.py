@@ -1,7 +1,7 @@
 """Declares options as dataclass fields, and makes requests from checked values.
 
-tyro and jsonargparse were tried instead. Both report a wrong value in several lines, take an option
-that is given twice, and jsonargparse takes abbreviations; the adapters to replace their messages,
+We tried tyro and jsonargparse instead. Both report a wrong value in several lines and accept an
+option that is given twice; jsonargparse also accepts abbreviations. Adapters for their messages,
 and the strict merge with an options file, were longer than this file.
 """
 

@@ -1,7 +1,8 @@
 """Kinds of option values, with the same checks on the command line, in files and in Python.
 
 A kind converts the text of a command line when it is called; `of_json` takes a value of JSON, TOML
-or Python. Both raise ArgumentTypeError with the end of a line that begins with the option's name.
+or Python. Both raise ArgumentTypeError. Its text completes a line that begins with the option's
+name.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Forecast of a plan: Gaussians, seconds and disk space, without finished work.
 
-The time of a step is measured twice by training a few, on the stage's cameras and masks: with the
-number of Gaussians at the start of the stage, and with the number expected at its end. In between
-it is interpolated. A rule of thumb gives the number of Gaussians that densification adds.
+The time of a step is measured by training a few steps on the stage's cameras and masks, twice: with
+the number of Gaussians at the start of the stage, and with the number expected at its end. In
+between, it is interpolated. A rule of thumb gives the number of Gaussians that densification adds.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """`provenance.json`: the versions, machine and times behind the results of a run folder.
 
-It has one entry for each time the engine worked there. So a result can be traced after the program
-or the machine has changed. It has no environment variables, user names, machine names or paths.
+It has one entry for each time the engine worked in the folder. So the origin of a result stays
+known after the program or the machine has changed. It has no environment variables, user names,
+machine names or paths.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The folder of a stage: trains the stage, resumes it, or loads its finished result.
 
 The folder has `checkpoint.bin` while the stage trains, and `model.ply` and `stage.json` when it is
-finished. Both states carry a fingerprint: a hash of everything that decides the stage's result. A
-finished stage is verified by its checksums when its result is taken.
+finished. Both states have a fingerprint: a hash of everything that decides the stage's result. The
+checksums of a finished stage are verified when its result is used.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Cells of a large scene: blocks on the ground with their photos, and groups of boxes.
 
-As block-wise Gaussian Splatting does (VastGaussian, Lin et al. 2024; CityGaussian, Liu et al. 2024;
-Hierarchical 3D Gaussians, Kerbl et al. 2024): blocks are rectangles on the ground with as many
-cameras and observations each; a photo trains each block that it shows enough of, so blocks overlap
-in photos. Unlike there, a point that a block's photos hardly show belongs to the block that shows
-it. Boxes that many photos see together are trained together.
+As in block-wise Gaussian Splatting (VastGaussian, Lin et al. 2024; CityGaussian, Liu et al. 2024;
+Hierarchical 3D Gaussians, Kerbl et al. 2024), blocks are rectangles on the ground with equal
+numbers of cameras and observations. A photo trains each block that it shows enough of, so blocks
+share photos. Unlike there, a point that a block's photos hardly show belongs to the block that
+shows it. Boxes that many photos see together are trained together.
 """
 
 from __future__ import annotations

@@ -6,10 +6,10 @@ Facility location over points x viewing-direction bins, for the photos S:
 
 rho = f / z * cos(theta) is the number of pixels of photo v per world unit of the surface at p. rho*
 is its 90th percentile over all observations. b is one of the bins of directions from p to the
-camera. The weights w_p give each voxel (see score.py) the same total weight; a point that masks of
-the object show to be something else has none. F is monotone and
-submodular: lazy greedy equals greedy, it reaches at least 1 - 1/e of the best set of its size, and
-each prefix is the greedy result for that number of photos.
+camera. The weights w_p give each voxel (see score.py) the same total weight; a point outside the
+object's masks has none. F is monotone and submodular: lazy greedy equals greedy, it reaches at
+least 1 - 1/e of the best set of its size, and each prefix is the greedy result for that number of
+photos.
 
 theta is the angle between the ray and the surface normal. SfM points have no normals. A normal is
 estimated from the neighbouring points if these lie on a surface; otherwise cos(theta) = 1.

@@ -1,10 +1,10 @@
 """Leases on a store without locks: one engine at a time, even if another died or returns.
 
-An engine that wants a lease writes its own file, as a claim, and then lists the folder. Without a
-holder, the claim of the smallest name becomes the holder, and lists again: a smaller name that came
-meanwhile makes it give way. Everybody writes before it lists, so one of two always sees the other.
-Files are rewritten again and again; one that does not change for `EXPIRY` seconds, by the watcher's
-own clock, is dead: no two clocks are compared.
+To get a lease, an engine writes its own file, as a claim, and then lists the folder. If there is no
+holder, the claim with the smallest name becomes the holder. It lists again, and gives way if a
+smaller name has appeared meanwhile. Every engine writes before it lists, so one of two always sees
+the other. Files are rewritten regularly. A file that does not change for `EXPIRY` seconds, by the
+watcher's own clock, is dead. So no two clocks are compared.
 """
 
 from __future__ import annotations

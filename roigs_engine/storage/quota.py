@@ -1,7 +1,7 @@
 """Disk quota for cached copies: removes the least recently used ones, never one in use.
 
-Only folders that `claim` made are removed: named by a hash, with a mark inside. The user may have
-named a folder of his own for the copies.
+Only folders made by `claim` are removed: their name is a hash, and they have a mark inside. The
+folder for the copies may have other files of the user.
 """
 
 from __future__ import annotations

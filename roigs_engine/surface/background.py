@@ -1,7 +1,7 @@
 """The surroundings of the boxes as one coarse mesh, for shadows, reflections and bounced light.
 
-Two grids: a coarse one of all that cameras and points are in, and finer ones around the boxes,
-where things will stand. The fine grids lie on the lattice of the coarse one, and each cell belongs
+There is a coarse grid around all cameras and points, and there are finer grids around the boxes,
+where objects will stand. The fine grids lie on the lattice of the coarse one, and each cell belongs
 to one grid. The coarse mesh reaches one cell into the fine ones, so that no light leaks between.
 """
 

@@ -2,10 +2,10 @@
 
 After Curless and Levoy (1996), with space carving: a ray that passes a voxel before its depth votes
 that it is free. Two additions are ours. If many more rays end far in front of a voxel than near it,
-they vote weakly that it is inside: so a depth that is wrong in a few photos makes no layer inside
-an object. Photos with larger pixels at the voxel have less weight. And the field is computed
-coarsely first, then finely where the coarse one has a surface. Depth with a negative weight is not
-the object's: it is free in front of it and, faintly, behind.
+they vote weakly that it is inside. So wrong depths in a few photos make no layer inside an object.
+Photos with larger pixels at the voxel have less weight. The field is computed coarsely first, then
+finely near the coarse surface. Depth with a negative weight is not the object's: space in front of
+it is free and, with little weight, space behind it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Separates objects from their support: their pixels, and the support's plane.
 
 Masks of an object on some photos select its Gaussians, and these select its pixels on the other
-photos. Depth of other things carves, but makes no surface. No photo shows where an object touches a
-table, so it is cut there along the plane of the table.
+photos. Depth of other objects carves space, but makes no surface. No photo shows the contact of
+object and table, so the object is cut there along the plane of the table.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Texture of a mesh, in two bands, from the photos that see a texel best.
 
-Broad colours are blended over all photos that see a texel, so that no seam shows. Fine detail comes
-from the best ones alone, so that nothing is blurred by poses that are a little wrong (Burt and
-Adelson 1983). Exposures are levelled before: each photo gets a gain for each colour.
+Coarse colours are blended over all photos that see a texel, so that there are no seams. Fine detail
+comes only from the best photos, so that slightly wrong poses do not blur it (Burt and Adelson
+1983). Exposures are levelled before: each photo gets a gain for each colour.
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ A file consists of:
 Loading it cannot run code. Every length is checked before memory is allocated, and checksums detect
 damage. The previous checkpoint is kept beside it and used if the last one is damaged.
 
-A checksum detects damage, but not a file that some other program wrote. The kernels trust the
-tensors that they get, so `check_state` checks everything about these.
+A checksum detects damage, but not a file that another program wrote. The kernels trust their
+tensors, so `check_state` checks these completely.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Settings of a training stage: a small core and its mechanisms, as frozen values; torch-free.
 
-The core is standard 3DGS without densification (Kerbl et al. 2023). All else is a *mechanism*: a
-frozen dataclass with its own settings, in a separate file (`mechanisms/`). A stage lists those that
-it uses, in the order in which they act. notebook/README.md has the measurements.
+The core is standard 3DGS without densification (Kerbl et al. 2023). Everything else is a
+*mechanism*: a frozen dataclass with its own settings, in a separate file (`mechanisms/`). A stage
+lists its mechanisms in the order in which they act. notebook/README.md has the measurements.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Loss masks: a step's training pixels, the boxes' silhouettes and a margin.
 
-In a photo with a mask of a box's object, the object takes the place of the box's silhouette. Masks
-are whole 16x16 tiles, the rasterizer's unit of work (ours, docs/method.md, "Masks"; the paper's
-loss is on the entire image, sec. II-B). No stage trains pixels that the photo's own mask ignores.
+If a photo has a mask of a box's object, the mask is used instead of the box's silhouette. Masks are
+whole 16x16 tiles, the rasterizer's unit of work (ours, docs/method.md, "Masks"; the paper's loss is
+on the entire image, sec. II-B). No stage trains pixels that the photo's own mask ignores.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
 
 Images are (H, W, 3) sRGB values in [0, 1], photos (H, W, 3) uint8. SSIM (Wang et al. 2004) has an
 11 x 11 Gaussian window of sigma 1.5, zeros around the image, C1 = 0.01^2 and C2 = 0.03^2. A pixel
-that a mask ignores is as one beyond the image: zero in both pictures, and without weight
+that a mask ignores is treated like one outside the image: zero in both pictures, and without weight
 (docs/method.md, "Ignored pixels").
 """
 
