@@ -40,6 +40,7 @@ class Checked:
     Attributes:
         place: of the box then, see `rois.place_key`.
         made: digest of the request and of the engine's answer.
+        of: number of photos in the scene then.
         photos: number of photos that show the box.
         pixels: along its longest side.
         known: what the photos cover, 0 to 1.
@@ -50,6 +51,7 @@ class Checked:
 
     place: str
     made: str
+    of: int
     photos: int
     pixels: float
     known: float
@@ -67,6 +69,7 @@ class Checked:
         return cls(
             place=str(record["place"]),
             made=str(record["made"]),
+            of=int(record["of"]),
             photos=int(record["photos"]),
             pixels=pixels,
             known=known,
@@ -102,9 +105,10 @@ def take(scene: bpy.types.Scene, places: Mapping[str, str], listed: Path, reques
         }
     except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
         raise AddonError(f"The suggestions are unreadable ({error}).") from error
+    every = len(lookup.cameras(scene))
     for roi in lookup.rois(scene):
         if roi.name in found and roi.name in places:
-            record = found[roi.name] | {"place": places[roi.name]}
+            record = found[roi.name] | {"place": places[roi.name], "of": every}
             object_props(roi).checked = json.dumps(record)
 
 
@@ -168,10 +172,11 @@ def _in_words(normal: Matrix, own: Matrix) -> str:
 
 
 def _from_engine(box: dict[str, Any], cameras: list[dict[str, Any]], made: str) -> dict[str, Any]:
-    """A box of the engine's list as a record, without its place."""
+    """A box of the engine's list as a record, without its place and the number of all photos."""
     values = [float(camera["known"]) for camera in cameras if camera["box"] == box["name"]]
     record = {
         "place": "",
+        "of": 0,
         "made": made,
         "photos": len(box["photos"]),
         "later": max(values, default=box["known"]),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..blender import layout_of, registration, scene_of
+from ..facts import photo_names
 from ..jobs.spec import CHECKING
 from ..operators.photos import SelectCameras
 from ..operators.suggest import CheckPhotos
@@ -33,7 +34,9 @@ class CamerasPanel(SidebarPanel):
         if not show.job(layout, CHECKING):
             _draw_check(layout, roi, scene)
         if object_props(roi).selection and selections.is_stale(roi, scene):
-            show.wrong(layout, f"{roi.name} was moved after its photos were selected")
+            old = f"{roi.name} was moved: its list of photos is old"
+            too = "Its list of photos is old, too"
+            show.wrong(layout, too if checked.is_stale(roi, scene) else old)
             again = layout.operator(SelectCameras.bl_idname, text="Select Again")
             again.active_only = True
 
@@ -51,6 +54,8 @@ def _draw_check(layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.ty
     show.done(layout, f"{roi.name}: {photos}, {found.pixels:.0f} px across")
     more = f", {found.later:.0%} with {found.suggested} more" if found.suggested else ""
     layout.progress(factor=found.known, text=f"{found.known:.0%} covered{more}")
+    if photo_names.count(scene) > found.of:
+        show.wrong(layout, "Photos were added: click Check Photos")
     if sides := checked.sides_without_photos(roi, scene):
         show.wrong(layout, f"No photo from {' and '.join(sides)}")
     exclusions.faulty(layout, scene, checked.faults_of(roi))

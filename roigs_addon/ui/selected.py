@@ -32,7 +32,7 @@ EDIT_ICONS: dict[str, IconItems] = {
 PICTURE_SCALE = 6.0
 """Size of the active photo's picture, in buttons."""
 EFFECTS = {
-    "joint": "Optional: training selects photos by itself, and hardly depends on it",
+    "joint": "Optional: it hardly changes the result",
     "independent": "Each box trains on its selected photos alone",
 }
 """Strategy -> what the selection does."""

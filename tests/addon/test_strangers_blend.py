@@ -238,7 +238,13 @@ def test_any_check_of_photos(blender: ModuleType, shown, changed: dict[str, obje
     from roigs_addon.scene.rois import place_key
 
     scene, _ = shown
-    record = {"place": place_key(box(scene), scene), "made": "", "photos": 3, "suggested": 2}
+    record = {
+        "place": place_key(box(scene), scene),
+        "made": "",
+        "of": 5,
+        "photos": 3,
+        "suggested": 2,
+    }
     record |= {"pixels": 5, "known": 0.5, "later": 0.6, "without_photos": ["+z"], "faults": []}
     box(scene).roigs.checked = json.dumps(record)
     assert checked.of_box(box(scene)) is not None

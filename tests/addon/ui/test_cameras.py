@@ -75,6 +75,11 @@ def test_a_moved_box_is_checked_again(
     blender.context.view_layer.update()
     assert "thing was moved: click Check Photos" in text(blender)
     assert "px across" not in text(blender) and "blurred" not in text(blender)
+    blender.ops.roigs.select_cameras()
+    assert "list of photos" not in text(blender)
+    blender.data.objects["thing"].location.x += 0.1
+    blender.context.view_layer.update()
+    assert "Its list of photos is old, too" in text(blender)
 
 
 def test_sides_without_photos_are_named_as_they_are_in_blender(
@@ -99,6 +104,18 @@ def test_sides_without_photos_are_named_as_they_are_in_blender(
     assert "No photo from above and its -Z side" in text(blender)
     roi.roigs.checked = json.dumps(facts | {"without_photos": []})
     assert "No photo" not in text(blender)
+
+
+def test_photos_that_were_added_are_to_be_checked(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    checked(blender, project, tmp_path / "run")
+    assert "Photos were added" not in text(blender)
+    roi = blender.data.objects["thing"]
+    facts = json.loads(roi.roigs.checked)
+    assert facts["of"] == 8
+    roi.roigs.checked = json.dumps(facts | {"of": 6})
+    assert "Photos were added: click Check Photos" in text(blender)
 
 
 def test_a_photo_with_a_fault_is_named_until_it_is_excluded(
@@ -130,9 +147,9 @@ def test_the_list_of_photos(
     assert "Select Again" not in text(blender)
     roi.location.x += 0.1
     blender.context.view_layer.update()
-    assert "thing was moved after its photos were selected" in text(blender)
+    assert "thing was moved: its list of photos is old" in text(blender)
     assert "Select Again" in text(blender) and "best first" not in selected(blender)
-    assert "hardly depends on it" in selected(blender)
+    assert "hardly changes the result" in selected(blender)
     scene.roigs.strategy = "independent"
     assert "on its selected photos alone" in selected(blender)
 
