@@ -30,7 +30,7 @@ def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object], *, show: bool) -
     """
     options = options_files.write_suggest_options(scene, boxes, model=_model(scene))
     out, find = made_folder(options.parent, own_files.SUGGESTED), run_folders.finder(scene)
-    request, places = files.sha256(options), checked.places_of(boxes, scene)
+    request, places = _request(options), checked.places_of(boxes, scene)
 
     def take() -> str | None:
         now = find()
@@ -63,7 +63,7 @@ def kept(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> Path | None:
         return None
     options = options_files.write_suggest_options(scene, boxes, model=_model(scene))
     listed = options.parent / own_files.SUGGESTED / LIST
-    return listed if checked.is_fresh(scene, listed, files.sha256(options)) else None
+    return listed if checked.is_fresh(scene, listed, _request(options)) else None
 
 
 def packages(scene: bpy.types.Scene) -> tuple[str, ...]:
@@ -78,6 +78,12 @@ def page(scene: bpy.types.Scene) -> Path | None:
     """
     page = run_folders.run_folder(scene) / own_files.OWN / own_files.SUGGESTED / PAGE
     return page if os.path.isfile(page) and not files.is_link(page) else None
+
+
+def _request(options: Path) -> str:
+    """Digest of what the engine is asked: options, and boxes with their names and places."""
+    asked = files.sha256(options), files.sha256(options.parent / own_files.ROIS)
+    return text.json_digest(asked)
 
 
 def _model(scene: bpy.types.Scene) -> Path | None:

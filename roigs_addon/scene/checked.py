@@ -41,7 +41,6 @@ class Checked:
         place: of the box then, see `rois.place_key`.
         made: digest of the request and of the engine's answer.
         of: number of photos in the scene then.
-        photos: number of photos that show the box.
         pixels: along its longest side.
         known: what the photos cover, 0 to 1.
         later: the same with the suggested photos.
@@ -52,7 +51,6 @@ class Checked:
     place: str
     made: str
     of: int
-    photos: int
     pixels: float
     known: float
     later: float
@@ -70,7 +68,6 @@ class Checked:
             place=str(record["place"]),
             made=str(record["made"]),
             of=int(record["of"]),
-            photos=int(record["photos"]),
             pixels=pixels,
             known=known,
             later=later,
@@ -127,16 +124,13 @@ def is_stale(roi: bpy.types.Object, scene: bpy.types.Scene) -> bool:
 
 
 def is_fresh(scene: bpy.types.Scene, listed: Path, request: str) -> bool:
-    """Whether the list of suggestions is the answer for all boxes where they are now."""
+    """Whether the list of suggestions is what all boxes have of the same request."""
     try:
         made = _made(request, files.read_bytes(listed))
     except OSError:
         return False
-    known = {roi: of_box(roi) for roi in lookup.rois(scene)}
-    return all(
-        found is not None and found.made == made and not is_stale(roi, scene)
-        for roi, found in known.items()
-    )
+    found = map(of_box, lookup.rois(scene))
+    return all(known is not None and known.made == made for known in found)
 
 
 def faults_of(roi: bpy.types.Object) -> tuple[Fault, ...]:
@@ -178,7 +172,6 @@ def _from_engine(box: dict[str, Any], cameras: list[dict[str, Any]], made: str) 
         "place": "",
         "of": 0,
         "made": made,
-        "photos": len(box["photos"]),
         "later": max(values, default=box["known"]),
         "suggested": len(values),
         "faults": [(fault["photo"], fault["reason"], fault["text"]) for fault in box["faults"]],

@@ -11,7 +11,6 @@ from ..operators.photos import SelectCameras
 from ..operators.suggest import CheckPhotos
 from ..properties import object_props
 from ..scene import checked, lookup, selections
-from ..shared import text
 from . import exclusions
 from . import layout as show
 from .layout import SidebarPanel
@@ -50,8 +49,7 @@ def _draw_check(layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.ty
     if checked.is_stale(roi, scene):
         show.wrong(layout, f"{roi.name} was moved: click Check Photos")
         return
-    photos = text.counted(found.photos, "photo")
-    show.done(layout, f"{roi.name}: {photos}, {found.pixels:.0f} px across")
+    show.done(layout, f"{roi.name}: {found.pixels:.0f} px across in its photos")
     more = f", {found.later:.0%} with {found.suggested} more" if found.suggested else ""
     layout.progress(factor=found.known, text=f"{found.known:.0%} covered{more}")
     if photo_names.count(scene) > found.of:

@@ -54,37 +54,41 @@ class PhotoFault:
 
 
 def photo_faults(known: KnownBox) -> tuple[PhotoFault, ...]:
-    """The photos of a box that have a fault, by name; a photo may have several.
+    """The photos of a box that have a fault, the worst first; a photo may have several.
 
-    Empty if the photos were not looked at (`known_box(look=False)`).
+    Worse is what leaves less of the photo's information. Empty if the photos were not looked at
+    (`known_box(look=False)`).
     """
     quality = known.quality
     if quality is None:
         return ()
     found = [
-        PhotoFault(photo=name, reason=UNREADABLE, text="unreadable") for name in quality.unreadable
+        (0.0, PhotoFault(photo=name, reason=UNREADABLE, text="unreadable"))
+        for name in quality.unreadable
     ]
     points = {image.name: len(image.point_indices) for image in known.map.images}
     if any(points.values()):  # else the model stores no tracks
         for name in weakly_observed(points):
             text = f"perhaps misplaced: its camera has only {counted(points[name], 'point')}"
-            found.append(PhotoFault(photo=name, reason=PLACED, text=text))
+            found.append((0.0, PhotoFault(photo=name, reason=PLACED, text=text)))
     odd = _odd_exposures(quality.exposure)
     for column, image in enumerate(known.map.images):
         sharp, overall = quality.sharpness[column], quality.overall[column]
         if sharp**2 < HALF:
             of = f"{sharp:.0%} of the sharp photos' resolution"
             if overall**2 < HALF:
-                found.append(PhotoFault(photo=image.name, reason=BLURRED, text=f"blurred: {of}"))
+                fault = PhotoFault(photo=image.name, reason=BLURRED, text=f"blurred: {of}")
             else:
                 text = f"out of focus at the object: {of}"
-                found.append(PhotoFault(photo=image.name, reason=FOCUS, text=text))
-        exposure = quality.exposure[column]
+                fault = PhotoFault(photo=image.name, reason=FOCUS, text=text)
+            found.append((float(sharp) ** 2, fault))
+        exposure = float(quality.exposure[column])
         if odd[column]:
             way = "brighter" if exposure > 0 else "darker"
             text = f"{abs(exposure):.1f} stops {way} than the others"
-            found.append(PhotoFault(photo=image.name, reason=EXPOSED, text=text))
-    return tuple(sorted(found, key=lambda fault: fault.photo))
+            fault = PhotoFault(photo=image.name, reason=EXPOSED, text=text)
+            found.append((2.0 ** -abs(exposure), fault))
+    return tuple(fault for _, fault in sorted(found, key=lambda pair: (pair[0], pair[1].photo)))
 
 
 def _odd_exposures(exposures: Float64) -> NDArray[np.bool_]:

@@ -92,3 +92,16 @@ def test_an_unreadable_photo_is_named(good: KnownBox) -> None:
     assert good.quality is not None
     broken = replace(good, quality=replace(good.quality, unreadable=("01.png",)))
     assert one(broken).reason == UNREADABLE
+
+
+def test_the_worst_photo_is_the_first(good: KnownBox) -> None:
+    """By the share of its information that is left: 0.1² < 2⁻³ < 0.6²."""
+    assert good.quality is not None
+    sharp, light = good.quality.sharpness.copy(), np.zeros_like(good.quality.exposure)
+    sharp[[1, 5]], light[3] = (0.6, 0.1), -3.0
+    known = replace(
+        good, quality=replace(good.quality, sharpness=sharp, exposure=light, unreadable=("z.png",))
+    )
+    names = [image.name for image in good.map.images]
+    order = ["z.png", names[5], names[3], names[1]]
+    assert [fault.photo for fault in photo_faults(known)] == order
