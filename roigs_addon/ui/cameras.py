@@ -49,7 +49,7 @@ def _draw_check(layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.ty
     if checked.is_stale(roi, scene):
         show.wrong(layout, f"{roi.name} was moved: click Check Photos")
         return
-    show.done(layout, f"{roi.name}: {found.pixels:.0f} px across in its photos")
+    show.done(layout, f"{roi.name}: {found.pixels:.0f} px across in photos")
     more = f", {found.later:.0%} with {found.suggested} more" if found.suggested else ""
     layout.progress(factor=found.known, text=f"{found.known:.0%} covered{more}")
     if photo_names.count(scene) > found.of:

@@ -227,7 +227,7 @@ def test_any_frame_of_a_mesh(blender: ModuleType, shown, value: Any) -> None:
         {"faults": [[5, {}], ["a", "b", "c"]]},
         {"faults": [["a", "b", "c"], 7]},
         {"known": 1e999},
-        {"photos": "many"},
+        {"of": "many"},
         {"without_photos": [[], {}]},
         {"made": None},
         {"pixels": -5.0, "known": -1e300, "suggested": 10**30, "without_photos": ["up", "+z"]},
@@ -242,7 +242,6 @@ def test_any_check_of_photos(blender: ModuleType, shown, changed: dict[str, obje
         "place": place_key(box(scene), scene),
         "made": "",
         "of": 5,
-        "photos": 3,
         "suggested": 2,
     }
     record |= {"pixels": 5, "known": 0.5, "later": 0.6, "without_photos": ["+z"], "faults": []}
