@@ -40,33 +40,39 @@ IMPORTED = "imported"
 MANUAL_SELECTION, SELECTED = "selection", "selected"
 """Folders with a list of photos for each box: given to the engine, and chosen by it."""
 
+BASELINES = ("full-", run_files.TUNED_STAGE, run_files.COMPARED)
+"""Beginnings of the names of stages that train other models, to compare with."""
+STAGE_WORDS = {
+    run_files.SCENE_STAGE: "whole scene",
+    run_files.JOINT_STAGE: "all boxes",
+    run_files.REFINE_STAGE: "refining",
+    run_files.CUTOUT_STAGE: "objects alone",
+    run_files.SURFACE_STAGE: "surfaces",
+    ADAPT: "adapting",
+    EVALUATE: "measuring the result",
+    DEPTH: "measuring depth",
+    FUSION: "fusing depth",
+    CHECK: "checking photos",
+    UNDISTORT: "undistorting photos",
+    CAMERAS: "cameras",
+    POINTS: "matching points",
+    LOOK: "looking at photos",
+    SUGGEST: "finding places",
+    FEATURES: "finding features",
+    COMPARE: "comparing photos",
+    MATCHING: "matching photos",
+    MAPPING: "placing photos",
+}
+"""Names of stages for the user."""
+
 
 def stage_in_words(stage: str) -> str:
     """'whole scene' for `scene`."""
-    words = {
-        run_files.SCENE_STAGE: "whole scene",
-        run_files.JOINT_STAGE: "all boxes",
-        run_files.REFINE_STAGE: "refining",
-        run_files.CUTOUT_STAGE: "objects alone",
-        run_files.SURFACE_STAGE: "surfaces",
-        ADAPT: "adapting",
-        EVALUATE: "measuring the result",
-        DEPTH: "measuring depth",
-        FUSION: "fusing depth",
-        CHECK: "checking photos",
-        UNDISTORT: "undistorting photos",
-        CAMERAS: "cameras",
-        POINTS: "matching points",
-        LOOK: "looking at photos",
-        SUGGEST: "finding places",
-        FEATURES: "finding features",
-        COMPARE: "comparing photos",
-        MATCHING: "matching photos",
-        MAPPING: "placing photos",
-    }
     if stage.startswith(run_files.OBJECT_STAGE):
         return f"box '{stage.removeprefix(run_files.OBJECT_STAGE)}'"
-    return words.get(stage, stage)
+    if stage.startswith(BASELINES):
+        return "comparison"
+    return STAGE_WORDS.get(stage, stage)
 
 
 def step_in_words(stage: str, step: int, total: int) -> str:

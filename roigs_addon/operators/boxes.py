@@ -115,10 +115,12 @@ class LoadRois(bpy.types.Operator, ImportHelper):  # type: ignore[misc] # the st
         scene = scene_of(context)
         try:
             path = absolute(self.filepath)
-            rois.add_boxes(scene, rois.read(path))
+            added = rois.add_boxes(scene, rois.read(path))
         except AddonError as error:
             return failed(self, error)
         folders.loaded_boxes(path, scene_props(scene).colmap)
+        if added:
+            _select(context, added[0])
         return {"FINISHED"}
 
 

@@ -32,6 +32,17 @@ if TYPE_CHECKING:
 NO_GAUSSIANS = "This scene has no Gaussians"
 
 
+def to_get_some(scene: bpy.types.Scene) -> str:
+    """What to do in a scene without Gaussians."""
+    first = "Load the results" if _can_load(scene) else "Train to get Gaussians"
+    return f"{first}, or import some"
+
+
+def _can_load(scene: bpy.types.Scene) -> bool:
+    """Whether a training is finished."""
+    return bool(run_facts.run(scene).result or run_facts.earlier(scene))
+
+
 class LoadResults(bpy.types.Operator):
     """Import the trained Gaussians from the run folder into the scene"""
 
@@ -47,9 +58,7 @@ class LoadResults(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """There must be a finished training."""
-        scene = scene_of(context)
-        found = run_facts.run(scene).result or run_facts.earlier(scene)
-        return available(cls, "" if found else NO_RESULT)
+        return available(cls, "" if _can_load(scene_of(context)) else NO_RESULT)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Make an object for the background, and two for each box."""

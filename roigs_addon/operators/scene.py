@@ -29,7 +29,7 @@ class ImportColmap(BrowsingOperator, ImportHelper):  # type: ignore[misc] # the 
     """Import cameras, photos and points from the folder of a COLMAP project"""
 
     bl_idname = "roigs.import_colmap"
-    bl_label = "Import Cameras (COLMAP)"
+    bl_label = "Import Cameras"
 
     directory: StringProperty(subtype="DIR_PATH", options=FRESH)
     filepath: StringProperty(subtype="FILE_PATH", options=FRESH)

@@ -22,6 +22,7 @@ from ..stage_properties import stage_props
 from ..windows import redraw
 from .base import BUSY, FRESH, EngineOperator, available, failed, own_problem, tell
 from .picking import PickTool, place_in_view, shown_points
+from .results import to_get_some
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
@@ -36,7 +37,7 @@ def problem(context: bpy.types.Context) -> str:
     if current.busy():
         return BUSY
     if not lookup.splats(scene_of(context)):
-        return "Train to get Gaussians, or import some"
+        return to_get_some(scene_of(context))
     if item is None or item.type not in TYPES or object_props(item).kind != "NONE":
         return "Select a mesh of your own first"
     return "" if context.mode == "OBJECT" else "Leave edit mode first"

@@ -62,7 +62,7 @@ def new_roi(
     return item
 
 
-def add_boxes(scene: bpy.types.Scene, boxes: dict[str, Box]) -> None:
+def add_boxes(scene: bpy.types.Scene, boxes: dict[str, Box]) -> list[bpy.types.Object]:
     """New boxes in the COLMAP frame, below the root, wherever the root is.
 
     Raises:
@@ -70,13 +70,16 @@ def add_boxes(scene: bpy.types.Scene, boxes: dict[str, Box]) -> None:
     """
     _remove_deleted()
     _check_names(list(boxes))
+    added = []
     for name, box in boxes.items():
         placed = np.linalg.inv(box.world_to_box)
         placed[:3, :3] *= box.half_extents
         item = _new_empty(scene, name)
         item.matrix_local = Matrix(placed.tolist())
         _scale_evenly(item)
+        added.append(item)
     blender.view_layer_of(bpy.context).update()  # until then, `matrix_world` is the identity
+    return added
 
 
 def _remove_deleted() -> None:

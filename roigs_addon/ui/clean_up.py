@@ -20,6 +20,7 @@ from ..operators.floaters import FindFloaters
 from ..scene import heat_map, point_edits
 from . import layout as show
 from .layout import SidebarPanel
+from .look import LookPanel
 from .result import ResultPanel
 
 
@@ -58,7 +59,8 @@ class CleanUpPanel(SidebarPanel):
             label = f"Delete {count:,} Selected"
             row.operator(DeleteChosen.bl_idname, text=label, icon="TRASH")
             row.operator(ForgetChosen.bl_idname, text="", icon="X")
-        show.say(layout, "For brightness and tint, click one and open Look", "BLANK1")
+        if not LookPanel.poll(context):
+            show.say(layout, "For brightness and tint, click one and open Look", "BLANK1")
 
 
 def _confidence(layout: bpy.types.UILayout, items: list[bpy.types.Object]) -> None:

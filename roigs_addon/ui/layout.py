@@ -127,10 +127,11 @@ def job(layout: bpy.types.UILayout, title: str) -> bool:
 def progress(layout: bpy.types.UILayout, state: JobState) -> None:
     """A running job: bar, stop button, numbers."""
     share = state.step / state.total if state.total else 0.0
-    stage = f": {stage_in_words(state.stage)}" if state.stage else ""
+    # Title and stage together are wider than the sidebar is at first.
+    named = stage_in_words(state.stage) if state.stage else state.title
     percent = f" {share:.0%}" if state.total else " …"
     row = layout.row(align=True)
-    row.progress(factor=share, text=f"{state.title}{stage}{percent}")
+    row.progress(factor=share, text=f"{named[0].upper()}{named[1:]}{percent}")
     row.operator(train.StopJob.bl_idname, text="", icon="CANCEL")
     column = layout.column(align=True)
     if state.total:

@@ -24,6 +24,7 @@ from ..operators.results import (
     SetDetail,
     ShowAs,
     ShowInRenders,
+    to_get_some,
 )
 from ..operators.run_folder import CleanUp, CompareResults, FindFolder
 from ..properties import SHOWN_AS, object_props, scene_props
@@ -66,7 +67,7 @@ class ResultPanel(SidebarPanel):
             row.operator(CompareResults.bl_idname, icon="ARROW_LEFTRIGHT")
         items = lookup.splats(scene)
         if not items:
-            show.todo(layout, "Train to get Gaussians, or import some")
+            show.todo(layout, to_get_some(scene))
         names = outdated.renamed(scene, run_facts.run(scene))
         _draw_objects(layout.column(align=True), scene, names)
         _draw_ways(layout, items)
@@ -227,11 +228,9 @@ def _draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
         show.say(column, ", ".join(part for part in parts if part), "BLANK1")
     disk = run_facts.disk(scene)
     if disk.total:
-        row = layout.row(align=True)
-        row.label(text=f"Run folder: {text.in_gb(disk.total)}")
-        size = f" ({text.in_gb(disk.removable)})" if disk.removable else ""
-        label = f"{CleanUp.bl_label}{size}"
-        row.operator(CleanUp.bl_idname, text=label, icon="BRUSH_DATA")
+        part = text.in_gb(disk.removable) if disk.removable else "0"
+        label = f"{CleanUp.bl_label} ({part} of {text.in_gb(disk.total)})"
+        layout.operator(CleanUp.bl_idname, text=label, icon="BRUSH_DATA")
     if shown is not None:
         layout.prop(scene_props(scene), "carry_colour")
 

@@ -31,7 +31,7 @@ class ScenePanel(SidebarPanel):
         """Import, refine, what was imported, and the photo to look through."""
         layout, scene = layout_of(self), scene_of(context)
         props = scene_props(scene)
-        layout.operator(ImportColmap.bl_idname, icon="IMPORT")
+        layout.operator(ImportColmap.bl_idname, text="Import Cameras (COLMAP)", icon="IMPORT")
         layout.operator(RefineCameras.bl_idname, icon="CON_CAMERASOLVER")
         if show.job(layout, IMPORTING) or show.job(layout, REFINING):
             return

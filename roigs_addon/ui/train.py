@@ -65,7 +65,7 @@ def _draw_length(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
 
 
 def _draw_status(layout: bpy.types.UILayout, scene: bpy.types.Scene, status: RunStatus) -> None:
-    stages = ", ".join(map(stage_in_words, status.done))
+    stages = ", ".join(dict.fromkeys(map(stage_in_words, status.done)))
     changes = "" if status.holder else outdated.in_words(scene, status)
     resumes = "" if changes else ". Continue resumes"
     if status.holder and not current.busy():  # else it is the engine of this Blender

@@ -17,14 +17,14 @@ def stand_in(cls: type):
 
 
 class Layout:
-    """A layout that accepts everything, and keeps the labels, also those of buttons."""
+    """A layout that accepts everything, and keeps the labels, also those of buttons and bars."""
 
     def __init__(self, labels: list[str]) -> None:
         vars(self)["labels"] = labels
 
     def __getattr__(self, name: str):
         def take(*args: object, **keywords: object) -> Layout:
-            if name in ("label", "operator"):
+            if name in ("label", "operator", "progress"):
                 self.labels.append(str(keywords.get("text", "")))
             return Layout(self.labels)
 

@@ -7,7 +7,7 @@ from types import ModuleType
 
 import pytest
 
-from tests.addon.panels import said
+from tests.addon.panels import Layout, said
 
 pytestmark = pytest.mark.blender
 
@@ -242,3 +242,45 @@ def test_levels_of_detail(blender: ModuleType, run, monkeypatch: pytest.MonkeyPa
     assert "Drawn now: 1,234 of 56,789 Gaussians" in " ".join(said(blender, LevelsPanel))
     age(folder / "background.ply", 60)
     assert "older than the result" in " ".join(said(blender, LevelsPanel))
+
+
+def test_finished_results_are_offered(blender: ModuleType, run) -> None:
+    from roigs_addon.operators import stand_here
+    from roigs_addon.ui.result import ResultPanel
+
+    scene, folder = run
+    wanted = "Load the results, or import some"
+    assert wanted in " ".join(said(blender, ResultPanel))
+    assert stand_here.problem(blender.context) == wanted
+    scene.roigs.run_dir = str(folder.with_name("none"))
+    assert "Train to get Gaussians" in " ".join(said(blender, ResultPanel))
+
+
+def test_the_way_to_look_is_said_where_it_is_closed(blender: ModuleType, run) -> None:
+    from roigs_addon.ui.clean_up import CleanUpPanel
+
+    blender.ops.roigs.load_results()
+    for name, told in (("thing", True), ("Background", False)):
+        blender.context.view_layer.objects.active = run[0].objects[name]
+        assert ("open Look" in " ".join(said(blender, CleanUpPanel))) == told
+
+
+def test_what_runs_fits_into_the_bar(blender: ModuleType, addon: ModuleType) -> None:
+    """The sidebar is narrow at first: the longest text that fits has about 30 letters."""
+    from roigs_addon.engine import own_files
+    from roigs_addon.jobs.state import JobState
+    from roigs_addon.ui import layout
+
+    for stage in own_files.STAGE_WORDS:
+        bars: list[str] = []
+        state = JobState(title="Making Surfaces", stage=stage, step=100, total=100)
+        layout.progress(Layout(bars), state)
+        assert len(bars[0]) <= 30, bars[0]
+        assert bars[0][0].isupper()
+
+
+def test_models_to_compare_with_have_one_name(addon: ModuleType) -> None:
+    from roigs_addon.engine.own_files import stage_in_words
+
+    stages = ("tuned-scene", "tuned-coarse-object-vase", "full-scene", "compare-joint-scene")
+    assert {stage_in_words(stage) for stage in stages} == {"comparison"}
