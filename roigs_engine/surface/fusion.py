@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import ctypes
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +37,10 @@ BEHIND = 0.1  # of its weight: how free it is far behind what is not the object
 STEEPEST = 0.15  # cosine between normal and ray on a surface
 SMOOTHING = 1.0  # standard deviation of what surfaces' slopes are measured on, pixels
 POINTS_AT_ONCE = 1 << 20
+STEPS = 100
+"""Of the stage: how many parts are fine is known late."""
+COARSE_SHARE = 0.1
+"""Of the time, at most, until the coarse field is done."""
 
 Float32 = NDArray[np.float32]
 
@@ -76,24 +80,37 @@ def fuse(
     cells = np.maximum(np.ceil(2 * roi.half_extents / (COARSE * voxel)).astype(int), 1)
     low = -cells * (COARSE * voxel) / 2  # the box's corner, or just outside
     rays = [_Ray(depth_map, roi) for depth_map in maps if depth_map.depth.any()]
-    context.emit(StageStarted(stage=STAGE, total=2))
+    context.emit(StageStarted(stage=STAGE, total=STEPS))
     started = time.monotonic()
+
+    def tell(share: float) -> None:
+        context.check_cancelled()
+        if step := int(STEPS * share):
+            context.progress(STAGE, step, STEPS, started)
+
     every = _grid(cells)
     side = COARSE * voxel
-    sums = _sampled(low + (every + 0.5) * side, rays, side, context)
+    sums = _sampled(
+        low + (every + 0.5) * side, rays, side, lambda share: tell(COARSE_SHARE * share)
+    )
     coarse, near = _field(sums).reshape(*cells), sums[:, 4].reshape(*cells) > 0
-    context.progress(STAGE, 1, 2, started)
     active = every[np.flatnonzero(_active(coarse, near))]
     field = np.sign(coarse)
     for axis in range(3):
         field = field.repeat(COARSE, axis)
     offsets = _grid([COARSE] * 3)
     step = max(1, POINTS_AT_ONCE // len(offsets))
-    for some in (active[first : first + step] for first in range(0, len(active), step)):
+    for first in range(0, len(active), step):
+        some = active[first : first + step]
+
+        def part(share: float, first: int = first, some: NDArray[np.int64] = some) -> None:
+            done = (first + share * len(some)) / len(active)
+            tell(COARSE_SHARE + (1 - COARSE_SHARE) * done)
+
         index = (some[:, None] * COARSE + offsets).reshape(-1, 3)
-        sums = _sampled(low + (index + 0.5) * voxel, rays, voxel, context)
+        sums = _sampled(low + (index + 0.5) * voxel, rays, voxel, part)
         field[tuple(index.T)] = _field(sums)
-    context.progress(STAGE, 2, 2, started)
+    context.progress(STAGE, STEPS, STEPS, started)
     return Field(distance=field, origin=low + voxel / 2, voxel=voxel)
 
 
@@ -120,12 +137,20 @@ def _active(coarse: Float32, near: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(mixed | ndimage.maximum_filter(near & (np.abs(coarse) < 0.9), 3))
 
 
-def _sampled(points: Float64, rays: Sequence[_Ray], voxel: float, context: Context) -> Float32:
-    """(N, 5) the sums of `roigs_fuse_depth` at points (N, 3) in the box's axes."""
+def _sampled(
+    points: Float64, rays: Sequence[_Ray], voxel: float, tell: Callable[[float], None]
+) -> Float32:
+    """(N, 5) the sums of `roigs_fuse_depth` at points (N, 3) in the box's axes.
+
+    Args:
+        points, rays: what to sum.
+        voxel: distance between points.
+        tell: called before each ray with the share of this work that is done.
+    """
     places = np.ascontiguousarray(points, dtype=np.float32)
     sums, beside = (np.zeros((len(points), 5), np.float32) for _ in range(2))
-    for ray in rays:
-        context.check_cancelled()
+    for number, ray in enumerate(rays):
+        tell(number / len(rays))
         for weight, total in ((ray.weight, sums), (ray.beside, beside)):
             if weight is None:
                 continue

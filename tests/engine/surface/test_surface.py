@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from roigs_engine.context import Context
 from roigs_engine.errors import SceneError
+from roigs_engine.formats.events import Progress, StageStarted
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.surface.depth import DepthMap
@@ -61,6 +63,16 @@ def test_the_slope_of_a_plane_is_exact() -> None:
     inner = slice(5, -5), slice(5, -5)
     assert slope[inner] == pytest.approx(np.abs(rays @ normal)[inner], abs=1e-3)
     assert (facing <= 1.0 + 1e-6).all()
+
+
+def test_fusion_tells_how_far_it_is(maps: list[DepthMap]) -> None:
+    """A bar that stands still looks like a program that does."""
+    events: list[object] = []
+    fuse(maps, BOX, VOXEL, Context(emit=events.append))
+    (total,) = (event.total for event in events if isinstance(event, StageStarted))
+    steps = [event.step for event in events if isinstance(event, Progress)]
+    assert steps == sorted(steps) and steps[-1] == total
+    assert max(np.diff(steps)) <= total // 4
 
 
 def test_wrong_depths_of_a_few_photos_make_no_layer(maps: list[DepthMap], ball: Mesh) -> None:
