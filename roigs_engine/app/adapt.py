@@ -99,7 +99,8 @@ def adapted(
     if not trainer.run(context, stage=STAGE):
         context.check_cancelled()
     in_order = morton_order(model.means).argsort()  # the trainer's rows are in that order
-    return trainer.gaussians.to(CPU).rows(in_order)
+    made = trainer.gaussians.to(CPU).rows(in_order)
+    return replace(made, photo_focal=data.photo_focal)
 
 
 def adaptation(model: Gaussians, target: Target, steps: int) -> TrainConfig:

@@ -16,7 +16,7 @@ from ..formats.clean_up import disk_size
 from ..formats.drawable import drawable, usable
 from ..formats.files import read_json
 from ..formats.names import usable_path
-from ..formats.splat_ply import Check, read_ply, target_of
+from ..formats.splat_ply import Check, made_of, read_ply
 from ..formats.text import counted, in_gb
 from ..formats.transforms import numbers
 from ..machine import machine_memory
@@ -139,7 +139,7 @@ def drawable_model(
     if kept < there:
         left_out = f"{there - kept:,} of {counted(there, 'Gaussian')}"
         say(f"{path}: {left_out} cannot be drawn (NaN, too large, or no rotation).")
-    return Gaussians.framed(arrays, target=target_of(path))
+    return Gaussians.framed(arrays, **made_of(path))
 
 
 def as_one(
@@ -164,12 +164,14 @@ def as_one(
         mask = drawable(arrays)
         masks.append(mask)
         if mask.any():
-            kept, own = Gaussians.framed(usable(arrays, mask), target=target_of(path))
+            kept, own = Gaussians.framed(usable(arrays, mask), **made_of(path))
             models.append(item.of(kept, own, into))
     if not models:
         raise ConfigError("The model has no Gaussians that can be drawn.", "Give another model.")
     model, own = merged(_alike(models))
-    whole = Gaussians.from_arrays(model.arrays(own), target=model.target)
+    whole = Gaussians.from_arrays(
+        model.arrays(own), target=model.target, photo_focal=model.photo_focal
+    )
     return whole, np.concatenate(masks)
 
 

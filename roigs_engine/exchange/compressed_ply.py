@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..formats.files import read_bytes, regular, write_bytes
-from ..formats.splat_ply import read_header, target_lines
+from ..formats.splat_ply import made_lines, read_header
 from ..formats.targets import PLAIN, Target
 from ..machine import package
 from .arrays import Arrays, unit_quats
@@ -35,7 +35,7 @@ def write(path: Path, arrays: Arrays, *, target: Target = PLAIN) -> int:
         np.ascontiguousarray(sh[:, 1:]) if sh.shape[1] > 1 else None,
     )
     # gsply writes no comments; they follow the format, as in a plain PLY
-    lines = "".join(f"\n{line}" for line in target_lines(target))
+    lines = "".join(f"\n{line}" for line in made_lines(target))
     data = data.replace(b"\nelement ", f"{lines}\nelement ".encode(), 1)
     write_bytes(path, data)
     return len(sh)

@@ -19,7 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,7 @@ MOST_BANDS = 16  # coefficients of a colour that are kept: up to degree 3
 SH_C0 = 0.28209479177387814  # SH basis function of degree 0
 FORMS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 """Formats of a PLY, and the byte order of numbers read of it."""
+LEAST_FOCAL, MOST_FOCAL = 1.0, 1e7  # pixels
 MAX_HEADER = 1 << 20  # bytes; some programs write all their settings into comments
 ANTIALIASED = "comment SplatRenderMode: mip"
 """Header line of Gaussians that are drawn with anti-aliasing."""
@@ -56,6 +57,7 @@ RENDER_MODE = re.compile(
     rb"^comment\s+(?:splatrendermode:\s*(mip|default)|antialiased\s+([01]))\s*$",
     re.IGNORECASE | re.MULTILINE,
 )
+PHOTO_FOCAL = re.compile(rb"^comment\s+photo_focal\s+([0-9.e+-]{1,40})\s*$", re.MULTILINE)
 MADE_FOR = re.compile(rb"^comment\s+made_for\s+(\w+)\s*$", re.MULTILINE)
 UP_AXIS = re.compile(
     rb"^comment\s+(?:vertical|up)[\s_-]*axis\s*[:=]?\s*([^\r\n]*?)\s*$",
@@ -66,6 +68,13 @@ RGB = ("red", "green", "blue")
 FILTER = "filter_3D"
 """Property of Mip-Splatting: standard deviation of the blur in space."""
 FILTER_LINE = re.compile(rb"^property\s+\S+\s+" + FILTER.encode() + rb"\s*$", re.MULTILINE)
+
+
+class Made(TypedDict):
+    """How Gaussians were made, as far as their drawing depends on it."""
+
+    target: Target
+    photo_focal: float | None  # of the photos that they were trained on, pixels; None: unknown
 
 
 def nothing() -> None:
@@ -84,6 +93,7 @@ def write_ply(
     arrays: Mapping[str, Floats],
     target: Target = PLAIN,
     *,
+    photo_focal: float | None = None,
     more: Mapping[str, Float32] | None = None,
     durable: bool = True,
 ) -> None:
@@ -94,7 +104,7 @@ def write_ply(
         arrays: `means` (N, 3), float32 or, to be written as double, float64; float32 `quats`
             (N, 4), `log_scales` (N, 3), `logit_opacities` (N,), `sh` (N, K, 3) with K = 1, 4, 9
             or 16.
-        target: what they are made for.
+        target, photo_focal: as `Made`.
         more: float properties (N,) of other names, which viewers ignore.
         durable: as `atomic_write`.
     """
@@ -114,7 +124,7 @@ def write_ply(
     shape[:, 1:4] = arrays["log_scales"]
     shape[:, 4:] = arrays["quats"]
     header = ["ply", "format binary_little_endian 1.0"]
-    header += [*target_lines(target), f"element vertex {count}"]
+    header += [*made_lines(target, photo_focal), f"element vertex {count}"]
     types = dict.fromkeys(names, "float")
     rows: NDArray[Any] = table
     if means.dtype == np.float64:
@@ -127,10 +137,31 @@ def write_ply(
         file.write(rows.data)
 
 
-def target_lines(target: Target) -> list[str]:
-    """The lines of a PLY's header that say what its Gaussians are made for."""
+def made_lines(target: Target, photo_focal: float | None = None) -> list[str]:
+    """The lines of a PLY's header that say how its Gaussians were made."""
     lines = [ANTIALIASED] if target.antialiased else []
-    return [*lines, f"comment made_for {target.name}"] if target.linear_light else lines
+    lines += [f"comment made_for {target.name}"] if target.linear_light else []
+    return lines if photo_focal is None else [*lines, f"comment photo_focal {photo_focal!r}"]
+
+
+def made_of(path: str | Path) -> Made:
+    """How a PLY's Gaussians were made; raises as `target_of`."""
+    return {"target": target_of(path), "photo_focal": photo_focal_of(path)}
+
+
+def photo_focal_of(path: str | Path) -> float | None:
+    """The focal length of the photos of a PLY's Gaussians, if the file records one; raises as
+    `target_of`.
+    """
+    said = PHOTO_FOCAL.findall(_head(path))
+    with suppress(ValueError):
+        return usable_focal(float(said[-1])) if said else None
+    return None
+
+
+def usable_focal(value: float) -> float | None:
+    """A focal length in pixels that photos can have; None: this is none."""
+    return value if LEAST_FOCAL <= value <= MOST_FOCAL else None
 
 
 def read_ply(path: str | Path, check: Check = nothing) -> dict[str, Floats]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from ..formats import run_files
 from ..formats.files import own_file, read_record, remove_leftovers, sha256, write_json
 from ..formats.levels import FADE, Ladder, Level, write_ladders
 from ..formats.lock import check_held
+from ..formats.splat_ply import photo_focal_of
 from ..formats.text import json_digest
 from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
@@ -172,16 +173,17 @@ class _Maker:
         path = own_file(self.folder, ply)
         with suppress(RunFolderError, OSError):  # it is lost or damaged
             if read_record(record).get(ply) == [digest, sha256(path)]:
-                return Gaussians.load_ply(path, self.frame)
+                return replace(Gaussians.load_ply(path, self.frame), photo_focal=None)
         made = make_level(
             part, start, self.views.train, level, steps=self.steps, context=self.context
         )
         if made is None:
             return None
         check_held(self.folder)
-        made.save_ply(path, self.frame)
+        focal = photo_focal_of(self.folder / part.ply)
+        replace(made, photo_focal=focal).save_ply(path, self.frame)
         write_json(record, read_record(record) | {ply: [digest, sha256(path)]})
-        return Gaussians.load_ply(path, self.frame)
+        return replace(Gaussians.load_ply(path, self.frame), photo_focal=None)
 
 
 def coarseness(level: int) -> float:

@@ -72,7 +72,8 @@ def parts_of_run(folder: Path, images: Sequence[PosedImage], frame: LocalFrame) 
         )
     parts = []
     for box, path in sorted(files.items()):
-        gaussians = Gaussians.load_ply(path, frame)
+        # drawn with the pixels that each picture has
+        gaussians = replace(Gaussians.load_ply(path, frame), photo_focal=None)
         probes = _probes(gaussians) if len(gaussians) else np.zeros((0, 3))
         if not len(probes):
             continue

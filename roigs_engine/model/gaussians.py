@@ -14,7 +14,16 @@ from torch import Tensor
 from torch.nn import functional
 
 from ..errors import ConfigError
-from ..formats.splat_ply import Check, Float32, Floats, nothing, read_ply, target_of, write_ply
+from ..formats.splat_ply import (
+    Check,
+    Float32,
+    Floats,
+    Made,
+    made_of,
+    nothing,
+    read_ply,
+    write_ply,
+)
 from ..formats.targets import PLAIN, Target
 from .local_frame import LocalFrame
 from .roi import OrientedBox
@@ -36,6 +45,8 @@ class Gaussians:
         sh: (N, K, 3) SH coefficients of colour minus 0.5, K = 1, 4, 9 or 16.
         target: what they are made for. This belongs to the model: it looks right only as it was
             trained.
+        photo_focal: focal length of the photos that they were trained on, pixels. Pictures with
+            another one have pixels of another size (`rasterize.view`). None: unknown.
     """
 
     means: Tensor
@@ -44,6 +55,7 @@ class Gaussians:
     logit_opacities: Tensor
     sh: Tensor
     target: Target = PLAIN
+    photo_focal: float | None = None
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -59,7 +71,9 @@ class Gaussians:
 
     def with_tensors(self, tensors: Mapping[str, Tensor]) -> Gaussians:
         """The model with these tensors in place of its own; one that is not given is shared."""
-        return Gaussians(**{**self.tensors(), **tensors}, target=self.target)
+        return Gaussians(
+            **{**self.tensors(), **tensors}, target=self.target, photo_focal=self.photo_focal
+        )
 
     def rows(self, index: Tensor) -> Gaussians:
         """The Gaussians of a boolean mask (N,) or of row numbers, copied."""
@@ -87,7 +101,8 @@ class Gaussians:
     def concatenate(parts: list[Gaussians]) -> Gaussians:
         """The parts in one model, in their order; zeros stand for SH bands that a part lacks.
 
-        ConfigError: they are made for different targets.
+        Of several focal lengths of photos, it has the longest. ConfigError: they are made for
+        different targets.
         """
         titles = list(dict.fromkeys(part.target.title for part in parts))
         if len(titles) > 1:
@@ -102,7 +117,9 @@ class Gaussians:
             for sh in columns["sh"]
         ]
         tensors = {name: torch.cat(column) for name, column in columns.items()}
-        return Gaussians(**tensors, target=parts[0].target)
+        known = [part.photo_focal for part in parts if part.photo_focal is not None]
+        focal = max(known, default=None)
+        return Gaussians(**tensors, target=parts[0].target, photo_focal=focal)
 
     @classmethod
     def from_points(
@@ -137,13 +154,19 @@ class Gaussians:
         )
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, Floats], *, target: Target = PLAIN) -> Gaussians:
+    def from_arrays(
+        cls,
+        arrays: Mapping[str, Floats],
+        *,
+        target: Target = PLAIN,
+        photo_focal: float | None = None,
+    ) -> Gaussians:
         """The model of these arrays, by the names of the attributes."""
         tensors = {
             name: torch.from_numpy(np.ascontiguousarray(arrays[name], dtype=np.float32))
             for name in NAMES
         }
-        return cls(**tensors, target=target)
+        return cls(**tensors, target=target, photo_focal=photo_focal)
 
     def save_ply(
         self,
@@ -155,7 +178,8 @@ class Gaussians:
 
         `more`: as for `write_ply`.
         """
-        write_ply(path, self.arrays(frame), self.target, more=more)
+        arrays = self.arrays(frame)
+        write_ply(path, arrays, self.target, photo_focal=self.photo_focal, more=more)
 
     def arrays(self, frame: LocalFrame | None = None) -> dict[str, Floats]:
         """The five arrays by name, as a PLY has them, in the world; `frame`: of these Gaussians."""
@@ -174,30 +198,36 @@ class Gaussians:
         """
         arrays = read_ply(path, check)
         local = arrays if frame is None else _to_local(arrays, frame)
-        return cls.from_arrays(local, target=target_of(path))
+        return cls.from_arrays(local, **made_of(path))
 
     @classmethod
     def load_framed(
         cls, path: Path, check: Check = nothing, *, scaled: bool = True
     ) -> tuple[Gaussians, LocalFrame]:
         """As `load_ply`, but with `framed`."""
-        return cls.framed(read_ply(path, check), scaled=scaled, target=target_of(path))
+        return cls.framed(read_ply(path, check), scaled=scaled, **made_of(path))
 
     @classmethod
     def framed(
-        cls, arrays: Mapping[str, Floats], *, scaled: bool = True, target: Target = PLAIN
+        cls,
+        arrays: Mapping[str, Floats],
+        *,
+        scaled: bool = True,
+        target: Target = PLAIN,
+        photo_focal: float | None = None,
     ) -> tuple[Gaussians, LocalFrame]:
         """Arrays of a PLY in a frame of their own; returns both.
 
         Without `scaled`, the frame is the world if the positions are float32; else it has the
         world's unit. So all values stay bit for bit.
         """
+        made: Made = {"target": target, "photo_focal": photo_focal}
         if not scaled and arrays["means"].dtype == np.float32:
-            return cls.from_arrays(arrays, target=target), LocalFrame.world()
+            return cls.from_arrays(arrays, **made), LocalFrame.world()
         frame = LocalFrame.of_centres(arrays["means"].astype(np.float64))
         if not scaled:
             frame = replace(frame, scale=1.0)
-        return cls.from_arrays(_to_local(arrays, frame), target=target), frame
+        return cls.from_arrays(_to_local(arrays, frame), **made), frame
 
 
 def _to_world(arrays: Mapping[str, Floats], frame: LocalFrame) -> dict[str, Floats]:

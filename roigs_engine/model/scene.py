@@ -49,6 +49,11 @@ class Camera:
         scaled = {"fx": self.fx * sx, "fy": self.fy * sy, "cx": self.cx * sx, "cy": self.cy * sy}
         return Camera(width=width, height=height, **scaled)
 
+    @property
+    def focal(self) -> float:
+        """Focal length, pixels: pixels of an angle of 1 in the middle of the picture."""
+        return math.sqrt(self.fx * self.fy)
+
     def thumbnail(self, side: int) -> Camera:
         """The same camera with its longer side `side` pixels at most."""
         scale = min(1.0, side / max(self.width, self.height))

@@ -269,15 +269,19 @@ def checked_depth(with_depth: Depth) -> Depth:
 
 
 def blur_of(pixel_size: float, antialiased: bool, blur: float = BLUR) -> Blur:
-    """The blur of pixels that are averages of pixel_size^2 of the whole photo's.
+    """The blur of pixels that are as large as pixel_size^2 of the whole photo's.
 
     The latter have `blur`; n x n of them, evenly spread over a square of side 1, have a variance of
-    (1 - 1/n^2) / 12 in it. With anti-aliasing, a Gaussian has its stored opacity where it is much
-    larger than a pixel (Mip-Splatting, Yu et al. 2024, sec. 5.2), without it in the whole photo.
-    EngineError if the size is not 1 or more.
+    (1 - 1/n^2) / 12 in it. In other words: of `blur`, 1/12 is the pixel itself, which averages over
+    its square, and the rest belongs to the photo, whatever the picture's pixels are. So a part of
+    a pixel is blurred as the photo is, but averages over less.
+
+    With anti-aliasing, a Gaussian has its stored opacity where it is much larger than a pixel
+    (Mip-Splatting, Yu et al. 2024, sec. 5.2), without it in the whole photo. EngineError if the
+    size is not positive.
     """
-    if not 1 <= pixel_size < math.inf:
-        raise EngineError(f"rasterize: pixel_size {pixel_size} is not a number of 1 or more.")
+    if not 0 < pixel_size < math.inf:
+        raise EngineError(f"rasterize: pixel_size {pixel_size} is not a positive number.")
     photo = blur / pixel_size**2
     return Blur(drawn=photo + (1 - 1 / pixel_size**2) / 12, stored=0.0 if antialiased else photo)
 

@@ -27,12 +27,12 @@ from ..model.local_frame import LocalFrame
 from ..model.operations import faded, recoloured
 from ..model.rotations import rotation_matrices
 from ..model.scene import Camera, Float64
-from .inputs import blur_of
+from .inputs import Blur, blur_of
 from .light import to_linear, to_srgb
 from .limits import PICTURE_LIMITS
 from .mattes import object_shares
 from .reference import drawn_share, jacobian, sh_basis
-from .view import rasterize_view
+from .view import pixel_size, rasterize_view
 
 NOTHING = 1e10  # depth where nothing is, as in Blender's depth pass
 NEAREST = 1e-5  # of the farthest depth: what is nearer to the camera hides nothing
@@ -86,7 +86,7 @@ def render_instances(
 
     `mattes`: with the share of each object index.
     """
-    mixed = len({model.gaussians.target for model in models}) > 1
+    mixed = len({(m.gaussians.target, m.gaussians.photo_focal) for m in models}) > 1
     axes = world_to_camera[:3, :3] if mixed else _axes(models, world_to_camera)
     to_frame, pose = np.eye(4), np.eye(4)
     to_frame[:3, :3], pose[:3, :3] = axes, world_to_camera[:3, :3] @ axes.T
@@ -243,22 +243,28 @@ def _alike(parts: Sequence[Gaussians], camera: Camera) -> list[Gaussians]:
     The widest blur of the models is that of all.
     """
     linear = sum(len(part) if part.target.linear_light else -len(part) for part in parts) > 0
-    blur = max(part.target.blur for part in parts)
-    target = replace(target_with(antialiased=False, linear_light=linear), blur=blur)
-    made = (_for_camera(part, camera, blur) if part.antialiased else part for part in parts)
-    return [replace(part, target=target) for part in made]
+    blurs = [
+        blur_of(pixel_size(part, camera), part.antialiased, part.target.blur) for part in parts
+    ]
+    widest = max(blur.drawn for blur in blurs)
+    target = replace(target_with(antialiased=False, linear_light=linear), blur=widest)
+    made = [
+        part if blur.stored == widest else _for_camera(part, camera, blur._replace(drawn=widest))
+        for part, blur in zip(parts, blurs, strict=True)
+    ]
+    return [replace(part, target=target, photo_focal=None) for part in made]
 
 
-def _for_camera(seen: Gaussians, camera: Camera, blur: float) -> Gaussians:
-    """An anti-aliased model in the camera's frame that looks the same, from there, without.
+def _for_camera(seen: Gaussians, camera: Camera, blur: Blur) -> Gaussians:
+    """A model in the camera's frame that looks, from there, as with a blur, drawn without it.
 
-    So it can be drawn together with others. Anti-aliasing only lowers opacities, by what one camera
-    shows of a Gaussian (`blur_of`).
+    So it can be drawn together with others: a blur that is wider than the stored one only lowers
+    opacities, by what one camera shows of a Gaussian (`blur_of`).
     """
     matrix = torch.as_tensor(camera.matrix(), dtype=torch.float32)
     # Beyond the near plane, what is not drawn may be anything.
     U = jacobian(seen.means.float(), matrix, camera.width, camera.height) @ principal_axes(seen)
-    share = drawn_share(U, blur_of(1.0, antialiased=True, blur=blur))
+    share = drawn_share(U, blur)
     logits = torch.logit((seen.logit_opacities.sigmoid() * share).nan_to_num(0.0), eps=1e-7)
     return replace(seen, logit_opacities=logits)
 

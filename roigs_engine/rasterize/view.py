@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +16,11 @@ from ..model.gaussians import Gaussians
 from ..model.scene import Camera, Float64
 from . import RenderOutput, rasterize
 from .limits import NO_LIMITS, PICTURE_LIMITS, Limits
+
+LEAST_PIXEL = 1 / 16
+"""Of a photo's, a side: in a larger picture, blur would only take time."""
+PARALLEL = 100.0
+"""Widths of a picture: with a longer focal length, its rays are parallel."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,6 +61,18 @@ def render_view(
     return RenderedView(image=output.image[0].clamp(0, 1), depth=depth)
 
 
+def pixel_size(gaussians: Gaussians, camera: Camera) -> float:
+    """Side of the camera's pixels in those of the photos that the model was trained on (ours).
+
+    A model has learned to look right with its photos' blur, which is an angle: in a picture with
+    other pixels, that many pixels wide it would be too wide, or too narrow (docs/method.md, "Other
+    sizes than the photos'"). 1 if the photos are unknown, or the rays parallel: they have no angle.
+    """
+    if gaussians.photo_focal is None or camera.focal > PARALLEL * camera.width:
+        return 1.0
+    return max(gaussians.photo_focal / camera.focal, LEAST_PIXEL)
+
+
 def rasterize_view(
     gaussians: Gaussians, camera: Camera, world_to_camera: Float64, **options: Any
 ) -> RenderOutput:
@@ -74,6 +91,7 @@ def rasterize_view(
         camera.width,
         camera.height,
         raw=True,
+        pixel_size=pixel_size(gaussians, camera),
         **gaussians.target.drawing,
         **options,
     )
@@ -101,8 +119,10 @@ def blending_weights(
 ) -> Iterator[BlendingWeights]:
     """The weights in each view in turn, on the model's device; a stop is checked for before each.
 
-    `pixels` are (H, W) weights of each view's pixels in the total; None: 1.
+    `pixels` are (H, W) weights of each view's pixels in the total; None: 1. The blur is the
+    target's, whatever the pixels' size.
     """
+    gaussians = replace(gaussians, photo_focal=None)
     every = iter(() if pixels is None else pixels)
     for camera, pose in views:
         counted = next(every, None)

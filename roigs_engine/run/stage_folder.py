@@ -267,7 +267,7 @@ class StageFolder:
         def write_preview() -> None:
             with suppress(RunFolderError):  # on Windows, while the file is read
                 check_held(self.folder)
-                trainer.gaussians.save_ply(self.preview, self.frame)
+                _model(trainer).save_ply(self.preview, self.frame)
                 context.emit(Preview(path=str(self.preview)))
 
         callbacks = [
@@ -293,7 +293,7 @@ class StageFolder:
         save_checkpoint(self._checkpoint, trainer.state_dict(), self.fingerprint)
 
     def _finish(self, trainer: Trainer) -> StageResult:
-        model = trainer.gaussians.detached().to(CPU)
+        model = _model(trainer).detached().to(CPU)
         path = self.folder / run_files.MODEL
         check_held(self.folder)
         model.save_ply(path, self.frame)
@@ -314,3 +314,8 @@ class StageFolder:
         return StageResult(
             name=self.name, record=record, model_path=path, frame=self.frame, trained=trained
         )
+
+
+def _model(trainer: Trainer) -> Gaussians:
+    """The trained model, with the focal length of its photos."""
+    return replace(trainer.gaussians, photo_focal=trainer.data.photo_focal)

@@ -17,6 +17,9 @@ from ..model.roi import OrientedBox
 from ..model.scene import Float64, PosedImage
 from .photo_order import PhotoAt
 
+SAME_FOCAL = 0.01
+"""Share by which focal lengths may differ and count as one: lenses that focus differ by as much."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StageData:
@@ -48,6 +51,17 @@ class StageData:
     seed: int = 0
     device: torch.device = CPU
     card_photos: int | None = None
+
+    @property
+    def photo_focal(self) -> float | None:
+        """Focal length of the whole photos, pixels; None: they have several, or there are none.
+
+        A stage draws each photo with its own pixels, so with several there is no common one.
+        """
+        focals = [image.camera.focal * image.pixel_size for image in self.images]
+        if not focals or max(focals) > (1 + SAME_FOCAL) * min(focals):
+            return None
+        return float(np.median(focals))
 
 
 class View(NamedTuple):

@@ -51,7 +51,8 @@ class Trainer:
         self.step = 0
         self.seconds = 0.0
         self.cpu_seconds = 0.0  # of the whole process, all its threads
-        gaussians = replace(gaussians.to(data.device), target=config.target)
+        # photos are drawn with their own pixels, while it trains
+        gaussians = replace(gaussians.to(data.device), target=config.target, photo_focal=None)
         self._gaussians = leaves(gaussians.rows(morton_order(gaussians.means)))
         self.optimizer = self._new_optimizer()
         self.health = Health([image.name for image in data.images])

@@ -1,4 +1,4 @@
-"""`pixel_size`: small pictures are drawn as the averages of large ones."""
+"""`pixel_size`: small pictures are drawn as the averages of large ones, large ones as blurred."""
 
 from __future__ import annotations
 
@@ -70,8 +70,19 @@ def test_a_scene_is_drawn_nearly_as_its_average() -> None:
     assert relative_error(small, whole) < 0.5 * relative_error(draw(parameters, 2, "cpu"), whole)
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("size", [0.2, 1.0, 4.0])
+def test_the_average_of_a_larger_picture_is_the_photo(backend: str, size: float) -> None:
+    parameters = ellipsoid(size)
+    whole = draw(parameters, 2, backend)  # the photo is the small one
+    large = averaged(draw(parameters, 1, backend, pixel_size=0.5), 2)
+    sharp = averaged(draw(parameters, 1, backend), 2)
+    assert relative_error(large, whole) < (0.15 if size < 0.5 else 0.03)
+    assert relative_error(sharp, whole) > 3 * relative_error(large, whole)
+
+
 @pytest.mark.parametrize("raw", [False, True])
-@pytest.mark.parametrize("pixel_size", [1.4, 2.0])
+@pytest.mark.parametrize("pixel_size", [0.3, 1.4, 2.0])
 def test_everything_matches(isa: str, raw: bool, pixel_size: float) -> None:
     assert_matches(raw=raw, pixel_size=pixel_size)
 
@@ -83,7 +94,7 @@ def test_shapes_from_dots_to_needles(isa: str) -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("pixel_size", [0.5, 0.0, -1.0, math.nan, math.inf])
-def test_a_pixel_is_no_part_of_a_pixel(backend: str, pixel_size: float) -> None:
+@pytest.mark.parametrize("pixel_size", [0.0, -1.0, math.nan, math.inf])
+def test_a_pixel_has_a_size(backend: str, pixel_size: float) -> None:
     with pytest.raises(EngineError, match="pixel_size"):
         draw(ellipsoid(1.0), 1, backend, pixel_size=pixel_size)
