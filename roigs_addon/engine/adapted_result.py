@@ -31,7 +31,7 @@ def write(source: Path, adapted: Path, place: Path) -> None:
     whole, made = (splat_ply.read_ply(path) for path in (source / run_files.RESULT, adapted))
     if len(whole["means"]) != len(made["means"]):
         raise AddonError("The result has changed. Adapt it again.")
-    target, rows = splat_ply.target_of(adapted), {k: i for i, k in enumerate(_keys(whole))}
+    how, rows = splat_ply.made_of(adapted), {k: i for i, k in enumerate(_keys(whole))}
     fine = made_folder(place, run_files.FINE)
     parts = sorted((source / run_files.FINE).glob("*.ply"))
     for path in (source / run_files.BACKGROUND, *parts):
@@ -40,7 +40,7 @@ def write(source: Path, adapted: Path, place: Path) -> None:
             raise AddonError(f"{path.name} is not a part of {run_files.RESULT}. Train again.")
         chosen = np.array([rows[key] for key in keys], np.int64)
         part = {name: values[chosen] for name, values in made.items()}
-        splat_ply.write_ply((fine if path in parts else place) / path.name, part, target)
+        splat_ply.write_ply((fine if path in parts else place) / path.name, part, **how)
     if first := files.matching(source / run_files.COARSE, "*.ply"):
         coarse = made_folder(place, run_files.COARSE)
         for path in first:
@@ -50,8 +50,8 @@ def write(source: Path, adapted: Path, place: Path) -> None:
     except EngineError:
         settings = {}
     if isinstance(settings, dict):
-        files.write_json(place / run_files.SETTINGS, settings | {"made_for": target.name})
-    splat_ply.write_ply(place / run_files.RESULT, made, target)  # last: it makes the rest a result
+        files.write_json(place / run_files.SETTINGS, settings | {"made_for": how["target"].name})
+    splat_ply.write_ply(place / run_files.RESULT, made, **how)  # last: it makes the rest a result
 
 
 def _copy(path: Path, to: Path) -> None:

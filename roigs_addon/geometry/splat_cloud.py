@@ -30,6 +30,7 @@ class SplatCloud:
         opacities: (N,) 0 to 1.
         sh: (N, K, 3) SH coefficients; a colour is max(0, 0.5 + sum of sh * basis), sRGB.
         target: what they are made for: they look right only where they are drawn as trained.
+        photo_focal: focal length of the photos that they were trained on, pixels; None: unknown.
     """
 
     means: Float32
@@ -38,6 +39,7 @@ class SplatCloud:
     opacities: Float32
     sh: Float32
     target: targets.Target = targets.PLAIN
+    photo_focal: float | None = None
 
     def __len__(self) -> int:
         return len(self.means)
@@ -56,7 +58,7 @@ def read_splats(path: str | Path) -> SplatCloud:
     """
     try:
         stored = drawable.usable(splat_ply.read_ply(path))
-        target = splat_ply.target_of(path)
+        made = splat_ply.made_of(path)
     except EngineError as error:
         raise ValueError(str(error)) from error
     quats = stored["quats"]
@@ -67,7 +69,7 @@ def read_splats(path: str | Path) -> SplatCloud:
         scales=np.exp(stored["log_scales"]),
         opacities=opacities.astype(np.float32, copy=False),
         sh=stored["sh"].astype(np.float32, copy=False),
-        target=target,
+        **made,
     )
 
 
@@ -85,4 +87,5 @@ def write_splats(path: Path, cloud: SplatCloud, *, durable: bool = True) -> None
         "logit_opacities": logits.astype(np.float32),
         "sh": cloud.sh,
     }
-    splat_ply.write_ply(path, arrays, cloud.target, durable=durable)
+    focal = cloud.photo_focal
+    splat_ply.write_ply(path, arrays, cloud.target, photo_focal=focal, durable=durable)

@@ -24,7 +24,16 @@ from ..engine.writing import writing
 from ..errors import AddonError
 from ..geometry.splat_cloud import SH_C0, SplatCloud, write_splats
 from . import look, lookup
-from .splat_attributes import SHAPE, cloud_of, mark_target, sh_of, targets_of, values
+from .splat_attributes import (
+    SHAPE,
+    cloud_of,
+    mark_photo_focal,
+    mark_target,
+    photo_focal_of,
+    sh_of,
+    targets_of,
+    values,
+)
 
 FIRST_VERSION = (5, 3, 0)
 POSITION = "position"
@@ -67,6 +76,7 @@ def of(item: bpy.types.Object) -> bpy.types.Object:
         raise AddonError(REFUSED)
     points: Any = made.data
     mark_target(points, cloud.target)
+    mark_photo_focal(points, cloud.photo_focal)
     made.name = f"{item.name} Splats"
     made.matrix_world = Matrix((lookup.matrix_world(item) @ applied).tolist())
     for collection in list(made.users_collection):
@@ -90,6 +100,7 @@ def cloud_in(item: bpy.types.Object) -> SplatCloud:
         opacities=radiance[:, 3],
         sh=sh_of(data),
         target=targets_of(data)[0],
+        photo_focal=photo_focal_of(data),
     )
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..geometry.common_map import common_map
 from ..geometry.frames import Matrix
 from ..geometry.splat_cloud import SH_C0, SplatCloud
-from ..shared import targets
+from ..shared import splat_ply, targets
 from . import clouds
 
 if TYPE_CHECKING:
@@ -43,6 +43,9 @@ FAR = 1e15
 
 FRAME = "roigs_frame"
 """Custom property of a mesh: the map from its file's frame to its own, as it was imported."""
+
+PHOTO_FOCAL = "roigs_photo_focal"
+"""Custom property: `SplatCloud.photo_focal`."""
 
 MADE_FOR = ("antialiased", "linear_light")
 """Attributes of Gaussians whose target (`targets.Target`) draws so; others have none, or False.
@@ -93,6 +96,7 @@ def add_attributes(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
     for name, (kind, numbers) in columns.items():
         clouds.set_attribute(mesh, name, kind, numbers)
     mark_target(mesh, cloud.target)
+    mark_photo_focal(mesh, cloud.photo_focal)
 
 
 def cloud_of(mesh: bpy.types.Mesh) -> tuple[SplatCloud, Matrix] | None:
@@ -118,6 +122,7 @@ def cloud_of(mesh: bpy.types.Mesh) -> tuple[SplatCloud, Matrix] | None:
         opacities=radiance[there, 3],
         sh=sh_of(mesh)[there],
         target=targets_of(mesh, there)[0],
+        photo_focal=photo_focal_of(mesh),
     )
     return cloud, applied
 
@@ -137,6 +142,18 @@ def mark_target(data: Points, target: targets.Target) -> None:
         if getattr(target, name) and name not in data.attributes:
             attribute: Any = data.attributes.new(name, "BOOLEAN", "POINT")
             attribute.data.foreach_set("value", np.ones(len(attribute.data), np.bool_))
+
+
+def mark_photo_focal(data: Points, photo_focal: float | None) -> None:
+    """Note the focal length of the photos; None: it is unknown."""
+    if photo_focal is not None:
+        data[PHOTO_FOCAL] = photo_focal
+
+
+def photo_focal_of(data: Points) -> float | None:
+    """The noted one, if it can be one: a .blend may hold anything."""
+    stored: Any = data.get(PHOTO_FOCAL)
+    return splat_ply.usable_focal(stored) if isinstance(stored, float) else None
 
 
 def marked_target(data: Points) -> targets.Target:

@@ -45,6 +45,7 @@ class PackedSet:
             green, of blue, each filled up with zeros to whole texels.
         sh_texels: 1, 3 or 4.
         lights: whether each cloud is blended in linear light, not as sRGB values.
+        photo_focals: `SplatCloud.photo_focal` of each cloud; 0: unknown.
     """
 
     means: Float32
@@ -54,6 +55,7 @@ class PackedSet:
     colours: Float32
     sh_texels: int
     lights: tuple[bool, ...]
+    photo_focals: tuple[float, ...]
 
     def __len__(self) -> int:
         return len(self.means)
@@ -84,7 +86,8 @@ def pack(clouds: Sequence[SplatCloud]) -> PackedSet:
     means = np.ascontiguousarray(by_gaussian[:, 0, :3])
     extent = float(np.sqrt(np.square(means).sum(axis=1).mean(dtype=float))) if count else 1.0
     lights = tuple(cloud.target.linear_light for cloud in clouds)
-    return PackedSet(means, ranges, extent, geometry, colours, sh_texels, lights)
+    focals = tuple(cloud.photo_focal or 0.0 for cloud in clouds)
+    return PackedSet(means, ranges, extent, geometry, colours, sh_texels, lights, focals)
 
 
 def pack_order(order: NDArray[np.uint32]) -> Float32:

@@ -30,7 +30,7 @@ VIEWS = 8
 
 @dataclass(frozen=True, eq=False)
 class GpuSet:
-    """A set of Gaussians on the GPU; `files` and `lights` have one entry per object in it."""
+    """A set of Gaussians on the GPU; `files`, `lights` and `photo_focals`: one per object in it."""
 
     files: Files
     means: Float32
@@ -38,6 +38,7 @@ class GpuSet:
     extent: float
     sh_texels: int
     lights: tuple[bool, ...]
+    photo_focals: tuple[float, ...]
     geometry: gpu.types.GPUTexture
     colours: gpu.types.GPUTexture
 
@@ -51,6 +52,7 @@ class GpuSet:
             packed.extent,
             packed.sh_texels,
             packed.lights,
+            packed.photo_focals,
             targets.texture(packed.geometry, "RGBA32F"),
             targets.texture(packed.colours, "RGBA16F"),
         )
@@ -291,7 +293,8 @@ class Painter:
     ) -> Picture:
         """The picture of a viewport; drawn again only if it would change."""
         frame = view.frame or whole(view.size)
-        objects_there = object_texels(order.gaussians.files, objects, view)
+        there = order.gaussians
+        objects_there = object_texels(there.files, objects, view, there.photo_focals)
         clip = np.array(view.projection).tobytes()
         shows = (order, objects_there.tobytes(), clip, frame, view.size, depth.mark)
         held = self._pictures.get(key)

@@ -50,12 +50,16 @@ def sorting_view(
     return SortingView(tuple(segments), extent)
 
 
-def object_texels(files: Files, objects: Sequence[SplatObject], view: View) -> Float32:
-    """(objects, 5, 4): how each object is drawn.
+def object_texels(
+    files: Files, objects: Sequence[SplatObject], view: View, photo_focals: Sequence[float]
+) -> Float32:
+    """(objects, 6, 4): how each object is drawn.
 
-    Object -> camera as three rows; eye or direction of sight, least depth; gains, density.
+    Object -> camera as three rows; eye or direction of sight, least depth; gains, density; focal
+    length of its photos, px, or 0.
     """
-    texels = np.zeros((max(1, len(files)), 5, 4), np.float32)
+    texels = np.zeros((max(1, len(files)), 6, 4), np.float32)
+    texels[: len(files), 5, 0] = photo_focals
     texels[:, 3, 3] = np.inf  # nothing is that far, so an object that is gone is not drawn
     perspective = view.projection[3][3] == 0.0
     for texel, item in zip(texels, objects_of(files, objects), strict=False):

@@ -54,7 +54,8 @@ def convert(request: Convert, context: Context = QUIET) -> Result:
         written = formats.write(request.out, arrays, target=model.target, extras=extras)
     else:
         check = context.check_cancelled
-        written = formats.write(request.out, arrays, check, target=model.target)
+        focal = model.photo_focal
+        written = formats.write(request.out, arrays, check, target=model.target, photo_focal=focal)
     left = f" ({model.count - written:,} left out)" if model.count > written else ""
     size = request.out.stat().st_size / 1e6
     text = f"{counted(written, 'Gaussian')}{left}, {size:.1f} MB in {request.out}"

@@ -130,19 +130,26 @@ def writable(path: Path) -> FileFormat:
 
 
 def write(
-    path: Path, arrays: Arrays, check: Check = nothing, *, target: Target = PLAIN, **more: Any
+    path: Path,
+    arrays: Arrays,
+    check: Check = nothing,
+    *,
+    target: Target = PLAIN,
+    photo_focal: float | None = None,
+    **more: Any,
 ) -> int:
     """Write Gaussians in the format that the name says, whole or not at all; returns how many.
 
     Args:
         path, arrays: of the file, and the model.
         check: called between the parts of long work; what it raises ends it without a file.
-        target: what the Gaussians are made for; written as far as the format has a place for it.
+        target, photo_focal: how the Gaussians were made (`splat_ply.Made`); written as far as the
+            format has a place for it.
         more: what the module's `write` takes besides these; nothing for a plain PLY.
     """
     form = writable(path)
     if not form.module:
-        splat_ply.write_ply(path, arrays, target)
+        splat_ply.write_ply(path, arrays, target, photo_focal=photo_focal)
         return len(arrays["means"])
     arrays = storable(arrays, form.title)
     if form.checks:
@@ -201,6 +208,11 @@ def target_of(path: Path) -> Target:
     code = form.code
     with reading(path, form.title):
         return target_with(antialiased=code.is_antialiased(path))
+
+
+def photo_focal_of(path: Path) -> float | None:
+    """The focal length of the photos of a file's Gaussians (`Gaussians`), if it records one."""
+    return splat_ply.photo_focal_of(path) if _readable(path).keeps_target else None
 
 
 def frame(path: Path) -> Float64:

@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 from ..errors import ConfigError, EngineError
 from ..formats.drawable import usable
 from ..formats.files import write_text
-from ..formats.targets import BLUR
+from ..formats.targets import BLUR, BOX
 from ..formats.text import printable
 from ..model.local_frame import LocalFrame
 from ..model.scene import Float64
 from ..rasterize.inputs import FRUSTUM_MARGIN, NEAR
 from ..rasterize.limits import PICTURE_LIMITS
+from ..rasterize.view import LEAST_PIXEL
 from . import spz
 from .arrays import Arrays, opacities
 
@@ -79,6 +80,7 @@ class Extras:
     meshes: Sequence[PageMesh] = ()  # to switch to
     poses: Float64 | None = None
     """(N, 4, 4) world_to_camera of the photos; places are first seen from where one was taken."""
+    photo_focal: float | None = None  # of `Gaussians`
 
 
 def write(
@@ -133,6 +135,9 @@ def _description(shown: Arrays, counts: dict[str, int], extras: Extras) -> dict[
         "rules": {
             "near": NEAR / scale,
             "blur": BLUR,
+            "box": BOX,
+            "magnified": 1 / LEAST_PIXEL,
+            "photo_focal": extras.photo_focal or 0.0,
             "slope": PICTURE_LIMITS.max_slope,
             "sigmas": PICTURE_LIMITS.min_sigmas,
             "margin": FRUSTUM_MARGIN,

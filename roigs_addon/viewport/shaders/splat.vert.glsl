@@ -6,6 +6,7 @@
 #define LEAST 0.2            // see roigs_engine/model/operations.py
 #define BLUR 0.3             // px^2, added to the diagonal of the 2D covariance
 #define BOX (1.0 / 12.0)     // the same, of what is made for Cycles
+#define MAGNIFIED 16.0       // a photo's pixel is at most so many wide
 #define FRUSTUM_MARGIN 0.3   // of the half angle, around the frame
 // Beyond these limits EWA splatting fails (roigs_engine/rasterize/limits.py):
 #define MAX_SLOPE 3.0        // of centres outside the frame
@@ -78,7 +79,7 @@ void main()
   vec4 size = TEXEL(geometry, 3u * index + 2u);
   int number = int(size.w);
   bool antialiased = fract(size.w) >= 0.5;
-  float blur = fract(2.0 * size.w) > 0.0 ? BOX : BLUR;
+  float photo = fract(2.0 * size.w) > 0.0 ? BOX : BLUR;  // the blur in the photos
   vec3 mean = body.xyz;
   float opacity = body.w, density = OBJECT(number, 4).w;
   if (density < 1.0) {
@@ -91,7 +92,7 @@ void main()
 
   // Object to camera: three rows of a matrix. Then the eye in the object's frame, or in an
   // orthographic view the direction of sight, and the least depth. Then the gains of the colours,
-  // and the density.
+  // and the density. Then the focal length of the photos, or 0.
   vec4 row_x = OBJECT(number, 0), row_y = OBJECT(number, 1), row_z = OBJECT(number, 2);
   vec4 eye = OBJECT(number, 3);
   mat3 turn = transpose(mat3(row_x.xyz, row_y.xyz, row_z.xyz));
@@ -132,12 +133,19 @@ void main()
     v = focal.y * rows[1];
   }
   float xx = dot(u, u), xy = dot(u, v), yy = dot(v, v);
-  if (antialiased) {
+  // The photos' blur is an angle, that of a pixel is its own (roigs_engine/rasterize/view.py).
+  float photo_focal = OBJECT(number, 5).x;
+  float ratio = perspective && photo_focal > 0.0 ? min(focal.y / photo_focal, MAGNIFIED) : 1.0;
+  photo *= ratio * ratio;
+  float blur = ratio == 1.0 ? photo : photo + BOX * (1.0 - ratio * ratio);
+  float stored = antialiased ? 0.0 : photo;
+  if (stored != blur) {
     // Blurred, a Gaussian is larger, and as much fainter: by the root of the determinants' ratio.
-    // |u x v|^2 is that without the blur; xx * yy - xy * xy would cancel for needles.
+    // |u x v|^2 is that without any blur; xx * yy - xy * xy would cancel for needles.
     vec3 area = cross(u, v);
     float sharp = dot(area, area);
-    opacity *= sqrt(sharp / (sharp + blur * (xx + yy) + blur * blur));
+    opacity *= sqrt((sharp + stored * (xx + yy) + stored * stored) /
+                    (sharp + blur * (xx + yy) + blur * blur));
     if (!(opacity > ALPHA_MIN)) {
       return;
     }

@@ -39,6 +39,7 @@ class Model:
     arrays: Arrays  # as they will be written
     count: int  # how many there were, with those that cannot be drawn
     target: Target  # what they are made for
+    photo_focal: float | None  # of `Gaussians`
     poses: Float64 | None  # (N, 4, 4) world_to_camera of photos, in the boxes' frame
     matrix: Float64  # (4, 4) from that frame to the file's
     upright: bool = False  # whether photos tell which way is up
@@ -76,6 +77,7 @@ def single(request: Convert, form: FileFormat, context: Context, *, plain: bool)
         arrays=turned(arrays, matrix),
         count=len(arrays["means"]),
         target=target,
+        photo_focal=formats.photo_focal_of(request.source),
         poses=poses,
         matrix=matrix @ home.T,
         upright=poses is not None,
@@ -100,7 +102,8 @@ def listed(request: Convert, form: FileFormat, context: Context, *, plain: bool)
     read = {}
     for name, (arrays, _) in models.items():
         context.check_cancelled()
-        read[name] = Gaussians.framed(usable(arrays))
+        focal = formats.photo_focal_of(Path(name))
+        read[name] = Gaussians.framed(usable(arrays), photo_focal=focal)
     if not any(len(gaussians) for gaussians, _ in read.values()):
         raise ConfigError(f"{request.source} has no Gaussians.", "Give models that have some.")
     targets = {Path(name): target for name, (_, target) in models.items()}
@@ -116,6 +119,7 @@ def listed(request: Convert, form: FileFormat, context: Context, *, plain: bool)
         arrays=whole.arrays(frame),
         count=sum(len(models[item.file][0]["means"]) for item in wanted),
         target=formats.common_target(targets),
+        photo_focal=whole.photo_focal,
         poses=poses,
         matrix=matrix,
     )

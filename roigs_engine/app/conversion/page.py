@@ -81,4 +81,5 @@ def page_extras(request: Convert, before: Arrays | None, model: Model) -> Extras
         before_antialiased=shown is not None and shown.antialiased,
         poses=None if poses is None else poses @ np.linalg.inv(matrix),
         meshes=meshes,
+        photo_focal=model.photo_focal,
     )

@@ -7,8 +7,12 @@
  * `antialiased` Gaussian that the blur makes larger is as much fainter.
  */
 function shaders({ degree, antialiased }, rules) {
-  const [blur, slope, sigmas, margin] = [rules.blur, rules.slope, rules.sigmas, rules.margin]
-    .map((v) => v.toFixed(6));
+  const [blur, box, slope, sigmas, margin, magnified] =
+    [rules.blur, rules.box, rules.slope, rules.sigmas, rules.margin, rules.magnified]
+      .map((v) => v.toFixed(6));
+  // Pixels of the view for one of the photos'.
+  const ratio = rules.photo_focal
+    ? `min(focal.y / ${rules.photo_focal.toFixed(6)}, ${magnified})` : "1.0";
   const head = "#version 300 es\nprecision highp float;\nprecision highp int;\n" +
     "precision highp usampler2D;\n";
   const whole = head + `void main() {
@@ -84,7 +88,7 @@ void main() {
   vec3 t = (view * vec4(mean, 1.0)).xyz * vec3(1.0, 1.0, -1.0); // z forwards
   vec2 centre = focal * t.xy / t.z;
   vec2 most = max(0.5 * size, ${slope} * focal);
-  float opacity = float(stored.w >> 24) / 255.0;
+  float opacity = float(stored.w >> 24) / 255.0, ratio = ${ratio};
   float inside = log2(255.0 * opacity);
   if (t.z <= near || any(greaterThan(abs(centre), most)) || inside <= 0.0) return;
   // The Jacobian far beside the picture would make huge Gaussians.
@@ -102,14 +106,16 @@ void main() {
   if (t.z <= ${sigmas} * length(along)) return; // it reaches behind the camera
   float xx = dot(u, u), yy = dot(v, v), xy = dot(u, v);
   vec3 across = cross(u, v);
-  float determinant = dot(across, across) + ${blur} * (xx + yy) + ${blur} * ${blur};
-#if ${antialiased ? 1 : 0}
-  opacity *= sqrt(dot(across, across) / determinant);
+  // The photos' blur is an angle, that of a pixel is its own (rasterize/view.py, pixel_size).
+  float photo = ${blur} * ratio * ratio;
+  float blur = photo + ${box} * (1.0 - ratio * ratio);
+  float kept = ${antialiased ? "0.0" : "photo"};
+  float determinant = dot(across, across) + blur * (xx + yy) + blur * blur;
+  opacity *= sqrt((dot(across, across) + kept * (xx + yy) + kept * kept) / determinant);
   if (!(255.0 * opacity > 1.0)) return;
   inside = log2(255.0 * opacity);
-#endif
-  xx += ${blur};
-  yy += ${blur};
+  xx += blur;
+  yy += blur;
   float larger = 0.5 * (xx + yy) + length(vec2(0.5 * (xx - yy), xy));
   float angle = 0.5 * atan(2.0 * xy, xx - yy);
   vec2 direction = vec2(cos(angle), sin(angle));
