@@ -40,13 +40,19 @@ def random_ply(
 
 
 def fine_ply(
-    path: Path, count: int, seed: int = 0, *, thinner: float = 6.0, target: Target = VIEWERS
+    path: Path,
+    count: int,
+    seed: int = 0,
+    *,
+    thinner: float = 6.0,
+    target: Target = VIEWERS,
+    photo_focal: float | None = None,
 ) -> Path:
     """The same with Gaussians so much finer, on which anti-aliasing has an effect."""
     arrays = random_arrays(count, seed)
     arrays["log_scales"] -= np.float32(np.log(thinner))
     arrays["logit_opacities"] += np.float32(2.0)
-    write_ply(path, arrays, target=target)
+    write_ply(path, arrays, target=target, photo_focal=photo_focal)
     return path
 
 

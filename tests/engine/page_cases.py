@@ -74,10 +74,15 @@ def camera_of(shown: chromium.Page) -> tuple[Camera, np.ndarray]:
 
 
 def ours(
-    values: dict[str, np.ndarray], shown: chromium.Page, *, antialiased: bool = False
+    values: dict[str, np.ndarray],
+    shown: chromium.Page,
+    *,
+    antialiased: bool = False,
+    photo_focal: float | None = None,
 ) -> np.ndarray:
     """Our renderer's picture from the page's camera."""
-    model = Gaussians.from_arrays(values, target=target_with(antialiased=antialiased))
+    target = target_with(antialiased=antialiased)
+    model = Gaussians.from_arrays(values, target=target, photo_focal=photo_focal)
     return np.asarray(render_view(model, *camera_of(shown)).image)
 
 

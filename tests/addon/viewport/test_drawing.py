@@ -185,6 +185,32 @@ def test_the_viewport_draws_as_objects_are_made_for(blender: str, tmp_path: Path
     assert len(run(blender, "viewport_parity.py", *folders).splitlines()) >= 8 * pictures
 
 
+def test_the_viewport_draws_other_sizes_than_the_photos_as_the_engine(
+    blender: str, tmp_path: Path
+) -> None:
+    """Of models whose photos have half and twice the pixels."""
+    pytest.importorskip("torch")
+    from roigs_engine.rasterize.image_files import save_png
+
+    outside = cameras()[0]
+    folders = []
+    for kind in (VIEWERS, PLAIN):
+        for factor in (0.5, 2.0):
+            folder = tmp_path / f"{kind.name}-{factor}"
+            folder.mkdir()
+            folders.append(folder)
+            ply, focal = folder / "splats.ply", factor * outside["fx"]
+            wanted = []
+            for known in (None, focal):
+                fine_ply(ply, 800, target=kind, photo_focal=known)
+                wanted.append(engine_picture(folder, outside))
+            difference = (wanted[0].astype(float) - wanted[1]) / 255
+            assert np.square(difference).mean() > 1e-4, "nothing would be compared"
+            (folder / "cameras.json").write_text(json.dumps({"cameras": [outside]}))
+            save_png(folder / f"{outside['name']}.png", wanted[1])
+    run(blender, "viewport_parity.py", *folders)
+
+
 def test_the_viewport_draws_the_demo(blender: str, tmp_path: Path) -> None:
     """The composition of `make demo`, or of the run folder that `ROIGS_DEMO_RUN` names."""
     pytest.importorskip("torch")

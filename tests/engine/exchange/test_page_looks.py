@@ -61,6 +61,24 @@ def test_fine_gaussians_are_drawn_as_they_were_trained(
 
 
 @browser
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("photo_focal", [150.0, 1500.0])
+def test_photos_of_another_size_have_another_blur(
+    photo_focal: float, antialiased: bool, tmp_path: Path
+) -> None:
+    values = fine()
+    extras = page.Extras(photo_focal=photo_focal)
+    target = target_with(antialiased=antialiased)
+    formats.write(tmp_path / "a.html", values, target=target, extras=extras)
+    with opened(tmp_path / "a.html") as shown:
+        picture = bare(shown)
+        known = ours(values, shown, antialiased=antialiased, photo_focal=photo_focal)
+        assert psnr(picture, known) > 43
+        assert psnr(picture, ours(values, shown, antialiased=antialiased)) < 42
+        assert not shown.problems
+
+
+@browser
 def test_the_model_before_may_be_drawn_otherwise(tmp_path: Path) -> None:
     before, after = fine(seed=1), fine()
     extras = page.Extras(before=before, before_antialiased=True)

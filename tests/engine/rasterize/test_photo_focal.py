@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from roigs_engine.formats.splat_ply import made_of
-from roigs_engine.formats.targets import PLAIN, VIEWERS, Target
+from roigs_engine.formats.targets import CYCLES, PLAIN, VIEWERS, Target
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.scene import Camera
@@ -71,6 +71,12 @@ def test_the_photos_size_and_weights_have_the_same_bits() -> None:
     views = [(camera(0.3), np.eye(4))]
     ours, theirs = (next(iter(blending_weights(m, views))) for m in (known, unknown))
     assert torch.equal(ours.largest, theirs.largest)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2])
+def test_what_is_made_for_cycles_has_only_a_pixels_own_blur(factor: float) -> None:
+    known, unknown = (picture(model(CYCLES, focal), factor) for focal in (FOCAL, None))
+    assert torch.allclose(known, unknown, atol=1e-4)
 
 
 def test_parallel_rays_have_no_angle_and_close_ups_a_limit() -> None:
