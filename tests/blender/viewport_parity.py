@@ -56,13 +56,12 @@ def main(folder: Path) -> bool:
         wanted = load_png(folder / f"{camera['name']}.png")
         for name, pose in POSES.items():
             drawn = draw_camera(items, camera, pose)
-            quality = psnr(drawn[..., :3].clip(0, 1), wanted)  # as a display shows it
+            quality = psnr(drawn[..., :3], wanted)
             good &= quality >= LEAST
             np.save(folder / f"{camera['name']}-{name}.npy", drawn)
             print(f"{camera['name']} {name} {quality:.2f}", flush=True)
         for name, beyond in WINDOWS.items():
-            shown = draw_window(items, camera, beyond)[..., :3].clip(0, 1)
-            quality = psnr(shown, wanted)
+            quality = psnr(draw_window(items, camera, beyond)[..., :3], wanted)
             good &= quality >= LEAST_IN_WINDOW
             print(f"{camera['name']} {name} {quality:.2f}", flush=True)
     for item in items:

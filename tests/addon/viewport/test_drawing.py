@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from roigs_engine.formats.targets import CYCLES, EEVEE, PLAIN, VIEWERS
+from tests.addon.pictures import load_png
 from tests.addon.scenes import ROOT
 from tests.addon.splat_cases import fine_ply, random_arrays, random_ply
 from tests.poses import look_at
@@ -190,7 +191,9 @@ def test_the_viewport_draws_other_sizes_than_the_photos_as_the_engine(
 ) -> None:
     """Of models whose photos have half and twice the pixels."""
     pytest.importorskip("torch")
-    from roigs_engine.rasterize.image_files import save_png
+    from roigs_engine.model.gaussians import Gaussians
+    from roigs_engine.rasterize.camera_path import load_camera_path
+    from roigs_engine.rasterize.image_files import render_sequence
 
     outside = cameras()[0]
     folders = []
@@ -199,15 +202,15 @@ def test_the_viewport_draws_other_sizes_than_the_photos_as_the_engine(
             folder = tmp_path / f"{kind.name}-{factor}"
             folder.mkdir()
             folders.append(folder)
-            ply, focal = folder / "splats.ply", factor * outside["fx"]
-            wanted = []
-            for known in (None, focal):
-                fine_ply(ply, 800, target=kind, photo_focal=known)
-                wanted.append(engine_picture(folder, outside))
-            difference = (wanted[0].astype(float) - wanted[1]) / 255
-            assert np.square(difference).mean() > 1e-4, "nothing would be compared"
+            focal = factor * outside["fx"]
+            fine_ply(folder / "splats.ply", 800, target=kind, photo_focal=focal)
             (folder / "cameras.json").write_text(json.dumps({"cameras": [outside]}))
-            save_png(folder / f"{outside['name']}.png", wanted[1])
+            model = Gaussians.load_ply(folder / "splats.ply")
+            path, image = load_camera_path(folder / "cameras.json"), f"{outside['name']}.png"
+            render_sequence(replace(model, photo_focal=None), path, tmp_path)
+            render_sequence(model, path, folder)
+            apart = [load_png(place / image) for place in (tmp_path, folder)]
+            assert np.square(apart[0] - apart[1]).mean() > 1e-4, "nothing would be compared"
     run(blender, "viewport_parity.py", *folders)
 
 
