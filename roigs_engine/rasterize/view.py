@@ -19,6 +19,8 @@ from .limits import NO_LIMITS, PICTURE_LIMITS, Limits
 
 LEAST_PIXEL = 1 / 16
 """Of a photo's, a side: in a larger picture, blur would only take time."""
+SAME_FOCAL = 0.05
+"""Share by which focal lengths may differ and count as one: lenses that focus differ by as much."""
 PARALLEL = 100.0
 """Widths of a picture: with a longer focal length, its rays are parallel."""
 
@@ -67,10 +69,12 @@ def pixel_size(gaussians: Gaussians, camera: Camera) -> float:
     A model has learned to look right with its photos' blur, which is an angle: in a picture with
     other pixels, that many pixels wide it would be too wide, or too narrow (docs/method.md, "Other
     sizes than the photos'"). 1 if the photos are unknown, or the rays parallel: they have no angle.
+    And 1 for the photos themselves, whose focal lengths may differ a little.
     """
     if gaussians.photo_focal is None or camera.focal > PARALLEL * camera.width:
         return 1.0
-    return max(gaussians.photo_focal / camera.focal, LEAST_PIXEL)
+    size = gaussians.photo_focal / camera.focal
+    return 1.0 if abs(size - 1) <= SAME_FOCAL else max(size, LEAST_PIXEL)
 
 
 def rasterize_view(

@@ -15,10 +15,8 @@ from ..cuda.photos import Photos, photos_on
 from ..model.gaussians import Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import Float64, PosedImage
+from ..rasterize.view import SAME_FOCAL
 from .photo_order import PhotoAt
-
-SAME_FOCAL = 0.01
-"""Share by which focal lengths may differ and count as one: lenses that focus differ by as much."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
