@@ -14,7 +14,7 @@ POINTS = "match points"
 MASKING = "masks"
 ADAPT, EVALUATE = "adapt", "evaluate"
 SUGGEST = "suggest"
-DEPTH, FUSION, TEXTURE = "depth", "fusion", "texture"
+DEPTH, FUSION, MESH, FIT, TEXTURE = "depth", "fusion", "mesh", "fit", "texture"
 LOOK, FEATURES, COMPARE = "look at photos", "features", "compare photos"
 MATCHING, MAPPING = "matching", "mapping"
 UNITS = {
@@ -25,6 +25,7 @@ UNITS = {
     FEATURES: "Photo",
     COMPARE: "Photo",
     DEPTH: "Photo",
+    FIT: "Photo",
     MATCHING: "Pair",
 }
 """What a stage counts, where that is not steps."""
@@ -52,6 +53,8 @@ STAGE_WORDS = {
     EVALUATE: "measuring the result",
     DEPTH: "measuring depth",
     FUSION: "fusing depth",
+    MESH: "making the mesh",
+    FIT: "fitting to photos",
     CHECK: "checking photos",
     UNDISTORT: "undistorting photos",
     CAMERAS: "cameras",

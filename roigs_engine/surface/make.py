@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..context import QUIET, Context
+from ..formats.events import StageStarted
 from ..formats.text import counted
 from ..machine import package
 from ..model.gaussians import Gaussians
@@ -28,6 +30,7 @@ PACKAGES = {
     "fast_simplification": "fast-simplification",
     "trimesh": "trimesh",
 }
+STAGE, STEPS = "mesh", 2
 FACES = 100_000
 MOST_PHOTOS = 150
 NEAR_SIDE = 0.02  # of the box's size: so near its sides, ..
@@ -120,12 +123,17 @@ def make_surface(
     masked = has_masks(scene, roi)
     if masked and (support := support_of(maps, roi, voxel)) is not None:
         field = cut_off(field, support)
+    started = time.monotonic()
+    context.emit(StageStarted(stage=STAGE, total=STEPS))
     mesh = mesh_of(field, roi, maps, closed=options.watertight, context=context)
     del field
+    context.progress(STAGE, 1, STEPS, started)
     if masked and roi.scaled(1 - NEAR_SIDE).distance(mesh.vertices).astype(bool).mean() > CUT:
         context.warn(f"The box cuts object '{roi.name}': make the box larger.")
     context.check_cancelled()
-    mesh = fitted(simplified(mesh, options.faces), maps, roi, load, context)
+    mesh = simplified(mesh, options.faces, context)
+    context.progress(STAGE, STEPS, STEPS, started)
+    mesh = fitted(mesh, maps, roi, load, context)
     side = min(options.texture_size or texture_side(mesh, maps), plan.texture)
     return Surface(
         textured=textured(mesh, maps, side, load, context), voxel=voxel, photos=len(maps)

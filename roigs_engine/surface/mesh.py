@@ -217,13 +217,14 @@ def _large_parts(mesh: Mesh) -> Mesh:
     return mesh.kept((areas >= SMALLEST * areas.max())[parts])
 
 
-def simplified(mesh: Mesh, faces: int) -> Mesh:
+def simplified(mesh: Mesh, faces: int, context: Context = QUIET) -> Mesh:
     """The mesh with about so many faces at most (quadric errors, Garland and Heckbert 1997).
 
     A closed mesh stays closed; for that, it may keep more. Parts cut off by merging are removed.
     """
     wanted, is_closed = faces, mesh.is_closed()
     while len(mesh.faces) > wanted:
+        context.check_cancelled()
         found = _large_parts(decimated(mesh, wanted))
         if not is_closed or found.is_closed():
             return found

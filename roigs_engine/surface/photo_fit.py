@@ -8,6 +8,7 @@ correlations of a neighbourhood has a sharp peak. So a mesh gets one smooth fiel
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -18,12 +19,14 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from ..context import QUIET, Context
+from ..formats.events import StageStarted
 from ..model.roi import OrientedBox
 from ..model.scene import Float64, project
 from .depth import DepthMap
 from .mesh import Mesh
 from .texture import Load
 
+STAGE = "fit"
 POINTS = 4000  # patches on the mesh
 PHOTOS = 3  # that show a patch best are compared
 SIDE = 7  # of a patch, pixels of the best photo
@@ -146,6 +149,8 @@ def _colours(patches: _Patches, maps: Sequence[DepthMap], load: Load, context: C
     u, v = (each.reshape(-1, 1) for each in np.meshgrid(grid, grid))
     steps = _offsets()
     found = np.zeros((PHOTOS, len(normals), len(steps), SIDE**2), np.float32)
+    context.emit(StageStarted(stage=STAGE, total=len(maps)))
+    started = time.monotonic()
     for k, depth_map in enumerate(maps):
         context.check_cancelled()
         best, rows = np.nonzero((patches.photos == k) & np.isfinite(patches.pixels))
@@ -159,6 +164,7 @@ def _colours(patches: _Patches, maps: Sequence[DepthMap], load: Load, context: C
             pixels = project(places, depth_map.camera, depth_map.world_to_camera)[0]
             values = ndimage.map_coordinates(grey, pixels.T[::-1] - 0.5, order=1, mode="nearest")
             found[best[some], rows[some]] = values.reshape(-1, len(steps), SIDE**2)
+        context.progress(STAGE, k + 1, len(maps), started)
     return found
 
 

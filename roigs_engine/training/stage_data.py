@@ -59,7 +59,7 @@ class StageData:
         focals = [image.camera.focal * image.pixel_size for image in self.images]
         if not focals or max(focals) > (1 + SAME_FOCAL) * min(focals):
             return None
-        return float(np.median(focals))
+        return float(f"{np.median(focals):.6g}")  # the same for photos of half the size
 
 
 class View(NamedTuple):
