@@ -29,7 +29,7 @@ from .depth import DepthMap, depth_maps
 from .fusion import COARSE, Field, footprint, fuse
 from .make import Surface, SurfaceOptions
 from .memory import FIELD_SHARE, PER_DEPTH, PER_GAUSSIAN, PER_TEXEL, PER_VOXEL
-from .mesh import HOLE, Mask, Mesh, cut_out, decimated, views
+from .mesh import HOLE, Mask, Mesh, cut_out, decimated, shown
 from .texture import FILLED, Load, textured
 
 REACH = 4.0  # extents of the cameras from their middle: what is farther is left out
@@ -171,7 +171,7 @@ def make_background(
     room = share if len(near.faces) > share else options.faces - len(near.faces)
     meshes = ((coarse, room, voxel), (near, options.faces - room, voxel / finer))
     mesh = _joined([_simplified(*each) for each in meshes])
-    mesh = replace(mesh, filled=views(mesh, maps, voxel, context) == 0)
+    mesh = replace(mesh, filled=~shown(mesh, maps, voxel, 1, context))
     mesh = _seen(_large(mesh, voxel))
     if not len(mesh.faces):
         raise SceneError("No photo shows a surface.", "Train the scene longer.")

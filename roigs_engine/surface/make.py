@@ -32,6 +32,10 @@ PACKAGES = {
 }
 STAGE, STEPS = "mesh", 2
 FACES = 100_000
+DENSEST = 20
+"""Faces for one of the finished mesh. More would take minutes to clean and simplify, and simplifying
+joins thousands of edges of a closed mesh, which then is closed no longer.
+"""
 MOST_PHOTOS = 150
 NEAR_SIDE = 0.02  # of the box's size: so near its sides, ..
 CUT = 0.002  # .. a mesh has no more of its vertices, if the box contains the object
@@ -125,7 +129,10 @@ def make_surface(
         field = cut_off(field, support)
     started = time.monotonic()
     context.emit(StageStarted(stage=STAGE, total=STEPS))
+    while field.faces > DENSEST * options.faces:
+        field = field.halved()
     mesh = mesh_of(field, roi, maps, closed=options.watertight, context=context)
+    voxel = field.voxel
     del field
     context.progress(STAGE, 1, STEPS, started)
     if masked and roi.scaled(1 - NEAR_SIDE).distance(mesh.vertices).astype(bool).mean() > CUT:

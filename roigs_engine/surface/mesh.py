@@ -129,7 +129,7 @@ def mesh_of(
         SceneError: there is no surface in the box.
     """
     mesh = cut_out(field, roi, closed=closed, context=context)
-    mesh = replace(mesh, filled=views(mesh, maps, field.voxel, context) < PHOTOS)
+    mesh = replace(mesh, filled=~shown(mesh, maps, field.voxel, PHOTOS, context))
     mesh = cleaned(mesh, closed=closed)
     if not len(mesh.faces) or mesh.filled.all():
         raise nothing_there(roi)
@@ -157,24 +157,29 @@ def cut_out(
     return Mesh(vertices=vertices, faces=faces.astype(np.int64), filled=np.zeros(len(faces), bool))
 
 
-def views(mesh: Mesh, maps: Sequence[DepthMap], voxel: float, context: Context) -> Faces:
-    """(F,) how many depth maps show each face: from in front, and at their depth."""
+def shown(
+    mesh: Mesh, maps: Sequence[DepthMap], voxel: float, photos: int, context: Context
+) -> NDArray[np.bool_]:
+    """(F,) whether so many depth maps show each face: from in front, and at their depth."""
     centres, normals = mesh.vertices[mesh.faces].mean(axis=1), mesh.crosses
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     views = np.zeros(len(centres), np.int64)
+    left = np.arange(len(centres))  # of faces that too few have shown yet: soon, only some
     for depth_map in maps:
         context.check_cancelled()
         camera, pose = depth_map.lens, depth_map.world_to_camera
-        away = centres - depth_map.image.centre
-        facing = -(away * normals).sum(axis=1) / np.linalg.norm(away, axis=1)
-        rows = np.flatnonzero(facing > FACING)
+        away = centres[left] - depth_map.image.centre
+        facing = -(away * normals[left]).sum(axis=1) / np.linalg.norm(away, axis=1)
+        in_front = facing > FACING
+        rows, facing = left[in_front], facing[in_front]
         pixels, depth, inside = project(centres[rows], camera, pose)
-        rows, depth, facing = rows[inside], depth[inside], facing[rows[inside]]
+        rows, depth, facing = rows[inside], depth[inside], facing[inside]
         x, y = pixels[inside].astype(np.int64).T
         there = np.where(depth_map.weight > 0, depth_map.depth, 0)[y, x]
         slack = SLACK * np.maximum(depth / max(camera.fx, camera.fy), voxel) / facing
         views[rows[(there > 0) & (np.abs(there - depth) < slack)]] += 1
-    return views
+        left = left[views[left] < photos]
+    return views >= photos
 
 
 def nothing_there(roi: OrientedBox) -> SceneError:

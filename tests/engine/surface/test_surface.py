@@ -112,6 +112,19 @@ def floor_map(eye: tuple[float, float, float]) -> DepthMap:
     return DepthMap(image=image, x=0, y=0, camera=camera, depth=depth, weight=np.ones_like(depth))
 
 
+def test_a_field_with_half_the_voxels_has_the_same_surface() -> None:
+    maps = [depth_map(image) for image in images()]
+    field = fuse(maps, BOX, VOXEL)
+    half = field.halved()
+    assert half.voxel == 2 * field.voxel and half.distance.size < field.distance.size / 6
+    meshes = [mesh_of(each, BOX, maps, closed=True) for each in (field, half)]
+    for each, mesh in zip((field, half), meshes, strict=True):
+        assert len(mesh.faces) / 2 < each.faces < 2 * len(mesh.faces)
+    radii = [np.linalg.norm(mesh.vertices - BOX.centre, axis=1) for mesh in meshes]
+    assert abs(np.median(radii[0]) - np.median(radii[1])) < field.voxel / 4
+    assert meshes[1].is_closed()
+
+
 def test_what_no_photo_shows_stays_open_or_is_filled() -> None:
     """Photos from above alone: the lower part is a hole, or closed and marked."""
     above = [depth_map(image) for image in images() if image.centre[2] > 0.5]
