@@ -33,8 +33,8 @@ PACKAGES = {
 STAGE, STEPS = "mesh", 2
 FACES = 100_000
 DENSEST = 20
-"""Faces for one of the finished mesh. More would take minutes to clean and simplify, and simplifying
-joins thousands of edges of a closed mesh, which then is closed no longer.
+"""Faces for one of the finished mesh. More would take minutes to clean and to simplify; and then
+thousands of edges of a closed mesh meet, so that it is closed no longer.
 """
 MOST_PHOTOS = 150
 NEAR_SIDE = 0.02  # of the box's size: so near its sides, ..
