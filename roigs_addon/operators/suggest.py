@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import bpy
 from bpy.props import StringProperty
@@ -20,48 +20,43 @@ if TYPE_CHECKING:
 NONE = "Click Suggest Photos first"
 
 
-class CheckPhotos(EngineOperator):
+class _Guidance(EngineOperator):
+    """Asks the engine what the photos of all boxes show, and where to take the next ones."""
+
+    shows: ClassVar[bool]
+    """Whether cameras are put at these places."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There must be a model, a box, and an idle engine."""
+        return available(cls, engine_problem(context))
+
+    def packages(self, context: bpy.types.Context) -> tuple[str, ...]:
+        """A trained model needs more than points."""
+        return suggest_job.packages(scene_of(context))
+
+    def spec(self, context: bpy.types.Context) -> JobSpec:
+        """For all boxes."""
+        scene = scene_of(context)
+        return suggest_job.spec(scene, lookup.rois(scene), show=self.shows)
+
+
+class CheckPhotos(_Guidance):
     """Find out how well the photos cover each box, and which of them are blurred, out of focus, \
 too bright or dark, or misplaced. Nothing is excluded without a click"""
 
     bl_idname = "roigs.check_photos"
     bl_label = "Check Photos"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """There must be a model, a box, and an idle engine."""
-        return available(cls, engine_problem(context))
-
-    def packages(self, context: bpy.types.Context) -> tuple[str, ...]:
-        """A trained model needs more than points."""
-        return suggest_job.packages(scene_of(context))
-
-    def spec(self, context: bpy.types.Context) -> JobSpec:
-        """For all boxes."""
-        scene = scene_of(context)
-        return suggest_job.spec(scene, lookup.rois(scene), show=False)
+    shows = False
 
 
-class SuggestPhotos(EngineOperator):
+class SuggestPhotos(_Guidance):
     """Show where to take the next photos: the most informative for each box, from reachable \
 places. After Check Photos, they are shown at once"""
 
     bl_idname = "roigs.suggest_photos"
     bl_label = "Suggest Photos"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """There must be a model, a box, and an idle engine."""
-        return available(cls, engine_problem(context))
-
-    def packages(self, context: bpy.types.Context) -> tuple[str, ...]:
-        """A trained model needs more than points."""
-        return suggest_job.packages(scene_of(context))
-
-    def spec(self, context: bpy.types.Context) -> JobSpec:
-        """For all boxes."""
-        scene = scene_of(context)
-        return suggest_job.spec(scene, lookup.rois(scene), show=True)
+    shows = True
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Show what the last check found, or ask the engine and wait."""
