@@ -146,14 +146,19 @@ def made_lines(target: Target, photo_focal: float | None = None) -> list[str]:
 
 def made_of(path: str | Path) -> Made:
     """How a PLY's Gaussians were made; raises as `target_of`."""
-    return {"target": target_of(path), "photo_focal": photo_focal_of(path)}
+    head = _head(path)
+    return {"target": _target(head), "photo_focal": _photo_focal(head)}
 
 
 def photo_focal_of(path: str | Path) -> float | None:
     """The focal length of the photos of a PLY's Gaussians, if the file records one; raises as
     `target_of`.
     """
-    said = PHOTO_FOCAL.findall(_head(path))
+    return _photo_focal(_head(path))
+
+
+def _photo_focal(head: bytes) -> float | None:
+    said = PHOTO_FOCAL.findall(head)
     with suppress(ValueError):
         return usable_focal(float(said[-1])) if said else None
     return None
@@ -213,7 +218,10 @@ def target_of(path: str | Path) -> Target:
 
     RunFolderError: it cannot be read.
     """
-    head = _head(path)
+    return _target(_head(path))
+
+
+def _target(head: bytes) -> Target:
     named = [TARGETS.get(name.decode("ascii", "replace")) for name in MADE_FOR.findall(head)]
     if named and named[-1]:
         return named[-1]
