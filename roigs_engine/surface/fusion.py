@@ -63,7 +63,7 @@ class Field:
     def faces(self) -> int:
         """About how many faces its surface has: two for each edge of the grid that it crosses."""
         inside = self.distance < 0
-        return 2 * sum(int((np.diff(inside, axis=k)).sum()) for k in range(3))
+        return 2 * sum(int(np.diff(inside, axis=k).sum()) for k in range(3))
 
     def halved(self) -> Field:
         """The field with voxels of twice the side: the means of 2 x 2 x 2."""
