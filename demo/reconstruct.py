@@ -28,7 +28,9 @@ def arguments() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scene", type=Path, default=HERE / "scene", help="folder of the scene")
-    parser.add_argument("--model", type=Path, help="align this model of the photos; find none")
+    parser.add_argument(
+        "--model", type=Path, help="align this model of the photos and keep its points; find none"
+    )
     parser.add_argument("--work", type=Path, help="keep the database here instead of a temporary")
     parser.add_argument("--camera", default="PINHOLE", help="COLMAP camera model, one for all")
     parser.add_argument("--features", type=int, default=3000, help="most features per photo")
@@ -188,14 +190,15 @@ def main() -> None:
             work.mkdir(parents=True, exist_ok=True)
             model = solve(args, work)
     names = {model.images[i].name for i in model.reg_image_ids()}
-    print("not registered:", sorted(set(truth["photos"]) - names) or "none")
+    taken = {name for name in truth["photos"] if not name.startswith("held_out/")}
+    print("not registered:", sorted(taken - names) or "none")
     left = align(model, truth)
     print(
         f"camera centres after the similarity: rms {1000 * np.sqrt(np.mean(left**2)):.2f} mm, "
         f"largest {1000 * left.max():.2f} mm"
     )
     rois = boxes(truth, args.margin)
-    slim = compact(model, choose(model, rois, args))
+    slim = model if args.model else compact(model, choose(model, rois, args))
     out = args.scene / "sparse" / "0"
     out.mkdir(parents=True, exist_ok=True)
     slim.write_binary(out)

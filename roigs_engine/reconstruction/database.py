@@ -89,7 +89,7 @@ def camera_ids(database: Path) -> dict[str, int]:
 
 
 def count(database: Path, table: str) -> int:
-    """The number of rows of `descriptors` or `two_view_geometries`; 0 while there is no such table.
+    """The number of rows of a table of COLMAP's; 0 while there is no such table.
 
     Does not raise: it is for progress.
     """
@@ -102,10 +102,19 @@ def count(database: Path, table: str) -> int:
 
 def matched_pairs(database: Path) -> dict[Pair, int]:
     """Names of two photos, in order -> number of verified matches, of all pairs tried."""
+    return _pairs_of(database, "two_view_geometries")
+
+
+def match_counts(database: Path) -> dict[Pair, int]:
+    """Names of two photos, in order -> number of their matches, not verified."""
+    return _pairs_of(database, "matches")
+
+
+def _pairs_of(database: Path, table: str) -> dict[Pair, int]:
     found = {}
     with _opened(database) as file:
         names = dict(_rows(file, "SELECT image_id, name FROM images", int, str))
-        for pair, matches in _rows(file, "SELECT pair_id, rows FROM two_view_geometries", int, int):
+        for pair, matches in _rows(file, f"SELECT pair_id, rows FROM {table}", int, int):
             one, other = sorted(names[key] for key in divmod(pair, PAIR_BASE))
             found[one, other] = matches
     return found

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from ..context import Context
@@ -80,11 +81,12 @@ def similarities(
     wanted = np.triu(wanted | wanted.T, 1)
     context.emit(StageStarted(stage=STAGE, total=total))
     started = time.monotonic()
+
+    units = [unit(photo) for photo in photos]
     for row in range(total):
         context.check_cancelled()
-        mine = unit(photos[row])
         for column in map(int, np.flatnonzero(wanted[row])):
-            found[row, column] = found[column, row] = matches(mine, unit(photos[column]))
+            found[row, column] = found[column, row] = matches(units[row], units[column])
         context.progress(STAGE, row + 1, total, started)
     return found
 
@@ -100,11 +102,12 @@ def matches(one: Unit, other: Unit) -> int:
     """The number of features that are each other's nearest, by COLMAP's limits."""
     if len(one) < 2 or len(other) < 2:
         return 0
-    cosines = one @ other.T
+    # torch's product is several times faster than numpy's where BLAS is OpenBLAS.
+    cosines = torch.mm(torch.from_numpy(one), torch.from_numpy(other).T).numpy()
     rows = np.arange(len(one))
     nearest = cosines.argmax(axis=1)
-    mutual = cosines.argmax(axis=0)[nearest] == rows
     best = cosines[rows, nearest]
+    mutual = cosines.max(axis=0)[nearest] == best
     cosines[rows, nearest] = -1
     angle, second = (np.arccos(np.clip(c, -1, 1)) for c in (best, cosines.max(axis=1)))
     return int((mutual & (angle < MAX_RATIO * second) & (angle < MAX_ANGLE)).sum())

@@ -64,7 +64,7 @@ def find_features(folder: Folder, found: Found, request: Reconstruct, context: C
         "camera_model": request.camera_model,
         "masks": str(folder.masks) if found.masks else "",
     }
-    _run(task, folder, FEATURES, "descriptors", total, context)
+    _run(task, folder, FEATURES, ("descriptors",), total, context)
 
 
 def threads_of(request: Reconstruct) -> int:
@@ -95,16 +95,24 @@ def match(
     listed = folder.work("pairs.txt")
     write_text(listed, "".join(map(database.pair_line, missing)), durable=False)
     task = {"work": "match", "database": str(folder.database), "pairs": str(listed), **settings}
-    _run(task, folder, MATCHING, "two_view_geometries", len(there) + len(missing), context)
+    tables = ("matches", "two_view_geometries")  # half the work is to match, half to verify
+    _run(task, folder, MATCHING, tables, len(there) + len(missing), context)
 
 
 def _run(
-    task: dict[str, Any], folder: Folder, stage: str, table: str, total: int, context: Context
+    task: dict[str, Any],
+    folder: Folder,
+    stage: str,
+    tables: Sequence[str],
+    total: int,
+    context: Context,
 ) -> None:
-    """Do a task whose progress is the number of rows of a table."""
-    run_stage(
-        task, folder.log, stage, total, lambda _: database.count(folder.database, table), context
-    )
+    """Do a task whose progress is the mean number of rows of tables."""
+
+    def done(record: dict[str, Any]) -> int:
+        return sum(database.count(folder.database, table) for table in tables) // len(tables)
+
+    run_stage(task, folder.log, stage, total, done, context)
 
 
 def choose_pairs(

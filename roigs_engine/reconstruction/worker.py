@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import threading
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +21,21 @@ from ..colmap.model_files import pycolmap_model
 from ..errors import EngineError, SceneError
 from ..formats.gravity import Matrix, Vector, gravity_alignment
 from ..model.scene import origin
-from .database import camera_ids, numbers, show_spaces, spaces_hidden
+from .database import (
+    FEWEST_INLIERS,
+    Pair,
+    camera_ids,
+    match_counts,
+    numbers,
+    show_spaces,
+    spaces_hidden,
+)
 
 Task = dict[str, Any]
 NEEDED = ("FeatureExtractionOptions", "FeatureMatchingOptions", "match_image_pairs")
 DISTANCE = 2.0  # from the cameras to what they see, in units of the scene; a guess at metres
+LEAST_SHARE, SHARES = 0.25, 0.1  # of inliers that RANSAC looks for (COLMAP's); taken together
+PART = 2_000  # pairs that are matched before any of them is verified
 LAID = 0.02  # of the photos' extent: photos that two models place so near each other agree
 LAYERS = 200  # of the height, in the search for the floor
 FLOOR = 3.0  # times the points of the median layer that has any: a layer with more is a floor
@@ -76,22 +87,54 @@ def extract(colmap: Any, task: Task) -> None:
 
 
 def match(colmap: Any, task: Task) -> None:
-    """Match the pairs of a file; those that the database has are left out."""
+    """Match the pairs of a file; those that the database has are left out.
+
+    A part of the pairs is matched first, then verified by how many matches each has: a pair is used
+    if it has `FEWEST_INLIERS`, so RANSAC need not look for a smaller share of its matches.
+    """
+    database, listed = Path(task["database"]), Path(task["pairs"])
     options = colmap.FeatureMatchingOptions()
     options.use_gpu = False
     options.num_threads = task["threads"]
     verification = colmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = task["seed"]
     pairing = colmap.ImportedPairingOptions()
-    pairing.match_list_path = task["pairs"]
-    with spaces_hidden(Path(task["database"])):
+    pairing.match_list_path = str(listed.with_name("part.txt"))
+
+    def work(lines: Sequence[str]) -> None:
+        Path(pairing.match_list_path).write_text("\n".join(lines), "utf-8", newline="\n")
         colmap.match_image_pairs(
-            task["database"],
+            str(database),
             matching_options=options,
             pairing_options=pairing,
             verification_options=verification,
             device=colmap.Device.cpu,
         )
+
+    # `splitlines` and `split()` would also split at what stands for spaces in names.
+    lines = listed.read_text("utf-8").rstrip("\n").split("\n")
+    with spaces_hidden(database):
+        for start in range(0, len(lines), PART):
+            part = lines[start : start + PART]
+            options.skip_geometric_verification = True
+            work(part)
+            options.skip_geometric_verification = False
+            for share, same in by_share(part, match_counts(database)):
+                verification.ransac.min_inlier_ratio = share
+                work(same)
+
+
+def by_share(lines: Sequence[str], counts: Mapping[Pair, int]) -> list[tuple[float, list[str]]]:
+    """Pairs with about as many matches each, and the share of them that inliers must be.
+
+    `lines` are as in `pair_line`; `counts`: the number of matches of each pair.
+    """
+    alike: dict[int, list[str]] = {}
+    for line in lines:
+        one, other = sorted(line.split(" "))
+        share = FEWEST_INLIERS / max(counts.get((one, other), 0), FEWEST_INLIERS)
+        alike.setdefault(int(share / SHARES), []).append(line)
+    return [(max(LEAST_SHARE, SHARES * k), same) for k, same in sorted(alike.items())]
 
 
 def map_photos(colmap: Any, task: Task) -> list[dict[str, Any]]:
