@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..kernels.bindings import kernels
 from ..model.scene import Float64
 
 HALF = 7  # a patch has 2 * HALF + 1 samples a side, a pixel of the coarser photo apart
@@ -29,7 +30,7 @@ LIKENESS = 0.85  # least correlation
 MOST_BENT = 1.5  # times as long as the reference in one direction
 VAGUEST = 0.35  # samples: a place whose standard error may be larger is not used
 INDEPENDENT = 20.0  # samples of a patch that count for the standard error: neighbours are alike
-BATCH = 96  # patches at a time: small enough for the processor's caches
+BATCH = 512  # patches at a time: many, so that threads seldom wait for the interpreter
 
 
 def templates(
@@ -44,9 +45,7 @@ def templates(
     values = np.zeros((count, GRID.shape[1]), dtype=np.float32)
     usable = np.zeros(count, dtype=bool)
     for part in _parts(count):
-        sampled, inside = _sampled(photo, places[part], jacobians[part])
-        values[part], contrast = normalised(sampled)
-        usable[part] = inside & (contrast > LEAST_CONTRAST)
+        values[part], usable[part] = photo.patches(places[part], jacobians[part])
     return values, usable
 
 
@@ -72,23 +71,8 @@ def align(
     return found, good, likeness
 
 
-def normalised(patches: Grey) -> tuple[Grey, Grey]:
-    """Patches (N, P) with zero weighted mean and unit variance; and their (N,) deviations."""
-    centred = patches - (patches @ WEIGHTS)[:, None]
-    deviation = np.sqrt((centred * centred) @ WEIGHTS)
-    normal = centred / np.maximum(deviation, 1e-3)[:, None]
-    return normal.astype(np.float32, copy=False), deviation
-
-
 def _parts(count: int) -> list[slice]:
     return [slice(k, k + BATCH) for k in range(0, count, BATCH)]
-
-
-def _sampled(photo: Pyramid, places: Float64, jacobians: Float64) -> tuple[Grey, NDArray[np.bool_]]:
-    shape = jacobians.astype(np.float32)
-    scale = np.sqrt(np.abs(np.linalg.det(shape)))
-    at = places.astype(np.float32)[:, :, None] + shape @ GRID
-    return photo.sample(at.transpose(1, 0, 2), scale)
 
 
 def _aligned(
@@ -105,9 +89,7 @@ def _aligned(
 
     def sampled() -> tuple[Grey, NDArray[np.bool_]]:
         at = places + (jacobians @ move[:, :, None])[..., 0]
-        values, inside = _sampled(photo, at, jacobians @ shape)
-        patch, contrast = normalised(values)
-        return patch, inside & (contrast > LEAST_CONTRAST)
+        return photo.patches(at, jacobians @ shape)
 
     for turn in range(MOVES + BENDS):
         error = sampled()[0] - references
@@ -173,34 +155,34 @@ class Pyramid:
             halved = gaussian_filter(self._levels[-1], BLUR)[::2, ::2]
             self._levels.append(np.ascontiguousarray(halved))
 
-    def sample(self, places: Grey, scale: Grey) -> tuple[Grey, NDArray[np.bool_]]:
-        """(N, P) grey values, linearly interpolated; and (N,) whether all places are in the photo.
+    def patches(self, places: Float64, jacobians: Float64) -> tuple[Grey, NDArray[np.bool_]]:
+        """Patches around places (N, 2), px; jacobians (N, 2, 2): px per sample.
 
-        Args:
-            places: (2, N, P) x and y, px of the photo.
-            scale: (N,) distance between a row's places, px: decides the level.
+        Returns (N, P) with zero mean and unit variance, linearly interpolated in the level whose
+        pixels are as far apart as the samples; and (N,) whether they are whole and have contrast.
         """
-        level = np.rint(np.log2(np.maximum(scale, 1e-6)))
-        level = np.clip(np.nan_to_num(level), 0, len(self._levels) - 1).astype(np.int64)
-        values = np.empty(places.shape[1:], dtype=np.float32)
-        inside = np.empty(len(level), dtype=bool)
+        scale = np.sqrt(np.abs(np.linalg.det(jacobians)))
+        level = np.rint(np.log2(np.maximum(np.nan_to_num(scale), 1e-6))).astype(np.int64)
+        level = np.clip(level, 0, len(self._levels) - 1)
+        values = np.empty((len(places), GRID.shape[1]), dtype=np.float32)
+        usable = np.empty(len(places), dtype=bool)
         for k in np.unique(level):
-            rows = level == k
+            rows = np.flatnonzero(level == k)
             # Level k has every 2^k-th pixel of the photo, and these have their centres at + 0.5.
-            at = (places[:, rows] - np.float32(0.5)) * np.float32(0.5**k)
-            values[rows], inside[rows] = _interpolated(self._levels[k], at[0], at[1])
-        return values, inside
+            centres = (places[rows] - 0.5) * 0.5**k
+            values[rows], usable[rows] = _patches(
+                self._levels[k], centres.astype(np.float32), (jacobians[rows] * 0.5**k)
+            )
+        return values, usable
 
 
-def _interpolated(grey: Grey, x: Grey, y: Grey) -> tuple[Grey, NDArray[np.bool_]]:
+def _patches(grey: Grey, centres: Grey, shapes: Float64) -> tuple[Grey, NDArray[np.bool_]]:
     height, width = grey.shape
-    inside = ((x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)).all(axis=1)
-    x = np.clip(np.nan_to_num(x), 0, width - 1.001)
-    y = np.clip(np.nan_to_num(y), 0, height - 1.001)
-    left, top = x.astype(np.int32), y.astype(np.int32)
-    right, down = x - left, y - top
-    flat, first = grey.ravel(), top * width + left
-    above = flat[first] + (flat[first + 1] - flat[first]) * right
-    below = flat[first + width]
-    below = below + (flat[first + width + 1] - below) * right
-    return above + (below - above) * down, inside
+    count = len(centres)
+    patches = np.empty((count, GRID.shape[1]), dtype=np.float32)
+    deviations, inside = np.empty(count, dtype=np.float32), np.empty(count, dtype=bool)
+    shapes = np.ascontiguousarray(shapes, dtype=np.float32)
+    given = (grey.ctypes.data, width, height, centres.ctypes.data, shapes.ctypes.data, count)
+    results = (values.ctypes.data for values in (patches, deviations, inside))
+    kernels().roigs_patches(*given, HALF, WEIGHTS.ctypes.data, *results)
+    return patches, inside & (deviations > LEAST_CONTRAST)

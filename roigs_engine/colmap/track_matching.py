@@ -18,7 +18,8 @@ from threadpoolctl import threadpool_limits
 
 from ..context import Context
 from ..model.scene import Float64, Int64
-from ..photos.headers import PhotoError
+from ..photos.headers import PhotoError, photo_size
+from ..photos.parallel import decoding_bytes, in_parallel
 from .patch_alignment import GRID, Pyramid, align, templates
 
 POINTS_A_PHOTO = 500  # of a model that has more
@@ -29,6 +30,7 @@ NEW_LIKENESS = 0.9
 WIDEST, NARROW = 0.72, 0.9  # cosines of the angles between photos: too wide; as good as none
 COARSEST, FINEST = 8.0, 0.5  # size of a photo's pixels at the point, in the reference's
 RIM = 8.0  # px: a patch is not whole beyond
+PYRAMID = 24  # bytes for a pixel of a photo, most of them while its levels are made
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -217,35 +219,55 @@ def _matched(
     usable = np.zeros(count, dtype=bool)
     places, good = np.array(wanted.start), np.zeros(count, dtype=bool)
     damaged: set[int] = set()
+
+    def match(view: int) -> None:
+        """Match what is wanted of a photo, or take its patches for the others."""
+        rows = rows_of[view]
+        file, lens = photos[view], views.lenses[view]
+        assert file is not None
+        photo = Pyramid(file.path, (lens.width, lens.height), file.turn)
+        jacobians = views.jacobians(view, points[wanted.point[rows]], steps[rows])
+        sound = np.isfinite(jacobians).all(axis=(1, 2))
+        rows, jacobians = rows[sound], jacobians[sound]
+        if turn == 0:
+            places_there = references.place[wanted.point[rows]]
+            patches[rows], usable[rows] = templates(photo, places_there, jacobians)
+            return
+        reach = np.where(wanted.new[rows], NEW_REACH, REACH)
+        found, fits, likeness = align(
+            photo, wanted.start[rows], jacobians, patches[rows].astype(np.float32), reach
+        )
+        places[rows] = found
+        good[rows] = fits & (~wanted.new[rows] | (likeness > NEW_LIKENESS))
+
+    memory = max((_bytes(file) for file in photos if file is not None), default=1)
     for turn, kinds in enumerate((view_of, wanted.view)):
-        for view, file in enumerate(photos):
-            context.check_cancelled()
-            rows = np.flatnonzero((kinds == view) & (usable | (turn == 0)))
-            if file is None or view in damaged or not len(rows):
-                continue
-            lens = views.lenses[view]
-            try:
-                photo = Pyramid(file.path, (lens.width, lens.height), file.turn)
-            except PhotoError as error:
-                context.warn(f"{error.message} It is left out of matching.")
-                damaged.add(view)
-                continue
-            jacobians = views.jacobians(view, points[wanted.point[rows]], steps[rows])
-            sound = np.isfinite(jacobians).all(axis=(1, 2))
-            rows, jacobians = rows[sound], jacobians[sound]
-            if turn == 0:
-                places_there = references.place[wanted.point[rows]]
-                patches[rows], usable[rows] = templates(photo, places_there, jacobians)
-            else:
-                reach = np.where(wanted.new[rows], NEW_REACH, REACH)
-                found, fits, likeness = align(
-                    photo, wanted.start[rows], jacobians, patches[rows].astype(np.float32), reach
-                )
-                places[rows] = found
-                good[rows] = fits & (~wanted.new[rows] | (likeness > NEW_LIKENESS))
-            done = turn * len(photos) + view + 1
-            context.progress("match points", done, 2 * len(photos), started)
+        rows_of = {
+            view: np.flatnonzero((kinds == view) & (usable | (turn == 0)))
+            for view, file in enumerate(photos)
+            if file is not None and view not in damaged
+        }
+        shown = [view for view, rows in rows_of.items() if len(rows)]
+        # The photos' rows are different ones, so threads do not meet.
+        with in_parallel(match, shown, memory, context) as work:
+            for view, job in work:
+                try:
+                    job.result()
+                except PhotoError as error:
+                    context.warn(f"{error.message} It is left out of matching.")
+                    damaged.add(view)
+                done = turn * len(photos) + view + 1
+                context.progress("match points", done, 2 * len(photos), started)
     return places, good
+
+
+def _bytes(file: PhotoFile) -> int:
+    """Most memory that matching in a photo takes."""
+    try:
+        size = photo_size(file.path)
+    except PhotoError:  # said when it is read
+        return 1
+    return decoding_bytes(file.path, size) + PYRAMID * size[0] * size[1]
 
 
 def _steps(views: Views, points: Float64, references: _References, wanted: _Wanted) -> Float64:

@@ -140,6 +140,11 @@ SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
         [_ADDRESS, _COUNT, _ADDRESS, ctypes.c_double, _COUNT, _COUNT, _ADDRESS],
     ),
     "roigs_fuse_depth": (None, [_ADDRESS, _COUNT, *[_ADDRESS] * 2]),  # points, count, photo, sums
+    # grey, width, height, centres, shapes, count, half, weights; patches, deviations, inside
+    "roigs_patches": (
+        None,
+        [_ADDRESS, *[_COUNT] * 2, *[_ADDRESS] * 2, *[_COUNT] * 2, *[_ADDRESS] * 4],
+    ),
     # width, height; image (3, height, width), target (height, width, 3), weights (height, width) or
     # null; SSIM's weight; gradient (3, height, width) or null, result: loss, L1, SSIM as doubles
     "roigs_photo_loss": (

@@ -93,3 +93,12 @@ ROIGS_API void roigs_surface_depth(const float* triangles, int64_t count, const 
 // surface is farther in front; 4: 1 if the surface is less than a truncation away.
 ROIGS_API void roigs_fuse_depth(const float* points, int64_t count,
                                 const roigs::DepthPhoto* photo, float* sums);
+
+// Patches (count, side, side) of a photo `grey` (height, width), side = 2 half + 1, with zero mean
+// and unit variance by `weights` (side, side), the same for all; `deviations` (count,): before.
+// Sample (row, column) is at the patch's centre (count, 2), px from the centre of the first pixel,
+// plus its shape (count, 2, 2) times (column - half, row - half). `inside` (count,): 1 if all
+// samples are in the photo, which has at least 2 pixels each way.
+ROIGS_API void roigs_patches(const float* grey, int64_t width, int64_t height, const float* centres,
+                             const float* shapes, int64_t count, int64_t half, const float* weights,
+                             float* patches, float* deviations, uint8_t* inside);
