@@ -17,11 +17,24 @@ FEWEST = 3  # photos of a model that is named
 JOINED = 0.5  # of a photo's points in its own model: if it has fewer here, its place is a chance
 Options = dict[str, dict[str, Any]]
 """Values of pycolmap's options by the part that has them; "": the pipeline's own."""
+# All cameras are adjusted when the model has grown by 30 %, at most three times in turn. COLMAP's
+# 10 % and five times take longer, and the cameras are as exact (notebook/reconstruction.md).
+SELDOM = {
+    "ba_global_frames_ratio": 1.3,
+    "ba_global_points_ratio": 1.3,
+    "ba_global_max_refinements": 3,
+}
 # First COLMAP's own limits; then, to begin at all, or to add photos to a model, lower ones.
-STRICT: Options = {"": {"min_model_size": FEWEST, "max_num_models": 10}, "mapper": {}}
+STRICT: Options = {
+    "": {"min_model_size": FEWEST, "max_num_models": 10} | SELDOM,
+    "mapper": {},
+}
 LOW_TO_ADD = {"abs_pose_min_num_inliers": 12, "abs_pose_min_inlier_ratio": 0.15}
 LOW_TO_BEGIN = {"init_min_num_inliers": 30, "init_min_tri_angle": 2.0}
-LOW: Options = {"": {"min_num_matches": 10, "multiple_models": False}, "mapper": LOW_TO_ADD}
+LOW: Options = {
+    "": {"min_num_matches": 10, "multiple_models": False} | SELDOM,
+    "mapper": LOW_TO_ADD,
+}
 
 
 @dataclass(frozen=True, kw_only=True)
