@@ -34,8 +34,7 @@ from .database import (
 Task = dict[str, Any]
 NEEDED = ("FeatureExtractionOptions", "FeatureMatchingOptions", "match_image_pairs")
 DISTANCE = 2.0  # from the cameras to what they see, in units of the scene; a guess at metres
-LEAST_SHARE, SHARES = 0.25, 0.1  # of inliers that RANSAC looks for (COLMAP's); taken together
-PART = 2_000  # pairs that are matched before any of them is verified
+SHARES = (0.25, 0.4, 0.6, 0.8)  # of inliers that RANSAC looks for; the first is COLMAP's
 LAID = 0.02  # of the photos' extent: photos that two models place so near each other agree
 LAYERS = 200  # of the height, in the search for the floor
 FLOOR = 3.0  # times the points of the median layer that has any: a layer with more is a floor
@@ -89,8 +88,8 @@ def extract(colmap: Any, task: Task) -> None:
 def match(colmap: Any, task: Task) -> None:
     """Match the pairs of a file; those that the database has are left out.
 
-    A part of the pairs is matched first, then verified by how many matches each has: a pair is used
-    if it has `FEWEST_INLIERS`, so RANSAC need not look for a smaller share of its matches.
+    All pairs are matched first, then verified by how many matches each has: a pair is used if it
+    has `FEWEST_INLIERS`, so RANSAC need not look for a smaller share of its matches.
     """
     database, listed = Path(task["database"]), Path(task["pairs"])
     options = colmap.FeatureMatchingOptions()
@@ -99,10 +98,9 @@ def match(colmap: Any, task: Task) -> None:
     verification = colmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = task["seed"]
     pairing = colmap.ImportedPairingOptions()
-    pairing.match_list_path = str(listed.with_name("part.txt"))
 
-    def work(lines: Sequence[str]) -> None:
-        Path(pairing.match_list_path).write_text("\n".join(lines), "utf-8", newline="\n")
+    def work(lines: Path) -> None:
+        pairing.match_list_path = str(lines)
         colmap.match_image_pairs(
             str(database),
             matching_options=options,
@@ -111,30 +109,31 @@ def match(colmap: Any, task: Task) -> None:
             device=colmap.Device.cpu,
         )
 
-    # `splitlines` and `split()` would also split at what stands for spaces in names.
-    lines = listed.read_text("utf-8").rstrip("\n").split("\n")
     with spaces_hidden(database):
-        for start in range(0, len(lines), PART):
-            part = lines[start : start + PART]
-            options.skip_geometric_verification = True
-            work(part)
-            options.skip_geometric_verification = False
-            for share, same in by_share(part, match_counts(database)):
-                verification.ransac.min_inlier_ratio = share
-                work(same)
+        options.skip_geometric_verification = True
+        work(listed)
+        options.skip_geometric_verification = False
+        # `splitlines` and `split()` would also split at what stands for spaces in names.
+        lines = listed.read_text("utf-8").rstrip("\n").split("\n")
+        alike = listed.with_name("alike.txt")
+        for share, same in by_share(lines, match_counts(database)).items():
+            verification.ransac.min_inlier_ratio = share
+            alike.write_text("\n".join(same), "utf-8", newline="\n")
+            work(alike)
 
 
-def by_share(lines: Sequence[str], counts: Mapping[Pair, int]) -> list[tuple[float, list[str]]]:
-    """Pairs with about as many matches each, and the share of them that inliers must be.
+def by_share(lines: Sequence[str], counts: Mapping[Pair, int]) -> dict[float, list[str]]:
+    """Pairs by the least share of their matches, of `SHARES`, that inliers must be.
 
     `lines` are as in `pair_line`; `counts`: the number of matches of each pair.
     """
-    alike: dict[int, list[str]] = {}
+    alike: dict[float, list[str]] = {}
     for line in lines:
         one, other = sorted(line.split(" "))
-        share = FEWEST_INLIERS / max(counts.get((one, other), 0), FEWEST_INLIERS)
-        alike.setdefault(int(share / SHARES), []).append(line)
-    return [(max(LEAST_SHARE, SHARES * k), same) for k, same in sorted(alike.items())]
+        needed = FEWEST_INLIERS / max(counts.get((one, other), 0), FEWEST_INLIERS)
+        share = max((share for share in SHARES if share <= needed), default=SHARES[0])
+        alike.setdefault(share, []).append(line)
+    return alike
 
 
 def map_photos(colmap: Any, task: Task) -> list[dict[str, Any]]:
