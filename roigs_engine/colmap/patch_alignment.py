@@ -171,7 +171,7 @@ class Pyramid:
             # Level k has every 2^k-th pixel of the photo, and these have their centres at + 0.5.
             centres = (places[rows] - 0.5) * 0.5**k
             values[rows], usable[rows] = _patches(
-                self._levels[k], centres.astype(np.float32), (jacobians[rows] * 0.5**k)
+                self._levels[k], centres.astype(np.float32), jacobians[rows] * 0.5**k
             )
         return values, usable
 
@@ -184,5 +184,7 @@ def _patches(grey: Grey, centres: Grey, shapes: Float64) -> tuple[Grey, NDArray[
     shapes = np.ascontiguousarray(shapes, dtype=np.float32)
     given = (grey.ctypes.data, width, height, centres.ctypes.data, shapes.ctypes.data, count)
     results = (values.ctypes.data for values in (patches, deviations, inside))
+    if min(width, height) < 2:  # too small to interpolate: no patch is whole
+        return np.zeros_like(patches), np.zeros_like(inside)
     kernels().roigs_patches(*given, HALF, WEIGHTS.ctypes.data, *results)
     return patches, inside & (deviations > LEAST_CONTRAST)

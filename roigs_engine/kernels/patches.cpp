@@ -11,12 +11,12 @@ namespace {
 constexpr float kLeastDeviation = 1e-3f;  // of a patch without contrast
 
 // Bilinear between the centres of pixels; NaN counts as 0.
-float interpolated(const float* grey, int64_t width, float last_x, float last_y, float x, float y) {
-    x = x > 0 ? std::min(x, last_x) : 0;
-    y = y > 0 ? std::min(y, last_y) : 0;
-    const int32_t left = int32_t(x), top = int32_t(y);
+float interpolated(const float* grey, int64_t width, int64_t height, float x, float y) {
+    x = x > 0 ? std::min(x, width - 1.0f) : 0;
+    y = y > 0 ? std::min(y, height - 1.0f) : 0;
+    const int64_t left = std::min(int64_t(x), width - 2), top = std::min(int64_t(y), height - 2);
     const float across = x - left, down = y - top;
-    const float* at = grey + int64_t(top) * width + left;
+    const float* at = grey + top * width + left;
     const float above = at[0] + (at[1] - at[0]) * across;
     const float below = at[width] + (at[width + 1] - at[width]) * across;
     return above + (below - above) * down;
@@ -31,7 +31,6 @@ void roigs_patches(const float* grey, int64_t width, int64_t height, const float
     using namespace roigs;
     const int64_t side = 2 * half + 1, samples = side * side;
     const float end_x = width - 1.0f, end_y = height - 1.0f;
-    const float last_x = end_x - 1e-3f, last_y = end_y - 1e-3f;
     for (int64_t i = 0; i < count; ++i) {
         const float *centre = centres + 2 * i, *shape = shapes + 4 * i;
         float* patch = patches + samples * i;
@@ -44,7 +43,7 @@ void roigs_patches(const float* grey, int64_t width, int64_t height, const float
                 const float x = centre[0] + shape[0] * u + shape[1] * v;
                 const float y = centre[1] + shape[2] * u + shape[3] * v;
                 whole &= x >= 0 && y >= 0 && x <= end_x && y <= end_y;
-                patch[k] = interpolated(grey, width, last_x, last_y, x, y);
+                patch[k] = interpolated(grey, width, height, x, y);
                 mean += weights[k] * patch[k];
             }
         }

@@ -86,3 +86,26 @@ def test_a_reference_needs_contrast_and_must_be_whole(tmp_path: Path) -> None:
     one = photo(tmp_path / "a.png", np.eye(2), np.zeros(2))
     rim = np.array([[3.0, 50.0], [50.0, 198.0], [100.0, 100.0]])
     assert templates(one, rim, STRAIGHT)[1].tolist() == [False, False, True]
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 40), (40, 1), (2, 2)])
+def test_a_photo_smaller_than_a_patch_has_none(tmp_path: Path, size: tuple[int, int]) -> None:
+    Image.new("RGB", size, (90, 90, 90)).save(tmp_path / "small.png")
+    places = np.array([[0.5, 0.5], [1e9, -1e9], [np.nan, np.inf]])
+    values, usable = templates(Pyramid(tmp_path / "small.png", size), places, STRAIGHT)
+    assert np.isfinite(values).all() and not usable.any()
+
+
+@pytest.mark.parametrize("ends", [0.0, 1.0])
+def test_places_at_the_photos_edge_are_interpolated_in_it(tmp_path: Path, ends: float) -> None:
+    """Also in a photo so wide that float32 cannot tell its last pixels from what is beyond."""
+    width, height = 40_000, 40
+    ramp = np.linspace(0, 255, width).round().astype(np.uint8)
+    Image.fromarray(np.tile(ramp[None, :, None], (height, 1, 3))).save(tmp_path / "wide.png")
+    photo = Pyramid(tmp_path / "wide.png", (width, height))
+    inside = np.array(
+        [[ends * (width - 17) + 8.5, 20.5], [ends * width, ends * height], [-9.0, 99]]
+    )
+    values, _ = photo.patches(inside, STRAIGHT)
+    assert np.isfinite(values).all()
+    assert np.abs(values).max() < 100
