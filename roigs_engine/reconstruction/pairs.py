@@ -8,11 +8,11 @@ et al. 2010, with words from the photos themselves).
 
 from __future__ import annotations
 
+import functools
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from ..context import Context
@@ -102,8 +102,7 @@ def matches(one: Unit, other: Unit) -> int:
     """The number of features that are each other's nearest, by COLMAP's limits."""
     if len(one) < 2 or len(other) < 2:
         return 0
-    # torch's product is several times faster than numpy's where BLAS is OpenBLAS.
-    cosines = torch.mm(torch.from_numpy(one), torch.from_numpy(other).T).numpy()
+    cosines = _product()(one, other)
     rows = np.arange(len(one))
     nearest = cosines.argmax(axis=1)
     best = cosines[rows, nearest]
@@ -111,6 +110,16 @@ def matches(one: Unit, other: Unit) -> int:
     cosines[rows, nearest] = -1
     angle, second = (np.arccos(np.clip(c, -1, 1)) for c in (best, cosines.max(axis=1)))
     return int((mutual & (angle < MAX_RATIO * second) & (angle < MAX_ANGLE)).sum())
+
+
+@functools.cache
+def _product() -> Callable[[Unit, Unit], Unit]:
+    """(N, K), (M, K) -> (N, M) products: torch's if it is there, as numpy's may take longer."""
+    try:
+        import torch
+    except ImportError:
+        return lambda one, other: np.asarray(one @ other.T)
+    return lambda one, other: torch.mm(torch.from_numpy(one), torch.from_numpy(other).T).numpy()
 
 
 def _shortlisted(photos: Sequence[Descriptors], seed: int) -> NDArray[np.bool_]:
