@@ -180,11 +180,11 @@ def _patches(grey: Grey, centres: Grey, shapes: Float64) -> tuple[Grey, NDArray[
     height, width = grey.shape
     count = len(centres)
     patches = np.empty((count, GRID.shape[1]), dtype=np.float32)
+    if min(width, height) < 2:  # too small to interpolate: no patch is whole
+        return np.zeros_like(patches), np.zeros(count, dtype=bool)
     deviations, inside = np.empty(count, dtype=np.float32), np.empty(count, dtype=bool)
     shapes = np.ascontiguousarray(shapes, dtype=np.float32)
     given = (grey.ctypes.data, width, height, centres.ctypes.data, shapes.ctypes.data, count)
     results = (values.ctypes.data for values in (patches, deviations, inside))
-    if min(width, height) < 2:  # too small to interpolate: no patch is whole
-        return np.zeros_like(patches), np.zeros_like(inside)
     kernels().roigs_patches(*given, HALF, WEIGHTS.ctypes.data, *results)
     return patches, inside & (deviations > LEAST_CONTRAST)

@@ -25,16 +25,10 @@ SELDOM = {
     "ba_global_max_refinements": 3,
 }
 # First COLMAP's own limits; then, to begin at all, or to add photos to a model, lower ones.
-STRICT: Options = {
-    "": {"min_model_size": FEWEST, "max_num_models": 10} | SELDOM,
-    "mapper": {},
-}
+STRICT: Options = {"": {"min_model_size": FEWEST, "max_num_models": 10}, "mapper": {}}
 LOW_TO_ADD = {"abs_pose_min_num_inliers": 12, "abs_pose_min_inlier_ratio": 0.15}
 LOW_TO_BEGIN = {"init_min_num_inliers": 30, "init_min_tri_angle": 2.0}
-LOW: Options = {
-    "": {"min_num_matches": 10, "multiple_models": False} | SELDOM,
-    "mapper": LOW_TO_ADD,
-}
+LOW: Options = {"": {"min_num_matches": 10, "multiple_models": False}, "mapper": LOW_TO_ADD}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,7 +127,7 @@ def _map(
         "photos": str(folder.images),
         "out": str(out),
         "start": start,
-        "options": options,
+        "options": options | {"": SELDOM | options[""]},
         **settings,
     }
     found = run_stage(

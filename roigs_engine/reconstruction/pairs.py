@@ -81,7 +81,6 @@ def similarities(
     wanted = np.triu(wanted | wanted.T, 1)
     context.emit(StageStarted(stage=STAGE, total=total))
     started = time.monotonic()
-
     units = [unit(photo) for photo in photos]
     for row in range(total):
         context.check_cancelled()
