@@ -152,8 +152,7 @@ def exif(stops: float) -> Image.Exif:
 
 def develop(args: argparse.Namespace, shots: list[Taken]) -> None:
     """Write all photos that are rendered; those that are held out as PNG."""
-    taken = [shot.stops for shot in shots if not shot.name.startswith(HELD_OUT)]
-    middle = args.drift * float(np.median(taken))
+    middle = float(np.median([s.stops for s in shots if not s.name.startswith(HELD_OUT)]))
     for shot in shots:
         source = (args.out / "linear" / shot.name).with_suffix(".exr")
         if not source.exists():
@@ -167,7 +166,8 @@ def develop(args: argparse.Namespace, shots: list[Taken]) -> None:
         else:
             target = args.out / args.photos / shot.name
             target.parent.mkdir(parents=True, exist_ok=True)
-            stops = args.drift * shot.stops
+            # Around the middle, so that captures of any drift are compared with the same views.
+            stops = middle + args.drift * (shot.stops - middle)
             developed(light, stops).save(target, quality=QUALITY, exif=exif(stops))
 
 
