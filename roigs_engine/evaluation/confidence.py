@@ -24,11 +24,13 @@ from ..context import QUIET, Context
 from ..formats.confidence import COLUMNS
 from ..model.gaussians import Gaussians
 from ..model.scene import PosedImage
-from ..photos.mask_images import load_counted
+from ..photos.decode import load_photo
+from ..photos.mask_images import load_mask
 from ..rasterize.limits import PICTURE_LIMITS
 from ..rasterize.view import blending_weights, render_view
 from ..selection.coverage import fibonacci_directions, nearest_direction
 from ..training.floaters import FAINT
+from ..training.losses import clipped_like
 from .metrics import squared_error
 
 DIRECTIONS = 128
@@ -108,9 +110,10 @@ def _errors(gaussians: Gaussians, held_out: Sequence[PosedImage], context: Conte
     light = torch.zeros_like(wrong)
     for image in held_out:
         context.check_cancelled()
-        pixels, counted = load_counted(image)
-        photo = torch.from_numpy(pixels).to(device) / 255.0
-        picture = render_view(gaussians, image.camera, image.world_to_camera).image
+        counted = load_mask(image)
+        photo = torch.from_numpy(load_photo(image)).to(device) / 255.0
+        view = render_view(gaussians, image.camera, image.world_to_camera)
+        picture = clipped_like(view.image, image)
         mask = torch.ones(photo.shape[:2], device=device)
         if counted is not None:
             mask = torch.from_numpy(counted).to(mask)

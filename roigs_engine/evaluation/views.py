@@ -18,8 +18,10 @@ from ..formats.text import counted
 from ..model.gaussians import Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import Camera, Float64, PosedImage
-from ..photos.mask_images import load_counted, load_counts, load_object_mask
+from ..photos.decode import load_photo
+from ..photos.mask_images import load_mask, load_object_mask
 from ..rasterize.view import render_view
+from ..training.losses import clipped_like
 from . import metrics
 from .scores import FEW_VIEWS, MIN_OBJECT, MIN_SILHOUETTE, MeasuredView, ViewScore
 
@@ -114,7 +116,7 @@ def points_in_box(
 
 def measured_pixels(roi: OrientedBox, image: PosedImage) -> NDArray[np.bool_]:
     """(H, W) the pixels of the box's silhouette, of those that count."""
-    silhouette, mask = roi.silhouette(image.camera, image.world_to_camera), load_counts(image)
+    silhouette, mask = roi.silhouette(image.camera, image.world_to_camera), load_mask(image)
     return silhouette if mask is None else silhouette & mask
 
 
@@ -184,8 +186,7 @@ def measure_view(
     There is one sample for each plan, None if the photo does not count for its box.
     """
     device = models[0].gaussians.means.device
-    shown, mask = load_counted(image)
-    photo = torch.as_tensor(shown, device=device)
+    photo, mask = torch.as_tensor(load_photo(image), device=device), load_mask(image)
     target = photo.float() / 255
     counted = None if mask is None else torch.as_tensor(mask, device=device)
     boxes = {
@@ -200,7 +201,7 @@ def measure_view(
         view = render_view(
             model.gaussians, image.camera, image.world_to_camera, with_depth=bool(wanted)
         )
-        picture = view.image.to(device)
+        picture = clipped_like(view.image.to(device), image)
         error = metrics.squared_error(picture, target)
         whole[model] = metrics.psnr_from_mse(metrics.mean_in(error, counted))
         if counted is not None:  # FLIP looks at the neighbours of a pixel

@@ -135,14 +135,9 @@ class PosedImage:
         return np.asarray(points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3])
 
     @property
-    def has_counts(self) -> bool:
-        """Whether some pixels may not count: by a mask, or clipped in a brighter photo."""
-        return self.mask is not None or self.exposure > 0
-
-    @property
     def decoded_bytes(self) -> int:
         """Bytes of the decoded photo, with its mask."""
-        channels = 4 if self.has_counts else 3
+        channels = 3 if self.mask is None else 4
         return channels * self.camera.width * self.camera.height
 
     @property

@@ -19,6 +19,7 @@ from .profiles import srgb_curve, srgb_values
 
 LEAST_SPREAD = 0.1  # stops; where exposures differ by less, photos stay as they are
 CLIPPED = 235  # of 255: above, tone curves compress what they do not clip
+MOST = 255
 EXIF_IFD, TIME, APERTURE, ISO = 0x8769, 0x829A, 0x829D, 0x8827  # EXIF 3.0, 4.6.5
 BASE_ISO = 100
 MOST_STOPS = 40  # of any camera, between a night and the sun
@@ -72,16 +73,18 @@ def relative_exposures(exposures: Mapping[Key, float | None]) -> dict[Key, float
 
 
 def levelled(pixels: NDArray[np.uint8], stops: float) -> NDArray[np.uint8]:
-    """sRGB pixels (..., 3) uint8 as they are with `stops` less light."""
+    """sRGB pixels (..., 3) uint8 as they are with `stops` less light, at most `white(stops)`."""
     if not stops:
         return pixels
-    light = srgb_curve(np.arange(256) / 255) * 2.0**-stops
-    table = (255 * srgb_values(light.clip(0, 1))).round().astype(np.uint8)
+    values = np.arange(MOST + 1).clip(max=CLIPPED if stops > 0 else MOST)
+    light = srgb_curve(values / MOST) * 2.0**-stops
+    table = (MOST * srgb_values(light.clip(0, 1))).round().astype(np.uint8)
     return np.asarray(table[pixels])
 
 
-def not_clipped(pixels: NDArray[np.uint8], stops: float) -> NDArray[np.bool_]:
-    """(H, W) which of a brighter photo's pixels (H, W, 3) show the true brightness of the scene."""
-    if stops <= 0:
-        return np.ones(pixels.shape[:-1], dtype=bool)
-    return np.asarray((pixels < CLIPPED).all(axis=-1))
+def white(stops: float) -> int:
+    """The largest value of 255 in a levelled photo: the scene may be brighter where it is reached.
+
+    255 if the photo is no brighter than the middle one.
+    """
+    return int(levelled(np.full(1, MOST, np.uint8), max(stops, 0.0))[0])

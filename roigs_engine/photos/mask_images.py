@@ -16,8 +16,7 @@ from PIL import Image, UnidentifiedImageError
 from ..errors import SceneError
 from ..formats.files import atomic_write
 from ..model.scene import PhotoMask, PosedImage
-from .decode import Pixels, deep_values, load_as_taken, opacity
-from .exposures import levelled, not_clipped
+from .decode import Pixels, deep_values, load_photo, opacity
 from .headers import MAX_PIXELS, PhotoError, open_photo, open_png
 from .rotation import AS_STORED, turned, turned_size
 
@@ -164,31 +163,14 @@ def stored_mask(path: Path) -> Mask:
 
 
 def load_masked(image: PosedImage) -> Pixels:
-    """A posed photo with what counts: as `load_photo`, (H, W, 3), or (H, W, 4) if it `has_counts`.
+    """A posed photo with its mask: as `load_photo`, (H, W, 3), or (H, W, 4) if it has one.
 
     The last channel is 255 where a pixel counts, else 0. Raises as `load_photo` and `load_mask`.
     """
-    pixels, counted = load_counted(image)
+    pixels, counted = load_photo(image), load_mask(image)
     if counted is None:
         return pixels
     return np.dstack([pixels, np.where(counted, np.uint8(255), np.uint8(0))])
-
-
-def load_counts(image: PosedImage) -> Mask | None:
-    """As the second value of `load_counted`; decodes the photo only if it must."""
-    return load_counted(image)[1] if image.exposure > 0 else load_mask(image)
-
-
-def load_counted(image: PosedImage) -> tuple[Pixels, Mask | None]:
-    """(H, W, 3) as `load_photo`, and (H, W) which of its pixels count; None: all, by rule.
-
-    Raises as `load_photo` and `load_mask`.
-    """
-    taken, mask = load_as_taken(image), load_mask(image)
-    if image.exposure > 0:
-        bounded = not_clipped(taken, image.exposure)
-        mask = bounded if mask is None else mask & bounded
-    return levelled(taken, image.exposure), mask
 
 
 def _fits(mask: tuple[int, int], photo: tuple[int, int]) -> bool:

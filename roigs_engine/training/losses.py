@@ -21,6 +21,8 @@ from ..cuda import card
 from ..cuda.bindings import PIXELS, Loss, address
 from ..errors import EngineError
 from ..kernels import bindings
+from ..model.scene import PosedImage
+from ..photos.exposures import MOST, white
 
 BACKENDS = ("auto", "cpu", "cuda")
 TILE = 16  # of the CUDA kernel
@@ -72,6 +74,12 @@ def photo_loss(
         raise EngineError("photo_loss: the cpu backend takes tensors on the CPU only.")
     terms = _terms_on_cpu if backend == "cpu" else _terms_on_gpu
     return LossOutput(*_KernelLoss.apply(planes, target, ssim_weight, weights, terms))  # type: ignore[no-untyped-call]
+
+
+def clipped_like(image: Tensor, photo: PosedImage) -> Tensor:
+    """The image with the photo's white, if levelling darkened that; without gradient above it."""
+    largest = white(photo.exposure)
+    return image if largest == MOST else image.clamp(max=largest / MOST)
 
 
 def _without_ignored(

@@ -25,7 +25,7 @@ from .config import TrainConfig
 from .edits import Edit, morton_order, unchanged
 from .loop import PeriodicCallback, StepsAhead, explained_full_memory, one_torch_thread
 from .loss_masks import LossMask, counted_weights, split_mask
-from .losses import photo_loss
+from .losses import clipped_like, photo_loss
 from .metrics import CHECK_EVERY, Health, TrainingMetrics
 from .optimizer import VisibleAdam, leaves
 from .stage_data import PhotoViews, StageData
@@ -146,7 +146,7 @@ class Trainer:
         self.optimizer.row_rates = self._row_rates(whole=mask is None)
         output = self._render(index, mask, counted)
         # squeeze, not [0]: its gradient is a view, that of an index is a copy into zeros
-        image, weights = output.image.squeeze(0), None
+        image, weights = clipped_like(output.image.squeeze(0), data.images[index]), None
         if mask is not None:
             photo = mask.crop(photo)
             counted = None if counted is None else mask.crop(counted)

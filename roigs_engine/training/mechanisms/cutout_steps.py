@@ -71,7 +71,7 @@ class _Running(Running):
     def own_step(self, training: Training) -> tuple[int, Tensor] | None:
         from ...cuda.device import number, sent
         from ..loss_masks import split_mask
-        from ..losses import photo_loss
+        from ..losses import clipped_like, photo_loss
 
         cutout = self._cutouts.at(training.step)
         if cutout is None:
@@ -82,7 +82,7 @@ class _Running(Running):
         output = training.render(part, view, cutout.counted, background=cutout.background)
         window = cutout.window()
         loss = photo_loss(
-            output.image.squeeze(0)[window],
+            clipped_like(output.image.squeeze(0), training.data.images[cutout.photo])[window],
             cutout.target(target)[window],
             ssim_weight=self._config.ssim_weight,
             counted=sent(cutout.counted[window], target.device),

@@ -15,7 +15,7 @@ from roigs_engine.context import QUIET, Context
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.photos.decode import load_photo
-from roigs_engine.photos.exposures import APERTURE, EXIF_IFD, ISO, TIME
+from roigs_engine.photos.exposures import APERTURE, EXIF_IFD, ISO, TIME, white
 from roigs_engine.photos.mask_images import load_masked
 from roigs_engine.photos.profiles import srgb_curve, srgb_values
 from roigs_engine.requests.groups import Scene
@@ -101,7 +101,7 @@ def test_a_damaged_answer_in_the_cache_is_made_again(tmp_path: Path) -> None:
     assert np.array_equal(exposures(first), exposures(again))
 
 
-def test_what_is_clipped_in_a_brighter_photo_does_not_count(tmp_path: Path) -> None:
+def test_what_is_clipped_in_a_brighter_photo_has_its_white(tmp_path: Path) -> None:
     project(tmp_path, STOPS, STOPS)
     path = tmp_path / "images" / "d.jpg"
     with Image.open(path) as opened:
@@ -109,8 +109,10 @@ def test_what_is_clipped_in_a_brighter_photo_does_not_count(tmp_path: Path) -> N
     pixels[:, :48] = 255
     Image.fromarray(pixels).save(path, quality=95, exif=exif)
     image = load(tmp_path)[0].image("d.jpg")
-    counts = load_masked(image)[..., 3]
-    assert not counts[:, :40].any() and counts[:, 56:].all()
+    taken = load_masked(image)
+    assert image.exposure > 0 and taken.shape[2] == 3
+    assert (taken[:, :40] == white(image.exposure)).all()
+    assert (taken[:, 56:] < white(image.exposure)).any()
 
 
 def test_requests_level_photos_unless_they_refuse(tmp_path: Path) -> None:

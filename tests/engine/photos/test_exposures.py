@@ -16,8 +16,8 @@ from roigs_engine.photos.exposures import (
     TIME,
     exif_exposure,
     levelled,
-    not_clipped,
     relative_exposures,
+    white,
 )
 from roigs_engine.photos.profiles import srgb_curve, srgb_values
 
@@ -91,7 +91,13 @@ def test_levelling_undoes_an_exposure_in_linear_light() -> None:
     assert levelled(taken[0], 0.0) is taken[0]
 
 
-def test_clipped_pixels_of_brighter_photos_do_not_count() -> None:
-    pixels = np.array([[[255, 10, 10], [230, 230, 230]]], np.uint8)
-    assert not_clipped(pixels, 1.0).tolist() == [[False, True]]
-    assert not_clipped(pixels, -1.0).all()  # white of a darker photo is whiter than the middle's
+def test_brighter_photos_have_a_white_below_white() -> None:
+    pixels = np.array([[[255, 10, 10], [235, 230, 240]]], np.uint8)
+    for stops in (0.3, 1.0, 4.0):
+        back = levelled(pixels, stops)
+        assert 0 < back.max() == white(stops) < 255
+        # nearly clipped values may be brighter, too
+        assert back[0, 0, 0] == back[0, 1, 0] == back[0, 1, 2]
+        assert back[0, 1, 1] < white(stops)
+    assert white(1.0) < white(0.3)
+    assert white(0.0) == white(-1.0) == 255  # white of a darker photo is whiter than the middle's

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from roigs_engine.errors import EngineError
 from roigs_engine.kernels import library
-from roigs_engine.training.losses import LossOutput
+from roigs_engine.model.scene import Camera, PosedImage
+from roigs_engine.photos.exposures import levelled
+from roigs_engine.training.losses import LossOutput, clipped_like
 from tests.engine.training.reference_loss import photo_loss, ssim_map
 
 SIZES = [(1, 1), (2, 3), (5, 40), (16, 16), (33, 17), (61, 90)]  # (H, W)
@@ -173,6 +178,21 @@ def test_a_broken_pixel_is_seen(value: float) -> None:
     planar, photo = picture(24, 31, noise=0.1)
     planar[1, 12, 30] = value
     assert not loss_and_gradient(planar, photo)[0].loss.isfinite()
+
+
+def test_a_model_may_be_brighter_than_the_white_of_a_brighter_photo() -> None:
+    _, pixels = picture(8, 9, noise=0.1)
+    stops, pixels[:4] = 1.0, 255
+    photo = torch.from_numpy(levelled(pixels.numpy(), stops))
+    camera = Camera(width=9, height=8, fx=9, fy=9, cx=4.5, cy=4)
+    taken = PosedImage(name="a.jpg", path=Path("a.jpg"), camera=camera, world_to_camera=np.eye(4))
+    brighter = replace(taken, exposure=stops)
+    same = photo.float() / 255
+    for change, pulled in ((0.3, False), (-0.3, True)):
+        image = (same + change * (torch.arange(8) < 4)[:, None, None]).requires_grad_()
+        photo_loss(clipped_like(image, brighter), photo, backend="cpu").loss.backward()
+        assert image.grad is not None and bool(image.grad[:3].abs().max() > 1e-5) == pulled
+    assert clipped_like(same, taken) is same
 
 
 def test_without_gradient() -> None:
