@@ -19,7 +19,8 @@ FEWEST_OBSERVATIONS = 10  # of a photo whose camera may move: fewer could send i
 LEFT_OUT_EVERY = 3  # points
 FEWEST_LEFT_OUT = 50  # observations to compare by
 LONG_TRACK = 4  # observations; of a shorter one, none can be left out
-ITERATIONS = 20  # it settles in ten
+ENOUGH = 500  # points in a photo: more take time, and its camera is no more exact
+ITERATIONS, SETTLED = 20, 1e-5  # at most; until the cost falls by no larger share
 
 
 def adjust(
@@ -45,6 +46,7 @@ def adjust(
     solver.loss_function_type = getattr(colmap.LossFunctionType, loss)
     solver.loss_function_scale = scale
     solver.solver_options.max_num_iterations = ITERATIONS
+    solver.solver_options.function_tolerance = SETTLED
     options.refine_focal_length = options.refine_sensor_from_rig = not points_only
     options.refine_extra_params = distortion and not points_only
     config = colmap.BundleAdjustmentConfig()
@@ -56,6 +58,47 @@ def adjust(
         if points_only:
             config.set_constant_rig_from_world_pose(image.frame_id)
     colmap.create_default_bundle_adjuster(options, config, scene).solve()
+
+
+def thinned(colmap: Any, scene: Any) -> Any:
+    """A copy of the scene with some of its points: `ENOUGH` in each photo that observes as many."""
+    scene = colmap.Reconstruction(scene)
+    kept: Counter[int] = Counter()
+    keys = np.array(sorted(scene.point3D_ids()), dtype=int)
+    for key in np.random.default_rng(0).permutation(keys).tolist():
+        photos = {element.image_id for element in scene.points3D[key].track.elements}
+        if any(kept[photo] < ENOUGH for photo in photos):
+            kept.update(photos)
+        else:
+            scene.delete_point3D(key)
+    return scene
+
+
+def with_cameras_of(colmap: Any, scene: Any, fitted: Any, scale: float) -> Any:
+    """The scene with another's cameras and poses, and its points where they then fit.
+
+    Args:
+        fitted: a reconstruction of the same photos.
+        scale: see `adjust`, whose loss is Cauchy's.
+    """
+    own = {key for key, image in fitted.images.items() if image.camera_id not in scene.cameras}
+    moved = with_own_cameras(colmap, scene, own) if own else colmap.Reconstruction(scene)
+    rigs = has_rigs(scene)
+    for key, image in fitted.images.items():
+        camera = moved.cameras[moved.images[key].camera_id]
+        camera.model, camera.params = image.camera.model, image.camera.params
+        if image.has_pose and not rigs:
+            frame = moved.frames[moved.images[key].frame_id]
+            frame.set_cam_from_world(moved.images[key].camera_id, image.cam_from_world())
+    if rigs:  # then nothing has dissolved them
+        for key, rig in moved.rigs.items():
+            for sensor in rig.non_ref_sensors:
+                rig.set_sensor_from_rig(sensor, fitted.rigs[key].sensor_from_rig(sensor))
+        for key, frame in moved.frames.items():
+            if fitted.frames[key].has_pose:
+                frame.rig_from_world = fitted.frames[key].rig_from_world
+    adjust(colmap, moved, "CAUCHY", scale, points_only=True)
+    return moved
 
 
 def to_leave_out(scene: Any, anchors: Collection[tuple[int, int]] = ()) -> list[Observation]:

@@ -94,7 +94,7 @@ def refine_cameras(
     folder = find_photos(model, images, list(names.values())) if look else None
     with _explained(model):
         positions = {key: np.array(point.xyz) for key, point in scene.points3D.items()}
-        scene, done = _by_tracks(colmap, scene, model, context)
+        fitted, done = _by_tracks(colmap, adjustment.thinned(colmap, scene), model, context)
         if folder is not None:
             turns = model_turns(record, model, folder, context)
             files = photo_files(scene, folder, names, turns, context)
@@ -104,9 +104,10 @@ def refine_cameras(
                     "used."
                 )
             else:
-                scene, matched = fit_to_matches(colmap, scene, files, context)
+                fitted, matched = fit_to_matches(colmap, fitted, files, context)
                 done = replace(done, matched=matched)
         if done.better:
+            scene = adjustment.with_cameras_of(colmap, scene, fitted, LOSS_SCALE)
             _carry_back(colmap, scene, positions)
             for key, image in scene.images.items():
                 image.name = names[key]

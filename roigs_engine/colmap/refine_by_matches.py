@@ -19,7 +19,7 @@ from . import adjustment
 from .records import same_shape
 from .track_matching import Matches, PhotoFile, Views, match_tracks
 
-LOSS_SCALE, KEYPOINT_SCALE = 0.3, 1.0  # px: most matches are better than 0.1, keypoints than 0.5
+LOSS_SCALE = 0.3  # px: most matches are better than 0.1
 FEW = 50  # matches: a photo with fewer keeps its keypoints beside them
 MANY = 100  # matches: a photo with more may have a focal length of its own
 POSES, DISTORTION, FOCAL_LENGTHS = CHANGES = ("poses", "distortion", "focal lengths")
@@ -102,8 +102,8 @@ def fit_to_matches(
         photos: the file of each of `Views(scene).ids`.
 
     Returns:
-        The scene with its tracks and the cameras that fit best, its points where they then fit
-        (its photos may lose their names); and what was done.
+        A scene of the same photos whose cameras fit best (its photos may lose their names, and its
+        points are those that were matched); and what was done.
     """
     matches = match_tracks(scene, photos, context)
     tracked = colmap.Reconstruction(scene)
@@ -145,29 +145,7 @@ def fit_to_matches(
             best, found = error, trial
             taken.append(change)
     fit = replace(fit, before=before, after=best, changed=tuple(taken))
-    return (_moved(colmap, scene, found) if taken else scene), fit
-
-
-def _moved(colmap: Any, scene: Any, fitted: Any) -> Any:
-    """The scene with another's cameras and poses, and its points where they then fit."""
-    own = {key for key, image in fitted.images.items() if image.camera_id not in scene.cameras}
-    moved = adjustment.with_own_cameras(colmap, scene, own) if own else colmap.Reconstruction(scene)
-    rigs = adjustment.has_rigs(scene)
-    for key, image in fitted.images.items():
-        camera = moved.cameras[moved.images[key].camera_id]
-        camera.model, camera.params = image.camera.model, image.camera.params
-        if image.has_pose and not rigs:
-            frame = moved.frames[moved.images[key].frame_id]
-            frame.set_cam_from_world(moved.images[key].camera_id, image.cam_from_world())
-    if rigs:  # then nothing has dissolved them
-        for key, rig in moved.rigs.items():
-            for sensor in rig.non_ref_sensors:
-                rig.set_sensor_from_rig(sensor, fitted.rigs[key].sensor_from_rig(sensor))
-        for key, frame in moved.frames.items():
-            if fitted.frames[key].has_pose:
-                frame.rig_from_world = fitted.frames[key].rig_from_world
-    adjustment.adjust(colmap, moved, "CAUCHY", KEYPOINT_SCALE, points_only=True)
-    return moved
+    return (found if taken else scene), fit
 
 
 def _track(colmap: Any, target: Any, scene: Any, matches: Matches) -> set[tuple[int, int]]:

@@ -22,7 +22,6 @@ from ..photos.headers import PhotoError, photo_size
 from ..photos.parallel import decoding_bytes, in_parallel
 from .patch_alignment import GRID, Pyramid, align, templates
 
-POINTS_A_PHOTO = 500  # of a model that has more
 NEW_A_PHOTO = 1000  # points looked for in a photo that does not observe them yet
 MOST_WRONG = 3.0  # px: observations farther from where their point appears are wrong matches
 REACH, NEW_REACH = 3.0, 1.5  # px from the keypoint; from where the point appears
@@ -85,9 +84,9 @@ def match_tracks(scene: Any, photos: Sequence[PhotoFile | None], context: Contex
     """
     views = Views(scene)
     usable = np.array([file is not None for file in photos])
-    seen = _observations(scene, views, usable, np.random.default_rng(0))
+    seen = _observations(scene, views, usable)
     references = _references(views, seen)
-    wanted = _wanted(views, seen, references, usable, np.random.default_rng(1))
+    wanted = _wanted(views, seen, references, usable, np.random.default_rng(0))
     # The matrices are small: threads would only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
         places, good = _matched(views, photos, seen.points, references, wanted, context)
@@ -102,14 +101,11 @@ def match_tracks(scene: Any, photos: Sequence[PhotoFile | None], context: Contex
     )
 
 
-def _observations(
-    scene: Any, views: Views, usable: NDArray[np.bool_], rng: np.random.Generator
-) -> Matches:
-    """The tracks of the points to match, without wrong matches; `reference` is False."""
+def _observations(scene: Any, views: Views, usable: NDArray[np.bool_]) -> Matches:
+    """The tracks, without wrong matches; `reference` is False."""
     keys = sorted(scene.point3D_ids())
     point_of = {key: row for row, key in enumerate(keys)}
     positions = np.array([scene.points3D[key].xyz for key in keys]).reshape(-1, 3)
-    chosen = np.zeros(len(keys), dtype=bool)
     view, point, place = [], [], []
     for row, key in enumerate(views.ids):
         if not usable[row]:
@@ -123,18 +119,15 @@ def _observations(
         view.append(np.full(int(right.sum()), row))
         point.append(rows[right])
         place.append(places[right])
-        some = rng.permutation(rows[right])[:POINTS_A_PHOTO]
-        chosen[some] = True
     if not view:
         view, point, place = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros((0, 2))]
     rows = np.concatenate(point)
-    kept = chosen[rows]
     return Matches(
         points=positions,
-        view=np.concatenate(view)[kept],
-        point=rows[kept],
-        places=np.concatenate(place)[kept],
-        reference=np.zeros(int(kept.sum()), dtype=bool),
+        view=np.concatenate(view),
+        point=rows,
+        places=np.concatenate(place),
+        reference=np.zeros(len(rows), dtype=bool),
     )
 
 

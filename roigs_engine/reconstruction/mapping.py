@@ -17,12 +17,18 @@ FEWEST = 3  # photos of a model that is named
 JOINED = 0.5  # of a photo's points in its own model: if it has fewer here, its place is a chance
 Options = dict[str, dict[str, Any]]
 """Values of pycolmap's options by the part that has them; "": the pipeline's own."""
-# All cameras are adjusted when the model has grown by 30 %, at most three times in turn. COLMAP's
-# 10 % and five times take longer, and the cameras are as exact (notebook/reconstruction.md).
-SELDOM = {
-    "ba_global_frames_ratio": 1.3,
-    "ba_global_points_ratio": 1.3,
-    "ba_global_max_refinements": 3,
+# All cameras are adjusted when the model has grown by 30 %, once, by points that are not redundant.
+# COLMAP's 10 %, five times, by all points take three times as long, and the cameras are as exact.
+# All threads work on small adjustments, too (notebook/reconstruction.md).
+FAST: Options = {
+    "": {
+        "ba_global_frames_ratio": 1.3,
+        "ba_global_points_ratio": 1.3,
+        "ba_global_max_refinements": 1,
+        "ba_local_function_tolerance": 1e-3,
+        "ba_min_num_residuals_for_cpu_multi_threading": 1000,
+    },
+    "mapper": {"ba_global_ignore_redundant_points3D": True},
 }
 # First COLMAP's own limits; then, to begin at all, or to add photos to a model, lower ones.
 STRICT: Options = {"": {"min_model_size": FEWEST, "max_num_models": 10}, "mapper": {}}
@@ -127,7 +133,7 @@ def _map(
         "photos": str(folder.images),
         "out": str(out),
         "start": start,
-        "options": options | {"": SELDOM | options[""]},
+        "options": {place: FAST[place] | values for place, values in options.items()},
         **settings,
     }
     found = run_stage(

@@ -43,7 +43,7 @@ class ReconstructionMethod(Request, heading="method"):
     neighbours: int = option(
         integer(1, MOST_NEIGHBOURS),
         "number of similar photos to match with each (default: {default})",
-        30,
+        20,
     )
     cameras: str = option(
         Choice(choices.CAMERAS),

@@ -9,6 +9,7 @@ import pycolmap
 import pytest
 
 from roigs_engine.cli import main
+from roigs_engine.colmap import adjustment
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.colmap.refine import refine_cameras
 from roigs_engine.context import Context
@@ -48,6 +49,24 @@ def test_photos_tracks_and_points_are_the_same(tmp_path: Path) -> None:
     for one, other in zip(before.images, after.images, strict=True):
         assert np.array_equal(one.point_indices, other.point_indices)
     assert np.array_equal(before.colors, after.colors)
+
+
+def test_of_many_points_some_find_the_cameras_and_all_are_placed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bent(tmp_path)
+    old, new = tmp_path / "sparse" / "0", tmp_path / "sparse" / "refined"
+    monkeypatch.setattr(adjustment, "ENOUGH", 160)
+    before = pycolmap.Reconstruction(str(old))
+    some = adjustment.thinned(pycolmap, before)
+    assert some.num_points3D() < before.num_points3D()
+    for key, image in some.images.items():
+        assert image.num_points3D >= min(160, before.images[key].num_points3D)
+    assert refine_cameras(old, new).better
+    refined = pycolmap.Reconstruction(str(new))
+    assert sorted(refined.point3D_ids()) == sorted(before.point3D_ids())
+    assert refined.compute_num_observations() == before.compute_num_observations()
+    assert np.median(np.linalg.norm(positions(refined) - POINTS, axis=1)) < 0.02
 
 
 def test_names_with_spaces_in_a_text_model_stay_whole(tmp_path: Path) -> None:
