@@ -21,7 +21,7 @@ from ..errors import RunFolderError
 from ..formats.files import read_record, write_json
 from ..formats.text import counted, json_digest, named
 from ..model.scene import Float64, Int64, PosedImage, SfmScene, project
-from ..photos.exposures import LEAST_SPREAD, MOST_STOPS, relative_exposures
+from ..photos.exposures import CLIPPED, LEAST_SPREAD, MOST_STOPS, relative_exposures
 
 FILE, KEYS = "exposures.json", ("key", "stops")
 VERSION = 1  # increase it if the same photos get other exposures
@@ -174,7 +174,7 @@ def _medians(values: Float64, groups: Int64, count: int = 0) -> Float64:
 def _with_exposure(image: PosedImage, stops: float) -> PosedImage:
     if not stops:
         return image
-    digest = image.digest and f"{image.digest}-{stops:+.4f}"
+    digest = image.digest and f"{image.digest}-{stops:+.4f}-{CLIPPED}"
     return replace(image, exposure=stops, digest=digest)
 
 
