@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from argparse import Namespace
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -46,6 +48,30 @@ def test_development_doubles_light_by_a_stop_and_clips(capture: Any) -> None:
     doubled = np.asarray(capture.developed(2 * light, 0.0))
     assert (brighter == doubled).all()
     assert brighter.max() == 255 and plain[0, 0].tolist() == [0, 89, 170]
+
+
+def test_without_drift_all_photos_have_the_median_exposure(
+    capture: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shots = capture.large_shots
+    place = shots.Taken("a.jpg", shots.Vector((1, 0, 1)), shots.Vector((0, 0, 1)))
+    stops = {"a.jpg": -1.0, "b.jpg": 0.25, "c.jpg": 1.25, "held_out/d.jpg": 0.0}
+    taken = [replace(place, name=name, stops=value) for name, value in stops.items()]
+    for name in stops:
+        path = (tmp_path / "linear" / name).with_suffix(".exr")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    monkeypatch.setattr(capture, "sensor", lambda path: np.full((8, 8, 3), 0.2))
+    for drift, photos in ((1.0, "images"), (0.0, "even")):
+        capture.develop(Namespace(out=tmp_path, drift=drift, photos=photos), taken)
+    values = [np.asarray(Image.open(path)) for path in sorted((tmp_path / "even").iterdir())]
+    held_out = [
+        np.asarray(Image.open(tmp_path / f"{n}_held_out" / "d.png")) for n in ("images", "even")
+    ]
+    assert (held_out[0] == held_out[1]).all()
+    assert all(np.abs(v.astype(int) - held_out[0]).max() <= 2 for v in values)
+    exposures = {n: exif_exposure(tmp_path / n / "a.jpg") for n in ("images", "even")}
+    assert exposures["even"] - exposures["images"] == pytest.approx(1.25, abs=1e-3)
 
 
 def test_exposure_drifts_within_its_range(capture: Any) -> None:
