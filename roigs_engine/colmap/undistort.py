@@ -46,8 +46,9 @@ OVERSAMPLING = 2.0
 HINT_RESAMPLE = "Resample its photos to pinhole cameras first."
 FULL_FROM = 0.75  # share of the full size from which on it is the full size
 BORDER = 4  # pixels: the photo's edge goes on beyond it, as far as interpolation looks
+SIDES, EXACT = (128, 64, 32, 16, 8, 4), 0.01  # pixels: of squares, and how exact they must be
 _again = threading.Lock()
-CACHE_VERSION = 3  # part of each cached photo's name: increase it if the pixels change
+CACHE_VERSION = 4  # part of each cached photo's name: increase it if the pixels change
 # Measured bytes (docs/reliability.md) of a pixel of the photo's copy at `source`'s size: while it
 # is resampled, beside those of decoding, and while it is undistorted.
 PER_RESAMPLED, PER_SOURCE_PIXEL = 12, 13
@@ -236,25 +237,38 @@ the upper left, lower left, lower right and upper right one."""
 def _mesh(camera: ModelCamera) -> list[Quad]:
     """The pinhole's picture, cut into squares, and where their corners are in the photo.
 
-    Between corners, places are interpolated linearly. The error grows with the square of a side, so
-    these grow with the root of the photo's: it is then about a hundredth of a pixel, and more only
-    where a lens bends much more than usual.
+    Between corners, places are interpolated linearly, which is least exact in the middle. The
+    squares are as large as they may be for that, as each takes time in Python.
     """
     pinhole = undistorted_camera(camera)
-    side = max(3, round((max(camera.width, camera.height) / 16) ** 0.5))
-    columns = [*range(0, pinhole.width, side), pinhole.width]
-    rows = [*range(0, pinhole.height, side), pinhole.height]
-    x, y = np.meshgrid(columns, rows)
-    rays = ((x - pinhole.cx) / pinhole.fx, (y - pinhole.cy) / pinhole.fy, np.ones(x.shape))
-    found = _colmap_camera(camera).img_from_cam(np.stack(rays, axis=-1).reshape(-1, 3))
-    places = np.asarray(found).reshape(*x.shape, 2) + BORDER
-    corners = (places[:-1, :-1], places[1:, :-1], places[1:, 1:], places[:-1, 1:])
+    for side in SIDES:
+        columns = [*range(0, pinhole.width, side), pinhole.width]
+        rows = [*range(0, pinhole.height, side), pinhole.height]
+        places = _places(camera, pinhole, np.array(columns), np.array(rows))
+        corners = (places[:-1, :-1], places[1:, :-1], places[1:, 1:], places[:-1, 1:])
+        middle = _places(camera, pinhole, _between(columns), _between(rows))
+        if np.abs(np.mean(corners, axis=0) - middle).max() <= EXACT:
+            break
     quads = np.concatenate(corners, axis=2)
     return [
         ((columns[i], rows[j], columns[i + 1], rows[j + 1]), tuple(quads[j, i].tolist()))
         for j in range(len(rows) - 1)
         for i in range(len(columns) - 1)
     ]
+
+
+def _places(
+    camera: ModelCamera, pinhole: Camera, columns: NDArray[Any], rows: NDArray[Any]
+) -> Float64:
+    """(R, C, 2) where a grid of places of the pinhole's picture is in the padded photo."""
+    x, y = np.meshgrid(columns, rows)
+    rays = ((x - pinhole.cx) / pinhole.fx, (y - pinhole.cy) / pinhole.fy, np.ones(x.shape))
+    found = _colmap_camera(camera).img_from_cam(np.stack(rays, axis=-1).reshape(-1, 3))
+    return np.asarray(found).reshape(*x.shape, 2) + BORDER
+
+
+def _between(places: Sequence[int]) -> NDArray[Any]:
+    return (np.array(places[1:]) + np.array(places[:-1])) / 2
 
 
 @lru_cache(maxsize=1024)
