@@ -48,7 +48,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--width", type=int, default=1280, help="of the photos, in pixels")
     parser.add_argument("--samples", type=int, default=8, help="Cycles samples per pixel")
     parser.add_argument("--threads", type=int, default=0, help="threads; 0 takes all")
-    parser.add_argument("--drift", type=float, default=1.0, help="factor of the drift around the median exposure; 0: none")
+    parser.add_argument("--drift", type=float, default=1.0, help="factor of the exposure's drift")
     parser.add_argument("--photos", default="images", help="folder of the developed photos")
     parser.add_argument("--most", type=int, help="render at most so many photos, then stop")
     parser.add_argument("--check", action="store_true", help="compare with Blender's own pictures")

@@ -264,11 +264,12 @@ def _places(
     x, y = np.meshgrid(columns, rows)
     rays = ((x - pinhole.cx) / pinhole.fx, (y - pinhole.cy) / pinhole.fy, np.ones(x.shape))
     found = _colmap_camera(camera).img_from_cam(np.stack(rays, axis=-1).reshape(-1, 3))
-    return np.asarray(found).reshape(*x.shape, 2) + BORDER
+    return np.asarray(found, np.float64).reshape(*x.shape, 2) + BORDER
 
 
-def _between(places: Sequence[int]) -> NDArray[Any]:
-    return (np.array(places[1:]) + np.array(places[:-1])) / 2
+def _between(places: Sequence[int]) -> Float64:
+    """The middles between places."""
+    return np.convolve(places, (0.5, 0.5), "valid")
 
 
 @lru_cache(maxsize=1024)

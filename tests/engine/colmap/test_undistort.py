@@ -229,6 +229,23 @@ def test_detail_survives() -> None:
     assert sharp > 0.9 * photo.std() > linear
 
 
+def test_squares_are_as_small_as_the_lens_needs() -> None:
+    """A picture of its own x: pixels tell where the mesh took them from."""
+    counts = []
+    for k in (0.002, 0.05, 0.4):
+        params = (380.0, 200.0, 150.0, k)
+        lens = ModelCamera(model="SIMPLE_RADIAL", width=400, height=300, params=params)
+        x = np.broadcast_to(np.arange(400, dtype=np.float32) + 0.5, (300, 400))
+        flat = undistort.undistorted_pixels(np.ascontiguousarray(x), lens, sharp=False)
+        pinhole = undistort.undistorted_camera(lens)
+        columns, rows = (np.arange(n) + 0.5 for n in (pinhole.width, pinhole.height))
+        expected = undistort._places(lens, pinhole, columns, rows)[..., 0] - undistort.BORDER
+        inside = (expected > 3) & (expected < 397)
+        assert np.abs(flat - expected)[inside].max() < 0.02
+        counts.append(len(undistort._mesh(lens)))
+    assert counts == sorted(set(counts)) and counts[0] < 50
+
+
 def test_masks_have_no_overshoot() -> None:
     lens = ModelCamera(model="OPENCV", width=240, height=180, params=tuple(DISTORTED["OPENCV"]))
     step = np.zeros((180, 240, 3), dtype=np.uint8)
