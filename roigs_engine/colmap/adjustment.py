@@ -19,7 +19,7 @@ FEWEST_OBSERVATIONS = 10  # of a photo whose camera may move: fewer could send i
 LEFT_OUT_EVERY = 3  # points
 FEWEST_LEFT_OUT = 50  # observations to compare by
 LONG_TRACK = 4  # observations; of a shorter one, none can be left out
-ENOUGH = 500  # points in a photo: more take time, and its camera is no more exact
+ENOUGH = 500  # points in a photo: more take time, and its camera is hardly more exact
 ITERATIONS, SETTLED = 20, 1e-5  # at most; until the cost falls by no larger share
 
 

@@ -7,6 +7,7 @@ disagree. With them, each photo is decoded as if it had the median exposure.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -74,12 +75,7 @@ def relative_exposures(exposures: Mapping[Key, float | None]) -> dict[Key, float
 
 def levelled(pixels: NDArray[np.uint8], stops: float) -> NDArray[np.uint8]:
     """sRGB pixels (..., 3) uint8 as they are with `stops` less light, at most `white(stops)`."""
-    if not stops:
-        return pixels
-    values = np.arange(MOST + 1).clip(max=CLIPPED if stops > 0 else MOST)
-    light = srgb_curve(values / MOST) * 2.0**-stops
-    table = (MOST * srgb_values(light.clip(0, 1))).round().astype(np.uint8)
-    return np.asarray(table[pixels])
+    return np.asarray(_table(stops)[pixels]) if stops else pixels
 
 
 def white(stops: float) -> int:
@@ -87,4 +83,12 @@ def white(stops: float) -> int:
 
     255 if the photo is no brighter than the middle one.
     """
-    return int(levelled(np.full(1, MOST, np.uint8), max(stops, 0.0))[0])
+    return int(_table(max(stops, 0.0))[MOST])
+
+
+@functools.lru_cache(maxsize=1024)  # training asks at each step
+def _table(stops: float) -> NDArray[np.uint8]:
+    """(256,) what each value becomes."""
+    values = np.arange(MOST + 1).clip(max=CLIPPED if stops > 0 else MOST)
+    light = srgb_curve(values / MOST) * 2.0**-stops
+    return np.asarray((MOST * srgb_values(light.clip(0, 1))).round().astype(np.uint8))

@@ -18,7 +18,7 @@ JOINED = 0.5  # of a photo's points in its own model: if it has fewer here, its 
 Options = dict[str, dict[str, Any]]
 """Values of pycolmap's options by the part that has them; "": the pipeline's own."""
 # All cameras are adjusted when the model has grown by 30 %, once, by points that are not redundant.
-# COLMAP's 10 %, five times, by all points take three times as long, and the cameras are as exact.
+# COLMAP's 10 %, five times, by all points take twice as long, and the cameras are as exact.
 # All threads work on small adjustments, too (notebook/reconstruction.md).
 FAST: Options = {
     "": {
