@@ -51,6 +51,7 @@ MODULES = (
     "operators.masks",
     "operators.train",
     "operators.results",
+    "operators.look",
     "operators.click",
     "operators.levels",
     "operators.surface",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import bpy
 
-from ..engine import own_files, report, run_status
+from ..engine import own_files, photo_exposures, report, run_status
 from ..engine.earlier_results import EarlierResult, earlier_results
 from ..engine.run_settings import RunSettings
 from ..engine.run_status import RunStatus
@@ -27,10 +27,17 @@ OWN_LEVELS = ("IMPORTED", "PREVIEW")
 
 @dataclass(frozen=True, kw_only=True)
 class ResultFacts:
-    """Facts about the run folder's own result: its settings, and its PSNR in words."""
+    """Facts about the run folder's own result.
+
+    Attributes:
+        settings: of its training.
+        psnr: in words.
+        exposures: photo -> stops above the usual exposure; empty: training levelled none.
+    """
 
     settings: RunSettings
     psnr: str
+    exposures: dict[str, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +79,11 @@ def result(scene: bpy.types.Scene) -> ResultFacts:
     folder = run_folders.run_folder(scene)
     if is_old(_results.get(folder)):
         _results.clear()
-        found = ResultFacts(settings=run(scene).settings, psnr=report.psnr(folder))
+        found = ResultFacts(
+            settings=run(scene).settings,
+            psnr=report.psnr(folder),
+            exposures=photo_exposures.read(folder),
+        )
         _results[folder] = time.monotonic(), found
     return _results[folder][1]
 

@@ -42,6 +42,7 @@ class Checked:
         made: digest of the request and of the engine's answer.
         of: number of photos in the scene then.
         pixels: along its longest side.
+        exposure_spread: stops between the darkest photo and the brightest; 0: not measured.
         known: what the photos cover, 0 to 1.
         later: the same with the suggested photos.
         suggested: number of these.
@@ -52,6 +53,7 @@ class Checked:
     made: str
     of: int
     pixels: float
+    exposure_spread: float
     known: float
     later: float
     suggested: int
@@ -62,13 +64,16 @@ class Checked:
     def from_dict(cls, record: dict[str, Any]) -> Checked:
         """From JSON; raises ValueError, KeyError, TypeError or OverflowError."""
         known, later, pixels = (float(record[key]) for key in ("known", "later", "pixels"))
-        if not (0 <= known <= 1 and 0 <= later <= 1 and 0 <= pixels < np.inf):
+        spread = float(record.get("exposure_spread", 0.0))  # older files lack it
+        shares, sizes = (known, later), (pixels, spread)
+        if not (all(0 <= x <= 1 for x in shares) and all(0 <= x < np.inf for x in sizes)):
             raise ValueError("no such figures")
         return cls(
             place=str(record["place"]),
             made=str(record["made"]),
             of=int(record["of"]),
             pixels=pixels,
+            exposure_spread=spread,
             known=known,
             later=later,
             suggested=int(record["suggested"]),
@@ -176,7 +181,7 @@ def _from_engine(box: dict[str, Any], cameras: list[dict[str, Any]], made: str) 
         "suggested": len(values),
         "faults": [(fault["photo"], fault["reason"], fault["text"]) for fault in box["faults"]],
     }
-    copied = {key: box[key] for key in ("pixels", "known", "without_photos")}
+    copied = {key: box[key] for key in ("pixels", "exposure_spread", "known", "without_photos")}
     return asdict(Checked.from_dict(record | copied))
 
 

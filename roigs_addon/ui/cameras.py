@@ -15,6 +15,8 @@ from . import exclusions
 from . import layout as show
 from .layout import SidebarPanel
 
+VISIBLE = 0.3  # stops; photos that differ by less look alike
+
 
 class CamerasPanel(SidebarPanel):
     """The check of the photos."""
@@ -52,6 +54,8 @@ def _draw_check(layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.ty
     show.done(layout, f"{roi.name}: {found.pixels:.0f} px across in photos")
     more = f", {found.later:.0%} with {found.suggested} more" if found.suggested else ""
     layout.progress(factor=found.known, text=f"{found.known:.0%} covered{more}")
+    if found.exposure_spread >= VISIBLE:
+        show.done(layout, f"Exposures differ by {found.exposure_spread:.1f} stops")
     if photo_names.count(scene) > found.of:
         show.wrong(layout, "Photos were added: click Check Photos")
     if sides := checked.sides_without_photos(roi, scene):

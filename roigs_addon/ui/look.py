@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import bpy
 
-from ..blender import layout_of, registration
+from ..blender import layout_of, registration, scene_of
+from ..facts import photo_names, run_facts
+from ..operators.look import ExposureOfPhoto
 from ..properties import object_props
+from ..scene import look, lookup
 from .layout import SidebarPanel
 from .result import ResultPanel
 
@@ -21,10 +24,7 @@ class LookPanel(SidebarPanel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """The active object must be drawn as Gaussians."""
-        item = context.active_object
-        if item is None or object_props(item).kind != "SPLATS":
-            return False
-        return bool(object_props(item).shown_as != "POINTS")
+        return look.is_drawn(context)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Its exposure and tint, which can be keyframed."""
@@ -35,6 +35,21 @@ class LookPanel(SidebarPanel):
         column.use_property_split = True
         column.prop(object_props(item), "exposure")
         column.prop(object_props(item), "tint")
+        _draw_exposures(layout, scene_of(context))
+
+
+def _draw_exposures(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """The range of the photos' exposures, and the one that the scene looks through."""
+    stops = run_facts.result(scene).exposures
+    if not stops:
+        return
+    low, high = min(stops.values()), max(stops.values())
+    layout.label(text=f"Photos: {low:+.1f} to {high:+.1f} stops")
+    photo = lookup.photo_record(scene.camera) if scene.camera is not None else None
+    if photo is not None and photo.name in stops:
+        name = photo_names.short_name(scene, photo.name)
+        text = f"As in {name} ({stops[photo.name]:+.1f} stops)"
+        layout.operator(ExposureOfPhoto.bl_idname, text=text).photo = photo.name
 
 
 register, unregister = registration(LookPanel)

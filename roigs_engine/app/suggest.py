@@ -145,7 +145,7 @@ def _shots(known: Any, shots: Sequence[Suggestion], units: Units, draw: Draw) ->
 def _box_record(known: KnownBox) -> dict[str, Any]:
     """What the photos show of a box, and the photos to check."""
     from ..guidance.faults import photo_faults
-    from ..guidance.figures import pixels_across, sides_without_photos
+    from ..guidance.figures import exposure_spread, pixels_across, sides_without_photos
 
     found = known.map
     return {
@@ -153,6 +153,7 @@ def _box_record(known: KnownBox) -> dict[str, Any]:
         "known": found.value,
         "photos": [image.name for image in found.images],
         "pixels": pixels_across(found),
+        "exposure_spread": exposure_spread(known.quality),
         "without_photos": sides_without_photos(found),
         "faults": [fault.to_dict() for fault in photo_faults(known)],
     }

@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 from ..context import QUIET, Context
 from ..errors import RunFolderError
 from ..formats.files import read_record, write_json
+from ..formats.run_files import EXPOSURES
 from ..formats.text import counted, json_digest, named
 from ..model.scene import Float64, Int64, PosedImage, SfmScene, project
 from ..photos.exposures import CLIPPED, LEAST_SPREAD, MOST_STOPS, relative_exposures
 
-FILE, KEYS = "exposures.json", ("key", "stops")
+KEYS = ("key", "stops")  # of the file
 VERSION = 1  # increase it if the same photos get other exposures
 SIDE = 256  # pixels of the photos that are looked at
 DARK, BRIGHT = 8, 245  # of 255: outside, a value says little of the light
@@ -75,7 +76,7 @@ def with_exposures(
         found = _found(scene, exif, context)
         if cache is not None:
             with suppress(RunFolderError):  # it only saves time
-                write_json(cache / FILE, {"key": key, "stops": found}, durable=False)
+                write_json(cache / EXPOSURES, {"key": key, "stops": found}, durable=False)
     if pixels:
         _tell(scene, found, exif, context)
     images = tuple(_with_exposure(image, found.get(image.name, 0.0)) for image in scene.images)
@@ -179,7 +180,7 @@ def _with_exposure(image: PosedImage, stops: float) -> PosedImage:
 
 
 def _remembered(cache: Path | None, key: str) -> dict[str, float] | None:
-    record = read_record(cache / FILE) if cache is not None else {}
+    record = read_record(cache / EXPOSURES) if cache is not None else {}
     stops = record.get("stops")
     if record.get("key") != key or not isinstance(stops, dict):
         return None

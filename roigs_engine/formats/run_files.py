@@ -15,6 +15,7 @@ STAGES, STAGES_FILE = "stages", "stages.json"
 EARLIER = "earlier"
 """Results of earlier settings: a folder for each, named after a hash of their manifest."""
 CACHE, UNDISTORTED, MASKS = "cache", "undistorted", "masks"  # the latter two are in the former
+EXPOSURES = "exposures.json"  # in the cache: photo -> stops by which it is levelled
 OBJECT_MASKS = "blender/masks"
 """Masks of objects that Blender could not write beside the photos: a folder for each box."""
 BOXES = "rois.json"  # the box of `--roi auto`

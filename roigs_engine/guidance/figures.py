@@ -6,6 +6,7 @@ import numpy as np
 
 from ..model.scene import Float64, Int64
 from .box_map import BoxMap
+from .photo_quality import PhotoQuality
 
 SIDES = ("-x", "+x", "-y", "+y", "-z", "+z")
 """The sides of a box, by the axis of the box along their normal."""
@@ -29,6 +30,12 @@ def pixels_across(found: BoxMap) -> float:
     lengths = pixel_lengths(found)
     shown = lengths[np.isfinite(lengths)]
     return float(2 * found.roi.half_extents.max() / np.median(shown)) if len(shown) else 0.0
+
+
+def exposure_spread(quality: PhotoQuality | None) -> float:
+    """Stops between the darkest and the brightest photo; 0 if the photos were not measured."""
+    known = [] if quality is None else quality.exposure[np.isfinite(quality.exposure)]
+    return float(np.ptp(known)) if len(known) else 0.0
 
 
 def sides_without_photos(found: BoxMap) -> list[str]:

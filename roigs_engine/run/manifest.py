@@ -17,6 +17,7 @@ from ..formats.run_files import (
     CACHE,
     CLUSTER_OPTIONS,
     EVENTS,
+    EXPOSURES,
     MANIFEST,
     PREVIEW,
     PROVENANCE,
@@ -31,7 +32,7 @@ from .earlier import bring_back, set_aside
 CONTENTS = "contents"  # the key of the photos' digests
 CACHED = {
     f"{CACHE}/{contents.FILE}": contents.KEYS,
-    f"{CACHE}/{exposures.FILE}": exposures.KEYS,
+    f"{CACHE}/{EXPOSURES}": exposures.KEYS,
 }
 """What is remembered of photos: file of a run folder -> the keys that it has."""
 FIRST = ("sizes", CONTENTS)  # say more than what follows from them

@@ -228,6 +228,8 @@ def test_any_frame_of_a_mesh(blender: ModuleType, shown, value: Any) -> None:
         {"faults": [["a", "b", "c"], 7]},
         {"known": 1e999},
         {"of": "many"},
+        {"exposure_spread": "wide"},
+        {"exposure_spread": -1.0},
         {"without_photos": [[], {}]},
         {"made": None},
         {"pixels": -5.0, "known": -1e300, "suggested": 10**30, "without_photos": ["up", "+z"]},

@@ -106,6 +106,20 @@ def test_sides_without_photos_are_named_as_they_are_in_blender(
     assert "No photo" not in text(blender)
 
 
+def test_exposures_that_differ_are_said(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    checked(blender, project, tmp_path / "run")
+    roi = blender.data.objects["thing"]
+    facts = json.loads(roi.roigs.checked)
+    assert 0 < facts["exposure_spread"] < 0.3 and "xposures" not in text(blender)
+    roi.roigs.checked = json.dumps(facts | {"exposure_spread": 2.94})
+    assert "Exposures differ by 2.9 stops" in text(blender)
+    del facts["exposure_spread"]  # as in files of earlier versions
+    roi.roigs.checked = json.dumps(facts)
+    assert "px across" in text(blender) and "xposures" not in text(blender)
+
+
 def test_photos_that_were_added_are_to_be_checked(
     blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from types import ModuleType
 
@@ -102,6 +103,42 @@ def test_the_look_is_that_of_gaussians(blender: ModuleType, run) -> None:
     assert said(blender, LookPanel) == ["Background"]
     blender.ops.roigs.show_as(way="POINTS")
     assert not LookPanel.poll(blender.context)
+
+
+def test_the_look_takes_the_exposure_of_a_photo(blender: ModuleType, run) -> None:
+    """That of the photo that the scene looks through, as training found it."""
+    from roigs_addon.ui.look import LookPanel
+
+    scene, folder = run[0], run[1]
+    blender.ops.roigs.load_results()
+    found = folder / "cache" / "exposures.json"
+    found.parent.mkdir(exist_ok=True)
+    found.write_text(json.dumps({"key": "", "stops": {"photo 0.png": 1.1, "photo 1.png": -0.44}}))
+    blender.ops.roigs.look_through(photo="photo 2.png")
+    item = scene.objects["Background"]
+    blender.context.view_layer.objects.active = item
+    assert said(blender, LookPanel) == ["Background", "Photos: -0.4 to +1.1 stops"]
+    blender.ops.roigs.look_through(photo="photo 0.png")
+    blender.context.view_layer.objects.active = item
+    assert said(blender, LookPanel)[-1] == "As in photo 0 (+1.1 stops)"
+    blender.ops.roigs.exposure_of_photo(photo="photo 0.png")
+    assert item.roigs.exposure == pytest.approx(0.5)  # sRGB values grow less than the light
+    with pytest.raises(RuntimeError, match=r"photo 2\.png"):
+        blender.ops.roigs.exposure_of_photo(photo="photo 2.png")
+    blender.context.view_layer.objects.active = scene.objects["photo 0.png"]
+    assert not blender.ops.roigs.exposure_of_photo.poll()
+
+
+@pytest.mark.parametrize(
+    "stops", ["[1]", '{"a": "1"}', '{"a": NaN, "b": 1e999, "c": 1e99}', "3", "null"]
+)
+def test_exposures_that_are_none(blender: ModuleType, run, stops: str) -> None:
+    from roigs_addon.facts import run_facts
+
+    found = run[1] / "cache" / "exposures.json"
+    found.parent.mkdir(exist_ok=True)
+    found.write_text(f'{{"key": "", "stops": {stops}}}')
+    assert run_facts.result(run[0]).exposures == {}
 
 
 def test_folders_that_cannot_be_looked_at(blender: ModuleType, run, tmp_path: Path) -> None:

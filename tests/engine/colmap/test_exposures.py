@@ -9,10 +9,11 @@ import pytest
 from PIL import Image
 
 from roigs_engine.app.inputs import load_scene
-from roigs_engine.colmap.exposures import FILE, with_exposures
+from roigs_engine.colmap.exposures import with_exposures
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.context import QUIET, Context
 from roigs_engine.formats.events import Event, Message
+from roigs_engine.formats.run_files import CACHE, EXPOSURES
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.photos.decode import load_photo
 from roigs_engine.photos.exposures import APERTURE, EXIF_IFD, ISO, TIME, white
@@ -96,7 +97,7 @@ def test_equal_exposures_change_nothing(tmp_path: Path, shown: np.ndarray) -> No
 def test_a_damaged_answer_in_the_cache_is_made_again(tmp_path: Path) -> None:
     project(tmp_path, STOPS, STOPS)
     first, _ = load(tmp_path)
-    (tmp_path / "cache" / FILE).write_text('{"key": "x", "stops": 3}')
+    (tmp_path / CACHE / EXPOSURES).write_text('{"key": "x", "stops": 3}')
     again, _ = load(tmp_path)
     assert np.array_equal(exposures(first), exposures(again))
 

@@ -16,6 +16,7 @@ from roigs_engine.guidance.faults import (
     PhotoFault,
     photo_faults,
 )
+from roigs_engine.guidance.figures import exposure_spread
 from roigs_engine.guidance.known import KnownBox, known_box
 from roigs_engine.guidance.photo_quality import PhotoQuality
 from tests.engine.guidance.ball import BOX, ball_scene
@@ -60,6 +61,13 @@ def test_a_blurred_photo_and_one_out_of_focus_at_the_object_differ(good: KnownBo
     blurred = one(with_values(good, sharpness=(4, 0.6), overall=(4, 0.6)))
     assert (blurred.photo, blurred.reason) == (name, BLURRED) and "60%" in blurred.text
     assert one(with_values(good, sharpness=(4, 0.6))).reason == FOCUS
+
+
+def test_the_spread_of_exposures_is_that_of_the_photos_that_tell(good: KnownBox) -> None:
+    assert exposure_spread(good.quality) == pytest.approx(0.6)
+    assert exposure_spread(with_values(good, exposure=(7, 1.7)).quality) == pytest.approx(2.0)
+    assert exposure_spread(with_values(good, exposure=(0, np.nan)).quality) < 0.6
+    assert exposure_spread(None) == 0
 
 
 def test_an_odd_exposure_is_named_but_not_where_all_differ(good: KnownBox) -> None:
