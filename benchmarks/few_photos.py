@@ -22,6 +22,7 @@ from benchmarks.markdown import table
 from benchmarks.study.rows import changed, parse_variant
 from benchmarks.study.scenes import StudyScene, parse_scenes
 from roigs_engine.app.inputs import on_device
+from roigs_engine.colmap.exposures import with_exposures
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.commands.console import Console
 from roigs_engine.commands.process import run_process
@@ -94,7 +95,9 @@ def measured(case: Case, source: StudyScene, options: argparse.Namespace, contex
     record = folder / run_files.REPORT_DATA
     if record.exists():
         return record
-    scene = load_colmap(source.path, max_side=options.max_side, cache=options.out / "cache")
+    cache = options.out / "cache"
+    loaded = load_colmap(source.path, max_side=options.max_side, cache=cache)
+    scene = with_exposures(loaded, cache, pixels=True, context=context)  # as training does
     rois = source.rois
     few = cut(scene, rois[0], case)
     config = preset(options.preset)

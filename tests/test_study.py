@@ -10,14 +10,16 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks.study import __main__ as command
 from benchmarks.study import figures, measure, work
 from benchmarks.study.measure import Bench
 from benchmarks.study.results import Results, load_records
-from benchmarks.study.scenes import parse_scenes
+from benchmarks.study.scenes import StudyScene, parse_scenes
 from roigs_engine.cli import STOPPED
+from roigs_engine.colmap.project import load_colmap
 from roigs_engine.commands.stopping import SIGNALS
 from roigs_engine.errors import ConfigError, SceneError, Stopped
 from roigs_engine.kernels import library
@@ -28,6 +30,7 @@ from roigs_engine.training import floaters
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.mechanisms.density_control import DensityControl
 from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
+from tests.engine.colmap.test_exposures import STOPS, project
 from tests.engine.settings import adjusted, without
 from tests.engine.synthetic_scene import make_scene
 
@@ -102,6 +105,24 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     monkeypatch.setattr(Bench, "measure", measure)
     return rows
+
+
+def test_photos_are_levelled_as_in_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project(tmp_path, STOPS, STOPS)
+    monkeypatch.setattr(work, "load_colmap", load_colmap)
+    made = work.Work(
+        folder=tmp_path / "study",
+        preset="draft",
+        factor=1.0,
+        max_side=None,
+        evaluate_on="test",
+        keep_models=False,
+    )
+    found = made._sfm(StudyScene(name="room", path=tmp_path, rois=[]))
+    exposures = [image.exposure for image in found.images]
+    assert exposures == pytest.approx(STOPS - np.median(STOPS), abs=0.01)
 
 
 def test_every_row_is_measured_on_the_same_pixels(done: Path) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 from benchmarks.study.measure import Bench
 from benchmarks.study.rows import Row
 from benchmarks.study.scenes import StudyScene
+from roigs_engine.colmap.exposures import with_exposures
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.context import QUIET, Context
 from roigs_engine.errors import EngineError
@@ -119,12 +120,12 @@ class Work:
 
     def _sfm(self, scene: StudyScene) -> SfmScene:
         if scene.name not in self._loaded:
-            self._loaded[scene.name] = load_colmap(
-                scene.path,
-                cache=self.folder / "cache" / safe_name(scene.name),
-                max_side=self.max_side,
-                context=self.context,
+            cache = self.folder / "cache" / safe_name(scene.name)
+            loaded = load_colmap(
+                scene.path, cache=cache, max_side=self.max_side, context=self.context
             )
+            levelled = with_exposures(loaded, cache, pixels=True, context=self.context)
+            self._loaded[scene.name] = levelled  # as training does
         return self._loaded[scene.name]
 
 
