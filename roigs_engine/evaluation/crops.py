@@ -23,7 +23,8 @@ from ..formats.names import safe_name
 from ..formats.run_files import CROPS
 from ..model.roi import EDGES, NEAR_SHARE, OrientedBox
 from ..model.scene import Camera, Float64, PosedImage, SfmScene
-from ..photos.decode import load_photo
+from ..photos.decode import load_as_taken
+from ..photos.exposures import exposed
 from ..photos.headers import PhotoError
 from ..rasterize.image_files import save_png, to_uint8
 from ..rasterize.view import render_view
@@ -190,13 +191,19 @@ def _crops(
 ) -> list[tuple[str, float | None, Pixels]]:
     """Name, ROI PSNR and pixels of the crop window: of the photo, then of each model."""
     rows, columns = crop_window(roi, image.camera, image.world_to_camera)
-    photo = load_photo(image)[rows, columns]
+    photo = load_as_taken(image)[rows, columns]
     found: list[tuple[str, float | None, Pixels]] = [("photo", None, photo)]
     for row, model in panels:
-        view = render_view(model.gaussians, image.camera, image.world_to_camera)
         psnr = next((score.roi_psnr for score in row.views if score.view == image.name), None)
-        found.append((row.model, psnr, to_uint8(view.image)[rows, columns]))
+        found.append((row.model, psnr, _rendered(model, image)[rows, columns]))
     return found
+
+
+def _rendered(model: EvaluatedModel, image: PosedImage) -> Pixels:
+    """The model from a photo's camera, in the photo's exposure."""
+    view = render_view(model.gaussians, image.camera, image.world_to_camera)
+    values = view.image.detach().clamp(0, 1)
+    return to_uint8(torch.from_numpy(exposed(values.cpu().numpy(), image.exposure)))
 
 
 def crop_window(roi: OrientedBox, camera: Camera, world_to_camera: Float64) -> tuple[slice, slice]:
@@ -269,9 +276,9 @@ def _jpeg(picture: Pixels) -> tuple[tuple[int, int], bytes]:
 
 def _overview(image: PosedImage, roi: OrientedBox, model: EvaluatedModel) -> Pixels:
     """The whole photo and the whole render, both with the box's edges."""
-    view = render_view(model.gaussians, image.camera, image.world_to_camera)
+    pictures = (load_as_taken(image), "photo"), (_rendered(model, image), model.name)
     panels = []
-    for picture, caption in ((load_photo(image), "photo"), (to_uint8(view.image), model.name)):
+    for picture, caption in pictures:
         drawn = Image.fromarray(np.ascontiguousarray(picture))
         pen = ImageDraw.Draw(drawn)
         for line in box_lines(roi, image.camera, image.world_to_camera):

@@ -78,6 +78,11 @@ def levelled(pixels: NDArray[np.uint8], stops: float) -> NDArray[np.uint8]:
     return np.asarray(_table(stops)[pixels]) if stops else pixels
 
 
+def exposed(values: NDArray[np.floating[Any]], stops: float) -> NDArray[np.floating[Any]]:
+    """sRGB values in [0, 1] as a photo of `stops` more light shows them."""
+    return srgb_values((srgb_curve(values) * 2.0**stops).clip(0, 1)) if stops else values
+
+
 def white(stops: float) -> int:
     """The largest value of 255 in a levelled photo: the scene may be brighter where it is reached.
 

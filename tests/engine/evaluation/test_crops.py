@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -12,11 +13,19 @@ from hypothesis import strategies as st
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from roigs_engine.evaluation.crops import STRIP, box_lines, choose_views, crop_window, write_crops
+from roigs_engine.evaluation.crops import (
+    GAP,
+    STRIP,
+    box_lines,
+    choose_views,
+    crop_window,
+    write_crops,
+)
 from roigs_engine.evaluation.evaluate import evaluate
 from roigs_engine.evaluation.scores import Evaluation, ModelScore, ViewScore
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, SfmScene
+from roigs_engine.photos.profiles import srgb_curve, srgb_values
 from roigs_engine.rasterize import rasterize, view
 from tests.engine.evaluation.tables import score
 from tests.engine.evaluation.two_models import TEST, two_models
@@ -94,6 +103,27 @@ def test_pictures_of_a_box(scene: SfmScene, evaluation: Evaluation, tmp_path: Pa
     assert len(only) == 4  # the nearest photo is one of the three
     for one, both in zip(only[:3], written[:3], strict=True):
         assert Image.open(one).width < Image.open(both).width
+
+
+def test_all_panels_have_the_photo_s_own_exposure(
+    scene: SfmScene, evaluation: Evaluation, tmp_path: Path
+) -> None:
+    """A brighter photo is not shown levelled, which would be clipped and grey."""
+    brighter = replace(scene, images=tuple(replace(i, exposure=1.0) for i in scene.images))
+    sheets = []
+    for name, photos in (("plain", scene), ("brighter", brighter)):
+        path, *_ = write_crops(evaluation, two_models(), photos, [BOX], tmp_path / name)
+        sheets.append(np.asarray(Image.open(path)))
+    image = scene.image(path.name.removesuffix(".png"))
+    rows, columns = crop_window(BOX, image.camera, image.world_to_camera)
+    factor = (sheets[0].shape[0] - STRIP) // (rows.stop - rows.start)
+    width = factor * (columns.stop - columns.start)
+    plain, bright = (sheet[: -STRIP - 1] for sheet in sheets)
+    np.testing.assert_array_equal(bright[:, :width], plain[:, :width])
+    render, doubled = plain[:, width + GAP :], bright[:, width + GAP :]
+    light = 2 * srgb_curve(render / 255)
+    close = np.abs(srgb_values(light.clip(0, 1)) * 255 - doubled) <= 2
+    assert close[(render > 30) & (render < 235)].mean() > 0.95 and (light > 0.1).any()
 
 
 def test_first_panel_holds_the_photo_s_pixels(
