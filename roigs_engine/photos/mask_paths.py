@@ -53,8 +53,7 @@ class MaskFiles:
     """
 
     def __init__(self, photos: Path, folder: Path | None = None, *, made: bool = True) -> None:
-        """Collect the mask files.
-
+        """Set where masks are searched.
         Args:
             photos: the photos' folder.
             folder: of the masks; None: `masks` beside it.
