@@ -15,12 +15,12 @@ from .records import PARAMETER_COUNT
 Observation = tuple[int, int, int]
 """Ids of the photo, of its keypoint, and of the point."""
 
-FEWEST_OBSERVATIONS = 10  # of a photo whose camera may move: fewer could send it anywhere
+FEWEST_OBSERVATIONS = 10  # of a photo whose camera may move: fewer do not determine it
 LEFT_OUT_EVERY = 3  # points
-FEWEST_LEFT_OUT = 50  # observations to compare by
-LONG_TRACK = 4  # observations; of a shorter one, none can be left out
-ENOUGH = 500  # points in a photo: more take time, and its camera is hardly more exact
-ITERATIONS, SETTLED = 20, 1e-5  # at most; until the cost falls by no larger share
+FEWEST_LEFT_OUT = 50  # observations for a comparison
+LONG_TRACK = 4  # observations; shorter tracks need all of theirs
+ENOUGH = 500  # points in a photo: more take time, but hardly improve its camera
+ITERATIONS, SETTLED = 20, 1e-5  # at most; stops if the cost falls by no larger share
 
 
 def adjust(
@@ -36,12 +36,12 @@ def adjust(
 
     Args:
         scene: pycolmap's reconstruction.
-        loss, scale: pycolmap's name of the loss; from how many px on it counts errors less.
+        loss, scale: pycolmap's name of the loss; the error in px from which it reduces weights.
         points_only: leave cameras and poses as they are.
         distortion: whether the lenses' distortion may change.
     """
     options = colmap.BundleAdjustmentOptions()
-    solver = getattr(options, "ceres", options)  # where pycolmap has these, since 4 and before
+    solver = getattr(options, "ceres", options)  # their place since pycolmap 4, and before
     options.print_summary = False
     solver.loss_function_type = getattr(colmap.LossFunctionType, loss)
     solver.loss_function_scale = scale
@@ -61,7 +61,7 @@ def adjust(
 
 
 def thinned(colmap: Any, scene: Any) -> Any:
-    """A copy of the scene with some of its points: `ENOUGH` in each photo that observes as many."""
+    """Copy the scene with fewer points: each photo keeps `ENOUGH`, or all if it has fewer."""
     scene = colmap.Reconstruction(scene)
     kept: Counter[int] = Counter()
     keys = np.array(sorted(scene.point3D_ids()), dtype=int)
@@ -75,7 +75,7 @@ def thinned(colmap: Any, scene: Any) -> Any:
 
 
 def with_cameras_of(colmap: Any, scene: Any, fitted: Any, scale: float) -> Any:
-    """The scene with another's cameras and poses, and its points where they then fit.
+    """Copy the scene with the cameras and poses of `fitted`, and adjust its points to them.
 
     Args:
         fitted: a reconstruction of the same photos.
@@ -102,7 +102,7 @@ def with_cameras_of(colmap: Any, scene: Any, fitted: Any, scale: float) -> Any:
 
 
 def to_leave_out(scene: Any, anchors: Collection[tuple[int, int]] = ()) -> list[Observation]:
-    """One observation of every third point with a long track, to judge an adjustment by.
+    """Choose one observation of every third point with a long track, to test an adjustment.
 
     `anchors`: ids of photos and keypoints that must stay.
     """
@@ -120,7 +120,7 @@ def to_leave_out(scene: Any, anchors: Collection[tuple[int, int]] = ()) -> list[
 
 
 def median_error(scene: Any, observations: Sequence[Observation]) -> float:
-    """Median distance of keypoints from where their points appear, px; infinite: nowhere."""
+    """Median reprojection error, px; an observation whose point is not in view counts as inf."""
     found = np.full(len(observations), np.inf)
     for row, (image, keypoint, point) in enumerate(observations):
         photo = scene.images[image]
@@ -131,7 +131,7 @@ def median_error(scene: Any, observations: Sequence[Observation]) -> float:
 
 
 FULLER, FULLEST = "OPENCV", "FULL_OPENCV"
-# Lens model -> models that it includes -> where these have its first parameters; it has zeros else.
+# Lens model -> models that it includes -> their indices of its first parameters; the rest are 0.
 INCLUDED = {
     FULLER: {
         "SIMPLE_PINHOLE": (0, 0, 1, 2),
@@ -142,13 +142,13 @@ INCLUDED = {
     FULLEST: {FULLER: tuple(range(8))},
 }
 FEWEST_PHOTOS = 5  # of a camera that gets more parameters
-REACH, SAMPLES = 2.0, 2000  # how far beyond the corners a lens is looked at, and how closely
+REACH, SAMPLES = 2.0, 2000  # a lens is checked to this multiple of the corners; points checked
 
 
 def with_fuller_cameras(colmap: Any, scene: Any, model: str = FULLER) -> int:
-    """Give the cameras that a lens model includes its parameters, and return their number.
+    """Convert cameras to a lens model that includes theirs; returns their number.
 
-    A camera of few photos keeps its own: more could fit anything.
+    A camera of few photos keeps its model: more parameters would overfit.
     """
     changed = 0
     photos = Counter(image.camera_id for image in scene.images.values())
@@ -164,10 +164,10 @@ def with_fuller_cameras(colmap: Any, scene: Any, model: str = FULLER) -> int:
 
 
 def with_own_cameras(colmap: Any, scene: Any, photos: Collection[int]) -> Any:
-    """A copy of the scene in which each of some photos (by id) has a camera of its own.
+    """Copy the scene and give each of some photos (by id) a camera of its own.
 
     Focusing changes the focal length, in some lenses by a per cent. Photos lose their names (text
-    files could not hold all), and rigs are dissolved.
+    files cannot hold all names), and rigs are dissolved.
     """
     scene = colmap.Reconstruction(scene)
     for key, image in scene.images.items():
@@ -186,7 +186,7 @@ def with_own_cameras(colmap: Any, scene: Any, photos: Collection[int]) -> Any:
         lines = [" ".join([key, *values]) for key, values in cameras.items()]
         (folder / "cameras.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
         (folder / "images.txt").write_text("\n".join(images) + "\n", encoding="utf-8")
-        for rest in ("rigs.txt", "frames.txt"):  # made anew: each photo by itself
+        for rest in ("rigs.txt", "frames.txt"):  # recreated: each photo by itself
             (folder / rest).unlink(missing_ok=True)
         return colmap.Reconstruction(str(folder))
 
@@ -199,7 +199,7 @@ def has_rigs(scene: Any) -> bool:
 def is_sound(camera: Any) -> bool:
     """Whether a FULL_OPENCV lens maps rays to its picture one to one, up to the corners.
 
-    Its distortion is a fraction: where the lower part comes to zero, places jump.
+    Its distortion is a fraction: where the denominator reaches zero, places jump.
     """
     if camera.model.name != FULLEST:
         return True
@@ -218,6 +218,6 @@ def is_sound(camera: Any) -> bool:
 
 
 def _lines(path: Path) -> list[str]:
-    """The lines of a text file that are no comments; empty ones count (a photo without points)."""
+    """The lines of a text file without comments; empty ones stay (a photo without points)."""
     lines = path.read_text(encoding="utf-8").split("\n")[:-1]
     return [line for line in lines if not line.startswith("#")]

@@ -1,6 +1,6 @@
-"""Masks of a scene's photos as its cameras see them: read, undistorted, resampled, kept.
+"""Reads the masks of a scene's photos; undistorts and resamples them for its cameras; caches them.
 
-Masks of photos mark the used pixels, masks of boxes show their objects.
+Masks of photos mark the used pixels. Masks of boxes show their objects.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from ..photos.mask_images import Mask
 
 STAGE = "masks"
-VERSION, OBJECT_VERSION = 2, 1  # part of masks' digests: increase them if masks become others
+VERSION, OBJECT_VERSION = 2, 1  # part of masks' digests: increase them if masks change
 HIDDEN = "hidden by its mask"
 Key = TypeVar("Key")
 
@@ -45,12 +45,12 @@ class MaskPlan:
     Attributes:
         photo, size: its file, and that file's (width, height) after `turn`.
         file: of the mask; None: the photo's alpha channel.
-        content: hash of the file that has the mask.
+        content: hash of the file that contains the mask.
         target: (width, height) of the mask.
         inverted: see `MaskOptions`.
         undistortion: of the photo; None: it has no distortion.
         turn: see `PosedImage`.
-        of_object: whether it shows an object; else it says what counts.
+        of_object: whether it shows an object; False: it marks the used pixels.
     """
 
     photo: Path
@@ -64,7 +64,7 @@ class MaskPlan:
     of_object: bool = False
 
     def digest(self) -> str:
-        """Hash of all that decides the mask."""
+        """Hash of everything that decides the mask."""
         lens = self.undistortion and self.undistortion.source
         kind = "alpha" if self.file is None else "inverted" if self.inverted else "file"
         kind += " of an object" if self.of_object else ""
@@ -86,7 +86,7 @@ class MaskPlan:
         return OBJECT_HINT if self.of_object else HINT
 
     def _given(self) -> Mask:
-        """The mask as its file has it, turned; raises as `read_mask` and `alpha_mask`."""
+        """The mask in its file, turned; raises as `read_mask` and `alpha_mask`."""
         from ..photos import mask_images as masks
 
         if self.file is None:
@@ -107,7 +107,7 @@ class MaskPlan:
         return masks.resized(mask, self.target, least)
 
     def kept(self, path: Path, *, write: bool) -> Mask:
-        """The mask: from the file at `path`, or made now, and written there if `write`."""
+        """Read the mask at `path`, or make it now and, if `write`, write it there."""
         from ..photos.mask_images import MaskError, stored_mask, write_mask
 
         with suppress(OSError, MaskError):
@@ -123,9 +123,9 @@ class MaskPlan:
 def _plan(
     photo: Path, digest: str, file: Path | None, turn: int, *, inverted: bool, of_object: bool
 ) -> MaskPlan:
-    """The plan for a photo's mask at the size of its file; MaskError if `file` cannot be read.
+    """Plan a photo's mask at the size of its file; MaskError if `file` cannot be read.
 
-    `photo`, `digest`: the photo's file, and its hash; for the others, see `MaskPlan`.
+    `photo`, `digest`: the photo's file, and its hash. See `MaskPlan` for the others.
     """
     size = turned_size(photo_size(photo), turn)
     plan = MaskPlan(
@@ -158,7 +158,7 @@ def find_mask(
     *,
     turn: int = AS_STORED,
 ) -> MaskPlan | None:
-    """The plan for a photo's mask, from a file or its alpha channel; None: it has none.
+    """Plan a photo's mask, from a file or its alpha channel; None if it has none.
 
     `photo`, `digest`: the photo's file, and its hash. MaskError: the mask cannot be read.
     """
@@ -174,9 +174,10 @@ def find_mask(
 def plan_object_masks(
     images: Mapping[int, PosedImage], files: MaskFiles, options: MaskOptions
 ) -> dict[tuple[int, str], MaskPlan]:
-    """Plans for the masks of the boxes' objects, by the photos' keys and the boxes' names.
+    """Plan the masks of the boxes' objects: (photo's key, box) -> plan.
 
-    A file that is also a photo's mask, in a folder of that name, is none. Raises as `find_mask`.
+    A folder of photos may have the name of a box. Files that are the photos' own masks are skipped.
+    Raises as `find_mask`.
     """
     found = {
         (key, box): file
@@ -185,7 +186,7 @@ def plan_object_masks(
         for key, image in images.items()
         if (file := find(image.name)) is not None
     }
-    used = options.used and bool(found)  # looking for these takes a while
+    used = options.used and bool(found)  # this search takes a while
     taken = {files.find(image.name) for image in images.values()} if used else set()
     inverted = options.objects_inverted
     return {
@@ -199,10 +200,10 @@ def plan_object_masks(
 def make_masks(
     plans: Mapping[Key, MaskPlan], cache: Path | None, context: Context = QUIET, *, write: bool
 ) -> dict[Key, tuple[PhotoMask, float]]:
-    """The masks by the plans' keys, and the share of pixels in each: exactly 0 if none is, or 1.
+    """Make the masks: key -> mask, and its share of pixels (exactly 0 if empty, 1 if full).
 
     Args:
-        cache: its folder `masks` keeps them; None: a temporary folder.
+        cache: the masks are kept in its folder `masks`; None: in a temporary folder.
         write: False: nothing is written, and the masks' files may be missing.
 
     Raises:
@@ -238,7 +239,7 @@ def make_masks(
 
 
 def mention_masks(used: int, files: MaskFiles, names: list[str], context: Context) -> None:
-    """Say how many masks are used, and warn of files that are the mask of none of these photos."""
+    """Report the number of used masks; warn of files that are no mask of any of these photos."""
     if used:
         context.info(f"{counted(used, 'photo')} with a mask: ignored pixels are not used.")
     unknown = files.unknown(names)
@@ -253,7 +254,7 @@ def mention_masks(used: int, files: MaskFiles, names: list[str], context: Contex
 def mention_folders(
     files: MaskFiles, boxes: Sequence[str], names: list[str], context: Context
 ) -> None:
-    """Warn of folders of masks that are those of no box, with the box that each resembles."""
+    """Warn of folders of masks that belong to no box; suggest the box with a similar name."""
     spelled = {same_name(box): box for box in boxes}
     for folder in files.of_no_box(boxes, names):
         close = get_close_matches(same_name(folder), spelled, 1)

@@ -1,4 +1,4 @@
-"""Export of a scene's cameras and points as JSON and NumPy files, in either frame."""
+"""Exports a scene's cameras and points as JSON and NumPy files, in either frame."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ def write_export(
 ) -> dict[str, str]:
     """Write the scene's files to `folder`; returns name -> path.
 
-    scene.json: the keys of `inspect_scene`, and `images`, one record each (docs/files.md).
+    scene.json: the keys of `inspect_scene`, and `images` with one record each (docs/files.md).
     points.npy (P, 3) float32, colors.npy (P, 3) uint8.
     observed.npy (M,) int32: rows of points, ordered by photo. observed_starts.npy (V + 1,) int64:
     photo k observes the points observed[starts[k]:starts[k + 1]].
 
     Args:
         transform: (4, 4) from the COLMAP frame to the world, if the project has one.
-        frame: that of the scene, COLMAP or PLACED.
+        frame: the scene's frame, COLMAP or PLACED.
     """
     starts = np.cumsum([0, *(len(image.point_indices) for image in scene.images)])
     rows = [image.point_indices for image in scene.images]
@@ -71,9 +71,9 @@ def write_export(
 
 
 def stored_transform(folder: Path, scene: SfmScene) -> Float64:
-    """(4, 4) similarity from the COLMAP frame to the world, of the file beside project or model.
+    """Read the (4, 4) similarity from the COLMAP frame to the world, stored with the project.
 
-    ConfigError: there is none of this model, or the file is damaged.
+    ConfigError: there is none for this model, or the file is damaged.
     """
     path = transform_file(folder)
     stored = read_transforms(path)
@@ -89,7 +89,7 @@ def stored_transform(folder: Path, scene: SfmScene) -> Float64:
 
 
 def transformed(scene: SfmScene, matrix: Float64) -> SfmScene:
-    """The scene after a similarity (4, 4); photos stay what they are."""
+    """The scene after a similarity (4, 4); photos do not change."""
     scale = scale_of(matrix)
     linear, offset = matrix[:3, :3], matrix[:3, 3]
 

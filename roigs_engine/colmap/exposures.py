@@ -1,9 +1,9 @@
 """Exposures of a scene's photos, from EXIF (checked against the photos) or from sparse points.
 
 A point has one colour, so its brightness in the photos shows their exposures. EXIF is more exact.
-But it does not change when a program brightens photos; then levelling by EXIF would be wrong by
+But EXIF does not change when a program brightens photos; levelling by it would then be wrong by
 stops. So EXIF is used only if photos agree better with it. Without EXIF, exposures are solved from
-the points, and used as far as two halves of the points agree.
+the points. They are reduced by the difference between the solutions of two halves of the points.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from ..photos.exposures import CLIPPED, LEAST_SPREAD, MOST_STOPS, relative_expos
 
 KEYS = ("key", "stops")  # of the file
 VERSION = 1  # increase it if the same photos get other exposures
-SIDE = 256  # pixels of the photos that are looked at
-DARK, BRIGHT = 8, 245  # of 255: outside, a value says little of the light
-LEAST_PAIRS = 100  # of observations, to judge by
-ROUNDS = 20  # medians of points and of photos in turn; they settle in about ten
+SIDE = 256  # pixels: the photos are reduced to this side
+DARK, BRIGHT = 8, 245  # of 255: values outside say little about the light
+LEAST_PAIRS = 100  # of observations, needed to check EXIF
+ROUNDS = 20  # of medians of points, then of photos; they converge in about ten
 EXIF, POINTS = "EXIF", "points"
 
 
@@ -47,7 +47,7 @@ class Observed:
     light: Float64
 
     def among(self, chosen: NDArray[np.bool_]) -> Observed:
-        """Those (N,) that are chosen."""
+        """The observations selected by the mask `chosen` (N,)."""
         return Observed(
             photo=self.photo[chosen], point=self.point[chosen], light=self.light[chosen]
         )
@@ -56,11 +56,11 @@ class Observed:
 def with_exposures(
     scene: SfmScene, cache: Path | None, *, pixels: bool, context: Context = QUIET
 ) -> SfmScene:
-    """The scene with the exposures of its photos, by which they are levelled.
+    """Add to the scene's photos the exposures by which they are levelled.
 
     Args:
-        cache: folder in which the answer is kept; None: it is not.
-        pixels: whether photos can be decoded; if not, only an answer in the cache counts.
+        cache: folder in which the result is kept; None: it is not kept.
+        pixels: whether photos can be decoded; if not, only a result in the cache is used.
 
     Raises:
         PhotoError: a photo cannot be decoded.
@@ -84,7 +84,7 @@ def with_exposures(
 
 
 def _found(scene: SfmScene, exif: Mapping[str, float], context: Context) -> dict[str, float]:
-    """Name -> stops of the photos that are levelled."""
+    """Photo -> stops, for the photos to level."""
     observed = observe(scene, context)
     stops = np.array([exif.get(image.name, 0.0) for image in scene.images])
     if exif and agrees(observed, stops):
@@ -123,7 +123,10 @@ def _observed_light(image: PosedImage, points: Float64) -> tuple[Int64, Float64]
 
 
 def agrees(observed: Observed, stops: Float64) -> bool:
-    """Whether photos show points in more equal light once they are levelled by (V,) `stops`."""
+    """Whether points look more equal in photos that are levelled by `stops` (V,).
+
+    True also with too few pairs of observations to check this.
+    """
     order = np.argsort(observed.point, kind="stable")
     same = np.diff(observed.point[order]) == 0
     apart = np.diff(stops[observed.photo[order]])
@@ -135,10 +138,11 @@ def agrees(observed: Observed, stops: Float64) -> bool:
 
 
 def solve(observed: Observed, photos: int) -> Float64:
-    """(V,) stops of the photos by their points; zeros: they do not differ, or it is not certain.
+    """Solve the photos' stops (V,) from their points; zeros if they do not differ for certain.
 
-    The light at a point in a photo is the point's times the photo's; medians in turn solve for
-    both. Halves of the points, solved alone, show how much of a difference is chance.
+    The light at a point in a photo is the product of the point's and the photo's light. Medians in
+    turn solve for both. Two halves of the points, solved separately, show how much of a difference
+    is chance.
     """
     stops = _solved(observed, photos)
     even = observed.point % 2 == 0
@@ -160,7 +164,7 @@ def _solved(observed: Observed, photos: int) -> Float64:
 
 
 def _medians(values: Float64, groups: Int64, count: int = 0) -> Float64:
-    """(G,) the median of the values (N,) of each group, from 0; 0 for those without any."""
+    """(G,) medians of the values (N,) in each group, numbered from 0; 0 for empty groups."""
     order = np.lexsort((values, groups))
     ordered, members = values[order], groups[order]
     numbers = np.arange(max(count, int(members[-1]) + 1 if len(members) else 0))
@@ -191,7 +195,7 @@ def _remembered(cache: Path | None, key: str) -> dict[str, float] | None:
 def _tell(
     scene: SfmScene, found: Mapping[str, float], exif: Mapping[str, float], context: Context
 ) -> None:
-    """Say by what, and how far, photos are levelled; warn of EXIF that is wrong or missing."""
+    """Report the source and the range of exposures; warn of wrong or missing EXIF."""
     believed = bool(found) and found == exif
     if exif and not believed:
         spread = np.ptp([*exif.values()])

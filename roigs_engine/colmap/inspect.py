@@ -1,4 +1,4 @@
-"""Inspects a scene before training: its contents, and how well photos see each box."""
+"""Inspects a scene before training: its contents, and how well photos show each box."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ FIRST_NAMES = 5
 
 
 def inspect_scene(scene: SfmScene, rois: Sequence[OrientedBox] = ()) -> dict[str, Any]:
-    """The scene in numbers, as plain values for JSON.
+    """The scene's figures, as plain values for JSON.
 
     Keys: `photos`; `cameras` (distinct intrinsics); `smallest`, `largest` ([width, height] in
     pixels, by area); `skipped` (reason -> {count, first}); `points`; `stray_points` (left out, far
     from all cameras); `observations`; `has_tracks`; `extent` (scene.extent(), world units);
     `bounds` ([low, high] corners of the middle 98 % of the points); `rois`, one entry each (see
-    `inspect_roi`); `warnings` (sentences on what will train badly, usually none).
+    `inspect_roi`); `warnings` (sentences on problems for training, usually none).
     """
     cameras = {image.camera for image in scene.images}
     boxes = [inspect_roi(scene, roi) for roi in rois]
@@ -53,14 +53,14 @@ def inspect_scene(scene: SfmScene, rois: Sequence[OrientedBox] = ()) -> dict[str
 
 
 def inspect_roi(scene: SfmScene, roi: OrientedBox) -> dict[str, Any]:
-    """One box in numbers.
+    """One box's figures.
 
     Keys: `name`; `sides` (3 lengths, world units); `points` (inside); `photos` (that see the box,
-    by the rule that selection uses: `model.visibility`);
-    `median_area` (of these photos, share of the image that the silhouette covers, 0 to 1);
-    `nearest`, `farthest` (distance of these photos' cameras from the box's centre, world units;
-    0 if there are none); `cameras_inside` (number of these photos inside the box). `inspect
-    --check-photos` adds `faults` (`guidance.faults`), which need decoded photos.
+    by selection's rule: `model.visibility`); `median_area` (median over these photos of the share
+    of the image that the silhouette covers, 0 to 1); `nearest`, `farthest` (distance of these
+    photos' cameras from the box's centre, world units; 0 if there are none); `cameras_inside`
+    (number of these photos inside the box). `inspect --check-photos` adds `faults`
+    (`guidance.faults`), which need decoded photos.
     """
     seen = observations(scene, roi)
     photos = seen.images

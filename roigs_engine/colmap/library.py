@@ -12,7 +12,7 @@ from ..errors import EngineError
 
 @cache
 def pycolmap_module(purpose: str, otherwise: str = "") -> Any:
-    """The module pycolmap with its log switched off: it also raises its errors.
+    """The module pycolmap with its log switched off; it raises what it would log as errors.
 
     Args:
         purpose: begins the error's sentence, such as "Undistorting photos".

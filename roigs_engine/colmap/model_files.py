@@ -50,7 +50,7 @@ HINT_DAMAGED = "The file is damaged or incomplete: export the model again."
 
 
 def read_model(folder: Path, context: Context = QUIET) -> Model:
-    """The model in `folder`; binary files take precedence over text files.
+    """Read the model in `folder`; binary files take precedence over text files.
 
     Args: `context`: checked for cancellation while reading.
 
@@ -64,16 +64,17 @@ def read_model(folder: Path, context: Context = QUIET) -> Model:
         raise SceneError(f"{folder} has no {points3d.name}.", "Export the 3D points as well.")
     cameras = _read(folder / f"cameras{suffix}", read_cameras)
     images = read_images(folder, context)
-    # Normally the photos list what they observe; else the points' tracks are read.
+    # Normally the photos list their observations. If not, the points' tracks are read.
     tracks = not any((image.point_ids >= 0).any() for image in images)
     points = _read(points3d, lambda data: read_points(data, tracks, context))
     return Model(cameras, images, *points)
 
 
 def pycolmap_model(colmap: Any, folder: Path, context: Context = QUIET) -> tuple[Model, Any]:
-    """The model in `folder`, as `read_model` and as pycolmap's, without what is not finite there.
+    """Read the model in `folder` with `read_model` and with pycolmap.
 
-    SceneError as `read_model`, also for other files of the model, which pycolmap reads.
+    Poses and points that are not finite are removed from pycolmap's model. Raises SceneError as
+    `read_model`, and also for the model's other files that pycolmap reads.
     """
     model = read_model(folder, context)
     for path in filter(os.path.lexists, (folder / name for name in _CHECKS)):
@@ -90,10 +91,7 @@ def pycolmap_model(colmap: Any, folder: Path, context: Context = QUIET) -> tuple
 
 
 def read_images(folder: Path, context: Context = QUIET) -> list[ModelImage]:
-    """The photos of the model in `folder`, from their own file alone. Raises as `read_model`.
-
-    Their names are those of `relative_names`.
-    """
+    """Read only a model's photos; names as from `relative_names`, errors as `read_model`."""
     suffix = _suffix(folder)
     _, read, _ = _READERS[suffix]
     images = _read(folder / f"images{suffix}", lambda data: read(data, context))
@@ -102,7 +100,7 @@ def read_images(folder: Path, context: Context = QUIET) -> list[ModelImage]:
 
 
 def _suffix(folder: Path) -> str:
-    """The end of the names of a model's files, a key of `_READERS`."""
+    """The suffix of a model's files, a key of `_READERS`."""
     suffix = model_suffix(folder)
     if suffix is None:
         raise SceneError(
@@ -126,7 +124,7 @@ def count_images(folder: Path) -> int:
 
 
 def _read(path: Path, parse: Callable[[bytes], T]) -> T:
-    """`parse` of the file's bytes; any error becomes a SceneError that names the file."""
+    """Apply `parse` to the file's bytes; any error becomes a SceneError that names the file."""
     try:
         data = read_bytes(path, most=None)
     except OSError as error:
@@ -141,15 +139,15 @@ def _read(path: Path, parse: Callable[[bytes], T]) -> T:
         raise SceneError(f"Cannot read {path} ({error}).", HINT_DAMAGED) from error
 
 
-# One point of points3D.bin without its track, which follows as (image id, index) pairs of uint32.
+# A point of points3D.bin without its track; the track follows as (image id, index) uint32 pairs.
 POINT_HEAD = np.dtype(
     [("id", "<i8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("length", "<u8")]
 )
-ROWS_AT_ONCE = 1 << 14  # rows gathered at a time: the index takes 8 bytes for each of their bytes
+ROWS_AT_ONCE = 1 << 14  # rows gathered at a time: each of their bytes needs an index of 8 bytes
 MOST_LINE = 16 << 20
 """Bytes of a line of a text model: half a million observations of a photo."""
 FIRST_CAMERA = 32  # offset of the first camera's parameters
-FIRST_NEW = 11  # ids of models from here on are younger than forks
+FIRST_NEW = 11  # COLMAP added models from this id on after forks had used the ids
 MOST_PARAMETERS = 20
 SMALLEST_IMAGE = 73  # bytes of a photo in images.bin with an empty name and no observations
 OBSERVATION = np.dtype([("xy", "<f8", 2), ("id", "<i8")])
@@ -186,10 +184,10 @@ def _binary_cameras(data: bytes) -> dict[int, ModelCamera]:
 
 
 def _check_parameters(name: str, length: int, size: float) -> None:
-    """UnknownCameraError if cameras of a new model have other parameters than COLMAP's.
+    """Raise UnknownCameraError if a new model's cameras do not have COLMAP's parameter count.
 
-    Forks have used the ids of their own models for others before COLMAP did (SphereSfM's SPHERE).
-    `size`: bytes of the parameters of a camera.
+    Forks used these ids for models of their own before COLMAP did (SphereSfM's SPHERE).
+    `size`: bytes of a camera's parameters.
     """
     if size != 8 * length and size % 8 == 0 and 0 < size < 8 * MOST_PARAMETERS:
         count = int(size / 8)
@@ -220,8 +218,8 @@ def _binary_points(data: bytes, tracks: bool, context: Context) -> Points:
     if not heads["length"].any():  # no tracks
         return heads["id"].copy(), heads["xyz"].copy(), heads["rgb"].copy(), NO_IDS, NO_IDS
     starts = np.empty(number, dtype=np.int64)
-    # Millions of iterations, so only the necessary work: if a track ends past the end of the file,
-    # reading the next head or the check below fails.
+    # Millions of iterations, so no check here: if a track ends past the end of the file, reading
+    # the next head or the check below fails.
     length_of = struct.Struct("<Q").unpack_from
     for row in range(number):
         starts[row] = offset
@@ -275,12 +273,12 @@ def _gather(raw: NDArray[np.uint8], starts: Int64, size: int) -> NDArray[np.uint
 
 
 def _text_lines(data: bytes) -> Iterator[str]:
-    """All lines, stripped, without comments. Blank lines stay: in images.txt they have meaning.
+    """Yield all lines, stripped, without comments. Blank lines stay: images.txt needs them.
 
     ValueError: the text has another encoding, or a line is far too long.
     """
     decode_text(data[:4096], replace=True)
-    for raw in io.BytesIO(data):  # one after the other: as texts, they take many times the memory
+    for raw in io.BytesIO(data):  # one at a time: all as str would take many times the memory
         if len(raw) > MOST_LINE:
             raise ValueError(f"a line has {len(raw) >> 20} MB")
         line = raw.decode("utf-8", "replace").removeprefix("\ufeff").strip()
@@ -289,7 +287,7 @@ def _text_lines(data: bytes) -> Iterator[str]:
 
 
 def _image_lines(data: bytes) -> Iterator[tuple[str, str]]:
-    """The two lines of each photo: pose and name; observations (may be blank)."""
+    """Yield the two lines of each photo: pose and name; observations (may be blank)."""
     lines = _text_lines(data)
     for line in lines:
         if line:
@@ -297,7 +295,7 @@ def _image_lines(data: bytes) -> Iterator[tuple[str, str]]:
 
 
 def _parsed(line: str, parse: Callable[[list[str]], T], fields: int = -1) -> T:
-    """`parse` of the line's words; a ValueError quotes the line if it is malformed."""
+    """Apply `parse` to the line's words; a ValueError quotes the line if it is malformed."""
     try:
         return parse(line.split(maxsplit=fields))
     except UnknownCameraError:
@@ -354,7 +352,7 @@ def _text_points(data: bytes, tracks: bool, context: Context) -> Points:
     return np.concatenate(ids), table[:, :3].copy(), colors, rows, np.concatenate(viewers)
 
 
-# By suffix; errors about damaged data are those of `_read`.
+# By suffix. `_read` turns errors about damaged data into SceneErrors.
 _READERS = {
     ".bin": (_binary_cameras, _binary_images, _binary_points),
     ".txt": (_text_cameras, _text_images, _text_points),

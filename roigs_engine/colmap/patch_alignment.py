@@ -1,6 +1,6 @@
-"""Alignment of photos' patches with reference patches: least-squares matching (Gruen 1985).
+"""Aligns photos' patches with reference patches: least-squares matching (Gruen 1985).
 
-A patch is a photo's view of a square of the plane that touches a point. The place, shape and
+A patch is a photo's view of a square in the plane that touches a point. The place, shape and
 contrast of a photo's patch are changed until it looks like the reference (Baker and Matthews 2004,
 inverse compositional: the reference's gradients serve all iterations).
 """
@@ -21,24 +21,24 @@ GRID: Grey = np.stack(np.meshgrid(_AXIS, _AXIS)).reshape(2, -1)
 _WEIGHTS = np.exp(-(GRID**2).sum(axis=0) / (2 * (0.64 * HALF) ** 2))
 WEIGHTS: Grey = (_WEIGHTS / _WEIGHTS.sum()).astype(np.float32)
 
-LEAST_CONTRAST = 3.0  # standard deviation of a patch, of 255: below, noise decides
-MOVES, BENDS = 4, 8  # iterations on the place alone, then on the shape too
-PLAIN = 0.3  # how much shapes are held back, in units of the normal equations
-LONGEST_STEP, SETTLED = 1.0, 0.03  # samples, per iteration; at the end
+LEAST_CONTRAST = 3.0  # standard deviation of a patch, of 255: below, noise dominates
+MOVES, BENDS = 4, 8  # iterations on the place alone, then on the shape, too
+PLAIN = 0.3  # damping of shape changes, in units of the normal equations
+LONGEST_STEP, SETTLED = 1.0, 0.03  # samples: per iteration; in the last one
 MOST_BEND = 0.1  # of a shape, per iteration
 LIKENESS = 0.85  # least correlation
-MOST_BENT = 1.5  # times as long as the reference in one direction
+MOST_BENT = 1.5  # largest stretch or shrinking of the reference in one direction
 VAGUEST = 0.35  # samples: a place whose standard error may be larger is not used
-INDEPENDENT = 20.0  # samples of a patch that count for the standard error: neighbours are alike
+INDEPENDENT = 20.0  # effective number of samples for the standard error: neighbours correlate
 BATCH = 512  # patches at a time: many, so that threads seldom wait for the interpreter
 
 
 def templates(
     photo: Pyramid, places: Float64, jacobians: Float64
 ) -> tuple[Grey, NDArray[np.bool_]]:
-    """The patches of a photo around places (N, 2), px; jacobians (N, 2, 2): px per sample.
+    """Sample a photo's patches around places (N, 2), px; jacobians (N, 2, 2): px per sample.
 
-    Returns (N, P) with zero mean and unit variance, and (N,) whether they are whole and have
+    Returns (N, P) with zero mean and unit variance, and (N,) whether they are complete and have
     contrast.
     """
     count = len(places)
@@ -55,10 +55,10 @@ def align(
     """Locate the references in a photo.
 
     Args:
-        places: (N, 2) where to begin, px.
-        jacobians: (N, 2, 2) px of the photo per sample of a patch, if shapes are as expected.
-        references: (N, P) of `templates`.
-        reach: (N,) how far the result may be from there, px.
+        places: (N, 2) where the search starts, px.
+        jacobians: (N, 2, 2) expected px of the photo per sample of a patch.
+        references: (N, P) from `templates`.
+        reach: (N,) largest distance of the result from its start, px.
 
     Returns:
         (N, 2) places, (N,) whether they can be trusted, (N,) correlations.
@@ -79,7 +79,7 @@ def _aligned(
     photo: Pyramid, places: Float64, jacobians: Float64, references: Grey, reach: Float64
 ) -> tuple[Float64, NDArray[np.bool_], Float64]:
     count = len(places)
-    slopes = _slopes(references)  # (N, P, 6): what moves and shapes change
+    slopes = _slopes(references)  # (N, P, 6): changes by moves and shapes
     weighted = slopes * WEIGHTS[None, :, None]
     normal = (weighted.transpose(0, 2, 1) @ slopes).astype(np.float64)
     normal[:, range(6), range(6)] += np.array([1e-6] * 2 + [PLAIN] * 4)
@@ -116,7 +116,7 @@ def _aligned(
 
 
 def _inverse(matrices: Float64) -> Float64:
-    """The inverses of (N, 2, 2); numpy's own takes 30 times as long."""
+    """The inverses of (N, 2, 2); numpy's function takes 30 times as long."""
     (a, b), (c, d) = matrices.transpose(1, 2, 0)
     adjugate = np.array([[d, -b], [-c, a]]) / (a * d - b * c)
     return np.asarray(adjugate.transpose(2, 0, 1))
@@ -136,7 +136,7 @@ def _slopes(references: Grey) -> Grey:
 Grey = NDArray[np.float32]
 
 LEVELS = 5
-FIRST_BLUR, BLUR = 0.6, 1.0  # px: against the grid's and the sensor's patterns; before each halving
+FIRST_BLUR, BLUR = 0.6, 1.0  # px: against patterns of grid and sensor; before each halving
 LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 
 
@@ -156,10 +156,11 @@ class Pyramid:
             self._levels.append(np.ascontiguousarray(halved))
 
     def patches(self, places: Float64, jacobians: Float64) -> tuple[Grey, NDArray[np.bool_]]:
-        """Patches around places (N, 2), px; jacobians (N, 2, 2): px per sample.
+        """Sample patches around places (N, 2), px; jacobians (N, 2, 2): px per sample.
 
         Returns (N, P) with zero mean and unit variance, linearly interpolated in the level whose
-        pixels are as far apart as the samples; and (N,) whether they are whole and have contrast.
+        pixel size is nearest to the samples' distance; and (N,) whether they are complete and have
+        contrast.
         """
         scale = np.sqrt(np.abs(np.linalg.det(jacobians)))
         level = np.rint(np.log2(np.maximum(np.nan_to_num(scale), 1e-6))).astype(np.int64)
@@ -168,7 +169,7 @@ class Pyramid:
         usable = np.empty(len(places), dtype=bool)
         for k in np.unique(level):
             rows = np.flatnonzero(level == k)
-            # Level k has every 2^k-th pixel of the photo, and these have their centres at + 0.5.
+            # Level k has every 2^k-th pixel of the photo. Centres of pixels are at + 0.5.
             centres = (places[rows] - 0.5) * 0.5**k
             values[rows], usable[rows] = _patches(
                 self._levels[k], centres.astype(np.float32), jacobians[rows] * 0.5**k
@@ -180,7 +181,7 @@ def _patches(grey: Grey, centres: Grey, shapes: Float64) -> tuple[Grey, NDArray[
     height, width = grey.shape
     count = len(centres)
     patches = np.empty((count, GRID.shape[1]), dtype=np.float32)
-    if min(width, height) < 2:  # too small to interpolate: no patch is whole
+    if min(width, height) < 2:  # too small to interpolate: no patch is complete
         return np.zeros_like(patches), np.zeros(count, dtype=bool)
     deviations, inside = np.empty(count, dtype=np.float32), np.empty(count, dtype=bool)
     shapes = np.ascontiguousarray(shapes, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Loads a model's photos: finds the usable ones, with poses, cameras, files and masks."""
+"""Loads a model's usable photos: poses, cameras, files and masks."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def pose_of(image: ModelImage) -> Float64 | None:
 
 
 class Skip(NamedTuple):
-    """Why a photo cannot be used, in few words; and, for one of its reason, more, and a hint."""
+    """Why a photo cannot be used: the reason in few words, details and a hint."""
 
     reason: str
     text: str = ""
@@ -97,26 +97,26 @@ def stored_photo(image: ModelImage, model: Model, photos: PhotoFolder) -> Stored
 
 
 def _identity(path: Path) -> tuple[object, ...]:
-    """A key shared by all spellings of a file's name, as each photo counts once.
+    """A key that is equal for all spellings of a file's name, so that each photo counts once.
 
-    As `a.jpg`, `./a.jpg`, a path through a link to a folder, and `A.JPG` where case is ignored.
-    Links to a file are photos of their own.
+    Spellings are `a.jpg`, `./a.jpg`, a path through a link to a folder, and `A.JPG` where case is
+    ignored. A link to a file is a photo of its own.
     """
     try:
         state = path.stat()
-    except OSError:  # gone since it was looked at; its reader will say so
+    except OSError:  # it has disappeared; its reader reports this
         return (path,)
     real = same_name(os.path.realpath(path))
     return state.st_dev, state.st_ino, same_name(path.name), real
 
 
 class PhotoLoader:
-    """Separates a model's usable photos from skipped ones, and plans to undistort distorted ones.
+    """Separates a model's usable photos from skipped ones, and plans their undistortion.
 
     Attributes:
         posed: image id -> photo, with its final camera and the original file.
         skipped: reason -> names.
-        why: reason -> what is wrong with one of these photos.
+        why: reason -> details for one of these photos.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class PhotoLoader:
                 continue
             names.add(name)
             photo = stored_photo(image, model, photos)
-            if photo == Skip(MISSING) and MISSING not in self.why:  # that takes long: said of one
+            if photo == Skip(MISSING) and MISSING not in self.why:  # slow, so only for one
                 photo = Skip(MISSING, *photos.missing(name))
             if isinstance(photo, Skip):
                 self._leave_out(name, photo)
@@ -205,7 +205,7 @@ class PhotoLoader:
         return None
 
     def load(self, cache: Path | None, context: Context = QUIET) -> None:
-        """Look at the photos; with `pixels`, skip damaged ones and undistort distorted ones.
+        """Identify and mask photos; with `pixels`, skip damaged ones and undistort distorted ones.
 
         `cache`: see `load_colmap`. Raises as `undistort_all` and `make_masks`.
         """
@@ -219,7 +219,7 @@ class PhotoLoader:
             self._undistort(cache, context)
 
     def _identify(self, cache: Path | None, context: Context) -> None:
-        """Give the photos their digests; skip those that are damaged."""
+        """Give the photos their digests; skip damaged ones."""
         photos = {image.name: image.path for image in self.posed.values()}
         found = read_contents(photos, cache and cache / CONTENTS, context, check=self._pixels)
         for key, image in list(self.posed.items()):
@@ -240,7 +240,7 @@ class PhotoLoader:
             )
 
     def _mask(self, cache: Path | None, context: Context) -> None:
-        """Give the photos their masks; skip those that are hidden whole."""
+        """Give the photos their masks; skip those that are hidden completely."""
         plans = {}
         for key, image in self.posed.items():
             plan = camera_masks.find_mask(
@@ -270,7 +270,7 @@ class PhotoLoader:
             camera_masks.mention_masks(used, self._mask_files, self._names, context)
 
     def _for_camera(self, plan: camera_masks.MaskPlan, key: int) -> camera_masks.MaskPlan:
-        """The plan of a mask as the photo's camera sees it."""
+        """The plan of a mask for the photo's camera."""
         camera = self.posed[key].camera
         target = (camera.width, camera.height)
         return replace(plan, undistortion=self._plans.get(key), target=target)
@@ -307,7 +307,7 @@ class PhotoLoader:
 
 
 def without_damaged(scene: SfmScene, context: Context = QUIET) -> SfmScene:
-    """A scene that was loaded without pixels, without its damaged photos; SceneError: all are."""
+    """Remove the damaged photos of a scene loaded without pixels; SceneError: all are damaged."""
     found = read_contents({i.name: i.path for i in scene.images}, context=context)
     damaged = tuple(name for name, content in found.items() if not content.whole)
     if len(damaged) == len(scene.images):

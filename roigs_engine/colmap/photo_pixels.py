@@ -1,7 +1,7 @@
 """Mapping between the pixels of a photo's file and those of its pinhole camera.
 
-A person's masks and strokes are in pixels of the file, with its lens distortion. They are turned if
-the model's cameras are for the turned photo.
+Users' masks and strokes are in pixels of the file, with its lens distortion. They are turned if the
+model's cameras are for the turned photo.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .records import ModelCamera
 from .undistort import resized_lens, undistorted_mask, undistorted_pixels, undistorted_places
 
 Mask = NDArray[np.bool_]
-ROWS = 256  # of a photo that are looked up at a time
+ROWS = 256  # of a photo, looked up at a time
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,7 +59,7 @@ class PhotoPixels:
         return np.asarray(flat.resize(size, Image.Resampling.LANCZOS))
 
     def to_camera(self, places: Float64) -> tuple[Float64, float]:
-        """(N, 2) places in the file -> places in the camera's picture; and its pixels in one."""
+        """(N, 2) places in the file -> places in the camera's picture; and the scale between."""
         if self.lens is None:
             factors = np.array([self.camera.width, self.camera.height]) / self.size
             return places * factors, float(factors.mean())
@@ -67,7 +67,7 @@ class PhotoPixels:
         return found, self.camera.fx / self.lens.params[0]
 
     def of_file(self, mask: Mask) -> Mask:
-        """The file's mask (height, width) at the camera's size, (H, W)."""
+        """Convert a mask of the file (height, width) to the camera's picture (H, W)."""
         from ..photos.mask_images import HALF, resized
 
         if self.lens is not None:
@@ -75,7 +75,7 @@ class PhotoPixels:
         return resized(mask, (self.camera.width, self.camera.height))
 
     def in_file(self, mask: Mask) -> Mask:
-        """A mask (H, W) at the camera's size as one of the file; False where no camera sees."""
+        """Convert a mask of the camera's picture (H, W) to the file; False outside its view."""
         across, down = self.size
         found = np.zeros((down, across), dtype=bool)
         x = np.arange(across) + 0.5
@@ -93,7 +93,7 @@ class PhotoPixels:
 def photo_pixels(
     model: Path, images: Iterable[PosedImage], context: Context = QUIET
 ) -> dict[str, PhotoPixels]:
-    """The pixels of photos by name.
+    """Photo's name -> mapping of its pixels.
 
     `model`: the model's folder; `images`: of a scene that was loaded without pixels.
     """

@@ -38,7 +38,7 @@ from .rotations import Cloud, StoredPhoto, find_turns
 from .undistort import HINT_RESAMPLE
 
 MODEL_FILES = ("cameras", "images", "points3D")
-LEAST_EXTENT = 1e-20  # world units; squares of much smaller ones vanish
+LEAST_EXTENT = 1e-20  # world units; the squares of much smaller numbers underflow
 SIMPLE_LENSES = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")  # fewer parameters than OPENCV
 
 
@@ -54,27 +54,27 @@ def load_colmap(
     check: Callable[[SfmScene], None] | None = None,
     context: Context = QUIET,
 ) -> SfmScene:
-    """The scene of a COLMAP project.
+    """Load the scene of a COLMAP project.
 
     Args:
         path: project folder with `sparse/0` or `sparse`, or the model's own folder.
         images: the photos' folder; default: the first of the folders `images`, `images_2`,
             `images_4` and `images_8` of the project that has any of the model's photos.
-        cache: folder that keeps undistorted photos and facts of photos; default: a temporary one.
+        cache: folder for undistorted photos and facts about photos; default: a temporary one.
         downscale: divides the photos' size, >= 1.
         max_side: longest side in pixels; photos are never enlarged.
         masks: which masks of photos to use; default: those in the folder `masks` beside the
             photos' folder, files `NAME.mask.png` beside photos, and alpha channels; no masks of
             boxes' objects.
-        pixels: False if only cameras are needed: the cameras are the same, but nothing is decoded
+        pixels: False if only cameras are needed. The cameras are the same, but nothing is decoded
             or undistorted, damaged photos are not all found, and `path` names the distorted photo.
             Photos have digests and masks of their own only with a `cache`, which is not written.
             Without pycolmap, distortion is then ignored.
-        check: called with the cameras before any photo is decoded; raises what is wrong with them.
+        check: called with the cameras before any photo is decoded; raises an error to stop.
 
     Raises:
-        SceneError: no usable model, points or photos, or a mask that cannot be used.
-        ConfigError: `downscale` or `max_side` out of range, or no folder of masks.
+        SceneError: there is no usable model, point or photo, or a mask cannot be used.
+        ConfigError: `downscale` or `max_side` is out of range, or a folder of masks is missing.
         RunFolderError: `cache` cannot be written.
     """
     masks.check()
@@ -116,7 +116,7 @@ def _scene(
 
 
 def _mention_refined(model: Model, folder: Path, context: Context) -> None:
-    """Say that refined cameras may be better, or where they are, if the lens model is simple."""
+    """If the lens model is simple, mention the refined cameras, or how to make them."""
     used = {camera.model for camera in model.cameras.values()}
     simple = [name for name in SIMPLE_LENSES if name in used]
     if not simple or projects.is_refined_name(folder):
@@ -132,7 +132,7 @@ def _mention_refined(model: Model, folder: Path, context: Context) -> None:
 
 
 def _cleaned(scene: SfmScene, why: Mapping[str, Skip], context: Context) -> SfmScene:
-    """The scene without outliers; says what was left out: as warnings, but for unposed photos."""
+    """Remove outliers; report what was left out, as warnings except for unposed photos."""
     scene = without_outliers(scene)
     if 0 < (extent := scene.extent()) < LEAST_EXTENT:
         raise SceneError(f"The cameras span {extent:.0e} units.", "Scale the model up.")
@@ -148,8 +148,8 @@ def _cleaned(scene: SfmScene, why: Mapping[str, Skip], context: Context) -> SfmS
 def model_turns(
     model: Model, folder: Path, photos: PhotoFolder, context: Context = QUIET
 ) -> dict[int, int]:
-    """Image id -> turn of a model's photos (`rotations`); SceneError: it has no points."""
-    quiet = replace(context, emit=QUIET.emit)  # damage is said by whoever uses the model
+    """Find a model's turned photos (`rotations`): image id -> turn; SceneError: no points."""
+    quiet = replace(context, emit=QUIET.emit)  # the model's user reports damage
     ids, points, colors = _points(model, folder, quiet)
     cloud = Cloud(points=points, colors=colors, observed=_observations(model, ids, context))
     found = []
@@ -160,7 +160,7 @@ def model_turns(
 
 
 def find_model(path: Path, context: Context = QUIET) -> Path:
-    """The model folder of a project: `path`, `path/sparse` or one of their numbered subfolders.
+    """Find the model of a project: `path`, `path/sparse` or one of their numbered subfolders.
 
     A project's folder of photos stands for the project. If there are several models, the one with
     the most photos is used, with a warning. SceneError: there is none.
@@ -202,7 +202,7 @@ OTHER_MODELS = {
 
 
 def _no_model(path: Path) -> SceneError:
-    """The error for a folder without a model, by what is there instead."""
+    """The error for a folder without a model; names what is there instead."""
     missing = f"{path} has no COLMAP model"
     for folder in (path, path / projects.SPARSE, path / projects.SPARSE / projects.FIRST_MODEL):
         lacks = [
@@ -224,13 +224,13 @@ def _no_model(path: Path) -> SceneError:
 
 
 def load_poses(path: Path) -> Float64:
-    """(N, 4, 4) world_to_camera of all photos of a project's model; raises as `read_images`."""
+    """Read world_to_camera (N, 4, 4) of all photos of a project; raises as `read_images`."""
     poses = [pose_of(image) for image in read_images(find_model(path))]
     return np.array([pose for pose in poses if pose is not None]).reshape(-1, 4, 4)
 
 
 def smaller(downscale: float | None, max_side: int | None) -> Shrink:
-    """The function from a photo's (width, height) to the requested ones, see `load_colmap`."""
+    """The function from a photo's (width, height) to the requested size; see `load_colmap`."""
     if downscale is not None and not 1 <= downscale <= MAX_DOWNSCALE:
         raise ConfigError(
             f"downscale is {downscale:g}.", f"Use a number from 1 to {MAX_DOWNSCALE:,}."
@@ -277,9 +277,9 @@ def _points(
 
 
 def _observations(model: Model, ids: Int64, context: Context) -> dict[int, Int64]:
-    """Image id -> ascending rows of the points it observes; unknown point ids are ignored.
+    """Image id -> ascending rows of the points that it observes; unknown ids are ignored.
 
-    The photos' lists of observations are used, or the points' tracks if the photos have no lists.
+    Uses the photos' lists of observations, or the points' tracks if the photos have no lists.
     """
     seen = {image.image_id: image.point_ids for image in model.images}
     if len(model.track_rows):

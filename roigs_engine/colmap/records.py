@@ -50,7 +50,7 @@ KNOWN_IDS = 64
 
 
 class UnknownCameraError(ValueError):
-    """A valid camera of a model that is not read."""
+    """A valid camera of a model that is not supported."""
 
 
 Points = tuple[Int64, Float64, NDArray[np.uint8], Int64, Int64]
@@ -105,7 +105,7 @@ class Model:
 
 
 def relative_names(names: Sequence[str]) -> list[str]:
-    """The names of a model's photos, without the folder above all if each leads elsewhere.
+    """The names of a model's photos; without their common folder if all lead out of the project.
 
     Some software writes absolute names (`/data/a.jpg`, `C:\\data\\a.jpg`), or `../images/a.jpg`.
     """

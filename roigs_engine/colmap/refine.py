@@ -1,9 +1,10 @@
-"""Refinement of the cameras of a COLMAP model by its tracks, then by its photos.
+"""Refines the cameras of a COLMAP model by its tracks, then by its photos.
 
 Cameras get OPENCV's eight parameters, and a bundle adjustment (Triggs et al. 2000) with Cauchy's
-loss. The result is kept only if it fits left-out observations better than the old cameras, adjusted
-without them with COLMAP's own loss. Then cameras are fitted to points that are found in the photos
-(`refine_by_matches`). docs/method.md, "Cameras", has the reasons.
+loss. The result is kept only if it fits left-out observations better than the old cameras do. For
+this, the old cameras are adjusted without these observations, with COLMAP's own loss. Then cameras
+are fitted to points that are located in the photos (`refine_by_matches`). docs/method.md,
+"Cameras", has the reasons.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from .model_files import HINT_DAMAGED, pycolmap_model, read_model
 from .project import model_turns
 from .refine_by_matches import MatchedFit, fit_to_matches, photo_files
 
-LOSS_SCALE = 1.0  # px of the full-size photos; what is farther off counts ever less
+LOSS_SCALE = 1.0  # px of the full-size photos; larger errors get less weight
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +42,7 @@ class Refinement:
             px of the full-size photos.
         left_out: their number.
         cameras: number of cameras that got more parameters.
-        matched: what looking at the photos did; None: it was not done, or there was too little.
+        matched: the fit to the photos; None: not done, or fewer than two usable photos.
     """
 
     before: float
@@ -57,7 +58,7 @@ class Refinement:
 
     @property
     def better(self) -> bool:
-        """Whether cameras changed; only then anything was written."""
+        """Whether cameras changed; only then are files written."""
         return self.fits_tracks_better or (self.matched is not None and self.matched.better)
 
 
@@ -71,13 +72,13 @@ def refine_cameras(
 ) -> Refinement:
     """Refine the model in the folder `model`, and write the result to the new folder `out`.
 
-    The world stays where it is: a similarity carries the refined points onto the old ones, so boxes
-    keep their place. The photos' names and the tracks do not change. Nothing is written unless the
+    The frame does not change: a similarity moves the refined points onto the old ones, so boxes
+    stay in place. The photos' names and the tracks do not change. Nothing is written unless the
     result is better.
 
     Args:
         images: the photos' folder; None: the project's.
-        look: whether to look at the photos, too; without any, only the tracks are used.
+        look: whether to use the photos, too; without any, only the tracks are used.
 
     Raises:
         SceneError: the model is damaged or has too few tracks, or `out` is not empty, or `images`
@@ -87,7 +88,7 @@ def refine_cameras(
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise SceneError(f"{out} exists already.", "Give another --out, or remove it.")
     colmap = pycolmap_module("Refining cameras")
-    # pycolmap may not return from a damaged model, and cuts names at spaces in text files
+    # On a damaged model, pycolmap may not return. In text files, it cuts names at spaces.
     with _explained(model):
         record, scene = pycolmap_model(colmap, model, context)
     names = {image.image_id: image.name for image in record.images}
@@ -116,14 +117,14 @@ def refine_cameras(
 
 
 def _by_tracks(colmap: Any, scene: Any, model: Path, context: Context) -> tuple[Any, Refinement]:
-    """The scene with the cameras that fit the tracks best, the new ones or the old."""
+    """Fit cameras to the tracks; return the scene with the better cameras, new or old."""
     started, left_out = time.monotonic(), adjustment.to_leave_out(scene)
     if len(left_out) < adjustment.FEWEST_LEFT_OUT:
         raise SceneError(
             f"{model} has too few points observed by {adjustment.LONG_TRACK} or more photos.",
             "Export the model with its observations, or take more photos.",
         )
-    # The model as it is has seen the left-out observations: adjust it without them to compare.
+    # The given model was fitted to the left-out observations: adjust it without them to compare.
     old, new = colmap.Reconstruction(scene), colmap.Reconstruction(scene)
     for image, keypoint, _ in left_out:
         old.delete_observation(image, keypoint)
@@ -147,7 +148,7 @@ def _by_tracks(colmap: Any, scene: Any, model: Path, context: Context) -> tuple[
 
 @contextmanager
 def _explained(model: Path) -> Iterator[None]:
-    """Turn pycolmap's errors about a model into one line."""
+    """Turn pycolmap's errors about a model into a SceneError of one line."""
     try:
         yield
     except (ValueError, RuntimeError, IndexError, KeyError) as error:
@@ -156,7 +157,7 @@ def _explained(model: Path) -> Iterator[None]:
 
 
 def _write(scene: Any, out: Path) -> None:
-    """Write all files, or none."""
+    """Write all files of the model, or none."""
     try:
         out = Path(os.path.realpath(out))  # a link that the user names
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -164,7 +165,7 @@ def _write(scene: Any, out: Path) -> None:
             model = folder / "model"
             model.mkdir()
             scene.write(str(model))
-            # pycolmap does not say when a disk is full
+            # pycolmap does not report a full disk
             counts = (scene.num_reg_images(), scene.num_points3D())
             if _counts(model) != counts:
                 raise SceneError(
@@ -188,9 +189,9 @@ def _counts(model: Path) -> tuple[int, int] | None:
 
 
 def _carry_back(colmap: Any, scene: Any, positions: dict[int, Float64]) -> None:
-    """Move the scene by the similarity that carries its points onto their old places.
+    """Move the scene by the similarity that best maps its points to their old positions.
 
-    Wrong points may have moved far: the half that moved most is left out of the fit.
+    Wrong points may have moved far, so the half that moved most is left out of the fit.
     """
     keys = [key for key in positions if scene.exists_point3D(key)]
     new = np.array([scene.points3D[key].xyz for key in keys])

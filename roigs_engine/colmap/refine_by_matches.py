@@ -1,4 +1,4 @@
-"""Refines cameras by matched tracks, which are more exact than keypoints."""
+"""Refines cameras with matched tracks, which are more exact than keypoints."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from .records import same_shape
 from .track_matching import Matches, PhotoFile, Views, match_tracks
 
 LOSS_SCALE = 0.3  # px: most matches are better than 0.1
-FEW = 50  # matches: a photo with fewer keeps its keypoints beside them
-MANY = 100  # matches: a photo with more may have a focal length of its own
+FEW = 50  # matches: a photo with fewer also keeps its keypoints
+MANY = 100  # matches: a photo with more may have its own focal length
 POSES, DISTORTION, FOCAL_LENGTHS = CHANGES = ("poses", "distortion", "focal lengths")
-CLEARLY = 0.97  # of the error before: more parameters must bring that much
+CLEARLY = 0.97  # of the error before: more parameters must reduce it to this
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,10 +33,10 @@ class MatchedFit:
     Attributes:
         before, after: median error of left-out matches with the old and the new cameras, px.
         left_out: their number.
-        matches, photos: how many places were matched, and in how many photos.
-        changed: what was allowed to change, and made the left-out matches fit better.
+        matches, photos: numbers of matches, and of photos with matches.
+        changed: the groups of parameters whose change made the left-out matches fit better.
 
-    Errors are NaN if there are too few matches to judge by.
+    Errors are NaN if there are too few matches to compare.
     """
 
     before: float
@@ -48,12 +48,12 @@ class MatchedFit:
 
     @property
     def better(self) -> bool:
-        """Whether the new cameras fit better; only then they were taken."""
+        """Whether the new cameras fit better; only then are they used."""
         return bool(self.changed)
 
     @property
     def enough(self) -> bool:
-        """Whether there were enough matches to judge by."""
+        """Whether there were enough matches to compare."""
         return self.left_out >= adjustment.FEWEST_LEFT_OUT
 
 
@@ -64,7 +64,7 @@ def photo_files(
     turns: Mapping[int, int],
     context: Context,
 ) -> list[PhotoFile | None]:
-    """The file of each of `Views(scene).ids`; None: it cannot be used, which a warning says.
+    """The file of each of `Views(scene).ids`; None for unusable ones, with a warning.
 
     `names`, `turns`: of the photos by their ids; see `project.model_turns`.
     """
@@ -92,9 +92,9 @@ def fit_to_matches(
 ) -> tuple[Any, MatchedFit]:
     """Match the tracks of a scene, and fit its cameras and poses to them.
 
-    More and more may change: cameras and poses, then more parameters of distortion, then a focal
-    length for each photo. Of every third point with a long track, one match is left out. Each step
-    is kept if these then fit better, with points that fit the other matches best.
+    There are three steps: cameras and poses, then more parameters of distortion, then a focal
+    length for each photo. One match of every third point with a long track is left out. A step is
+    kept if these matches then fit better, with points fitted to the other matches.
 
     Args:
         colmap: the module pycolmap.
@@ -102,8 +102,8 @@ def fit_to_matches(
         photos: the file of each of `Views(scene).ids`.
 
     Returns:
-        A scene of the same photos whose cameras fit best (its photos may lose their names, and its
-        points are those that were matched); and what was done.
+        A scene of the same photos with the cameras that fit best, and the fit. The photos may lose
+        their names, and only matched points remain.
     """
     matches = match_tracks(scene, photos, context)
     tracked = colmap.Reconstruction(scene)
@@ -151,7 +151,7 @@ def fit_to_matches(
 def _track(colmap: Any, target: Any, scene: Any, matches: Matches) -> set[tuple[int, int]]:
     """Replace a reconstruction's keypoints and tracks by the matches.
 
-    Returns the ids of the photos and keypoints of the references.
+    Returns the references as ids of photo and keypoint.
     """
     views = Views(scene)
     target.delete_all_points2D_and_points3D()
@@ -169,7 +169,7 @@ def _track(colmap: Any, target: Any, scene: Any, matches: Matches) -> set[tuple[
     for image, own in zip(views.ids, keypoints, strict=True):
         if len(own) >= FEW:
             continue
-        # Its own keypoints of matched points stay beside the matches; no point has two.
+        # Keep its own keypoints of matched points, unless the point has a match in this photo.
         for keypoint in scene.images[image].points2D:
             if not keypoint.has_point3D():
                 continue

@@ -1,4 +1,4 @@
-"""Finds the photos that a model's software has turned by their EXIF tags.
+"""Finds the photos that the model's software turned by their EXIF tags.
 
 COLMAP ignores the tags, other software obeys them. The size of a photo on its side shows whether it
 was turned. If the size does not decide (upside down, mirrored, square), the model's other photos
@@ -22,11 +22,11 @@ from ..photos.rotation import AS_STORED, turned, turned_size
 from .records import NO_IDS, ModelCamera, same_shape
 from .undistort import seen_places
 
-PHOTOS, POINTS = 4, 3000  # that are compared; of each
-SIDE = 320  # px: the photos' longer side for that
-FEWEST = 60  # places that decide
+PHOTOS, POINTS = 4, 3000  # photos compared; points of each
+SIDE = 320  # px: the photos' longer side for the comparison
+FEWEST = 60  # points needed to decide
 CLEARLY = 0.8  # the right way has at most this share of the other's differences
-VARIED = 8.0  # least standard deviation of points' colours that mean something, of 255
+VARIED = 8.0  # least standard deviation of points' colours, of 255; below, they are not real
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,7 +35,7 @@ class Cloud:
 
     Attributes:
         points, colors: (P, 3) positions; (P, 3) uint8 sRGB.
-        observed: image id -> rows of the points that it observes; all empty: not known.
+        observed: image id -> rows of the points that it observes; all are empty if unknown.
     """
 
     points: Float64
@@ -45,12 +45,12 @@ class Cloud:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StoredPhoto:
-    """A photo of a model as its file has it.
+    """A photo of a model as it is stored in its file.
 
     Attributes:
         key, name: image id and name in the model.
         size: (width, height) of the file, not turned.
-        tag: its turn by EXIF (`photos.rotation`).
+        tag: the turn by its EXIF tag (`photos.rotation`).
     """
 
     key: int
@@ -63,7 +63,7 @@ class StoredPhoto:
 
     @property
     def on_its_side(self) -> bool:
-        """Whether it would have its camera's shape on its other side."""
+        """Whether it has its camera's shape either as stored or turned by 90 degrees, not both."""
         return self.fits(AS_STORED) != self.fits(6)
 
     def fits(self, turn: int) -> bool:
@@ -73,7 +73,7 @@ class StoredPhoto:
 
 
 def find_turns(photos: Sequence[StoredPhoto], cloud: Cloud, context: Context) -> dict[int, int]:
-    """Image id -> turn, of the photos that are turned; says which, and which may have to be."""
+    """Find the turned photos: image id -> turn. Reports them, and those that are unclear."""
     tagged = [photo for photo in photos if photo.tag != AS_STORED]
     fitting = [(photo, photo.fits(AS_STORED), photo.fits(photo.tag)) for photo in tagged]
     obeyed = [photo for photo, stored, tag in fitting if tag and not stored]
@@ -103,8 +103,8 @@ def find_turns(photos: Sequence[StoredPhoto], cloud: Cloud, context: Context) ->
 
 
 def _look_turned(unclear: Sequence[StoredPhoto], cloud: Cloud, context: Context) -> bool | None:
-    """Whether the photos fit the points' colours better if turned; None: that is not clear."""
-    if cloud.colors.std(axis=0).max(initial=0) <= VARIED:  # the software has stored none
+    """Whether the photos match the points' colours better if turned; None: it is unclear."""
+    if cloud.colors.std(axis=0).max(initial=0) <= VARIED:  # the software stored no colours
         return None
     some = np.linspace(0, len(unclear) - 1, min(PHOTOS, len(unclear))).round().astype(int)
     found = []
@@ -123,7 +123,7 @@ def _look_turned(unclear: Sequence[StoredPhoto], cloud: Cloud, context: Context)
 
 
 def _differences(photo: StoredPhoto, cloud: Cloud) -> list[Float64]:
-    """Of points' colours from those in a photo as it is stored, and as it is turned by its tag."""
+    """Differences of points' colours from a photo: as it is stored, and turned by its tag."""
     from ..photos.decode import decode
 
     scale = min(1.0, SIDE / max(photo.size))

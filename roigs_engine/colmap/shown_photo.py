@@ -15,7 +15,7 @@ from ..photos.rotation import AS_STORED, turned_size
 from .records import ModelCamera, checked_camera
 from .undistort import plan_undistortion, undistorted_photo
 
-USUAL_FORMATS = ("JPEG", "MPO", "PNG", "BMP", "WEBP", "TIFF")  # which other programs read
+USUAL_FORMATS = ("JPEG", "MPO", "PNG", "BMP", "WEBP", "TIFF")  # that other programs read
 USUAL_MODES = ("1", "L", "LA", "P", "RGB", "RGBA")
 BITS, PHOTOMETRIC, PLANAR = 258, 262, 284  # tags of a TIFF
 WHITE_IS_ZERO, SEPARATE = 0, 2
@@ -23,13 +23,13 @@ QUALITY = 95
 
 
 def lens_in_words(camera: ModelCamera) -> str:
-    """A camera as a line of `cameras.txt` has it, without its number."""
+    """A camera as a line of `cameras.txt`, without its id."""
     values = camera.width, camera.height, *map(repr, camera.params)
     return " ".join(map(str, (camera.model, *values)))
 
 
 def lens_from_words(words: str) -> ModelCamera:
-    """The inverse of `lens_in_words`; ConfigError: it is no camera."""
+    """The inverse of `lens_in_words`; ConfigError: the words are no camera."""
     try:
         model, width, height, *params = words.split()
         return checked_camera(model, int(width), int(height), tuple(map(float, params)))
@@ -41,9 +41,9 @@ def lens_from_words(words: str) -> ModelCamera:
 def is_as_stored(path: Path) -> bool:
     """Whether programs that ignore profiles show a photo's file as training sees it.
 
-    True also of a file that cannot be opened.
+    Also True for a file that cannot be opened.
     """
-    with suppress(Exception):  # such photos are reported by others; Pillow may be missing
+    with suppress(Exception):  # other code reports such photos; Pillow may be missing
         from ..photos.colours import colours_of
 
         with open_photo(path) as photo:
@@ -65,7 +65,7 @@ def write_shown(
     turn: int = AS_STORED,
     side: int,
 ) -> None:
-    """Write a JPEG of a photo as training sees it, its longer side at most `side`.
+    """Write a photo as training sees it, as a JPEG with a longer side of at most `side`.
 
     Args:
         path, out: the photo's file, and the picture's.

@@ -1,4 +1,4 @@
-"""Matches tracks: locates a model's points in photos, to a few hundredths of a pixel.
+"""Locates a model's points in photos, to a few hundredths of a pixel (track matching).
 
 Each point has one reference photo. Its patch is searched for in the other photos, even if the
 detector found no keypoint there (docs/method.md, "Cameras").
@@ -22,13 +22,13 @@ from ..photos.headers import PhotoError, photo_size
 from ..photos.parallel import decoding_bytes, in_parallel
 from .patch_alignment import GRID, Pyramid, align, templates
 
-NEW_A_PHOTO = 1000  # points looked for in a photo that does not observe them yet
+NEW_A_PHOTO = 1000  # points searched in a photo that does not observe them yet
 MOST_WRONG = 3.0  # px: observations farther from where their point appears are wrong matches
-REACH, NEW_REACH = 3.0, 1.5  # px from the keypoint; from where the point appears
+REACH, NEW_REACH = 3.0, 1.5  # px: of the search around a keypoint; around a projected point
 NEW_LIKENESS = 0.9
-WIDEST, NARROW = 0.72, 0.9  # cosines of the angles between photos: too wide; as good as none
-COARSEST, FINEST = 8.0, 0.5  # size of a photo's pixels at the point, in the reference's
-RIM = 8.0  # px: a patch is not whole beyond
+WIDEST, NARROW = 0.72, 0.9  # cosines of the angle between photos: too wide; no effect
+COARSEST, FINEST = 8.0, 0.5  # size of a photo's pixels at the point, relative to the reference's
+RIM = 8.0  # px: nearer the photo's edge, patches are incomplete
 PYRAMID = 24  # bytes for a pixel of a photo, most of them while its levels are made
 
 
@@ -37,10 +37,10 @@ class Matches:
     """M observations of P points.
 
     Attributes:
-        points: (P, 3) about where they are, world units.
+        points: (P, 3) approximate positions, world units.
         view, point: (M,) rows of `Views` and of `points`.
         places: (M, 2) px of the photos.
-        reference: (M,) whether the others of its point were matched with this one.
+        reference: (M,) whether it is the reference for the others of its point.
     """
 
     points: Float64
@@ -55,12 +55,12 @@ class _Wanted(NamedTuple):
 
     view: Int64  # see `Matches`
     point: Int64
-    start: Float64  # (M, 2) where to begin, px
+    start: Float64  # (M, 2) where the search starts, px
     new: NDArray[np.bool_]  # (M,) whether no keypoint is known there
 
 
 class _References(NamedTuple):
-    """The reference of each point, an observation; -1: it has none."""
+    """The reference observation of each point; -1: it has none."""
 
     row: Int64  # (P,) of the observations
     view: Int64  # (P,) its photo
@@ -69,7 +69,7 @@ class _References(NamedTuple):
 
 
 class PhotoFile(NamedTuple):
-    """A photo on disk, and how its pixels must be turned (see `PosedImage`)."""
+    """A photo on disk, and the turn of its pixels (see `PosedImage`)."""
 
     path: Path
     turn: int
@@ -79,7 +79,7 @@ def match_tracks(scene: Any, photos: Sequence[PhotoFile | None], context: Contex
     """Match the tracks of a pycolmap reconstruction.
 
     Args:
-        scene: with points, tracks and cameras that are right to a pixel or so.
+        scene: its points, tracks and cameras must be right to about a pixel.
         photos: the file of each of `Views(scene).ids`; None: missing.
     """
     views = Views(scene)
@@ -102,7 +102,7 @@ def match_tracks(scene: Any, photos: Sequence[PhotoFile | None], context: Contex
 
 
 def _observations(scene: Any, views: Views, usable: NDArray[np.bool_]) -> Matches:
-    """The tracks, without wrong matches; `reference` is False."""
+    """The observations in the tracks, without wrong matches; `reference` is False."""
     keys = sorted(scene.point3D_ids())
     point_of = {key: row for row, key in enumerate(keys)}
     positions = np.array([scene.points3D[key].xyz for key in keys]).reshape(-1, 3)
@@ -132,7 +132,7 @@ def _observations(scene: Any, views: Views, usable: NDArray[np.bool_]) -> Matche
 
 
 def _references(views: Views, seen: Matches) -> _References:
-    """For each point, the photo from which most of the others can be matched."""
+    """Choose for each point the photo to which most of its others can be matched."""
     count = len(seen.points)
     row, view = np.full(count, -1), np.full(count, -1)
     place, normal = np.full((count, 2), np.nan), np.zeros((count, 3))
@@ -148,7 +148,7 @@ def _references(views: Views, seen: Matches) -> _References:
         towards /= distance[:, None]
         pixel = distance / views.focals[seen_by]
         cosines = towards @ towards.T
-        # A reference serves photos that look from nearby, and are not much finer than it.
+        # A reference suits photos from similar directions that are not much finer than it.
         near = np.clip((cosines - WIDEST) / (NARROW - WIDEST), 0, 1)
         best = int((near * np.minimum(1, pixel[None, :] / pixel[:, None])).sum(axis=1).argmax())
         row[point], view[point] = track[best], seen_by[best]
@@ -165,7 +165,7 @@ def _wanted(
     usable: NDArray[np.bool_],
     rng: np.random.Generator,
 ) -> _Wanted:
-    """The other observations of each track, and photos that may show the point as well."""
+    """The tracks' other observations, and places in more photos that may show the points."""
     others = np.flatnonzero(references.row[seen.point] >= 0)
     others = others[references.row[seen.point[others]] != others]
     view, point, start = [seen.view[others]], [seen.point[others]], [seen.places[others]]
@@ -204,17 +204,17 @@ def _matched(
     wanted: _Wanted,
     context: Context,
 ) -> tuple[Float64, NDArray[np.bool_]]:
-    """(M, 2) places of what is wanted, and (M,) whether they can be trusted."""
+    """Match the places in `wanted`: (M, 2) results, and (M,) whether they can be trusted."""
     count, started = len(wanted.view), time.monotonic()
     view_of = references.view[wanted.point]
     steps = _steps(views, points, references, wanted)
-    patches = np.zeros((count, GRID.shape[1]), dtype=np.float16)  # all of a scene: half the memory
+    patches = np.zeros((count, GRID.shape[1]), dtype=np.float16)  # to halve the memory
     usable = np.zeros(count, dtype=bool)
     places, good = np.array(wanted.start), np.zeros(count, dtype=bool)
     damaged: set[int] = set()
 
     def match(view: int) -> None:
-        """Match what is wanted of a photo, or take its patches for the others."""
+        """Match the wanted places of a photo, or take its patches as references."""
         rows = rows_of[view]
         file, lens = photos[view], views.lenses[view]
         assert file is not None
@@ -241,7 +241,7 @@ def _matched(
             if file is not None and view not in damaged
         }
         shown = [view for view, rows in rows_of.items() if len(rows)]
-        # The photos' rows are different ones, so threads do not meet.
+        # Each photo has its own rows, so threads write to different places.
         with in_parallel(match, shown, memory, context) as work:
             for view, job in work:
                 try:
@@ -255,10 +255,10 @@ def _matched(
 
 
 def _bytes(file: PhotoFile) -> int:
-    """Most memory that matching in a photo takes."""
+    """The most bytes that matching in a photo takes."""
     try:
         size = photo_size(file.path)
-    except PhotoError:  # said when it is read
+    except PhotoError:  # reported when it is read
         return 1
     return decoding_bytes(file.path, size) + PYRAMID * size[0] * size[1]
 
@@ -305,12 +305,12 @@ class Views:
         return np.asarray(np.asarray(self.lenses[view].img_from_cam(local)).reshape(-1, 2))
 
     def footprints(self, view: int, points: Float64) -> Float64:
-        """(N,) what a pixel of the photo covers at each point, world units."""
+        """(N,) size of the photo's pixel at each point, world units."""
         depths = points @ self._poses[view, 2, :3] + self._poses[view, 2, 3]
         return np.asarray(depths / self.focals[view])
 
     def jacobians(self, view: int, points: Float64, axes: Float64) -> Float64:
-        """(N, 2, 2): where two short steps from each point lead in the photo, px, as columns.
+        """(N, 2, 2) the photo's px for two short steps from each point, as columns.
 
         `points`: (N, 3); `axes`: (N, 3, 2) the steps, as columns, world units.
         """

@@ -1,4 +1,4 @@
-"""Undistorts photos to pinhole cameras, in parallel, into a cache without unused files."""
+"""Undistorts photos to pinhole cameras, in parallel, into a cache."""
 
 from __future__ import annotations
 
@@ -44,15 +44,15 @@ PINHOLE_AT_ZERO = {
 # Photos are undistorted at full size, or at this multiple of a much smaller target size.
 OVERSAMPLING = 2.0
 HINT_RESAMPLE = "Resample its photos to pinhole cameras first."
-FULL_FROM = 0.75  # share of the full size from which on it is the full size
-BORDER = 4  # pixels: the photo's edge goes on beyond it, as far as interpolation looks
-SIDES, EXACT = (128, 64, 32, 16, 8, 4), 0.01  # pixels: of squares, and how exact they must be
+FULL_FROM = 0.75  # from this share of the full size on, the full size is used
+BORDER = 4  # pixels by which the photo's edge is extended, for interpolation
+SIDES, EXACT = (128, 64, 32, 16, 8, 4), 0.01  # pixels: sides of squares; their largest error
 _again = threading.Lock()
 CACHE_VERSION = 4  # part of each cached photo's name: increase it if the pixels change
-# Measured bytes (docs/reliability.md) of a pixel of the photo's copy at `source`'s size: while it
-# is resampled, beside those of decoding, and while it is undistorted.
+# Measured bytes (docs/reliability.md) for a pixel of the photo's copy at `source`'s size: during
+# resampling, in addition to decoding; and during undistortion.
 PER_RESAMPLED, PER_SOURCE_PIXEL = 12, 13
-PER_MASKED = 16  # of the larger of file and copy, for weights, beside the others
+PER_MASKED = 16  # for a pixel of the larger of file and copy, for weights, in addition
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,10 +63,10 @@ class UndistortionPlan:
         photo, size: the file, and its (width, height).
         source, target: the distorted camera, and its pinhole.
         digest: hash of the file; known before the photo is undistorted.
-        turn: see `PosedImage`; `size` is that after it.
-        colours: what is done about its colour space (`photos.contents`).
-        counted: makes its mask, by which colours are resampled; None: it has none.
-        mask: hash of all that decides that.
+        turn: see `PosedImage`; `size` is the size after it.
+        colours: the treatment of its colour space (`photos.contents`).
+        counted: makes its mask, which weights the resampling; None: it has none.
+        mask: hash of everything that decides the mask.
     """
 
     photo: Path
@@ -89,7 +89,7 @@ class UndistortionPlan:
         return hashlib.sha256(text.encode("ascii")).hexdigest()[:32]
 
     def memory(self) -> int:
-        """Most bytes that `undistort` takes."""
+        """The most bytes that `undistort` takes."""
         file, source = self.size[0] * self.size[1], self.source.width * self.source.height
         resampling = 0 if source == file else PER_RESAMPLED * source
         masked = PER_MASKED * max(file, source) if self.counted else 0
@@ -97,7 +97,7 @@ class UndistortionPlan:
         return max(decoding, PER_SOURCE_PIXEL * source) + masked
 
     def fitting_side(self, memory: int) -> int:
-        """The longest side of a smaller target that needs no more memory; 0: there is none."""
+        """The longest side of a target that fits into this memory; 0 if there is none."""
         file = self.size[0] * self.size[1]
         left = memory - decoding_bytes(self.photo, self.size)
         source = min(left / PER_RESAMPLED, memory / PER_SOURCE_PIXEL)
@@ -109,7 +109,7 @@ class UndistortionPlan:
 
 
 def as_pinhole(camera: ModelCamera) -> Camera | None:
-    """The camera's exact pinhole, or None if its photos must be undistorted."""
+    """The equivalent pinhole, or None if the camera's photos must be undistorted."""
     first_extra = PINHOLE_AT_ZERO.get(camera.model)
     if first_extra is None or any(camera.params[first_extra:]):
         return None
@@ -117,7 +117,7 @@ def as_pinhole(camera: ModelCamera) -> Camera | None:
 
 
 def without_distortion(camera: ModelCamera) -> Camera:
-    """The pinhole with the camera's focal lengths and principal point; ignores distortion.
+    """The pinhole with the camera's focal lengths and principal point, ignoring distortion.
 
     SceneError: the model has no focal length (an equirectangular panorama).
     """
@@ -129,7 +129,7 @@ def without_distortion(camera: ModelCamera) -> Camera:
 
 
 def has_pycolmap() -> bool:
-    """Whether pycolmap is installed, which undistorts photos."""
+    """Whether pycolmap, which undistorts photos, is installed."""
     try:
         _pycolmap()
     except EngineError:
@@ -144,7 +144,7 @@ def plan_undistortion(
     shrink: Callable[[int, int], tuple[int, int]],
     turn: int = AS_STORED,
 ) -> UndistortionPlan:
-    """The plan for undistorting a photo; SceneError if the camera cannot be undistorted.
+    """Plan the undistortion of a photo; SceneError if the camera cannot be undistorted.
 
     Args:
         photo: the file.
@@ -158,7 +158,7 @@ def plan_undistortion(
     share = OVERSAMPLING * max(target.width / pinhole.width, target.height / pinhole.height)
     if share < FULL_FROM:
         source = resized_lens(camera, round(size[0] * share), round(size[1] * share))
-        # The smaller photo's pinhole differs by less than a pixel; the target must match it.
+        # The smaller photo's pinhole differs by less than a pixel. The target must match it.
         target = undistorted_camera(source).resized(target.width, target.height)
     return UndistortionPlan(photo=photo, size=size, source=source, target=target, turn=turn)
 
@@ -177,7 +177,7 @@ def undistort(plan: UndistortionPlan, path: Path) -> None:
 
 
 def undistorted_photo(plan: UndistortionPlan) -> Any:
-    """The undistorted photo as a picture of Pillow's.
+    """Undistort the photo; returns a Pillow image.
 
     PhotoError: it cannot be decoded, or its file does not have the plan's digest.
     """
@@ -202,7 +202,7 @@ def undistorted_photo(plan: UndistortionPlan) -> Any:
 
 
 def undistorted_mask(mask: NDArray[np.bool_], camera: ModelCamera, least: int) -> NDArray[np.bool_]:
-    """As `undistorted_pixels`, for (H, W): pixels of which at least `least` of 255 are in it."""
+    """As `undistorted_pixels`, for a mask (H, W): pixels covered by at least `least` of 255."""
     grey = np.where(mask, np.uint8(255), np.uint8(0))
     rgb = np.repeat(grey[..., None], 3, axis=2)
     return np.asarray(undistorted_pixels(rgb, camera, sharp=False)[..., 0] >= least)
@@ -211,10 +211,10 @@ def undistorted_mask(mask: NDArray[np.bool_], camera: ModelCamera, least: int) -
 def undistorted_pixels(
     pixels: NDArray[Any], camera: ModelCamera, *, sharp: bool = True
 ) -> NDArray[Any]:
-    """A picture of the camera's size, (H, W, 3) uint8 or (H, W) float32, as its pinhole sees it.
+    """Undistort a picture of the camera's size, (H, W, 3) uint8 or (H, W) float32.
 
-    `sharp`: cubic interpolation; otherwise linear, which has no overshoot (for masks), but blurs:
-    half a pixel from a pixel's centre it is the mean of 2 x 2.
+    `sharp`: cubic interpolation. False: linear, which has no overshoot (for masks), but blurs: half
+    a pixel from a pixel's centre it is the mean of 2 x 2.
     """
     from PIL import Image
 
@@ -224,7 +224,7 @@ def undistorted_pixels(
     kernel = Image.Resampling.BICUBIC if sharp else Image.Resampling.BILINEAR
     size = (pinhole.width, pinhole.height)
     flat = padded.transform(size, Image.Transform.MESH, _mesh(camera), kernel)
-    del padded  # for its memory
+    del padded  # to free its memory
     return np.asarray(flat)
 
 
@@ -235,10 +235,10 @@ the upper left, lower left, lower right and upper right one."""
 
 @lru_cache(maxsize=16)
 def _mesh(camera: ModelCamera) -> list[Quad]:
-    """The pinhole's picture, cut into squares, and where their corners are in the photo.
+    """Cut the pinhole's picture into squares; with the places of their corners in the photo.
 
     Between corners, places are interpolated linearly, which is least exact in the middle. The
-    squares are as large as they may be for that, as each takes time in Python.
+    squares are as large as this error allows, because each takes time in Python.
     """
     pinhole = undistorted_camera(camera)
     for side in SIDES:
@@ -260,7 +260,7 @@ def _mesh(camera: ModelCamera) -> list[Quad]:
 def _places(
     camera: ModelCamera, pinhole: Camera, columns: NDArray[Any], rows: NDArray[Any]
 ) -> Float64:
-    """(R, C, 2) where a grid of places of the pinhole's picture is in the padded photo."""
+    """(R, C, 2) places in the padded photo, for a grid of places in the pinhole's picture."""
     x, y = np.meshgrid(columns, rows)
     rays = ((x - pinhole.cx) / pinhole.fx, (y - pinhole.cy) / pinhole.fy, np.ones(x.shape))
     found = _colmap_camera(camera).img_from_cam(np.stack(rays, axis=-1).reshape(-1, 3))
@@ -268,7 +268,7 @@ def _places(
 
 
 def _between(places: Sequence[int]) -> Float64:
-    """The middles between places."""
+    """The middles between successive places."""
     return np.convolve(places, (0.5, 0.5), "valid")
 
 
@@ -276,8 +276,8 @@ def _between(places: Sequence[int]) -> Float64:
 def undistorted_camera(camera: ModelCamera) -> Camera:
     """The pinhole whose view lies inside the distorted photo (no black borders).
 
-    Its principal point is whole pixels away from the lens's, so that where there is hardly any
-    distortion, pixels stay what they are. Up to half a pixel of its border may lie outside.
+    Its principal point is whole pixels away from the lens's. So pixels hardly change where there is
+    hardly any distortion. Up to half a pixel of its border may lie outside.
     SceneError: the camera has no such pinhole.
     """
     try:
@@ -297,14 +297,14 @@ def undistorted_camera(camera: ModelCamera) -> Camera:
 
 
 def temporary_folder() -> Path:
-    """A folder that is deleted at the end of this process."""
+    """Create a folder that is deleted at the end of this process."""
     folder, owner = new_scratch("roigs-photos-")
     atexit.register(remove_scratch, folder, owner)
     return folder
 
 
 def undistorted_places(lens: ModelCamera, camera: Camera, places: Float64) -> Float64:
-    """(N, 2) places in a distorted photo -> places in its pinhole camera's picture; may be NaN."""
+    """(N, 2) places in a distorted photo -> places in its pinhole's picture; may be NaN."""
     rays = np.asarray(_colmap_camera(lens).cam_from_img(np.ascontiguousarray(places)))
     return np.asarray(rays * (camera.fx, camera.fy) + (camera.cx, camera.cy))
 
@@ -358,9 +358,9 @@ PER_PIXEL = 3  # bytes of a PNG, at most; photos take about 2
 def undistort_all(
     plans: Iterable[UndistortionPlan], cache: Path | None, context: Context = QUIET
 ) -> dict[str, Path]:
-    """The undistorted photos by their plans' keys; the damaged ones are left out.
+    """Undistort the photos: plan's key -> file; damaged photos are skipped.
 
-    `cache`: its folder `undistorted` keeps them; None: a temporary folder.
+    `cache`: they are kept in its folder `undistorted`; None: in a temporary folder.
 
     Raises:
         SceneError: the machine has too little memory for one of them.
@@ -398,7 +398,7 @@ def undistort_all(
 
 
 def missing_in(cache: Path, images: Iterable[PosedImage]) -> list[PosedImage]:
-    """The photos that are not undistorted yet; `cache` may lack them all, or not exist."""
+    """The photos that are not undistorted yet; `cache` may be empty or missing."""
     return [
         image
         for image in images
@@ -416,7 +416,7 @@ def remove_unused(cache: Path, images: Iterable[PosedImage]) -> None:
 
 
 def _memory(plans: Sequence[UndistortionPlan], context: Context) -> int:
-    """Bytes that the largest photo needs; reports the memory of all threads to the user."""
+    """The bytes that the largest photo needs; reports the memory of all threads."""
     largest = max(plans, key=UndistortionPlan.memory)
     needed, machine = largest.memory(), machine_memory()
     if needed + ENGINE > machine:

@@ -13,7 +13,7 @@ from . import run_files
 from .files import is_link, matching, read_record
 from .stage_list import read_stage_list
 
-# Files count as the engine's if they are called as it calls them, in a folder of a run.
+# A file counts as the engine's if it is in a run folder and has a name that the engine gives.
 _PICTURE = re.compile(r"[0-9a-f]{32}\.png")
 _STAGE = re.compile(r".+-[0-9a-f]{8}(-damaged(-\d+)?)?")
 _OF_A_STAGE = {
@@ -30,8 +30,8 @@ def is_run_folder(folder: Path) -> bool:
 def removable(run: Path) -> list[Path]:
     """Files that can go: undistorted photos and masks, stages of earlier settings, old previews.
 
-    Results of earlier settings stay, and so does the preview of a training that was stopped: it is
-    all there is to look at.
+    Results of earlier settings stay. The preview of a stopped training stays, too: it has no other
+    result to look at.
     """
     if not is_run_folder(run):
         return []
@@ -54,9 +54,9 @@ def _own(folder: Path, is_own: Callable[[str], object]) -> list[Path]:
 
 
 def remove(run: Path) -> int:
-    """Remove it, and the folders that are empty then; returns the bytes that were freed.
+    """Remove these files and the folders that become empty; returns the bytes freed.
 
-    RunFolderError: something cannot be removed.
+    RunFolderError: a file cannot be removed.
     """
     freed, found = 0, removable(run)
     for path in found:
@@ -77,7 +77,7 @@ def remove(run: Path) -> int:
 
 
 def disk_size(paths: Iterable[Path]) -> int:
-    """Bytes of files, and of those in folders; what cannot be read counts as nothing."""
+    """Total bytes of files, also of those in folders; unreadable ones count as 0."""
     total = 0
     for path in paths:
         names = (Path(parent, name) for parent, _, files in os.walk(path) for name in files)
@@ -88,6 +88,6 @@ def disk_size(paths: Iterable[Path]) -> int:
 
 
 def _is_linked(path: Path, run: Path) -> bool:
-    """Whether it is a link, or reached through one below the run folder."""
+    """Whether `path` is a link or is reached through a link below the run folder."""
     above = [parent for parent in path.parents if parent != run and parent.is_relative_to(run)]
     return any(is_link(each) for each in (path, *above))

@@ -10,13 +10,13 @@ Float32 = NDArray[np.float32]
 COLUMNS = ("photos", "directions", "error")
 """Photos that show a Gaussian, directions of 128 from which they do, error in held-out photos."""
 
-FULL = 0.95  # share of the Gaussians whose directions are not more than the brightest colour's
+FULL = 0.95  # the brightest colour starts at this quantile of the numbers of directions
 STOPS = np.array(((0.0, 0.13, 0.31), (0.49, 0.48, 0.47), (1.0, 0.91, 0.22)))
 """sRGB of few, some and many: from blue by grey to yellow, which all kinds of sight tell apart."""
 
 
 def most_directions(directions: Float32) -> float:
-    """(N,) -> the number of directions that has the brightest colour; at least 1."""
+    """The number of directions with the brightest colour, from those of (N,); at least 1."""
     found = directions[np.isfinite(directions)]
     return max(1.0, float(np.quantile(found, FULL))) if len(found) else 1.0
 

@@ -27,7 +27,7 @@ FIRST_BYTES = max(map(len, [*MAGIC, *OTHERS]))
 
 
 def held_instead(path: Path, head: bytes) -> tuple[str, str] | None:
-    """The real kind of a file, with advice; None: its first bytes `head` show no other kind."""
+    """The real kind of a file, and advice, if its first bytes `head` contradict its name."""
     if not head:
         return "is empty", "Write or download the file again."
     suffix, head = path.suffix.lower(), head.lstrip()

@@ -34,7 +34,7 @@ def drawable(arrays: Mapping[str, Floats]) -> NDArray[np.bool_]:
         inside = (values if name == "log_scales" else np.abs(values)) < most
         good &= inside.all(axis=tuple(range(1, values.ndim)))
     with np.errstate(over="ignore", invalid="ignore"):  # of numbers that were refused above
-        # The length, and not the numbers: in float32, that of tiny ones is 0 too.
+        # Test the length, not the numbers: in float32, tiny numbers have length 0, too.
         good &= np.linalg.norm(arrays["quats"], axis=1) > 0
     return good
 
@@ -42,14 +42,14 @@ def drawable(arrays: Mapping[str, Floats]) -> NDArray[np.bool_]:
 def usable(
     arrays: Mapping[str, Floats], good: NDArray[np.bool_] | None = None
 ) -> Mapping[str, Floats]:
-    """Without Gaussians that cannot be drawn, and with finite numbers for all others.
+    """Remove Gaussians that cannot be drawn, and make all numbers of the others finite.
 
     The others keep their order. Sizes are at least e^`FLAT`, and logits of opacities from
     -`CERTAIN` to `CERTAIN`. No other number changes.
 
     Args:
         arrays: in the form of `splat_ply.write_ply`.
-        good: what `drawable` says of them, if the caller knows it.
+        good: the result of `drawable`, if the caller has it.
     """
     good = drawable(arrays) if good is None else good
     found = dict(arrays) if good.all() else {name: each[good] for name, each in arrays.items()}

@@ -27,8 +27,8 @@ class StageStarted:
 class Progress:
     """Progress of a stage. Seconds are wall-clock; `psnr` is over recent photos, in dB.
 
-    `loss` is NaN in a stage that has none (evaluation), and `null` in JSON. `run_seconds_left` is
-    of all stages to come too; NaN where that is not known.
+    `loss` is NaN in a stage that has none (evaluation), and `null` in JSON. `run_seconds_left`
+    includes all later stages; NaN if it is unknown.
     """
 
     stage: str
@@ -51,7 +51,7 @@ class Message:
 
 @dataclass(frozen=True, kw_only=True)
 class Device:
-    """The device that draws and trains, and the reason; once for each command that does."""
+    """The device that draws and trains, and why; one event for each command that uses it."""
 
     kind: str  # "cpu", "cuda" or "gpu"
     name: str  # the GPU's; empty for the CPU
@@ -67,7 +67,7 @@ class Preview:
 
 @dataclass(frozen=True, kw_only=True)
 class Done:
-    """The command ended well (`stopped`: on request, and can be continued)."""
+    """The command ended well (`stopped`: on request; it can be resumed)."""
 
     outputs: dict[str, str]
     stopped: bool = False
@@ -114,17 +114,18 @@ def to_json(event: Event) -> str:
         missing = isinstance(value, float) and not math.isfinite(value)
         record[key] = None if missing else value
     line = json.dumps(record, ensure_ascii=False, allow_nan=False)
-    # JSON allows the others, which end a line for some readers, and which a terminal obeys.
+    # JSON allows other control characters, but some readers end a line there, and terminals obey
+    # them.
     line = CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", line)
-    # A file name that is no UTF-8 comes with surrogates, which no stream could write.
+    # A file name that is not UTF-8 contains surrogates, which streams cannot write.
     return line.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def parse_event(line: str) -> Record | None:
     """The event on a line, or None if the line is not an event.
 
-    Whatever wrote the line: the record holds the fields that are present with the right type,
-    finite numbers, printable text, and paths as they are.
+    Any program may have written the line. The record has only fields of the right type, with finite
+    numbers, printable text, and paths as they are.
     """
     if len(line) > MAX_LINE:
         return None

@@ -31,7 +31,7 @@ from .text import RepeatedKeyError, parse_json
 UNREADABLE = "Check that the file exists and that you may read it."
 DAMAGED = "Write the file again, or choose another."
 
-# What `atomic_write` calls its temporary files: the process, and a number of its own.
+# Names of the temporary files of `atomic_write`: process number and a random number.
 LEFTOVER = re.compile(r"\..+\.\d+-[0-9a-f]{8}\.part")
 ABANDONED = 86400.0  # seconds without a change, where the file system has no locks
 IN_THE_WAY = {
@@ -83,14 +83,14 @@ def own_folder(root: Path, *names: str) -> Path:
 def own_file(root: Path, name: str) -> Path:
     """The file `root`/`name`, which may be written; it need not exist.
 
-    Names that a file or a program says become paths here, by the rules of POSIX and Windows.
+    Checks names that come from a file or another program, by the rules of POSIX and Windows.
 
     Args:
-        root: as of `own_folder`.
+        root: as in `own_folder`.
         name: of the file; it may hold `/`.
 
     Raises:
-        RunFolderError: the name leads out of `root`, or a folder is a link or none.
+        RunFolderError: the name leads out of `root`, or a folder in it is a link or no folder.
     """
     if inner_path(name) is None:
         raise _leads_out(root, name)
@@ -133,9 +133,9 @@ def cannot_write(path: Path, error: OSError) -> RunFolderError:
 
 
 def regular(path: str, flags: int) -> int:
-    """The `opener` of everything that is read: OSError for a pipe, a device or a socket.
+    """The `opener` for every file that is read: OSError for a pipe, a device or a socket.
 
-    Opening one of these never waits. OSError also for a file of holes: a few bytes of a download
+    It never waits for one of these. OSError also for a large sparse file: a few bytes of a download
     would fill the memory.
     """
     descriptor = os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o666)
@@ -159,20 +159,20 @@ part."""
 
 
 def _is_hole(descriptor: int, state: os.stat_result) -> bool:
-    """Whether a file is far larger than what the disk has of it; the rest is zeros."""
+    """Whether a file is sparse: far larger than its blocks on disk; the rest is zeros."""
     on_disk = 512 * getattr(state, "st_blocks", 0)
     if on_disk:
         return LEAST_ON_DISK * on_disk < state.st_size
-    try:  # some systems say 0 of every file
+    try:  # some systems report 0 for every file
         start = os.read(descriptor, 4096)
         os.lseek(descriptor, 0, os.SEEK_SET)
-    except OSError:  # it is open to write
+    except OSError:  # it is open for writing only
         return False
     return not any(start)
 
 
 def unlinked(path: str, flags: int) -> int:
-    """The `opener` of what is changed in place: as `regular`, and OSError (ELOOP) for a link."""
+    """The `opener` for files changed in place: as `regular`, and OSError (ELOOP) for a link."""
     if not hasattr(os, "O_NOFOLLOW") and is_link(Path(path)):
         raise OSError(errno.ELOOP, "Is a link", path)
     return regular(path, flags | getattr(os, "O_NOFOLLOW", 0))
@@ -184,7 +184,7 @@ so many become 0.8 GB and take 20 s."""
 
 
 def read_bytes(path: Path, most: int | None = LARGEST) -> bytes:
-    """The content of a file; `most`: bytes that it may have (None: any number).
+    """Read a file of at most `most` bytes (None: any size).
 
     OSError: it cannot be read, is larger, or is not a regular file.
     """
@@ -203,8 +203,8 @@ def sha256(path: Path) -> str:
 def open_log(path: Path) -> TextIO:
     """Open a file to append lines of UTF-8; completes a half line that a killed process has left.
 
-    A link in its place is replaced by an empty file, and one of several names of a file (a hard
-    link) by a copy. OSError: it cannot be written, or is not a regular file.
+    A symbolic link is replaced by an empty file, and a hard link by a copy. OSError: it cannot be
+    written, or is not a regular file.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     if is_link(path):
@@ -230,7 +230,7 @@ def atomic_write(
     Args:
         path: of the file.
         durable: wait until the disk has it; otherwise a power cut some seconds later may damage it.
-        before: what stood under `path` is kept under this name, and is durable by then.
+        before: an earlier file at `path` is made durable and renamed to this.
 
     Raises:
         RunFolderError: the folder cannot be written to, the disk is full, or a pipe or a device is
@@ -267,7 +267,7 @@ def atomic_write(
 
 
 def new_temporary(path: Path) -> tuple[Path, BinaryIO, int | None]:
-    """A new file beside `path`, open to write, and what holds its lock (`os_lock.keep`)."""
+    """A new file beside `path`, open for writing, and the descriptor that holds its lock."""
     while True:
         name = f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part"
         temporary = path.with_name(name)
@@ -287,11 +287,11 @@ def new_temporary(path: Path) -> tuple[Path, BinaryIO, int | None]:
 
 @contextmanager
 def written_by_name(path: Path) -> Iterator[Path]:
-    """A temporary file beside `path` for others who write it by its name; removed in the end.
+    """Create a temporary file beside `path` for code that opens it by name; remove it at the end.
 
-    If it is whole, the block renames it. The next engine removes that of a killed process.
+    The block renames the complete file. After a kill, the next engine removes it.
     """
-    temporary, file, owner = new_temporary(path.with_name("copy"))  # its own may be too long
+    temporary, file, owner = new_temporary(path.with_name("copy"))  # `path`'s name may be too long
     try:
         file.close()
         yield temporary
@@ -317,9 +317,9 @@ _tidied: set[Path] = set()
 
 
 def _tidy(folder: Path) -> None:
-    """Delete what killed processes have left in a folder, before the first file is written there.
+    """Delete temporary files of killed processes in a folder before it is first written to.
 
-    Users give a command again after it was killed, whichever it is.
+    Users give a killed command again, so each command tidies the folders it uses.
     """
     if folder not in _tidied:
         _tidied.add(folder)
@@ -329,7 +329,7 @@ def _tidy(folder: Path) -> None:
 
 
 def _remove_leftover(path: Path) -> None:
-    """Delete a temporary file unless its owner lives, who holds its lock."""
+    """Delete a temporary file unless a live process holds its lock."""
     if LEFTOVER.fullmatch(path.name):
         with suppress(OSError):
             _remove_abandoned(path)
@@ -349,14 +349,14 @@ def _remove_abandoned(path: Path) -> None:
 
 
 def write_bytes(path: Path, data: bytes, *, durable: bool = True) -> None:
-    """Write a file, whole or not at all; `durable` as `atomic_write`."""
+    """Write a file atomically; `durable` as in `atomic_write`."""
     with atomic_write(path, durable=durable) as file:
         file.write(data)
 
 
 def write_text(path: Path, text: str, *, durable: bool = True) -> None:
     """Write UTF-8 text as `write_bytes`."""
-    # Names on disk that are no UTF-8 come with surrogates, written as JSON writes them.
+    # Names on disk that are not UTF-8 contain surrogates; these are written as in JSON.
     write_bytes(path, text.encode("utf-8", "backslashreplace"), durable=durable)
 
 
@@ -376,8 +376,8 @@ def read_record(path: Path) -> dict[str, Any]:
 def read_json(path: Path, kind: type[EngineError] = RunFolderError, hint: str = DAMAGED) -> Any:
     """The JSON value in `path`: UTF-8, with or without a byte order mark.
 
-    An error of `kind` says that the file is missing, unreadable or not JSON, with this `hint`, or
-    that an object in it has a key twice.
+    Raises an error of `kind` if the file is missing, unreadable or not JSON (with this `hint`), or
+    if an object has a key twice.
     """
     try:
         return parse_json(read_bytes(path))

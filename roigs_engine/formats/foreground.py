@@ -19,27 +19,27 @@ Mask = NDArray[np.bool_]
 Bounds = tuple[Vectors, Vectors]
 """Lower and upper corner."""
 
-MOST_PHOTOS, MOST_POINTS = 60, 20_000  # more tell no more
+MOST_PHOTOS, MOST_POINTS = 60, 20_000  # more do not change the result
 FEWEST_POINTS = 10
 MIDDLE = 0.4  # width of the attention around a photo's middle, in half its shorter side
 REACH = 0.3  # of the photos' distance: how far the object extends from its centre
 OUTLIERS = 0.02  # share of the object's points that is ignored at each side
-STRAYS = 0.002  # the same, of what stands apart from all else
+STRAYS = 0.002  # the same for an object separated from its support plane
 FLOATING = 0.005  # share of the points above the object's foot that is ignored at its top
-MARGIN = 1.1  # factor on the size, for what has no points
+MARGIN = 1.1  # factor on the size: some parts of the object have no points
 ROUNDS = 10  # of moving the centre to the middle of the points around it
 
 # Search for the support plane and for what stands on it.
 FARTHER = 2.0  # times the reach
-PLANES, JUDGES = 400, 4000  # planes that are tried, and points that judge them at most
-LEVEL = np.cos(np.radians(20))  # of the normal to up: more is a wall or a roof
-THICK = 0.02  # of the reach: how far points of the plane are from it
+PLANES, JUDGES = 400, 4000  # planes tried, and points that they are tested on at most
+LEVEL = np.cos(np.radians(20))  # least cosine of normal and up; below it is a wall or a roof
+THICK = 0.02  # of the reach: largest distance of the plane's points from it
 CLEAR = 0.03  # of the reach: higher is above the plane
-PLANE_SHARE = 0.25  # of the points: a plane with fewer is none
-BELOW = 0.25  # of its points: a plane with more below it supports nothing
+PLANE_SHARE = 0.25  # of the points: a plane needs at least this share
+BELOW = 0.25  # of the plane's points: with more points below it, it is not a support
 CELL = 1 / 12  # of the reach: an empty cell between them separates two objects
-SPARSE = 0.05  # of the usual number around a point: with fewer it is between objects
-OBJECTS = 6  # clusters that are looked at
+SPARSE = 0.05  # of the median number around a point: sparser cells separate objects
+OBJECTS = 6  # clusters compared at most
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,12 +58,12 @@ class View:
 def foreground_bounds(
     photos: Sequence[View], points: Vectors | NDArray[np.float32], alignment: Vectors
 ) -> Bounds | None:
-    """The bounds of what most photos look at; None if photos or points are too few to tell.
+    """Find the bounds of the object in most photos; None with too few photos or points.
 
     Args:
         photos: in the frame of the model.
         points: (N, 3) in that frame.
-        alignment: (4, 4) from that frame to one with z up, along whose axes the bounds are.
+        alignment: (4, 4) from that frame to one with z up; the bounds are along its axes.
     """
     if not photos or len(points) < FEWEST_POINTS:
         return None
@@ -94,9 +94,10 @@ def foreground_bounds(
 
 
 def _top(points: Vectors, low: Vectors, high: Vectors, reach: float) -> float:
-    """Height of an object whose lower part is within these bounds: nothing floats above it.
+    """The top of an object whose lower part is within these bounds.
 
-    Photos of something tall are often aimed at its foot.
+    Photos of a tall object are often aimed at its foot. All points above are taken as its own,
+    because nothing floats above it.
     """
     above = ((points >= low) & (points <= (*high[:2], high[2] + reach))).all(axis=1)
     return float(np.quantile(points[above][:, 2], 1 - FLOATING)) if above.any() else high[2]
@@ -141,7 +142,7 @@ def above_support_plane(
         points: (N, 3), z up.
         weights: (N,) attention.
         away: (N,) distance from the middle of attention.
-        reach: how far from there the plane is looked for; the object may extend FARTHER.
+        reach: radius in which the plane is searched; the object may extend FARTHER times that.
 
     Returns:
         Mask (N,) and height; None if nothing stands on a plane.
@@ -165,7 +166,7 @@ def above_support_plane(
 
 
 def support_plane(points: Vectors, thick: float) -> Vectors | None:
-    """The level plane that most points lie in, by RANSAC: (normal, offset); None: there is none."""
+    """Find the level plane with most points, by RANSAC: (normal, offset); None: there is none."""
     random = np.random.default_rng(0)
     judges = points[random.permutation(len(points))[:JUDGES]]
     corners = judges[random.integers(0, len(judges), (PLANES, 3))]

@@ -1,4 +1,4 @@
-"""Requests for pictures for compositing, and their answers (docs/files.md)."""
+"""Requests for compositing pictures, and their answers (docs/files.md)."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ RANKS = 3
 
 
 def colour_file(out: Path) -> Path:
-    """The picture of a request's `out`."""
+    """The picture's file, for a request's `out`."""
     return out.with_name(out.name + COLOUR)
 
 
 def depth_file(out: Path) -> Path:
-    """The depth of a request's `out`; written before the picture."""
+    """The depth's file, for a request's `out`; written before the picture."""
     return out.with_name(out.name + DEPTH)
 
 
 def index_file(out: Path) -> Path:
-    """Of an answer with mattes: the indices of the objects with the largest shares in a pixel."""
+    """The file with the indices of the objects with the largest shares in a pixel, for mattes."""
     return out.with_name(out.name + INDEX)
 
 
 def share_file(out: Path) -> Path:
-    """Of an answer with mattes: these objects' shares of the picture, from 0 to 1."""
+    """The file with these objects' shares of the pixel, from 0 to 1, for mattes."""
     return out.with_name(out.name + SHARE)
 
 
@@ -76,7 +76,7 @@ def tiff(values: NDArray[np.float32]) -> bytes:
 
 
 def png(rows: bytes, width: int, height: int) -> bytes:
-    """An 8-bit RGBA PNG without compression: it is read at once, and compressing takes longer.
+    """An 8-bit RGBA PNG, uncompressed: it is read only once, and compression takes longer.
 
     Each row begins with a byte 0: no filter.
     """

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-LEAST_SPAN = 0.05  # least eigenvalue, of 1 in sum, of directions that span a plane
-ROUND = 0.25  # the same of directions all around
-LEVEL = 0.04  # largest one of directions in a plane: more is no plane
+LEAST_SPAN = 0.05  # directions span a plane if their second eigenvalue is this or more (sum 1)
+ROUND = 0.25  # the same for directions all around
+LEVEL = 0.04  # directions are in a plane if their least eigenvalue is this or less
 CLEAR = 0.5  # length of the mean of unit vectors that mostly agree
-WEAK = 0.1  # of a mean that tells no direction
+WEAK = 0.1  # the same of a mean that is too short to give a direction
 ERRORS = 3.0  # a model is level if its axis is this many standard errors from up, or nearer,
 NEAREST = np.radians(3)  # and no farther than this: with few photos the errors are large
 FEWEST = 3  # photos for an estimate with an error
@@ -27,8 +27,8 @@ FEWEST = 3  # photos for an estimate with an error
 def gravity_alignment(poses: NDArray[np.float64]) -> Matrix:
     """(3, 3) rotation from the model's frame to one whose z axis points up.
 
-    A model whose own axis points up, as far as the photos tell, is only turned by right angles, or
-    not at all if that is its z axis.
+    If one of the model's own axes points up within the error, the model is only turned by right
+    angles. It is not turned if that is its z axis.
 
     Args:
         poses: (N, 4, 4) world_to_camera of the photos, OpenCV axes.
@@ -47,8 +47,8 @@ def gravity_alignment(poses: NDArray[np.float64]) -> Matrix:
 def up_direction(poses: NDArray[np.float64]) -> tuple[Vector, float]:
     """Up as a unit vector, zero if it is unknown, and its standard error in radians.
 
-    Portraits are taken for such only where they look all around: a pan of portraits and a tilt of
-    landscapes are the same. They are taken to be stored as phones do, with their top at the left.
+    Photos count as portraits only if they look all around, because a pan of portraits looks like a
+    tilt of landscapes. Portraits are assumed to be stored as phones do, with their top at the left.
     """
     if len(poses) == 0:
         return np.zeros(3), 0.0
@@ -67,7 +67,7 @@ def up_direction(poses: NDArray[np.float64]) -> tuple[Vector, float]:
 
 
 def _normal(sides: Vector, least: float) -> tuple[Vector, float] | None:
-    """The direction to which unit vectors (N, 3) are at right angles, and its standard error.
+    """The normal of the plane that unit vectors (N, 3) lie in, and its standard error.
 
     None if they are too few, in no plane, or span it less than `least`.
     """

@@ -69,7 +69,7 @@ def write_ladders(folder: Path, ladders: list[Ladder]) -> None:
 
 
 def read_ladders(folder: Path) -> dict[str, Ladder]:
-    """Box -> its ladder, of a run folder; the surroundings are the box "".
+    """Read the ladders of a run folder: box -> ladder; the surroundings are the box "".
 
     RunFolderError: there is no `levels.json`, or it is damaged or of another version.
     """
@@ -114,13 +114,13 @@ def _level(record: Any) -> Level:
 
 
 def rate_in_view(probes: Float64, to_clip: Float64, pixels: float) -> float:
-    """Resolution of the probes in a view, pixels per unit of length; 0 if it shows none.
+    """Resolution of the probes in a view, pixels per unit of length; 0 if none is in view.
 
     Args:
         probes: (P, 3).
         to_clip: (4, 4) from the probes' frame to clip space: a point is in the picture if |x| and
             |y| are at most w, and w > 0.
-        pixels: that a unit of the probes' frame covers where w is 1.
+        pixels: per unit of the probes' frame, where w is 1.
     """
     clip = probes @ to_clip[:, :3].T + to_clip[:, 3]
     w = clip[:, 3]
@@ -133,8 +133,8 @@ def rate_in_view(probes: Float64, to_clip: Float64, pixels: float) -> float:
 def shown_levels(ladder: Ladder, rate: float, quality: float = 1.0) -> list[tuple[Level, float]]:
     """The levels to draw, and how much of each (`operations.faded`): one level, or two in a fade.
 
-    `rate` is that of `rate_in_view`; with `quality`, a level is so many times finer than the rule
-    asks for.
+    `rate` is the result of `rate_in_view`. With a `quality` of 2, levels are chosen as for a view
+    twice as fine.
     """
     coarser = math.inf if rate <= 0 else ladder.rate / (rate * max(quality, 1e-6))
     index = max(k for k, level in enumerate(ladder.levels) if level.farther <= coarser)

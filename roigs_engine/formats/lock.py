@@ -44,15 +44,16 @@ def locked(
     option: str | None = "--run-dir",
     name: str = LOCK,
 ) -> Iterator[None]:
-    """Hold `folder`/run.lock while the block runs; `{"pid", "started", "events_from"}` is in it.
+    """Hold the lock `folder`/run.lock while the block runs.
 
-    `started` is in seconds since 1970; `events_from` is the size that events.jsonl had then. The
-    file is removed at the end. One that a killed process has left is taken over.
+    The file contains `{"pid", "started", "events_from"}`: `started` is in seconds since 1970, and
+    `events_from` is the size of events.jsonl at that time. The file is removed at the end. The file
+    of a killed process is taken over.
 
     Args:
         folder: the run folder; created if it is missing.
-        warn: told if the file system has no locks.
-        option: of the command, which names another folder; None: it works in this one alone.
+        warn: called if the file system has no locks.
+        option: the command's option that chooses another folder, for hints; None: it has none.
         name: of the lock file.
 
     Raises:
@@ -89,7 +90,7 @@ def check_held(path: Path) -> None:
 
 
 def holder(path: Path) -> int:
-    """The process that holds a lock file; 0 when nobody does, as after an engine was killed."""
+    """The number of the process that holds a lock file; 0 if none does (after a kill, say)."""
     try:
         with open(path, "r+b", opener=unlinked) as file:
             try:
@@ -102,12 +103,12 @@ def holder(path: Path) -> int:
 
 
 def is_lock(path: Path) -> bool:
-    """Whether a file is what an engine locks, not one of another program that is called so."""
+    """Whether a file is an engine's lock, not another program's file of the same name."""
     return _read_record(path).keys() >= KEYS
 
 
 def _refuse_others(path: Path, file: BinaryIO, option: str | None) -> None:
-    """Raise RunFolderError for a file of somebody else."""
+    """Raise RunFolderError if another program wrote the file."""
     file.seek(0)
     if says_other(file.read(LARGEST).strip(b"\0"), KEYS):
         other = f", or choose another folder ({option})" if option else ""
@@ -118,9 +119,9 @@ def _refuse_others(path: Path, file: BinaryIO, option: str | None) -> None:
 
 
 def _hold(path: Path, warn: Callable[[str], object], option: str | None) -> BinaryIO:
-    """The file, locked and with its record; BlockingIOError if another process has it.
+    """Lock the file, write its record and return it open.
 
-    RunFolderError: it is somebody else's.
+    BlockingIOError: another process holds it. RunFolderError: another program wrote it.
     """
     while True:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -142,10 +143,10 @@ def _hold(path: Path, warn: Callable[[str], object], option: str | None) -> Bina
                 _refuse_others(path, file, option)
                 _write_record(file, _record_of_now(path))
                 return file
-            if names > 1 and _is_at(path, file):  # a hard link: what it names is not ours to write
+            if names > 1 and _is_at(path, file):  # a hard link: it may be another's file
                 _release(path, file)
         except BaseException:
-            with suppress(OSError):  # what could not be written is tried again here
+            with suppress(OSError):  # closing it tries the failed write again
                 file.close()
             raise
         file.close()
@@ -171,7 +172,7 @@ def _release(path: Path, file: BinaryIO) -> None:
 
 
 def _is_at(path: Path, file: BinaryIO) -> bool:
-    """Whether the open file is the one of that name."""
+    """Whether the open file is still the one at `path`."""
     try:
         return os.path.samestat(os.fstat(file.fileno()), os.lstat(path))
     except OSError:
@@ -222,10 +223,10 @@ def _read_record(path: Path) -> dict[str, Any]:
 
 
 def _hold_by_name(path: Path, record: dict[str, Any]) -> BinaryIO:
-    """The lock file, created by this process or taken over from one that has ended.
+    """Create the lock file, or take it over from a process that has ended; return it open.
 
-    Its record has the `pid` and the `identity` of this process. MayLiveError: it is another
-    process's, which may still run. OSError: it cannot be written.
+    Its record has the `pid` and the `identity` of this process. MayLiveError: it belongs to another
+    process, which may still run. OSError: it cannot be written.
     """
     while True:
         try:
@@ -242,7 +243,7 @@ def _hold_by_name(path: Path, record: dict[str, Any]) -> BinaryIO:
 
 
 def _created(path: Path, record: dict[str, Any]) -> BinaryIO:
-    """The new file, open; FileExistsError if another process was faster."""
+    """Create the lock file and return it open; FileExistsError if another process was faster."""
     temporary, file, _ = new_temporary(path)
     try:
         _write_record(file, record)
@@ -262,10 +263,10 @@ def _created(path: Path, record: dict[str, Any]) -> BinaryIO:
 
 
 def _taken_over(path: Path, found: bytes, record: dict[str, Any]) -> BinaryIO | None:
-    """The file of a process that has ended, now this one's; None if another one was faster.
+    """Take over the file of a process that has ended; None if another process was faster.
 
     Only the process that holds the file named after the old content may replace that content. It
-    does so in one step, so that at no moment there is no file, which others would create.
+    does so in one step. So the file always exists, and no other process can create it.
     """
     claim = path.with_name(f".{path.name}.{hashlib.sha256(found).hexdigest()[:16]}")
     right = _hold_by_name(claim, record)
@@ -333,7 +334,7 @@ def _host_of(record: dict[str, Any]) -> str:
 
 
 def _start(pid: int) -> str:
-    """When the process started, in the system's own terms; empty where that is not known."""
+    """The start time of a process, as the system records it; empty if it is unknown."""
     try:
         boot = BOOT.read_text(encoding="ascii").strip()
         status = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")

@@ -20,15 +20,16 @@ KEY, WRITING, INPUTS = "masks", "writing", "inputs"
 
 
 def mask_name(photo: str) -> str:
-    """The name of the mask that is made for a photo, below the folder of its box."""
+    """The name of a photo's generated mask, below the folder of its box."""
     return f"{photo}.png"
 
 
 def box_folders(masks: Path, box: str) -> list[Path]:
-    """The folders that can have a box's masks, in that of all: one, or several of like names.
+    """The folders below `masks` that may contain a box's masks.
 
-    Their names may differ in case and in the Unicode form of accents (macOS decomposes them), if no
-    folder has exactly the box's. If there is none, the one to make.
+    This is the folder with exactly the box's name. If there is none, it is all folders whose names
+    differ only in case or in the Unicode form of accents (macOS decomposes them). If there is none
+    of these either, it is the folder to create.
     """
     exact = masks / box
     try:
@@ -41,10 +42,10 @@ def box_folders(masks: Path, box: str) -> list[Path]:
 
 
 def used_mask(beside: Path | None, in_run: Path | None, folder: Path) -> Path | None:
-    """The mask that is used for a photo that may have two: the one rule, for engine and add-on.
+    """Choose the mask of a photo that may have two; engine and add-on share this rule.
 
-    A person's mask beside the photos; else the run folder's, which is newer than one that was made
-    beside the photos; else that one.
+    A user's mask beside the photos comes first, then the run folder's mask, then a generated mask
+    beside the photos, which is older.
 
     Args:
         beside: the mask in `folder`; None: it has none.
@@ -58,19 +59,19 @@ def used_mask(beside: Path | None, in_run: Path | None, folder: Path) -> Path | 
 
 
 def generated_masks(folder: Path) -> dict[str, str]:
-    """Name -> SHA-256 of the masks that were made and not changed; a damaged record has none."""
+    """The unchanged generated masks, name -> SHA-256; empty if the record is damaged."""
     recorded = _recorded(folder).items()
     found = {name: _unchanged(folder / name, digests) for name, digests in recorded}
     return {name: digest for name, digest in found.items() if digest}
 
 
 def made_of(folder: Path) -> dict[str, object]:
-    """Name -> hash of what a mask was made of, as far as that is known."""
+    """Name -> hash of the mask's inputs, where it is known."""
     return _part(read_record(folder / MADE), INPUTS)
 
 
 def _recorded(folder: Path) -> dict[str, list[object]]:
-    """Name -> the digests that the record has of it; only names inside the folder."""
+    """Name -> recorded digests; names that lead out of the folder are skipped."""
     record = read_record(folder / MADE)
     found: dict[str, list[object]] = {}
     for key in (KEY, WRITING):
@@ -104,9 +105,9 @@ def record_masks(
 
     Args:
         folder: of the masks.
-        masks: those that are there, name -> SHA-256.
-        writing: those that are written next.
-        made_of: name -> hash of what a mask was made of.
+        masks: the finished ones, name -> SHA-256.
+        writing: the ones to be written next.
+        made_of: name -> hash of the mask's inputs.
     """
     record: dict[str, Mapping[str, object]]
     record = {KEY: masks, WRITING: writing or {}, INPUTS: made_of or {}}
@@ -114,7 +115,7 @@ def record_masks(
 
 
 def remove_masks(folder: Path) -> int:
-    """Remove the masks that were made, and their record; returns how many. A person's stay.
+    """Remove generated masks and their record; returns their number. A user's masks stay.
 
     RunFolderError: one cannot be removed, or a folder is a link.
     """

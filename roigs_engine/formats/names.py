@@ -37,10 +37,10 @@ def safe_name(name: str) -> str:
 
 
 def inner_path(name: object) -> PurePosixPath | None:
-    """A name that a file says, as a path inside a folder; None if it is none, or leads out of it.
+    """Convert a name from a file to a path in a folder; None if it is invalid or leads out.
 
-    By the rules of POSIX and of Windows at once, whose paths may begin with a drive. On Windows,
-    names of devices are none either.
+    The name must be valid under the rules of both POSIX and Windows, where a path may begin with a
+    drive. On Windows, device names are invalid, too.
     """
     if not isinstance(name, str) or "\0" in name or not _is_encodable(name):
         return None
@@ -52,14 +52,14 @@ def inner_path(name: object) -> PurePosixPath | None:
 
 
 def usable_path(name: object) -> str:
-    """A path that a file says, of any folder; ValueError: no system has it."""
+    """Check a path from a file; it may be in any folder. ValueError: no system allows it."""
     if not isinstance(name, str) or "\0" in name or not _is_encodable(name):
         raise ValueError(f"{name!a:.60} is not a path")
     return name
 
 
 def _is_encodable(name: str) -> bool:
-    """Whether a file system can have the name: half of a surrogate pair is in none."""
+    """Whether a file system can have the name; none has half of a surrogate pair."""
     try:
         return bool(name.encode("utf-8", "surrogateescape"))
     except UnicodeEncodeError:
@@ -67,7 +67,7 @@ def _is_encodable(name: str) -> bool:
 
 
 def is_file_name(name: str) -> bool:
-    """Whether files can be called like that on every system."""
+    """Whether every system allows files of that name."""
     return (
         0 < len(name) <= MAX_NAME
         and name == name.strip()
@@ -90,7 +90,8 @@ def same_name(name: str) -> str:
 def _composed(name: str) -> str:
     """The name with its accents in one form (NFC).
 
-    That takes the square of the number of marks in a row; no part of a path is as long as this.
+    The time is quadratic in the number of marks in a row, so longer parts are left unchanged. No
+    file system has them.
     """
     parts = name.split("/")
     return "/".join(unicodedata.normalize("NFC", p) if len(p) <= LONG else p for p in parts)

@@ -14,13 +14,13 @@ NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP}
 
 
 class NoLocksError(Exception):
-    """The file system has no locks, as some network drives."""
+    """The file system has no locks, like some network drives."""
 
 
 if sys.platform == "win32":
     import msvcrt
 
-    # Windows keeps others from reading what is locked, so a byte far behind the text is locked.
+    # Windows keeps others from reading locked bytes, so the lock is on a byte far behind the text.
     LOCKED_BYTE = 1 << 30
 
     def take(file: BinaryIO) -> bool:
@@ -45,7 +45,7 @@ if sys.platform == "win32":
         return False
 
     def keep(file: BinaryIO) -> int | None:
-        """Nothing: an open file cannot be deleted."""
+        """Return None, without a lock: Windows does not delete open files."""
         return None
 
 else:

@@ -16,12 +16,12 @@ LINE = 1 << 16
 
 
 def is_other(path: Path, keys: Iterable[str], *, lines: bool = False) -> bool:
-    """Whether there is something that is none of ours, by what it `says_other`.
+    """Whether `path` is taken by something that the engine did not write (`says_other`).
 
     Args:
-        path: of a file; nothing needs to be there.
-        keys: that all of ours have.
-        lines: whether ours has an object in each line, of which the first is looked at.
+        path: of a file; it need not exist.
+        keys: that the engine's files of this kind have.
+        lines: the engine's file has one JSON object a line; only the first line is checked.
     """
     try:
         with open(path, "rb", opener=regular) as file:
@@ -33,9 +33,9 @@ def is_other(path: Path, keys: Iterable[str], *, lines: bool = False) -> bool:
 
 
 def says_other(data: bytes, keys: Iterable[str]) -> bool:
-    """Whether a file's bytes are none of ours: no JSON object with these keys.
+    """Whether a file's bytes are not the engine's: not a JSON object with these keys.
 
-    An empty file, or one with only zeros, as after a crash of the computer, belongs to nobody.
+    False for an empty file, or one with only zeros: a crash of the computer leaves such files.
     """
     if not data.strip(b"\0 \r\n"):
         return False
@@ -46,15 +46,15 @@ def says_other(data: bytes, keys: Iterable[str]) -> bool:
 
 
 def first_other(folder: Path, files: Mapping[str, Iterable[str]]) -> Path | None:
-    """The first of these files, name -> keys of ours, that is somebody else's; None: none is."""
+    """The first of `files` (name -> the engine's keys) that another program wrote, or None."""
     paths = ((folder / name, keys) for name, keys in files.items())
     return next((path for path, keys in paths if is_other(path, keys)), None)
 
 
 def write_beside(path: Path, files: Mapping[str, bytes]) -> None:
-    """Write files, name -> content, that belong to `path`, which is written after them.
+    """Write files (name -> content) beside `path`; the caller writes `path` after them.
 
-    RunFolderError: one of that name is there without `path`, so it is somebody else's.
+    RunFolderError: `path` does not exist, but another file has one of these names.
     """
     for name, data in files.items() if not os.path.lexists(path) else ():
         beside = path.with_name(name)

@@ -36,7 +36,8 @@ def model_suffix(folder: Path) -> str | None:
 def model_folders(project: Path) -> list[Path]:
     """The folders with a model: `sparse`, the project itself, and their numbered subfolders.
 
-    If there is none, those in the first of the folders `INNER` with any.
+    If there is none, the same places are searched in each of the folders `INNER`, up to the first
+    with a model.
     """
     for root in map(project.joinpath, INNER):
         places: list[Path] = []
@@ -50,10 +51,10 @@ def model_folders(project: Path) -> list[Path]:
 
 
 def folders_above(model: Path) -> list[Path]:
-    """The model's folder and those above it, up to the project's.
+    """The model's folder and its parents, up to the project's.
 
-    That is the one that holds `sparse` (at most two up) or, if this is one of `INNER`, the one
-    that holds it.
+    The project's folder contains `sparse` (at most two levels up). If that folder is one of
+    `INNER`, the project's folder is the one that contains it.
     """
     roots = [model.absolute()]
     for folder in model.absolute().parents[:2]:
@@ -69,14 +70,14 @@ def folders_above(model: Path) -> list[Path]:
 
 
 def project_folder(folder: Path) -> Path:
-    """The project that a folder stands for: its folder of photos does, if it holds no model."""
+    """The project of a folder: a folder of photos without a model stands for the one above."""
     if folder.name in PHOTO_FOLDERS and not model_folders(folder) and model_folders(folder.parent):
         return folder.parent
     return folder
 
 
 def top_folder(folder: Path) -> Path:
-    """The folder of a project, of which `sparse`, `sparse/0` or `images` may be given."""
+    """The folder of a project; `folder` may also be its `sparse`, `sparse/0` or `images`."""
     while folder.parent.name and (SPARSE in (folder.name, folder.parent.name)):
         folder = folder.parent
     photos = folder.name.startswith(PHOTO_FOLDERS[0]) and os.path.isdir(folder.parent / SPARSE)
@@ -84,11 +85,11 @@ def top_folder(folder: Path) -> Path:
 
 
 def refined_folder(colmap: Path) -> Path:
-    """The folder of the refined model, for the folder of a project or of one of its models.
+    """The folder of the refined model of a project or of one of its models.
 
-    A project's folder of photos stands for the project. In a project with `sparse` it is
-    `sparse/refined`; for a model `sparse/1`, `sparse/refined-1`. No two models share one, and the
-    engine finds the project's photos from there.
+    A project's folder of photos stands for the project. A project with `sparse` has it at
+    `sparse/refined`, and a model `sparse/1` at `sparse/refined-1`. No two models share a folder,
+    and the engine finds the project's photos from there.
     """
     colmap = project_folder(colmap)
     for inside in (colmap / inner / SPARSE for inner in INNER):
@@ -102,7 +103,7 @@ def refined_folder(colmap: Path) -> Path:
 
 
 def is_refined_name(folder: Path) -> bool:
-    """Whether the folder is called like that of a refined model."""
+    """Whether the folder has the name of a refined model's folder."""
     return folder.name == REFINED or folder.name.startswith(f"{REFINED}-")
 
 
@@ -112,7 +113,7 @@ def is_refined_model(folder: Path) -> bool:
 
 
 def is_outdated(folder: Path) -> bool:
-    """Whether a model that the refined one may have been made from is newer."""
+    """Whether a possible source of the refined model is newer than it."""
     parent = folder.parent
     models = [parent, *(child for child in parent.glob("*") if child.name.isdecimal())]
     return _newest(models) > _newest([folder])

@@ -13,7 +13,10 @@ LARGEST = 1e15
 
 
 def scores_of_result(run: Path) -> dict[str, dict[str, float]]:
-    """Box -> the finite numbers of the run's own model, its last row; damaged ones are left out."""
+    """Read the scores of the run's model (a box's last row): box -> name -> finite number.
+
+    Damaged entries are skipped.
+    """
     boxes = read_record(run / REPORT_DATA).get("rois")
     found: dict[str, dict[str, float]] = {}
     for box in boxes if isinstance(boxes, list) else ():

@@ -33,7 +33,7 @@ FAR = 1e15  # world units; larger coordinates come from damaged files and overfl
 class RoiRecord:
     """One box of the file."""
 
-    name: str  # unique within a file; files are called by it
+    name: str  # unique within a file; used in file names
     world_to_box: Float64  # (4, 4) rigid transform from the COLMAP frame; the centre maps to 0
     half_extents: Float64  # (3,) half side lengths, world units
 
@@ -45,7 +45,7 @@ class RoiRecord:
         """The box between two corners, (3,) each, along the axes of the COLMAP frame."""
         low_, high_ = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
         transform = np.eye(4)
-        with np.errstate(all="ignore"):  # the sum of two huge corners is refused as it is
+        with np.errstate(all="ignore"):  # the check below refuses overflow, too
             transform[:3, 3] = -(low_ + high_) / 2
             return cls(name=name, world_to_box=transform, half_extents=(high_ - low_) / 2)
 
@@ -59,7 +59,7 @@ class RoiRecord:
 
 
 def check_roi_name(name: str) -> str:
-    """The name; RoiError where its files cannot be called by it on every system."""
+    """Return the name; RoiError if files cannot have it on every system."""
     if not is_file_name(name):
         raise RoiError(f"'{name:.{MAX_NAME}}' cannot name a file.", NAME_HINT)
     if name.casefold().endswith(ENDINGS):
@@ -71,7 +71,7 @@ def check_roi_name(name: str) -> str:
 
 
 def _check_box(name: str, world_to_box: Float64, half_extents: Float64) -> None:
-    """Raise RoiError where the numbers are not a box's."""
+    """Raise RoiError if the numbers are not a valid box."""
     values = np.concatenate([world_to_box.ravel(), half_extents])
     if not (np.abs(values) < FAR).all():  # catches NaN too
         raise RoiError(
@@ -93,9 +93,9 @@ def _check_box(name: str, world_to_box: Float64, half_extents: Float64) -> None:
 
 
 def roi_record(record: Any) -> RoiRecord:
-    """A box from `{"name", "min", "max"}` or `{"name", "world_to_box", "half_extents"}`.
+    """Read a box from `{"name", "min", "max"}` or `{"name", "world_to_box", "half_extents"}`.
 
-    A mirrored `world_to_box` is the same volume as with its first axis reversed, and becomes that.
+    The first axis of a mirrored `world_to_box` is reversed; the volume stays the same.
     RoiError: a key is missing, a value has the wrong shape, or the matrix is not rigid.
     """
     if not isinstance(record, dict) or not isinstance(record.get("name"), str):
@@ -113,7 +113,7 @@ def roi_record(record: Any) -> RoiRecord:
         raise RoiError(f"Box '{name}' has no {error}.", FORM_HINT) from error
     except (ValueError, OverflowError) as error:
         raise RoiError(f"Box '{name}': {error}.", FORM_HINT) from error
-    with np.errstate(all="ignore"):  # a matrix of huge numbers is refused as it is
+    with np.errstate(all="ignore"):  # huge numbers are refused below
         if is_mirrored(transform):
             transform[0] *= -1
     return RoiRecord(name=name, world_to_box=transform, half_extents=half_extents)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 MANIFEST = "manifest.json"  # what the run was made for: boxes, photos, settings
-SETTINGS = "settings.json"  # the options that it was asked for with: an options file
+SETTINGS = "settings.json"  # the options of the request, as an options file
 PROVENANCE = "provenance.json"
 SPLIT = "split.json"
 LOCK = "run.lock"
@@ -14,7 +14,7 @@ STAGES, STAGES_FILE = "stages", "stages.json"
 """A folder for each stage, `NAME-FINGERPRINT`, and the list of those of the present settings."""
 EARLIER = "earlier"
 """Results of earlier settings: a folder for each, named after a hash of their manifest."""
-CACHE, UNDISTORTED, MASKS = "cache", "undistorted", "masks"  # the latter two are in the former
+CACHE, UNDISTORTED, MASKS = "cache", "undistorted", "masks"  # the last two are inside the first
 EXPOSURES = "exposures.json"  # in the cache: photo -> stops by which it is levelled
 OBJECT_MASKS = "blender/masks"
 """Masks of objects that Blender could not write beside the photos: a folder for each box."""
@@ -70,18 +70,18 @@ _OF_BATCH = {BATCH_LOCK, BATCH, BATCH_ROWS, BATCH_OUTPUTS}
 
 
 def is_of_batch(name: str) -> bool:
-    """Whether a batch, or a run, writes a file or folder of that name; case does not count.
+    """Whether a batch or a run writes a file or folder of that name; case is ignored.
 
-    On a store, names that begin with a dot are those of commits, leases and contents.
+    On a store, commits, leases and contents have names that begin with a dot.
     """
     return name.startswith(".") or name.casefold() in _OF_BATCH or is_own(name)
 
 
 def is_own(name: str) -> bool:
-    """Whether a run writes a file or folder of that name; case does not count."""
+    """Whether a run writes a file or folder of that name; case is ignored."""
     return name.casefold() in _NAMES
 
 
 def mirrored(panorama: Path) -> Path:
-    """Beside the file of a panorama: the same for mirrors, without a guess of lamps out of view."""
+    """The path of a panorama's variant for mirrors, without guessed lamps out of view."""
     return panorama.with_stem(f"{panorama.stem}-mirror")

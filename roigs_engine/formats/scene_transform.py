@@ -26,7 +26,7 @@ Float64 = NDArray[np.float64]
 FILE = "roigs_placement.json"
 FAR = 1e15  # as for boxes
 MOST_CAMERAS, MOST_TRANSFORMS = 32, 8
-# Of the largest distance of a camera from their mean: refined cameras move less.
+# Share of the largest distance of a camera from their mean: refined cameras move less.
 SAME = 0.01
 HINT = "Delete it, or place the scene in Blender again."
 
@@ -50,12 +50,12 @@ class SceneTransform:
 
 
 def transform_file(colmap: Path) -> Path:
-    """The file of a project, of which a model's folder may be given."""
+    """The file of a project; `colmap` may also be a model's folder."""
     return top_folder(Path(os.path.abspath(colmap))) / FILE
 
 
 def some_cameras(cameras: Mapping[str, Float64]) -> dict[str, Float64]:
-    """As many of the cameras as a file keeps, evenly over the names."""
+    """At most `MOST_CAMERAS` of the cameras, evenly over their sorted names."""
     names = sorted(cameras)
     return {name: cameras[name] for name in names[:: -(-len(names) // MOST_CAMERAS) or 1]}
 
@@ -85,7 +85,7 @@ def transform_among(
 
 
 def document(transform: SceneTransform, others: list[SceneTransform]) -> str:
-    """The text of a file with a transform, and those of `others` that are of other models."""
+    """The text of a file with a transform, and with those of `others` for other models."""
     kept = [other for other in others if not other.is_of(transform.cameras)]
     records = [
         {

@@ -22,13 +22,13 @@ RANDOM = r"[a-z0-9_]{8}"  # what `mkdtemp` appends
 
 @contextmanager
 def scratch(prefix: str, place: Path | None = None) -> Iterator[Path]:
-    """A new folder `PREFIX...` for temporary files, removed in the end.
+    """Create a folder `PREFIX...` for temporary files; remove it at the end.
 
-    Those of the same name that killed processes of this user have left are removed, too.
+    Folders with this prefix that killed processes of this user have left are removed, too.
 
     Args:
         prefix: of its name.
-        place: where it is; None: in the system's folder for temporary files.
+        place: the folder above it; None: the system's folder for temporary files.
 
     Raises:
         OSError: it cannot be made.
@@ -41,7 +41,7 @@ def scratch(prefix: str, place: Path | None = None) -> Iterator[Path]:
 
 
 def new_scratch(prefix: str, place: Path | None = None) -> tuple[Path, BinaryIO]:
-    """As `scratch`, for a folder that `remove_scratch` removes with what is returned."""
+    """Create a folder as `scratch` does; pass the returned pair to `remove_scratch`."""
     place = Path(tempfile.gettempdir()) if place is None else place
     for abandoned in matching(place, f"{prefix}*"):
         if re.fullmatch(re.escape(prefix) + RANDOM, abandoned.name):
@@ -70,7 +70,7 @@ def remove_scratch(folder: Path, owner: BinaryIO) -> None:
 
 
 def _remove_abandoned(folder: Path) -> None:
-    """Remove a folder of this user's whose process has ended; OSError: it is another's, or none."""
+    """Remove a folder of this user whose process has ended; OSError: it cannot be opened."""
     status = os.lstat(folder)
     if is_link(folder) or not stat.S_ISDIR(status.st_mode):
         return
@@ -81,6 +81,6 @@ def _remove_abandoned(folder: Path) -> None:
             if not os_lock.take(owner):
                 return
     except FileNotFoundError:
-        folder.rmdir()  # if it is empty: its process was killed before it had the mark
+        folder.rmdir()  # if it is empty: its process was killed before it wrote the file
         return
     shutil.rmtree(folder, ignore_errors=True)

@@ -15,7 +15,7 @@ from .transforms import numbers
 
 OBJECT, BACKGROUND = "object", "background"
 """Kinds of strokes."""
-MOST = 1e6  # pixels; larger numbers are no places in a photo
+MOST = 1e6  # pixels; larger numbers cannot be in a photo
 MOST_POINTS = 500_000
 """Of all strokes of a file: hours of a hand's work. Each of a wide stroke takes 0.3 ms to draw."""
 HINT = (

@@ -35,8 +35,8 @@ Float32 = NDArray[np.float32]
 Floats = NDArray[np.float32] | NDArray[np.float64]
 Check = Callable[[], None]
 """Called between the parts of long work; it raises `Stopped` if a stop was requested."""
-ROWS, LINES = 1 << 18, 1 << 14  # Gaussians that are read at once; those of an ASCII PLY
-# What a PLY may call its scalar types, and how numpy reads them.
+ROWS, LINES = 1 << 18, 1 << 14  # Gaussians read at once: binary, ASCII
+# Scalar types of a PLY -> numpy's.
 SCALARS = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
     "float": "f4", "double": "f8",
@@ -71,14 +71,14 @@ FILTER_LINE = re.compile(rb"^property\s+\S+\s+" + FILTER.encode() + rb"\s*$", re
 
 
 class Made(TypedDict):
-    """How Gaussians were made, as far as their drawing depends on it."""
+    """How Gaussians were made, where this affects drawing."""
 
     target: Target
-    photo_focal: float | None  # of the photos that they were trained on, pixels; None: unknown
+    photo_focal: float | None  # of the training photos, pixels; None: unknown
 
 
 def nothing() -> None:
-    """The default of a `Check`."""
+    """Do nothing: the default `Check`."""
 
 
 def _columns(rest: int) -> list[str]:
@@ -97,16 +97,15 @@ def write_ply(
     more: Mapping[str, Float32] | None = None,
     durable: bool = True,
 ) -> None:
-    """Write Gaussians under `path`, whole or not at all.
+    """Write Gaussians to `path` atomically.
 
     Args:
         path: the file to write.
-        arrays: `means` (N, 3), float32 or, to be written as double, float64; float32 `quats`
-            (N, 4), `log_scales` (N, 3), `logit_opacities` (N,), `sh` (N, K, 3) with K = 1, 4, 9
-            or 16.
-        target, photo_focal: as `Made`.
-        more: float properties (N,) of other names, which viewers ignore.
-        durable: as `atomic_write`.
+        arrays: `means` (N, 3), float32 or float64 (written as double); float32 `quats` (N, 4),
+            `log_scales` (N, 3), `logit_opacities` (N,), `sh` (N, K, 3) with K = 1, 4, 9 or 16.
+        target, photo_focal: as in `Made`.
+        more: further float properties, name -> (N,); viewers ignore them.
+        durable: as in `atomic_write`.
     """
     sh, more = arrays["sh"], more or {}
     count, bands = sh.shape[:2]
@@ -151,9 +150,7 @@ def made_of(path: str | Path) -> Made:
 
 
 def photo_focal_of(path: str | Path) -> float | None:
-    """The focal length of the photos of a PLY's Gaussians, if the file records one; raises as
-    `target_of`.
-    """
+    """The focal length of a PLY's training photos, if recorded; raises as `target_of`."""
     return _photo_focal(_head(path))
 
 
@@ -165,22 +162,21 @@ def _photo_focal(head: bytes) -> float | None:
 
 
 def usable_focal(value: float) -> float | None:
-    """A focal length in pixels that photos can have; None: this is none."""
+    """Return a focal length in pixels if photos can have it, else None."""
     return value if LEAST_FOCAL <= value <= MOST_FOCAL else None
 
 
 def read_ply(path: str | Path, check: Check = nothing) -> dict[str, Floats]:
-    """The arrays of `write_ply`, read by property name.
+    """Read the arrays of `write_ply` by property name.
 
-    `means` is float64 if the file has double `x y z`; everything else is float32. Files without
-    normals and with fewer SH bands are accepted; of SH above degree 3, the lower ones are kept.
+    `means` is float64 if the file has double `x y z`; everything else is float32. Normals may be
+    missing, and any degree of SH is read; bands above degree 3 are dropped.
     Colours may be bytes `red green blue`, as nerfstudio writes them with `--ply-color-mode rgb`.
     Mip-Splatting's `filter_3D` is applied; other extra properties and elements are ignored.
     `check` is called while reading.
 
     Raises:
-        RunFolderError: the file is missing, truncated, or not a PLY of Gaussians; one line that
-            says which.
+        RunFolderError: the file is missing, truncated, or not a PLY of Gaussians.
     """
     parts = []
     for rows in _tables(path, check):
@@ -188,13 +184,13 @@ def read_ply(path: str | Path, check: Check = nothing) -> dict[str, Floats]:
         parts.append(_decode(rows, path))
     if len(parts) == 1:
         return parts[0]
-    # The parts of an array are freed when it is whole: a file may fill half of the memory.
+    # Free each array's parts once they are joined: a file may fill half of the memory.
     names = list(parts[0])
     return {name: np.concatenate([part.pop(name) for part in parts]) for name in names}
 
 
 def up_axis(path: str | Path) -> tuple[float, float, float] | None:
-    """The direction that points up by the comments of a PLY, compressed or not; None: not said.
+    """The up direction that a PLY's comments state (compressed or not); None: they state none.
 
     RunFolderError: it cannot be read.
     """
@@ -241,7 +237,7 @@ def _head(path: str | Path) -> bytes:
 
 
 def check_ply(path: str | Path) -> None:
-    """Raise as `read_ply`, from the header and the size of the file alone."""
+    """Check only the header and the size of the file; raises as `read_ply`."""
     _decode(next(_tables(path, nothing, only_header=True)), path)
 
 
@@ -251,14 +247,14 @@ class Element:
 
     name: str
     count: int
-    fields: dict[str, str]  # name -> type, without byte order; of a list, that of its values
-    lists: dict[str, str]  # name -> type of the length, of the fields that are lists
+    fields: dict[str, str]  # name -> type, without byte order; for a list, its values' type
+    lists: dict[str, str]  # only fields that are lists: name -> type of the length
 
 
 def _tables(
     path: str | Path, check: Check, *, only_header: bool = False
 ) -> Iterator[NDArray[np.void]]:
-    """The rows of the vertices, in one part or more; with `only_header`, a part without rows."""
+    """Yield the vertices' rows in parts; with `only_header`, one part without rows."""
     try:
         with open(path, "rb", opener=regular) as file:
             form, elements = read_header(file, path)
@@ -270,7 +266,7 @@ def _tables(
                 _check_lines(file, elements, row, path, check)
             else:
                 _skip(file, elements[:-1], order, path, check)
-            # Before memory is allocated for what a header promises.
+            # Check this before allocating memory: a damaged header may promise any number.
             there = max(os.fstat(file.fileno()).st_size - file.tell(), 0) // row.itemsize
             if form != "ascii" and there < count:
                 raise _truncated(path, there, count)
@@ -296,7 +292,7 @@ def _truncated(path: str | Path, there: int, count: int) -> RunFolderError:
 def _skip(
     file: BinaryIO, elements: list[Element], order: str, path: str | Path, check: Check
 ) -> None:
-    """Move `file` behind binary elements that come before the vertices."""
+    """Move `file` past the binary elements before the vertices."""
     size, big = os.fstat(file.fileno()).st_size, order == ">"
     for element in elements:
         columns = [
@@ -329,9 +325,9 @@ def _check_lines(
     path: str | Path,
     check: Check,
 ) -> None:
-    """Move `file` behind the lines before the vertices; RunFolderError if these cannot follow."""
+    """Move `file` past the lines before the vertices; RunFolderError if it is too short."""
     count = elements[-1].count
-    # As short as a line can be: a digit and a space or line break for each number.
+    # The shortest line has a digit and a space or line break for each number.
     most = (os.fstat(file.fileno()).st_size - file.tell() + 1) // (2 * len(row.names or ()))
     if most < count:
         raise _truncated(path, most, count)
@@ -345,12 +341,12 @@ def _check_lines(
 def _text_rows(
     file: BinaryIO, count: int, row: np.dtype[np.void], path: str | Path, check: Check
 ) -> Iterator[NDArray[np.void]]:
-    """The vertices of an ASCII PLY, each in a line of its own, in parts."""
+    """Yield the vertices of an ASCII PLY, one a line, in parts."""
     names = row.names or ()
     lines = filter(bytes.strip, _lines(file, path, check))
     for start in range(0, count, LINES):
         part = [*islice(lines, min(LINES, count - start))]
-        # Before memory is taken for so many numbers in every row.
+        # Check this before allocating memory for so many numbers in every row.
         if part and (width := len(part[0].split())) != len(names):
             text = f"{path} is damaged: its Gaussians have {width} of {len(names)} numbers."
             raise RunFolderError(text, HINT_DAMAGED)
@@ -388,7 +384,7 @@ def _line(file: BinaryIO, path: str | Path) -> bytes:
 
 
 def read_header(file: BinaryIO, path: str | Path) -> tuple[str, list[Element]]:
-    """Format and elements of a PLY; `file` is left at the first row. RunFolderError: it is none."""
+    """Read a PLY's format and elements, up to its first row; RunFolderError: it is no PLY."""
     head = file.read(MAX_HEADER)
     end = re.search(rb"\nend_header\r?\n", head)
     if not re.match(rb"ply\r?\n", head) or (end is None and len(head) < MAX_HEADER):
@@ -417,7 +413,7 @@ def read_header(file: BinaryIO, path: str | Path) -> tuple[str, list[Element]]:
 
 
 def _up_to_vertices(elements: list[Element], path: str | Path) -> list[Element]:
-    """The elements up to the vertices, which are last; RunFolderError: they are no Gaussians."""
+    """The elements up to and including the vertices; RunFolderError: they are no Gaussians."""
     place = [k for k, element in enumerate(elements) if element.name == "vertex"]
     if any(element.name == "chunk" for element in elements):
         raise RunFolderError(f"{path} is a compressed PLY.", "Save it uncompressed.")
@@ -429,7 +425,7 @@ def _up_to_vertices(elements: list[Element], path: str | Path) -> list[Element]:
 
 
 def _add_property(element: Element, words: list[str], line: str, path: str | Path) -> None:
-    """Add a line of the header to its element; lists can only be in elements that are skipped."""
+    """Add a property line of the header to its element; vertices must not have lists."""
     match words:
         case [kind, name] if kind in SCALARS and name not in element.fields:
             element.fields[name] = SCALARS[kind]
@@ -496,10 +492,10 @@ def _decode(table: NDArray[np.void], path: str | Path) -> dict[str, Floats]:
 def _blurred(
     log_scales: Float32, logit_opacities: Float32, blur: Float32
 ) -> tuple[Float32, Float32]:
-    """Logarithms of scales (N, 3), and logits (N,), after a blur in space (N,), world units.
+    """Log scales (N, 3) and opacity logits (N,) after a blur in space (N,), world units.
 
     Mip-Splatting's 3D smoothing filter (Yu et al. 2024, sec. 5.1), as its renderer applies it: the
-    opacity falls as the volume grows, so that the integral is the same.
+    opacity falls as the volume grows, so the integral does not change.
     """
     log_scales, logit_opacities = log_scales.copy(), logit_opacities.copy()
     rows = blur != 0  # the others stay as they are, flat ones included

@@ -13,10 +13,9 @@ FOLDER = re.compile(r"[^/\\:\x00-\x1f\ud800-\udfff]+-[0-9a-f]{8}")
 
 
 def write_stage_list(run: Path, stages: Mapping[str, Path]) -> None:
-    """Add stages to the list: their names, and their folders in `run`/stages.
+    """Add stages to the list: name -> folder in `run`/stages.
 
-    Stages that only another command needs (baselines) stay in it. RunFolderError: the file cannot
-    be written.
+    Stages of other commands (baselines) stay in it. RunFolderError: the file cannot be written.
     """
     known = read_stage_list(run)
     now = {**known, **stages}
@@ -26,7 +25,7 @@ def write_stage_list(run: Path, stages: Mapping[str, Path]) -> None:
 
 
 def read_stage_list(run: Path) -> dict[str, Path]:
-    """Stage -> its folder, in the order of training; empty if there is no list that can be read.
+    """Read the list: stage -> folder, in training order; empty if it is missing or unreadable.
 
     A folder need not exist: the list is written before the first stage is trained.
     """

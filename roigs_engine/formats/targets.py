@@ -17,8 +17,8 @@ class Target:
 
     Attributes:
         name: in options and files.
-        title: what people call it.
-        help: which renderers these are, in a line.
+        title: for users.
+        help: one line: which renderers these are.
         antialiased: a Gaussian below a pixel's size is fainter, not larger (Mip-Splatting, Yu et
             al. 2024, sec. 5.2); False: 3DGS.
         linear_light: each Gaussian's colour becomes linear light, and light is blended; False: sRGB
@@ -57,8 +57,8 @@ PLAIN = Target(
     antialiased=False,
     linear_light=False,
 )
-# Blender 5.3, intern/cycles/kernel/geom/gsplat.h. Cycles averages over the pixel, which looks as if
-# each Gaussian was as much larger, and fainter.
+# Blender 5.3, intern/cycles/kernel/geom/gsplat.h. Cycles averages over the pixel. This has the same
+# effect as a larger and fainter Gaussian.
 CYCLES = Target(
     name="cycles",
     title="Blender 5.3, Cycles",
@@ -67,7 +67,7 @@ CYCLES = Target(
     linear_light=True,
     blur=BOX,
 )
-# Blender 5.3, draw_gsplat_lib.bsl.hh: read, not seen.
+# From the source of Blender 5.3, draw_gsplat_lib.bsl.hh; not compared with renders.
 EEVEE = Target(
     name="eevee",
     title="Blender 5.3, EEVEE",
@@ -79,6 +79,6 @@ TARGETS = {target.name: target for target in (VIEWERS, PLAIN, CYCLES, EEVEE)}
 
 
 def target_with(*, antialiased: bool, linear_light: bool = False) -> Target:
-    """The target that draws so."""
+    """The target with these settings."""
     wanted = antialiased, linear_light
     return next(t for t in TARGETS.values() if (t.antialiased, t.linear_light) == wanted)

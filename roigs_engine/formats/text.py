@@ -1,4 +1,4 @@
-"""Decodes text and JSON, also written by hand; formats names and numbers for sentences."""
+"""Decodes text and JSON, also if written by hand; formats names and numbers for messages."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class RepeatedKeyError(ValueError):
 
 
 def decode_text(data: bytes, *, replace: bool = False) -> str:
-    """UTF-8 text, with or without a byte order mark, which some editors write.
+    """Decode UTF-8 text, with or without a byte order mark (some editors write one).
 
     Args:
         data: the file's bytes.
-        replace: bytes that are no UTF-8 become U+FFFD; else they are an error.
+        replace: bytes that are not UTF-8 become U+FFFD; otherwise they raise an error.
 
     Raises:
         ValueError: the text has another encoding; the message says which, if that is known.
@@ -48,11 +48,11 @@ def decode_text(data: bytes, *, replace: bool = False) -> str:
 
 
 def parse_json(data: bytes) -> Any:
-    """The JSON value of a file's bytes.
+    """Parse the JSON value in a file's bytes.
 
     Raises:
         RepeatedKeyError: an object has a key twice.
-        ValueError: it is none; the message says where or why.
+        ValueError: they are not JSON; the message says where or why.
     """
     text = decode_text(data)
     if not text.strip():
@@ -68,7 +68,10 @@ def parse_json(data: bytes) -> Any:
 
 
 def _loaded(text: str, margin: int = MARGIN) -> Any:
-    """The JSON value; RecursionError if it is nested so deeply that others could not write it."""
+    """Parse JSON `margin` calls deeper in the stack, so that callers can write or hash the value.
+
+    RecursionError: it is nested too deeply.
+    """
     if margin:
         return _loaded(text, margin - 1)
     return json.loads(text, object_pairs_hook=_object)
@@ -93,7 +96,7 @@ def first_line(error: Exception) -> str:
 
 
 def named(names: Sequence[str], most: int = NAMED) -> str:
-    """The names, or the first of them and how many more there are."""
+    """The first `most` names, and the number of the others."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
 
@@ -113,7 +116,7 @@ def duration(seconds: float) -> str:
 
 
 def in_columns(rows: Sequence[Sequence[str]], left: Container[int]) -> list[str]:
-    """The rows of a table as lines; the columns `left` are aligned there, the others right."""
+    """The rows of a table as lines; columns in `left` are left-aligned, others right-aligned."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
         "  ".join(
@@ -125,7 +128,7 @@ def in_columns(rows: Sequence[Sequence[str]], left: Container[int]) -> list[str]
 
 
 def in_gb(size: int) -> str:
-    """A number of bytes for a message."""
+    """A number of bytes in GB or MB, for a message."""
     return f"{size / 1e9:.1f} GB" if size >= 1e8 or not size else f"{max(1, size // 10**6)} MB"
 
 

@@ -16,10 +16,12 @@ TOLERANCE = 1e-4  # of the products of axes: matrices written with five digits p
 def numbers(
     value: Any, shape: tuple[int | None, ...], name: str, most: float = math.inf
 ) -> NDArray[np.float64]:
-    """A JSON value of this shape, None being any length but 0, and of numbers below `most`.
+    """Convert a JSON value to an array of this shape, with absolute values below `most`.
+
+    None in `shape` stands for any length but 0.
 
     Raises:
-        ValueError: it is none; the message begins with its `name`.
+        ValueError: the shape or a number is wrong; the message begins with `name`.
         OverflowError: an integer is too large.
     """
     array = np.array(value, dtype=object)
@@ -34,12 +36,12 @@ def numbers(
 
 
 def is_mirrored(matrix: NDArray[np.float64]) -> bool:
-    """Whether a (4, 4) matrix of axes at right angles also mirrors space."""
+    """Whether a (4, 4) matrix with orthogonal axes mirrors space."""
     return float(np.linalg.det(matrix[:3, :3])) < 0
 
 
 def rigid_flaw(matrix: NDArray[np.float64]) -> str:
-    """The reason why a (4, 4) matrix is not a rotation and a translation; may be empty."""
+    """The reason why a (4, 4) matrix is not a rotation and a translation; empty if it is one."""
     if not np.allclose(matrix[3], (0, 0, 0, 1), rtol=0, atol=1e-6):
         row = ", ".join(f"{number:g}" for number in matrix[3])
         return f"its last row is {row}, not 0, 0, 0, 1 (is it transposed?)"
@@ -52,7 +54,7 @@ def rigid_flaw(matrix: NDArray[np.float64]) -> str:
 
 
 def similarity_flaw(matrix: NDArray[np.float64]) -> str:
-    """The reason why a (4, 4) matrix is not a similarity; may be empty."""
+    """The reason why a (4, 4) matrix is not a similarity; empty if it is one."""
     scale = scale_of(matrix)
     if not SCALES[0] <= scale <= SCALES[1]:
         return f"its scale is {scale:g}"
@@ -63,6 +65,6 @@ def similarity_flaw(matrix: NDArray[np.float64]) -> str:
 
 
 def scale_of(matrix: NDArray[np.float64]) -> float:
-    """The scale of a (4, 4) similarity; of any other matrix, how much larger it makes volumes."""
+    """The scale of a (4, 4) similarity; in general, the cube root of the change in volume."""
     with np.errstate(all="ignore"):
         return float(np.cbrt(np.abs(np.linalg.det(matrix[:3, :3]))))

@@ -51,11 +51,11 @@ def whole_page(title: str, parts: Iterable[str], *, style: str = "", policy: str
 
 
 def html_text(text: str) -> str:
-    """One line that is text alone in HTML, attributes included."""
+    """Escape text, as one line, for HTML text and attributes."""
     return html.escape(printable(" ".join(text.split())))
 
 
 def picture(data: bytes, kind: str, alt: str = "") -> str:
-    """A picture inside the page; `kind` is `jpeg` or `png`."""
+    """An `img` element with the picture's data embedded; `kind` is `jpeg` or `png`."""
     source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
     return f'<img alt="{html_text(alt)}" src="{source}">'

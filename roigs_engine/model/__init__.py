@@ -1,1 +1,1 @@
-"""Values: scene, boxes, Gaussians, and which box owns which Gaussian."""
+"""Immutable values: scene, boxes, Gaussians; and which box owns a Gaussian."""

@@ -1,4 +1,4 @@
-"""Model of Gaussians: five tensors with one row per Gaussian."""
+"""The model of Gaussians: five tensors with one row per Gaussian."""
 
 from __future__ import annotations
 
@@ -43,10 +43,9 @@ class Gaussians:
         log_scales: (N, 3) natural logarithms of the standard deviations, world units.
         logit_opacities: (N,).
         sh: (N, K, 3) SH coefficients of colour minus 0.5, K = 1, 4, 9 or 16.
-        target: what they are made for. This belongs to the model: it looks right only as it was
-            trained.
-        photo_focal: focal length of the photos that they were trained on, pixels. Pictures with
-            another one have pixels of another size (`rasterize.view`). None: unknown.
+        target: the renderers that they were trained for. A model looks right only in these.
+        photo_focal: focal length of the training photos, pixels. Pictures with another focal length
+            have pixels of another size (`rasterize.view`). None: unknown.
     """
 
     means: Tensor
@@ -70,13 +69,13 @@ class Gaussians:
         return {name: getattr(self, name) for name in NAMES}
 
     def with_tensors(self, tensors: Mapping[str, Tensor]) -> Gaussians:
-        """The model with these tensors in place of its own; one that is not given is shared."""
+        """The model with these tensors instead of its own; it shares the others."""
         return Gaussians(
             **{**self.tensors(), **tensors}, target=self.target, photo_focal=self.photo_focal
         )
 
     def rows(self, index: Tensor) -> Gaussians:
-        """The Gaussians of a boolean mask (N,) or of row numbers, copied."""
+        """A copy of the Gaussians selected by a boolean mask (N,) or by row numbers."""
         rows = index.nonzero()[:, 0] if index.dtype == torch.bool else index
         # index_select copies whole rows; t[rows] copies single elements and takes 7 times as long
         # for sh
@@ -99,9 +98,9 @@ class Gaussians:
 
     @staticmethod
     def concatenate(parts: list[Gaussians]) -> Gaussians:
-        """The parts in one model, in their order; zeros stand for SH bands that a part lacks.
+        """Join the parts into one model, in their order; missing SH bands become zeros.
 
-        Of several focal lengths of photos, it has the longest. ConfigError: they are made for
+        The result has the longest focal length of photos. ConfigError: the parts are made for
         different targets.
         """
         titles = list(dict.fromkeys(part.target.title for part in parts))
@@ -161,7 +160,7 @@ class Gaussians:
         target: Target = PLAIN,
         photo_focal: float | None = None,
     ) -> Gaussians:
-        """The model of these arrays, by the names of the attributes."""
+        """Create a model from arrays, named as the attributes."""
         tensors = {
             name: torch.from_numpy(np.ascontiguousarray(arrays[name], dtype=np.float32))
             for name in NAMES
@@ -174,15 +173,15 @@ class Gaussians:
         frame: LocalFrame | None = None,
         more: Mapping[str, Float32] | None = None,
     ) -> None:
-        """Write a standard 3DGS PLY in the world, atomically; `frame`: of these Gaussians.
+        """Write a standard 3DGS PLY in the world frame, atomically.
 
-        `more`: as for `write_ply`.
+        `frame`: the frame of these Gaussians; `more`: as for `write_ply`.
         """
         arrays = self.arrays(frame)
         write_ply(path, arrays, self.target, photo_focal=self.photo_focal, more=more)
 
     def arrays(self, frame: LocalFrame | None = None) -> dict[str, Floats]:
-        """The five arrays by name, as a PLY has them, in the world; `frame`: of these Gaussians."""
+        """The five arrays by name, as in a PLY, in the world; `frame`: of these Gaussians."""
         arrays: dict[str, Floats] = {
             name: t.detach().cpu().numpy() for name, t in self.tensors().items()
         }
@@ -204,7 +203,7 @@ class Gaussians:
     def load_framed(
         cls, path: Path, check: Check = nothing, *, scaled: bool = True
     ) -> tuple[Gaussians, LocalFrame]:
-        """As `load_ply`, but with `framed`."""
+        """Read a 3DGS PLY as `load_ply`, in a frame of its own (`framed`); returns both."""
         return cls.framed(read_ply(path, check), scaled=scaled, **made_of(path))
 
     @classmethod
@@ -216,10 +215,10 @@ class Gaussians:
         target: Target = PLAIN,
         photo_focal: float | None = None,
     ) -> tuple[Gaussians, LocalFrame]:
-        """Arrays of a PLY in a frame of their own; returns both.
+        """Convert a PLY's arrays to a model in a frame of its own; returns both.
 
-        Without `scaled`, the frame is the world if the positions are float32; else it has the
-        world's unit. So all values stay bit for bit.
+        Without `scaled`, the frame is the world if the positions are float32; otherwise it has the
+        world's unit. So all values stay the same bit for bit.
         """
         made: Made = {"target": target, "photo_focal": photo_focal}
         if not scaled and arrays["means"].dtype == np.float32:
@@ -231,11 +230,11 @@ class Gaussians:
 
 
 def _to_world(arrays: Mapping[str, Floats], frame: LocalFrame) -> dict[str, Floats]:
-    """The arrays of Gaussians in a frame -> in the world; far centres become float64."""
+    """Convert arrays from a frame to the world; far centres become float64."""
     if frame.is_world:
         return dict(arrays)
     near = not frame.origin.any()
-    with np.errstate(all="ignore"):  # what float32 cannot hold becomes Inf
+    with np.errstate(all="ignore"):  # numbers too large for float32 become Inf
         means = arrays["means"].astype(np.float64) / frame.scale + frame.origin
         stored = means.astype(np.float32) if near else means
     log_scales = arrays["log_scales"] - np.float32(np.log(frame.scale))
@@ -246,7 +245,7 @@ def _to_local(arrays: Mapping[str, Floats], frame: LocalFrame) -> dict[str, Floa
     """The inverse of `_to_world`."""
     if frame.is_world:
         return dict(arrays)
-    with np.errstate(all="ignore"):  # what float32 cannot hold becomes Inf, and is not drawn
+    with np.errstate(all="ignore"):  # numbers too large for float32 become Inf; these are not drawn
         means = frame.points(arrays["means"].astype(np.float64)).astype(np.float32)
     log_scales = arrays["log_scales"] + np.float32(np.log(frame.scale))
     return {**arrays, "means": means, "log_scales": log_scales}

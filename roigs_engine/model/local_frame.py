@@ -2,8 +2,8 @@
 
 Constants with a length (the near plane, smallest scales) and the resolution of float32 would
 otherwise make a result depend on whether a scene is in millimetres, metres or map coordinates. So
-every trainer of splats normalises scenes. Here the change is exact: the scale is a power of 16, the
-origin a multiple of a power of two, and both are 1 and 0 for an ordinary model.
+every trainer of splats normalises scenes. Here the conversion is exact: the scale is a power of 16,
+the origin a multiple of a power of two. For an ordinary model they are 1 and 0.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from .roi import OrientedBox
 from .scene import Float64, SfmScene
 
 BASE = 16.0  # a scene's extent in its local frame is from 1 to BASE
-FAR = 1000.0  # local units; float32 resolves a pixel's fraction in a scene up to there
+FAR = 1000.0  # local units; up to here, float32 resolves a fraction of a pixel
 STEP = 64.0  # local units; the origin is a multiple of this
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LocalFrame:
-    """local = (world - origin) * scale.
+    """A frame with local = (world - origin) * scale.
 
     Attributes:
         origin: (3,) world units.
-        scale: local units in a world unit.
+        scale: local units per world unit.
     """
 
     origin: Float64
@@ -40,7 +40,7 @@ class LocalFrame:
 
     @classmethod
     def around(cls, points: Float64, extent: float) -> LocalFrame:
-        """The frame of points (N, 3) that are about `extent` apart, world units."""
+        """The frame for points (N, 3) that are about `extent` apart, world units."""
         if not (len(points) and 0 < extent < math.inf):
             return cls.world()
         exponent = (math.frexp(extent)[1] - 1) // 4  # floor of the logarithm to base 16
@@ -52,16 +52,16 @@ class LocalFrame:
 
     @classmethod
     def of_scene(cls, scene: SfmScene) -> LocalFrame:
-        """The frame of a scene's cameras."""
+        """The frame for a scene, from its cameras."""
         return cls.around(scene.centres(), scene.extent())
 
     @classmethod
     def of_centres(cls, means: Float64) -> LocalFrame:
-        """The frame of Gaussians without cameras, from their centres (N, 3); ignores NaN, Inf."""
+        """The frame for Gaussians without cameras, from centres (N, 3); ignores NaN and Inf."""
         good = means[np.isfinite(means).all(axis=1)]
         if len(good) == 0:
             return cls.world()
-        with np.errstate(over="ignore"):  # in a damaged file; then it is the world
+        with np.errstate(over="ignore"):  # in a damaged file; the frame is then the world
             distances = np.linalg.norm(good - np.median(good, axis=0), axis=1)
         return cls.around(good, float(np.median(distances)))
 
@@ -75,9 +75,9 @@ class LocalFrame:
         return np.asarray((world - self.origin) * self.scale)
 
     def transform(self, rigid: Float64) -> Float64:
-        """(4, 4) rigid transform from the world (`world_to_camera`, `world_to_box`) -> from here.
+        """Rigid transform (4, 4) from the world (`world_to_camera`, `world_to_box`) -> from here.
 
-        Lengths on its other side become local units too.
+        Lengths in its target frame become local units, too.
         """
         if self.is_world:
             return rigid

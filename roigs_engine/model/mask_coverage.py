@@ -17,7 +17,7 @@ from .scene import Camera, Float64, PhotoMask, PosedImage, SfmScene, project
 def counted_pixels(roi: OrientedBox, image: PosedImage, *, whole: bool = False) -> float:
     """Number of pixels in the box's silhouette that count; measured on a thumbnail.
 
-    In a photo with a mask of the box's object, only the object's count, unless `whole`.
+    If the photo has a mask of the box's object, only the object's pixels count, unless `whole`.
     """
     of_object = None if whole else image.objects.get(roi.name)
     masks = [mask for mask in (image.mask, of_object) if mask is not None]
@@ -43,7 +43,7 @@ def object_share(roi: OrientedBox, image: PosedImage) -> float | None:
 
 def _small(mask: PhotoMask, camera: Camera) -> NDArray[np.uint8]:
     """The mask at the size of a thumbnail's camera."""
-    # The mask is of the photo's full size, the camera may be that of a smaller copy.
+    # The mask is for the photo's full size; the camera may be for a smaller copy.
     rows = np.arange(camera.height) * mask.small.shape[0] // camera.height
     columns = np.arange(camera.width) * mask.small.shape[1] // camera.width
     return np.asarray(mask.small[np.ix_(rows, columns)])
@@ -55,9 +55,9 @@ HALF = 128  # least value of a small mask's pixel that shows the object
 def with_useful_masks(
     scene: SfmScene, rois: Sequence[OrientedBox], context: Context = QUIET
 ) -> SfmScene:
-    """The scene without masks of objects that show nothing in their box.
+    """Remove masks of objects that show nothing in their box.
 
-    Says how many there are of each box, and warns of those that are left out.
+    Reports the number of masks for each box, and warns of removed ones.
     """
     useless: dict[str, set[str]] = {}
     for roi in rois:
@@ -88,10 +88,10 @@ def with_useful_masks(
 def object_points(
     points: Float64, roi: OrientedBox, images: Iterable[PosedImage]
 ) -> NDArray[np.bool_]:
-    """(P, 3) points in the box -> (P,) whether they are the object's, by the masks of its photos.
+    """(P, 3) points in the box -> (P,) whether they are on the object, by the photos' masks.
 
-    A point is, unless more of the masks that it projects into show something else there. Points
-    that none shows, and all without masks, are.
+    Each mask that a point projects into votes. A point is rejected if most votes are against it.
+    Points without votes are kept.
     """
     votes = np.zeros(len(points), dtype=np.int64)
     for image in images:

@@ -31,7 +31,7 @@ Owners = Callable[[Gaussians, Sequence[OrientedBox]], Tensor]
 def merge(
     scene: Gaussians, objects: Sequence[tuple[OrientedBox, Gaussians]], owned: Owners = owners
 ) -> Gaussians:
-    """The scene model with the content of each box taken from that box's object model.
+    """Replace the content of each box in the scene model by that of the box's object model.
 
     The result has the scene's Gaussians that no box owns, in their order, then for each box the
     object model's Gaussians that this box owns. Models with fewer SH bands are padded with zeros.
@@ -53,11 +53,11 @@ changes between the frames of a fly-in were twice as large.
 
 
 def faded(logit_opacities: Tensor, density: float) -> Tensor:
-    """The logits (N,) of Gaussians of which only a share is there; 1 keeps every bit.
+    """Opacity logits (N,) of Gaussians faded to a share `density`; 1 keeps every bit.
 
-    Of a Gaussian that lets t >= LEAST of the light through, t^density comes through: through two
-    models of the same thing, with densities that add up to 1, as much light comes as through one.
-    The part of t that is below is scaled evenly from 1 to t / LEAST.
+    A transmittance t >= LEAST becomes t^density. So two models of the same object with densities
+    that add up to 1 transmit as much light as one. For t < LEAST, LEAST^density is multiplied by a
+    factor that changes linearly with the density, from 1 to t / LEAST.
     """
     if density == 1:
         return logit_opacities
@@ -69,11 +69,11 @@ def faded(logit_opacities: Tensor, density: float) -> Tensor:
 
 
 def recoloured(sh: Tensor, gains: Sequence[float]) -> Tensor:
-    """SH coefficients whose colours are `gains` times as large, seen from anywhere.
+    """Multiply the colours of SH coefficients by `gains`, for all directions.
 
     Args:
         sh: (N, K, 3); a colour is max(0, 0.5 + sum of sh * basis), sRGB.
-        gains: of red, green and blue, not negative. A gain of 1 keeps its channel bit for bit;
+        gains: for red, green and blue, not negative. A gain of 1 keeps its channel bit for bit;
             if all are 1, `sh` itself is returned.
     """
     if all(gain == 1 for gain in gains):

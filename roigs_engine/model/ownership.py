@@ -56,12 +56,12 @@ def count_owned(gaussians: Gaussians, rois: Sequence[OrientedBox]) -> list[int]:
 
 
 NEIGHBOURS = 8  # sparse points that vote on a position
-AT_ONCE = 100_000  # positions, so that voting takes little memory
+AT_ONCE = 100_000  # positions voted on at a time, to limit memory
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Partition:
-    """Partition of space among a scene's models.
+    """A partition of space among a scene's models.
 
     Attributes:
         points: (P, 3) sparse points, world units.
@@ -76,7 +76,7 @@ class Partition:
 
     @cached_property
     def digest(self) -> str:
-        """Hash of all that decides who owns what; the boxes' names do not."""
+        """Hash of everything that decides ownership; without the boxes' names."""
         digest = hashlib.sha256(self.points.tobytes() + self.owner.tobytes())
         for roi, owner in zip(self.rois, self.roi_owner, strict=True):
             digest.update(roi.world_to_box.tobytes() + roi.half_extents.tobytes())
@@ -96,7 +96,7 @@ class Partition:
         return found
 
     def _voted(self, positions: Float64) -> Int64:
-        """(N, 3) finite positions -> (N,) the model of most of the nearest points."""
+        """(N, 3) finite positions -> (N,) the model that most of the nearest points belong to."""
         count = min(NEIGHBOURS, len(self.points))
         _, near = self._tree.query(positions, k=list(range(1, count + 1)))
         labels = self.owner[near]
@@ -114,10 +114,10 @@ class Partition:
 
 
 def joined(models: Iterable[Gaussians], partition: Partition) -> Gaussians:
-    """One model, on the models' device: of each model, the Gaussians whose centre it owns.
+    """Join models: from each, take the Gaussians whose centre it owns; on the models' device.
 
-    `models` are those of the partition, in its order; they are needed one at a time. Owners are
-    computed on the CPU, so that all devices give the same.
+    `models` are in the partition's order; they are needed one at a time. Owners are computed on the
+    CPU, so that all devices give the same result.
     """
     import torch
 

@@ -24,7 +24,7 @@ AREA_SIDE = 256  # longer side of the thumbnail for measuring a silhouette's are
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OrientedBox(RoiRecord):
-    """A box of `rois.json` with its geometry: |world_to_box . p| <= half_extents, per axis."""
+    """A box of `rois.json` with its geometry: inside, |world_to_box . p| <= half_extents."""
 
     @property
     def centre(self) -> Float64:
@@ -60,7 +60,7 @@ class OrientedBox(RoiRecord):
         return away
 
     def corners(self) -> Float64:
-        """(8, 3) world positions; corner k has the sign bits of k."""
+        """(8, 3) world positions of the corners; corner k has the sign bits of k."""
         bits = (np.arange(8)[:, None] >> np.arange(3)) & 1
         local = (2 * bits - 1) * self.half_extents
         return np.asarray((local - self.world_to_box[:3, 3]) @ self.world_to_box[:3, :3])
@@ -68,9 +68,9 @@ class OrientedBox(RoiRecord):
     def silhouette_polygon(self, camera: Camera, world_to_camera: Float64) -> Float64 | None:
         """The projected box as a convex polygon, (M, 2) pixels; None if the camera does not see it.
 
-        The box's edges are clipped at a near plane first: the projection of corners behind the
-        camera would be wrong. Not for a camera inside the box (`camera_inside`): its silhouette is
-        the whole image.
+        The box's edges are clipped at a near plane first, because the projection of corners behind
+        the camera would be wrong. Do not use this for a camera inside the box (`camera_inside`):
+        its silhouette is the whole image.
         """
         corners = self.corners() @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
         near = NEAR_SHARE * self.diagonal
@@ -93,7 +93,7 @@ class OrientedBox(RoiRecord):
         return bool(self.contains(origin(world_to_camera)[None])[0])
 
     def silhouette(self, camera: Camera, world_to_camera: Float64) -> NDArray[np.bool_]:
-        """(H, W) pixels whose centre lies in the projected box (the paper's mask, sec. III-B).
+        """(H, W) whether pixels' centres are in the projected box (the paper's mask, sec. III-B).
 
         All pixels if the camera is inside the box; none if the box is out of view.
         """
@@ -137,7 +137,7 @@ def parse_roi(text: str) -> OrientedBox:
     return roi_from_dict({"name": name, "min": corners[0], "max": corners[1]})
 
 
-PIXELS_AT_ONCE = 1 << 22  # of a silhouette, times edges: limits the memory of intermediates
+PIXELS_AT_ONCE = 1 << 22  # pixels of a silhouette x edges; limits the memory of intermediates
 
 
 def convex_hull(points: Float64) -> Float64:
@@ -145,7 +145,7 @@ def convex_hull(points: Float64) -> Float64:
 
     Corners that exist only due to rounding are dropped; points on a line give fewer than three.
     """
-    order = sorted(map(tuple, points.tolist()))  # numbers of Python: few points, many photos
+    order = sorted(map(tuple, points.tolist()))  # Python's numbers: few points, many photos
     slack = 1e-14 * float(np.ptp(points, axis=0).max()) ** 2
 
     def half(walk: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
@@ -164,7 +164,7 @@ def convex_hull(points: Float64) -> Float64:
 
 
 def fill_convex(polygon: Float64, height: int, width: int) -> NDArray[np.bool_]:
-    """(H, W) pixels whose centre lies in a convex polygon (M, 2) of either orientation."""
+    """(H, W) whether pixels' centres are in a convex polygon (M, 2) of either orientation."""
     mask = np.zeros((height, width), dtype=bool)
     (x0, x1), (y0, y1) = (
         (math.floor(min(most, max(0, min(values)))), math.ceil(min(most, max(0, max(values)))))
@@ -191,9 +191,9 @@ AUTOMATIC_NAME = "object"
 
 
 def automatic_box(scene: SfmScene) -> OrientedBox:
-    """The box of `--roi auto`: around what most photos show, with its third axis up.
+    """The box of `--roi auto`: around the object in most photos, with its third axis up.
 
-    RoiError: points or photos are too few to tell.
+    RoiError: there are too few points or photos to find it.
     """
     poses = np.array([image.world_to_camera for image in scene.images])
     transform = np.eye(4)

@@ -1,4 +1,4 @@
-"""Captured scene as an immutable value: pinhole cameras, posed photos, sparse points.
+"""The captured scene as an immutable value: pinhole cameras, posed photos, sparse points.
 
 Frames follow docs/conventions.md: OpenCV camera axes (x right, y down, z forward), pixel centres at
 +0.5, world = the COLMAP model's frame. `colmap/` builds these values from files.
@@ -19,7 +19,7 @@ Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
 USUAL_REACH = 3.0  # cameras farther than this (see `reaches`) do not count for the extent
-ONE_POSITION = 1e-5  # cameras this close together, in distances to the points, are at one position
+ONE_POSITION = 1e-5  # of the distance to the points: closer cameras are at one position
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +29,7 @@ class Camera:
     Attributes:
         width, height: image size.
         fx, fy: focal lengths.
-        cx, cy: principal point, pixel (i, j) having its centre at (i + 0.5, j + 0.5).
+        cx, cy: principal point; the centre of pixel (i, j) is at (i + 0.5, j + 0.5).
     """
 
     width: int
@@ -51,26 +51,26 @@ class Camera:
 
     @property
     def focal(self) -> float:
-        """Focal length, pixels: pixels of an angle of 1 in the middle of the picture."""
+        """Mean focal length, pixels: sqrt(fx * fy), the pixels per radian in the middle."""
         return math.sqrt(self.fx * self.fy)
 
     def thumbnail(self, side: int) -> Camera:
-        """The same camera with its longer side `side` pixels at most."""
+        """The same camera, resized so that its longer side is at most `side` pixels."""
         scale = min(1.0, side / max(self.width, self.height))
         return self.resized(max(1, round(self.width * scale)), max(1, round(self.height * scale)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PhotoMask:
-    """Some pixels of a photo: those that count, or those that show an object.
+    """A mask of a photo: the pixels that count, or those that show an object.
 
     Attributes:
-        digest: hash of all that decides the mask.
+        digest: hash of everything that decides the mask.
         path: the mask for the photo at `PosedImage.path`, made by the engine.
-        remake: makes that file again.
+        remake: recreates that file.
         small: (h, w) uint8, the mask at a small size: 255 where all pixels are in it, 0 where none.
-        whole: makes the mask at the size of the file at `PosedImage.path`, turned, by which colours
-            are resampled; None: they are resampled without it.
+        whole: makes the mask at the size of the file at `PosedImage.path`, turned, for resampling
+            the photo's colours; None: they are resampled without it.
     """
 
     digest: str
@@ -90,22 +90,21 @@ class PosedImage:
         camera: pinhole intrinsics at the resolution used for training.
         world_to_camera: (4, 4) rigid transform, COLMAP's `cam_from_world`.
         point_indices: (M,) rows of `SfmScene.points` that this photo observes, unique, ascending.
-        digest: hash of all that decides the pixels of the photo at `path`; empty: not known.
-        file_digest: hash of the photo's own file; empty: not known.
-        remake: makes the file at `path` again, if the engine made it from the photo.
+        digest: hash of everything that decides the pixels of the photo at `path`; empty: unknown.
+        file_digest: hash of the photo's own file; empty: unknown.
+        remake: recreates the file at `path`, if the engine made it from the photo.
         mask: which pixels count in training and evaluation; None: all.
-        objects: box -> which pixels show its object, of the boxes with such a mask here.
+        objects: box -> which pixels show its object, for boxes with such a mask here.
         turn: how the photo at `path` must be turned, an EXIF orientation; 1: not.
         distorted: whether the photo at `path` still has lens distortion, which `camera` does not
             describe (only in scenes loaded without pixels).
-        lens: of such a photo, its camera at its own size, after `turn`, as in a line of
-            `cameras.txt`, without the number.
-        whole_size: width and height of the photo of which this one is the average; None: this
-            one is whole.
-        exif_exposure: stops of light by EXIF (`photos.exposures`), larger is brighter; None: not
-            known.
-        exposure: stops by which the photo is brighter than the scene's photo in the middle; it is
-            decoded as that one would be (`photos.exposures`).
+        lens: a distorted photo's camera, at the photo's own size after `turn`, as a line of
+            `cameras.txt` without the id.
+        whole_size: width and height of the photo before averaging; None: it is not averaged.
+        exif_exposure: stops of light from EXIF (`photos.exposures`), larger is brighter; None:
+            unknown.
+        exposure: stops by which the photo is brighter than the scene's median; decoding removes
+            this difference (`photos.exposures`).
     """
 
     name: str
@@ -142,12 +141,12 @@ class PosedImage:
 
     @property
     def pixel_size(self) -> float:
-        """Side of a pixel, in pixels of the whole photo."""
+        """Side of a pixel, in pixels of the photo before averaging."""
         width, height = self.whole_size or (self.camera.width, self.camera.height)
         return math.sqrt(width * height / (self.camera.width * self.camera.height))
 
     def scaled(self, factor: float) -> PosedImage:
-        """The same photo with its size multiplied by `factor`, below 1; the photo itself for 1."""
+        """The same photo averaged to `factor` (at most 1) of its size; itself for 1."""
         if factor == 1:
             return self
         width, height = self.camera.width, self.camera.height
@@ -171,7 +170,7 @@ class SfmScene:
         colors: (P, 3) uint8 sRGB.
         skipped: reason -> names of the skipped photos ('missing on disk', 'without a pose').
         has_tracks: False if the model stores no 2D-3D observations.
-        stray_points: number of points that were left out, being far from all cameras.
+        stray_points: number of points left out because they are far from all cameras.
     """
 
     images: tuple[PosedImage, ...]
@@ -205,9 +204,9 @@ class SfmScene:
     def extent(self) -> float:
         """1.1 x the largest distance of a camera from the cameras' mean, world units (as in 3DGS).
 
-        Cameras far from the others do not count. If all cameras are at one position, that would be
-        0, and positions could not be trained: then it is the median distance of the points from
-        the cameras.
+        Cameras far from the others do not count. If all cameras are at one position, this would be
+        0, and positions could not be trained. Then the extent is the median distance of the points
+        from the cameras.
         """
         centres = self.centres()
         if len(centres) == 0:
@@ -231,7 +230,7 @@ class SfmScene:
 
 
 def origin(transform: Float64) -> Float64:
-    """(3,) where a rigid transform from the world (4, 4) has its origin, in the world."""
+    """(3,) world position of the origin of the frame that a rigid transform (4, 4) maps to."""
     return -transform[:3, :3].T @ transform[:3, 3]
 
 
@@ -240,7 +239,7 @@ def project(
 ) -> tuple[Float64, Float64, NDArray[np.bool_]]:
     """World positions (P, 3) -> pixels (P, 2), depths (P,), and (P,) whether the camera sees them.
 
-    Pixels of positions behind the camera mean nothing.
+    Pixels of positions behind the camera are meaningless.
     """
     local = points @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
     depth = local[:, 2]
@@ -251,10 +250,10 @@ def project(
 
 
 def reaches(centres: Float64) -> Float64:
-    """(V, 3) camera centres -> (V,) distances from their median, in units of most of them.
+    """(V, 3) camera centres -> (V,) distances from their median, relative to most of them.
 
-    The unit is the distance that nine tenths of the cameras do not exceed, so that no single camera
-    decides it. 0 if these are all at one position, except for the others: infinity.
+    The unit is the 90 % quantile of the distances, so that no single camera decides it. If these
+    cameras are all at one position, they get 0, and the others infinity.
     """
     distances = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
     most = np.sort(distances)[int(0.9 * (len(distances) - 1))]

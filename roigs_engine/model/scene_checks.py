@@ -1,7 +1,7 @@
-"""Checks a scene: removes outlier cameras and points, names poorly seen boxes.
+"""Checks a scene: removes outlier cameras and points, warns of poorly seen boxes.
 
-Reconstruction puts some cameras and points far away from all others. One such camera would set the
-scale of the whole training; a far point becomes a huge Gaussian.
+Reconstruction places some cameras and points far away from all others. One such camera would set
+the scale of the whole training. A far point becomes a huge Gaussian.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from .scene import ONE_POSITION, Float64, PosedImage, SfmScene, project, reaches
 
 STRAY = "with a camera far from all others"
 OUTLIER_REACH = 10.0  # a camera farther than this (see `scene.reaches`) is suspect
-FEW_POINTS = 10  # observed points that a photo needs to clear its camera
-LEAST_EXTENT = 0.05  # of a photo's points, standard deviation as share of its width
-FAR_POINT = 1000.0  # times the cameras' extent or the points' median distance: an outlier
+FEW_POINTS = 10  # with fewer observed points, a suspect camera is an outlier
+LEAST_EXTENT = 0.05  # of a photo's points: standard deviation as share of its width
+FAR_POINT = 1000.0  # outliers are farther than this x cameras' extent or points' median distance
 
 
 def without_outliers(scene: SfmScene) -> SfmScene:
-    """The scene without outlier cameras and points; see its `skipped` and `stray_points`.
+    """Remove outlier cameras and points; they are recorded in `skipped` and `stray_points`.
 
     A camera far from the others is kept if the points that it observes fill its photo, as in a
-    view from a drone; it is an outlier if they do not, or if the model has no tracks.
+    view from a drone. It is an outlier if they do not, or if the model has no tracks.
     """
     outlier = _outlier_cameras(scene)
     if outlier.any():
@@ -38,9 +38,9 @@ def without_outliers(scene: SfmScene) -> SfmScene:
 
 
 def _outlier_cameras(scene: SfmScene) -> NDArray[np.bool_]:
-    """(V,) bool, one for each photo."""
+    """(V,) whether each photo's camera is an outlier."""
     centres = scene.centres()
-    if len(centres) < 3:  # of two, either may be the wrong one
+    if len(centres) < 3:  # with two, either may be wrong
         return np.zeros(len(centres), dtype=bool)
     far = reaches(centres) > OUTLIER_REACH
     if far.any() and len(scene.points):
@@ -65,7 +65,7 @@ def _shows_its_points(image: PosedImage, points: Float64) -> bool:
 
 
 def _without_far_points(scene: SfmScene) -> SfmScene:
-    """The scene without points far from all cameras; `point_indices` follow."""
+    """Remove points far from all cameras, and update `point_indices`."""
     centres = scene.centres()
     if not len(centres) or not len(scene.points):
         return scene
@@ -73,7 +73,7 @@ def _without_far_points(scene: SfmScene) -> SfmScene:
     usual = float(np.median(distances))
     if distances.max() <= FAR_POINT * usual:
         return scene
-    # Cameras close together, as of a panorama, may see a wide scene.
+    # Cameras close together, as in a panorama, may see a wide scene.
     near = distances <= FAR_POINT * max(scene.extent(), usual)
     if near.all() or not near.any():
         return scene
@@ -108,9 +108,9 @@ def scene_warnings(scene: SfmScene, rois: Sequence[OrientedBox]) -> list[str]:
 
 
 def few_photos(roi: str, count: int, *, points: int = 1, tests: int = 0) -> list[str]:
-    """The warning about a box (its name) that too few photos see, if they are too few.
+    """The warning about a box (its name) if too few photos see it; otherwise empty.
 
-    `count`, `tests`: training and test photos that see it; `points`: in the box.
+    `count`, `tests`: numbers of training and test photos that see it; `points`: in the box.
     """
     kind, others = kind_of_photos(count, tests)
     if points == 0:
@@ -127,9 +127,9 @@ def few_photos(roi: str, count: int, *, points: int = 1, tests: int = 0) -> list
 
 
 def kind_of_photos(count: int, tests: int) -> tuple[str, str]:
-    """The name for a box's photos, and the words about test photos behind its name.
+    """Words for messages: what to call a box's photos, and a remark on test photos.
 
-    `count`, `tests`: how many training and test photos see it.
+    `count`, `tests`: numbers of training and test photos that see the box.
     """
     if not tests:
         return "photo", ""

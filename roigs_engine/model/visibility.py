@@ -30,9 +30,9 @@ DEPTH_CELLS = 64
 OCCLUDERS = 2
 DEPTH_SLACK = 0.1
 MAX_OCCLUDERS = 100_000  # scene points in the depth test
-# Of a box: beyond these, only every second, third ... of its points counts.
+# Of a box: above these, only every second, third ... of its points is used.
 MAX_POINTS, MAX_OBSERVATIONS = 100_000, 20_000_000
-MAX_PROJECTED = 400_000_000  # occluders x photos: the same for the depth test
+MAX_PROJECTED = 400_000_000  # occluders x photos: the same limit for the depth test
 EVERYWHERE = np.full(2, -np.inf), np.full(2, np.inf)
 
 
@@ -45,7 +45,7 @@ class Candidates:
 
     Attributes:
         roi: the box.
-        images: V photos in name order; all methods identify a photo by its position here.
+        images: V photos in name order; methods identify a photo by its index here.
         points: (P, 3) the scene's points inside the box, world units.
         obs_view: (N,) photo of each observation, ascending.
         obs_point: (N,) row of `points` of each observation, ascending within a photo.
@@ -90,12 +90,12 @@ class Candidates:
         )
 
     def row_starts(self) -> Int64:
-        """(V + 1,): photo v has the observations row_starts[v] to row_starts[v + 1]."""
+        """(V + 1,) starts: photo v has the observations from row_starts[v] to row_starts[v + 1]."""
         return np.searchsorted(self.obs_view, np.arange(len(self) + 1)).astype(np.int64)
 
 
 def observations(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> Candidates:
-    """The photos that see the box, and the points in it that each observes; may be empty."""
+    """Find the photos that see the box, and the points in it that each observes; may be empty."""
     rows = np.flatnonzero(roi.contains(scene.points)) if len(scene.points) else np.zeros(0, int)
     images = sorted(scene.images, key=lambda image: image.name)
     flags: tuple[str, ...] = ()
@@ -127,7 +127,7 @@ def observations(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) ->
 
 
 def find_candidates(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> Candidates:
-    """As `observations`; RoiError if no point lies in the box, or no photo observes one."""
+    """Call `observations`; RoiError if no point is in the box, or no photo observes one."""
     check_has_points(scene, roi)
     found = observations(scene, roi, context)
     if not found.images:
@@ -140,7 +140,7 @@ def find_candidates(scene: SfmScene, roi: OrientedBox, context: Context = QUIET)
 
 
 def check_has_points(scene: SfmScene, roi: OrientedBox) -> None:
-    """Raise RoiError if no point lies in the box; names its size and the nearest points."""
+    """Raise RoiError if no point is in the box; it names the box's size and the nearest points."""
     if roi.contains(scene.points).any():
         return
     finite = scene.points[np.isfinite(scene.points).all(axis=1)]
@@ -179,11 +179,11 @@ def observed_points(scene: SfmScene, context: Context = QUIET) -> list[Int64]:
 def _by_depth(
     images: Sequence[PosedImage], targets: Float64, points: Float64, slack: float, context: Context
 ) -> list[Int64]:
-    """For each photo, the rows of the `targets` that it sees, ascending; without tracks.
+    """For each photo, the ascending rows of the `targets` that it sees; for models without tracks.
 
-    A photo sees a point if the point projects into the image, and fewer than `OCCLUDERS` other
-    sparse points of its cell (`DEPTH_CELLS` cells along the longer side) are more than `slack`, in
-    world units, in front of it.
+    A photo sees a point if two conditions hold. The point projects into the image. In its cell
+    (`DEPTH_CELLS` cells along the longer side), fewer than `OCCLUDERS` sparse points are in front
+    of it by more than `slack` world units.
     """
     if not len(targets):
         return [np.zeros(0, np.int64)] * len(images)
@@ -199,7 +199,7 @@ def _by_depth(
             continue
         target_cell, size = _cells(image, pixels), _cell_size(image)
         looked_at[target_cell] = True
-        # Most occluders are behind all targets, or beside them: they are not sorted into cells.
+        # Most occluders are behind or beside all targets: do not sort these into cells.
         window = pixels.min(axis=1) - size, pixels.max(axis=1) + size
         farthest = float(target_depth.max() - slack)
         near = occluders.near(image, farthest, window)
@@ -211,7 +211,7 @@ def _by_depth(
         order = np.argsort(depth)
         order = order[np.argsort(cell[order], kind="stable")]  # by radix: 16 bits
         counts = np.bincount(cell, minlength=len(looked_at))
-        # An occluder beyond all others stands for those that a cell does not have.
+        # An extra occluder behind all others stands for missing ones in a cell.
         cell, depth = np.append(cell[order], np.uint16(last)), np.append(depth[order], np.inf)
         starts = np.cumsum(counts) - counts
         nth = np.minimum(starts[target_cell] + OCCLUDERS - 1, len(cell) - 1)
@@ -221,7 +221,7 @@ def _by_depth(
 
 
 class _Occluders:
-    """Points in groups of neighbours, so that those outside a photo's window cost nothing."""
+    """Points in groups of neighbours: groups outside a photo's window are skipped."""
 
     def __init__(self, points: Float64) -> None:
         """Args: `points`: (N, 3), at least one."""
@@ -231,11 +231,11 @@ class _Occluders:
         low = np.array([points[group].min(axis=0) for group in groups])
         high = np.array([points[group].max(axis=0) for group in groups])
         self._centres = np.ascontiguousarray((low + high).T / 2)
-        # Somewhat larger than they are, as all is rounded.
+        # Slightly larger than exact, because of rounding.
         self._radii = np.linalg.norm(high - low, axis=1) * (0.5 + 1e-6) + 1e-9 * np.abs(high).max()
 
     def near(self, image: PosedImage, farthest: float, window: tuple[Float64, Float64]) -> Float64:
-        """(3, M) all points that `_projected` finds with the same arguments, and some more."""
+        """(3, M) the points that `_projected` finds with the same arguments, and some more."""
         camera, pose, radii = image.camera, image.world_to_camera, self._radii
         x, y, depth = pose[:3, :3] @ self._centres + pose[:3, 3:]
         kept = (depth > -radii) & (depth < farthest + radii)
@@ -256,7 +256,8 @@ def _projected(
 ) -> tuple[Int64, Float64, Float64]:
     """World positions (3, N) -> those in the image: rows (M,), pixels (2, M), depths (M,).
 
-    Only those less than `farthest` away, and in a window: its lowest and highest pixels (2,).
+    Only those with a depth less than `farthest`, and inside a window, given by its lowest and
+    highest pixels (2,).
     """
     camera, pose = image.camera, image.world_to_camera
     local = pose[:3, :3] @ points + pose[:3, 3:]

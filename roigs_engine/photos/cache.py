@@ -12,19 +12,19 @@ from ..model.scene import PosedImage
 from .decode import Pixels
 from .mask_images import load_masked
 
-THREADS = 2  # that decode ahead
+THREADS = 2  # for decoding ahead
 
 
 class PhotoCache:
     """Decoded photos of a scene; above a limit in bytes, drops the least recently used ones.
 
     `cache[index]` returns the photo of `images[index]`, (H, W, 3) uint8, or with its mask (H, W, 4)
-    (`load_masked`); callers must not modify it.
-    `prefetch` decodes ahead on background threads. Thread-safe.
+    (`load_masked`); callers must not modify it. `prefetch` decodes ahead on background threads.
+    Thread-safe.
     """
 
     def __init__(self, images: Sequence[PosedImage], limit_bytes: int | None = None) -> None:
-        """Args: `limit_bytes`: of the kept photos; default: a quarter of the machine's memory."""
+        """Args: `limit_bytes`: for all kept photos; default: a quarter of the machine's memory."""
         self._images = list(images)
         self._limit = machine_memory() // 4 if limit_bytes is None else limit_bytes
         self._kept: OrderedDict[int, Pixels] = OrderedDict()
@@ -50,7 +50,7 @@ class PhotoCache:
                 self._kept.move_to_end(index)
                 return self._kept[index]
             future = self._pending.get(index)
-            # Still queued: it is done faster here than waited for.
+            # If it is still queued, decoding it here is faster than waiting.
             mine = future is None or future.cancel()
             if mine:
                 future = self._pending[index] = Future()
@@ -98,7 +98,7 @@ class PhotoCache:
         self.close()
 
     def _decode_queued(self, index: int, future: Future[Pixels]) -> None:
-        """On a background thread: `_decode`, unless another thread has taken the photo over."""
+        """Call `_decode` on a background thread, unless another thread has taken the photo."""
         if future.set_running_or_notify_cancel():
             self._decode(index, future)
 

@@ -8,9 +8,9 @@ A file's colour space is the first of these that the file has:
 - Adobe RGB, if the EXIF data say so as cameras do (DCF 2.0: interoperability index R03).
 
 Colours are converted relative to white, with black-point compensation, so colours within sRGB stay
-exact. Perceptual conversion would change them too, by tables that differ between profiles. Colours
-outside sRGB are clipped. A profile that differs from sRGB by no more than rounding changes nothing.
-Photos of more than 8 bits are converted at their full depth, except by profiles of tables.
+exact. Perceptual conversion would change these, too, by tables that differ between profiles.
+Colours outside sRGB are clipped. A profile that equals sRGB up to rounding changes nothing. Photos
+of more than 8 bits are converted at full depth, except by profiles with tables.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ from .profiles import (
     space_of_profile,
 )
 
-# Of EXIF: the table of the photo's tags, its colour space, the table of interoperability, its index
+# EXIF tags: the photo's table, its colour space, the interoperability table, its index
 EXIF_IFD, COLOUR_SPACE, INTEROPERABILITY_IFD, INDEX = 0x8769, 0xA001, 0xA005, 1
 SAYS_SRGB, SAYS_ADOBE = 1, 2
 GAMMA, GAMMA_TOLERANCE = 1 / 2.2, 0.05  # of a PNG in sRGB, as libpng decides
-ROUNDING = 2  # of 255: sRGB's profiles differ by that
-MOST_PROFILE = 8 << 20  # bytes; those with tables for printers have some 3 MB
-LATTICE = 17  # values of each channel for which a profile is compared with sRGB
+ROUNDING = 2  # of 255: profiles of sRGB differ by up to this
+MOST_PROFILE = 8 << 20  # bytes; printers' profiles with tables have about 3 MB
+LATTICE = 17  # values of each channel at which a profile is compared with sRGB
 BLACK_POINT: Any = 0x2000  # LittleCMS's flag, which has no name in Pillow 10.1
 MODES = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK", "Lab ": "LAB"}
 Conversion = Callable[[Image.Image], Image.Image]
@@ -59,7 +59,7 @@ class ProfileError(ValueError):
 
 @dataclass(frozen=True)
 class Colours:
-    """A photo's colour space, or its ICC profile (empty: sRGB); whether it has a damaged one."""
+    """A photo's colour space or ICC profile (empty: sRGB), and whether that is damaged."""
 
     profile: bytes | Space = b""
     damaged: bool = False
@@ -77,29 +77,29 @@ def colours_of(photo: Image.Image) -> Colours:
         return Colours(profile=profile)
     except MemoryError:
         raise
-    except Exception:  # of damaged profiles, chunks and boxes
+    except Exception:  # damaged profiles, chunks and boxes
         return Colours(damaged=True)
 
 
 def colours_in_words(path: Path) -> str:
     """CONVERTED, DAMAGED or "" (sRGB) of a photo's file; "" also if it cannot be opened."""
-    with suppress(Exception), open_photo(path) as photo:  # the photo is reported by others
+    with suppress(Exception), open_photo(path) as photo:  # other code reports the photo
         return str(colours_of(photo))
     return ""
 
 
 def to_srgb(pixels: Image.Image, colours: Colours) -> Image.Image:
-    """Decoded pixels (L, RGB, CMYK or LAB) of a photo as RGB."""
+    """Convert a photo's decoded pixels (L, RGB, CMYK or LAB) to sRGB."""
     convert = _conversion(colours.profile, pixels.mode) if colours.profile else None
     if convert is None:
         return pixels if pixels.mode == "RGB" else pixels.convert("RGB")
     converted = convert(pixels)
-    converted.info = {}  # with a profile of what it was
+    converted.info = {}  # it has the old profile
     return converted
 
 
 def deep_to_srgb(values: Deep, colours: Colours) -> Image.Image | None:
-    """RGB of values (grey or RGB) at their full depth; None: the profile is of tables."""
+    """Convert values (grey or RGB) to sRGB at full depth; None: the profile has tables."""
     space: bytes | Space | None = colours.profile
     with suppress(struct.error, ValueError, IndexError, ArithmeticError):  # LittleCMS may read it
         if isinstance(space, bytes):
@@ -109,12 +109,12 @@ def deep_to_srgb(values: Deep, colours: Colours) -> Image.Image | None:
 
 
 def say_srgb(exif: Image.Exif) -> None:
-    """Change EXIF data of a photo to those of one in sRGB."""
+    """Set the colour space in a photo's EXIF data to sRGB."""
     exif.get_ifd(EXIF_IFD)[COLOUR_SPACE] = SAYS_SRGB
 
 
 def kind_of(photo: Image.Image) -> str:
-    """The mode in which the pixels of an opened photo are converted, before it is decoded."""
+    """The mode for converting the pixels of an opened photo, before it is decoded."""
     if photo.mode in ("CMYK", "LAB"):
         return photo.mode
     grey = photo.mode in ("1", "L", "LA", "La", "F") or photo.mode.startswith("I")
@@ -122,7 +122,7 @@ def kind_of(photo: Image.Image) -> str:
 
 
 def packing(photo: Image.Image) -> str:
-    """The storage of values in a file, in Pillow's words: "RGB;16B" for 16 bits a channel.
+    """The packing of values in a file, in Pillow's notation: "RGB;16B" for 16 bits a channel.
 
     Empty once the photo is decoded.
     """
@@ -137,7 +137,7 @@ def _conversion(profile: bytes | Space, mode: str) -> Conversion | None:
     """The conversion of pixels of that mode to sRGB; None: they are sRGB.
 
     Raises:
-        ProfileError: the profile is damaged, or none for such pixels.
+        ProfileError: the profile is damaged, or not for such pixels.
     """
     convert = _by_space(profile, mode) if isinstance(profile, Space) else _by_icc(profile, mode)
     return None if mode in ("RGB", "L") and _changes_nothing(convert, mode) else convert
@@ -150,7 +150,7 @@ def _by_space(space: Space, mode: str) -> Conversion:
 
 
 def _by_icc(profile: bytes, mode: str) -> Conversion:
-    """By LittleCMS."""
+    """The conversion by LittleCMS."""
     try:
         opened = ImageCms.ImageCmsProfile(io.BytesIO(profile))
         own = MODES.get(opened.profile.xcolor_space, "")
@@ -182,7 +182,7 @@ def _changes_nothing(convert: Conversion, mode: str) -> bool:
 
 
 def _profile(photo: Image.Image) -> bytes | Space:
-    """The space that the file says; empty: none, or sRGB. ValueError: damaged."""
+    """The colour space in the file; empty: none, or sRGB. ValueError: it is damaged."""
     if photo.mode == "LAB":
         return _lab()
     path = getattr(photo, "filename", "")
@@ -214,7 +214,7 @@ def _lab() -> bytes:
 
 
 def _of_png(info: dict[str | tuple[int, int], Any]) -> bytes | Space:
-    """The space of the chunks sRGB, cHRM and gAMA."""
+    """The space in the PNG chunks sRGB, cHRM and gAMA."""
     gamma, corners = info.get("gamma"), info.get("chromaticity")
     if "srgb" in info or (gamma is None and corners is None):
         return b""
@@ -238,7 +238,7 @@ def _of_jpeg2000(path: str) -> bytes:
 
 
 def _of_bmp(path: str) -> bytes:
-    """The profile in a BMP file, whose header (BITMAPV5HEADER) says where, or empty."""
+    """The profile in a BMP file, located by its header (BITMAPV5HEADER), or empty."""
     with open(path, "rb", opener=regular) as file:
         head = file.read(14 + 124)
         if len(head) < 138 or head[14 + 56 : 14 + 60] != b"DEBM":

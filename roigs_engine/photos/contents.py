@@ -1,7 +1,7 @@
 """Contents of photo files: hash, completeness, colours, exposure.
 
-A small file stores them, with the size and times of the photo's file. So a photo is read only once,
-and again when its file has changed.
+A small file stores them, with the size and times of the photo's file. So a photo is read again only
+if its file has changed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .headers import CONVERTED, DAMAGED, PhotoError, content_digest, photo_size
 from .parallel import decoding_bytes, in_parallel
 
 FILE, KEYS = "photos.json", ("version", "photos")
-VERSION = 4  # increase it if what is found of a photo changes
+VERSION = 4  # increase it if the contents found for the same photo change
 STAGE = "photos"
 CHECKSUM = "checksum"  # key of the file
 WRITE_SECONDS = 60.0
@@ -32,13 +32,13 @@ class Content:
     """The content of a photo's file."""
 
     size: int  # bytes of the file
-    modified: int  # its two times, ns
+    modified: int  # this and the next: the file's two times, ns
     changed: int
     digest: str = ""  # hash of its bytes, 32 hexadecimal digits; empty: they cannot be read
     whole: bool | None = None  # whether the photo can be decoded and is complete; None: not known
-    colours: str = ""  # what is done about its colour space, see `colours`; empty: it is sRGB
+    colours: str = ""  # the treatment of its colour space, see `colours`; empty: it is sRGB
     exposure: float | None = None  # in stops, as `exif_exposure`
-    tone: str = ""  # "black" or "white": nearly that, though it has more than 8 bits a channel
+    tone: str = ""  # "black" or "white": a photo of more than 8 bits a channel is nearly that
 
 
 UNREAD = Content(size=-1, modified=0, changed=0, whole=False)
@@ -52,12 +52,12 @@ def read_contents(
     *,
     check: bool = True,
 ) -> dict[str, Content]:
-    """The content of photos (name -> file), by name; reads the files that are not known.
+    """Name -> content of photos (name -> file); reads only files that are new or have changed.
 
-    With `check`, photos are decoded too, and progress is reported; otherwise `whole` may stay
-    unknown, and nothing is remembered. After a stop, what was found until then is remembered.
+    With `check`, photos are decoded, too, and progress is reported. Otherwise `whole` may stay
+    unknown, and nothing is stored. After a stop, the contents found so far are stored.
 
-    `memory`: file in which contents are remembered; a missing or damaged one counts as empty.
+    `memory`: file that stores contents; a missing or damaged one counts as empty.
     """
     known = _remembered(memory) if memory else {}
     found = {n: known[n] for n, path in photos.items() if _is_current(known.get(n), path, check)}
@@ -84,7 +84,7 @@ def read_contents(
 
 
 def _is_current(known: Content | None, path: Path, check: bool) -> bool:
-    """Whether enough is known of a file that is still the same."""
+    """Whether the known content is sufficient, and the file is unchanged."""
     if known is not None and not (check and known.whole is None):
         with suppress(OSError):
             return _stamp(path) == Content(
@@ -94,7 +94,7 @@ def _is_current(known: Content | None, path: Path, check: bool) -> bool:
 
 
 def _remember(memory: Path | None, found: Mapping[str, Content]) -> None:
-    """Write the contents down. It only saves time, so a full disk is no reason to stop here."""
+    """Store the contents. This only saves time, so a full disk is no reason to stop."""
     if memory is not None:
         with suppress(RunFolderError):
             files = {name: asdict(content) for name, content in sorted(found.items())}
@@ -103,7 +103,7 @@ def _remember(memory: Path | None, found: Mapping[str, Content]) -> None:
 
 
 def _stamp(path: Path) -> Content:
-    """A mark that is equal while the file is the same; OSError if there is none."""
+    """A stamp that is equal while the file is unchanged; OSError if there is no file."""
     status = path.stat()
     return Content(size=status.st_size, modified=status.st_mtime_ns, changed=status.st_ctime_ns)
 
@@ -128,14 +128,14 @@ def _read(path: Path, check: bool, context: Context) -> Content:
     try:
         tone = check_whole(path)
     except PhotoError as error:
-        # A disk that fails once is no reason to remember that the photo is damaged.
+        # After one failure of the disk, do not store that the photo is damaged.
         passing = getattr(error.__cause__, "errno", None) is not None
         return UNREAD if passing else replace(content, whole=False)
     return replace(content, whole=True, tone=tone)
 
 
 def _tell(found: Mapping[str, Content], context: Context) -> None:
-    """Name photos in other colour spaces than sRGB, or whose values do not fill their type."""
+    """Report photos that are not in sRGB, or whose values do not fill their type."""
 
     def names(what: str, value: str) -> list[str]:
         return sorted(n for n, c in found.items() if c.whole and getattr(c, what) == value)

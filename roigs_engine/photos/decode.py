@@ -6,8 +6,8 @@ ignored, as in COLMAP: pixels keep the file's order, unless a `turn` is given.
 To find damage, a photo is decoded once, at a reduced size if that is cheaper. Pillow reports
 truncated files, bytes that are no image data, and damaged PNG data. It does not report a JPEG whose
 data end too early: libjpeg then fills the rest of the photo with one colour. `_ends_early` finds
-this; in progressive JPEGs, only if the first scan is cut, because later scans add only detail.
-Damage that a JPEG decodes to other colours, such as a single changed bit, is not found, because the
+this. In progressive JPEGs, it finds only a cut first scan, because later scans add only detail.
+Damage that changes only colours in a JPEG, such as a single flipped bit, is not found, because the
 format has no checksum.
 """
 
@@ -44,16 +44,16 @@ Change = Callable[[Image.Image], Image.Image]
 
 # A JPEG is decoded at a fraction of its size if that is at least this multiple of the target size.
 GAP = 2.0
-EVEN = 1e-4  # of a sum of weights: all are 1
-# Least sum of weights of a pixel that counts, by a mask, or that can be seen, by an alpha channel.
+EVEN = 1e-4  # tolerance of a sum of weights that are all 1
+# Least sum of weights for a pixel to be weighted: with a mask, with an alpha channel.
 LEAST_COUNTED, LEAST_SEEN = 0.35, 0.02
-LANCZOS = 3  # pixels that the filter reaches, of the larger of its two pictures
+LANCZOS = 3  # reach of the filter, in pixels of the coarser of the two pictures
 TILE = 64  # pixels of a side
 BLACK, WHITE = "black", "white"
-# Packings of 16 bits, and those with the other order of bytes.
+# Packings of 16 bits, and the same with the other byte order.
 COLOUR = re.compile(r"(RGB|RGBA|RGBX);16([BLN])$")
 OTHER = {"B": "L", "L": "B", "N": "B" if sys.byteorder == "little" else "L"}
-# Of 255. Values of 14 bits in a 16-bit file end at 63; photos that show anything are brighter.
+# Of 255. Values of 14 bits in a 16-bit file end at 63; correct photos are brighter.
 BRIGHTEST_BLACK, MEAN_WHITE = 63, 250
 
 
@@ -63,19 +63,19 @@ def decode(
     turn: int = AS_STORED,
     counted: Counted | None = None,
 ) -> Pixels:
-    """(H, W, 3) uint8 sRGB of a photo, resampled to `size` = (width, height) if given.
+    """Decode a photo to (H, W, 3) uint8 sRGB, resampled to `size` = (width, height) if given.
 
     Grey, palette, CMYK, 16-bit and float files are converted; an alpha channel is dropped. White is
-    the largest value of the file's type, 1 for floats, whatever the values in the photo: otherwise
-    a dark photo would become brighter than the others of its scene.
+    the largest value of the file's type, 1 for floats. It does not depend on the photo's values:
+    otherwise a dark photo would become brighter than the others of its scene.
 
     Args:
-        turn: how the stored pixels are turned (`rotation`); `size` is that after it.
-        counted: the mask after the turn; called if the photo is resampled, which then leaves out
-            the colours of ignored pixels. Without it, the alpha channel weighs them.
+        turn: how the stored pixels are turned (`rotation`); `size` is the size after it.
+        counted: makes the mask after the turn; called if the photo is resampled. Resampling then
+            ignores the colours of ignored pixels. Without it, the alpha channel weights pixels.
 
     Raises:
-        PhotoError: the file is missing or cannot be decoded; names it.
+        PhotoError: the file is missing or cannot be decoded.
     """
     if counted is not None and size is not None:
         pixels = decode(path, turn=turn)  # reduced decoding would mix colours
@@ -103,7 +103,7 @@ def decode(
 
 
 def opacity(photo: Image.Image) -> Pixels | None:
-    """(H, W) the alpha channel of an opened photo; None: it has none."""
+    """The alpha channel (H, W) of an opened photo; None: it has none."""
     if not photo.has_transparency_data:
         return None
     clear = _transparent(photo)
@@ -116,7 +116,7 @@ def opacity(photo: Image.Image) -> Pixels | None:
 def _resized(
     pixels: Pixels, size: tuple[int, int], weights: Weights, least: float = LEAST_COUNTED
 ) -> Pixels:
-    """`weighted`, resampled to `size`: only the tiles in which weights differ take time.
+    """Resample to `size` as `weighted`; only tiles with different weights take time.
 
     Weights of 8 bits are 255 times as large.
     """
@@ -124,7 +124,7 @@ def _resized(
     scale = pixels.shape[1] / size[0], pixels.shape[0] / size[1]
     for top, left in itertools.product(range(0, size[1], TILE), range(0, size[0], TILE)):
         tile = result[top : top + TILE, left : left + TILE]
-        # The sources of the tile, and what the filter reaches beside them.
+        # The tile's source pixels, and those around them that the filter reaches.
         start = [side * k for side, k in zip((left, top), scale, strict=True)]
         end = [a + k * n for a, k, n in zip(start, scale, tile.shape[1::-1], strict=True)]
         reach = [math.ceil(LANCZOS * max(k, 1)) + 1 for k in scale]
@@ -146,10 +146,11 @@ def _resized(
 
 
 def weighted(pixels: Pixels, weights: Weights, change: Change) -> Pixels:
-    """A picture (H, W, 3) after linear resampling in which each pixel counts by its weight.
+    """Resample a picture (H, W, 3) linearly, with a weight for each pixel.
 
-    A filter reaches some pixels farther than the pixel that it makes. To ignore all that it
-    reaches would cost a rim of three pixels around each mask. So ignored pixels have no weight.
+    A filter reaches some pixels beyond the pixel that it computes. Ignoring all results that reach
+    an ignored pixel would cost a rim of three pixels around each mask. Instead, ignored pixels have
+    the weight 0.
 
     Args:
         weights: (H, W), 0 to 1.
@@ -161,10 +162,10 @@ def weighted(pixels: Pixels, weights: Weights, change: Change) -> Pixels:
 
 
 def _weigh(result: Pixels, pixels: Pixels, weights: Weights, change: Change, least: float) -> None:
-    """Weigh the sources in a picture that was resampled without.
+    """Apply weights, in place, to a picture `result` that was resampled without them.
 
-    Pixels all of whose sources have the weight 1 stay what they are, and so do those whose weights
-    add up to less than `least`.
+    Pixels do not change if all their sources have the weight 1, or if their weights add up to less
+    than `least`.
     """
     share = weights.astype(np.float32)
     total = np.asarray(change(Image.fromarray(share)))
@@ -176,21 +177,20 @@ def _weigh(result: Pixels, pixels: Pixels, weights: Weights, change: Change, lea
 
 
 def load_photo(image: PosedImage) -> Pixels:
-    """(H, W, 3) uint8 sRGB of a posed photo at its camera's size, levelled to its scene's exposure.
+    """Load a posed photo at its camera's size, levelled to its scene's exposure.
 
-    A pixel of a photo with a `whole_size` is the average of the pixels that it covers there.
-
-    A damaged file that the engine made is made again.
+    Returns (H, W, 3) uint8 sRGB. If the photo has a `whole_size`, each pixel is the average of the
+    pixels that it covers at that size. A damaged file that the engine made is recreated.
 
     Raises:
-        PhotoError, MaskError: a file is missing, cannot be decoded, or was changed; names it.
-        RunFolderError: a file of the engine cannot be made again.
+        PhotoError, MaskError: a file is missing, cannot be decoded, or was changed.
+        RunFolderError: a file of the engine cannot be recreated.
     """
     return levelled(load_as_taken(image), image.exposure)
 
 
 def load_as_taken(image: PosedImage) -> Pixels:
-    """As `load_photo`, in the photo's own exposure."""
+    """Load a posed photo as `load_photo`, but with its own exposure."""
     size = (image.camera.width, image.camera.height)
     if image.whole_size is None:
         return _load(image, size)
@@ -199,14 +199,14 @@ def load_as_taken(image: PosedImage) -> Pixels:
 
 
 def averaged(pixels: Pixels, n: int) -> Pixels:
-    """(H, W, 3) uint8: the means of squares of `n` x `n` pixels of (n H, n W, 3)."""
+    """(n H, n W, 3) -> (H, W, 3) uint8, the means of squares of `n` x `n` pixels."""
     height, width, channels = pixels.shape
     squares = pixels.reshape(height // n, n, width // n, n, channels)
     return np.asarray(squares.mean(axis=(1, 3), dtype=np.float32).round().astype(np.uint8))
 
 
 def _load(image: PosedImage, size: tuple[int, int]) -> Pixels:
-    if image.remake is None:  # else the engine made the file
+    if image.remake is None:  # otherwise the engine made the file
         check_unchanged(image.path, image.file_digest)
     counted = image.mask.whole if image.mask else None
     try:
@@ -219,13 +219,13 @@ def _load(image: PosedImage, size: tuple[int, int]) -> Pixels:
 
 
 def to_rgb(photo: Image.Image) -> Image.Image:
-    """The photo, decoded, as 8-bit sRGB; on damaged files Pillow raises many kinds of errors."""
+    """Decode the photo to 8-bit sRGB; on damaged files Pillow raises many kinds of errors."""
     colours = colours_of(photo)
     return to_srgb(*_decoded(photo, colours))
 
 
 def _decoded(photo: Image.Image, colours: Colours) -> tuple[Image.Image, Colours]:
-    """The photo in 8 bits, RGB or a mode that `to_srgb` converts, and the colours that it is in."""
+    """Decode the photo to 8 bits, as RGB or a mode that `to_srgb` converts; with its colours."""
     kind = kind_of(photo)  # before decoding
     deep = deep_values(photo) if colours.profile else None
     if deep is not None:
@@ -255,9 +255,9 @@ def _decoded(photo: Image.Image, colours: Colours) -> tuple[Image.Image, Colours
 
 
 def _transparent(photo: Image.Image) -> NDArray[np.bool_] | None:
-    """(H, W) the pixels of the one transparent colour of an opened PNG; None: it names none.
+    """(H, W) where an opened PNG has its transparent colour; None: it has no such colour.
 
-    Pillow compares it with values that it has scaled to 8 bits, as those of tRNS are not.
+    Pillow compares tRNS with values scaled to 8 bits, but tRNS is not scaled.
     """
     colour = photo.info.get("transparency")
     if photo.format != "PNG" or photo.mode == "P" or isinstance(colour, bytes) or colour is None:
@@ -275,9 +275,9 @@ def _transparent(photo: Image.Image) -> NDArray[np.bool_] | None:
 
 
 def deep_values(photo: Image.Image) -> Deep | None:
-    """(H, W, 1 or 3) uint16 grey or RGB of an opened photo, not decoded yet.
+    """(H, W, 1 or 3) uint16 grey or RGB of an opened photo that is not decoded yet.
 
-    None: it has 8 bits, inks, L*a*b*, or more bits that its library does not hand on.
+    None: it has 8 bits, inks or L*a*b*, or the library does not provide its full depth.
     """
     if isinstance(photo, TiffPhoto):
         return photo.deep()
@@ -303,7 +303,7 @@ def deep_values(photo: Image.Image) -> Deep | None:
         return None
     channels, order = found.groups()
     colours: Deep = np.empty(0, np.uint16)
-    # In parts: a large photo has twice the bytes of Pillow's picture.
+    # In parts, because the result has twice the bytes of Pillow's picture.
     for shift, half in ((8, order), (0, OTHER[order])):
         with open_photo(Path(getattr(photo, "filename", ""))) as again:
             _read_as(again, f"{channels};16{half}")
@@ -318,7 +318,7 @@ def deep_values(photo: Image.Image) -> Deep | None:
 
 
 def _read_as(photo: Image.Image, packed: str) -> None:
-    """Decode an opened photo, its bytes taken as another packing of as many bits."""
+    """Decode an opened photo, interpreting its bytes as another packing of as many bits."""
     assert isinstance(photo, ImageFile.ImageFile)
     photo.tile = [_packed(tile, packed) for tile in photo.tile]
     photo.load()
@@ -332,7 +332,7 @@ def _packed(tile: Any, packed: str) -> Any:
 def tone_if_deep(photo: Image.Image) -> str:
     """BLACK or WHITE if a photo of more than 8 bits a channel decodes to nearly that, else "".
 
-    Its values then probably do not fill their type: 12 bits in a file of 16, or floats up to 255.
+    Its values then probably do not match their type: 12 bits in a file of 16, or floats up to 255.
     Decodes the photo, which must be freshly opened; raises as `to_rgb`.
     """
     deep = photo.mode[0] in "IF" or ";16" in packing(photo) or photo.info.get("bits", 8) > 8
@@ -351,7 +351,7 @@ RESTART_INTERVAL, RESTARTS = 0xDD, range(0xD0, 0xD8)  # markers: of the headers,
 
 
 def check_whole(path: Path) -> str:
-    """Decode the photo; PhotoError unless all of it is in the file. Returns its `tone_if_deep`."""
+    """Decode the photo; PhotoError if the file is incomplete. Returns its `tone_if_deep`."""
     with open_photo(path) as photo:
         kind = photo.format
         if kind == "PNG":
@@ -361,7 +361,7 @@ def check_whole(path: Path) -> str:
             return tone_if_deep(photo)
         with open(path, "rb", opener=regular) as file:
             last = _eighth(file)[-1:, -2:]
-            # If libjpeg has filled in missing data, the last pixels have one colour.
+            # If libjpeg filled in missing data, the last pixels have one colour.
             if (last == last[:, -1:]).all() and _ends_early(file):
                 raise ValueError("its data end before the photo does")
     return ""  # a JPEG has 8 bits a channel
@@ -375,9 +375,10 @@ def _eighth(file: BinaryIO) -> Pixels:
 
 
 def _ends_early(file: BinaryIO) -> bool:
-    """Whether a JPEG's photo changes when noise follows its data: then they do not reach its end.
+    """Whether a JPEG's data end before the photo does.
 
-    A photo whose data are complete is decoded before the noise is reached.
+    Noise is appended to the data. It changes the photo only if the data are incomplete; otherwise
+    decoding ends before the noise.
     """
     end = _end_of_first_scan(file)
     file.seek(0)
@@ -387,7 +388,7 @@ def _ends_early(file: BinaryIO) -> bool:
 
 
 def _end_of_first_scan(file: BinaryIO) -> int:
-    """The end of a JPEG's first image data: at a marker that cannot be within them."""
+    """The end of a JPEG's first image data: the first marker that cannot be within them."""
     file.seek(0)
     restarts = RESTART_INTERVAL in list(jpeg_segments(file))
     at = file.tell()

@@ -16,7 +16,7 @@ from ..formats.names import same_name
 from ..formats.projects import PHOTO_FOLDERS, folders_above
 
 EXTENSIONS = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2", ".ppm", ".pgm"}
-HEIC = {".heic", ".heif", ".hif"}  # read by `reconstruct` alone, which converts them
+HEIC = {".heic", ".heif", ".hif"}  # read only by `reconstruct`, which converts them
 
 UNREAD = {
     *(".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dng", ".erf", ".iiq", ".nef", ".nrw", ".orf"),
@@ -30,7 +30,7 @@ MASK_ENDS = (".mask.png",)
 
 MOST_FILES = 300_000
 """Files in a folder of photos; a whole disk has more, and takes minutes to look at."""
-EACH_FOLDER = 20  # files: it takes as long to look at
+EACH_FOLDER = 20  # files: a folder takes as long to list as these
 
 
 def is_mask(name: str) -> bool:
@@ -41,14 +41,14 @@ def is_mask(name: str) -> bool:
 class PhotoFolder:
     """The photos below a folder, by their names in a model.
 
-    If the folder has none of the model's photos where their names say, a photo is the one file
-    below the folder that has the last part of its name, unless the model has two such names.
+    If no photo of the model is at the place that its name gives, photos are matched by the last
+    part of their names, if it is unique both in the model and below the folder.
 
     Attributes:
         folder: need not exist.
-        names: all of the model's; empty: photos are looked for only where their names say.
+        names: all of the model's; empty: photos are searched only where their names say.
         extensions: of the files that are photos.
-        keep: tells from a file's name whether it counts.
+        keep: whether a file counts, by its name.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class PhotoFolder:
 
     @cached_property
     def _files(self) -> dict[str, Path]:
-        """Name on disk (with `/`) -> path, of every photo below the folder, except hidden ones."""
+        """Name on disk (with `/`) -> path, for every photo below the folder except hidden ones."""
         files, count = {}, 0
         for parent, names in _folders(self.folder):
             count += EACH_FOLDER + len(names)
@@ -99,7 +99,7 @@ class PhotoFolder:
 
     @cached_property
     def _moved(self) -> dict[str, Path]:
-        """Key of a name -> path, of photos in other folders than the model says."""
+        """Key of a name -> path, for photos in other folders than the model says."""
         if any(map(self.at, self.names)):
             return {}
         wanted = {same_name(name) for name in self.names}
@@ -108,7 +108,7 @@ class PhotoFolder:
         return {key: files[last] for last, key in by_last.items() if last in files}
 
     def missing(self, name: str) -> tuple[str, str]:
-        """Why there is no photo with that name in the model, and what to do."""
+        """Why the photo with that name in the model is missing, and what to do."""
         path = self.folder / name.replace("\\", "/")
         if not self._exists:
             return f"there is no folder {self.folder}", HINT_FOLDER
@@ -131,17 +131,17 @@ class PhotoFolder:
 
     @cached_property
     def _pictures(self) -> list[str]:
-        """Names of all pictures below the folder, of formats that are not read, too."""
+        """Names of all pictures below the folder, also in unsupported formats."""
         kinds = EXTENSIONS | HEIC | UNREAD
         return [*PhotoFolder(self.folder, kinds, self.keep)._files]
 
     def named_as(self, name: str) -> list[str]:
-        """Names on disk of the files with the last part of a name."""
+        """Names on disk of the files that have the same last part as `name`."""
         last = _last(same_name(name))
         return [each for each in self._files if _last(same_name(each)) == last]
 
     def at(self, name: str) -> Path | None:
-        """The path of the photo that is where its name says; None: not found.
+        """The path of the photo at the place that its name gives; None: not found.
 
         If no file has exactly that name, the name may differ in case, in the kind of slash and in
         the Unicode form of accents. Names that lead out of the folder are not found.
@@ -184,7 +184,7 @@ Value = TypeVar("Value")
 
 
 def _single(pairs: Iterable[tuple[str, Value]]) -> dict[str, Value]:
-    """The pairs whose key no other pair has."""
+    """The pairs with a unique key."""
     found: dict[str, list[Value]] = {}
     for key, value in pairs:
         found.setdefault(key, []).append(value)
@@ -192,11 +192,11 @@ def _single(pairs: Iterable[tuple[str, Value]]) -> dict[str, Value]:
 
 
 def _folders(root: Path) -> Iterator[tuple[Path, list[str]]]:
-    """Each folder at and below `root` with its files' names, except hidden folders.
+    """Yield `root` and each folder below it with its files' names, except hidden folders.
 
-    Links to folders are followed, after all other folders: one that can be reached in several ways
-    comes once, if possible under its real name. A link to the root, or to a folder that it is in,
-    is not: what else is there does not belong to the photos.
+    Links to folders are followed after all other folders. So a folder that can be reached in
+    several ways comes once, if possible under its real name. Links to the root or to a folder above
+    it are not followed: other files there do not belong to the photos.
     """
     links, seen = deque([root]), set()
     top = Path(os.path.realpath(root))
@@ -216,13 +216,13 @@ def _folders(root: Path) -> Iterator[tuple[Path, list[str]]]:
 
 
 def find_photos(model: Path, images: Path | str | None, names: list[str]) -> PhotoFolder:
-    """The folder of a model's photos.
+    """Find the folder of a model's photos.
 
     Args:
         model: the model's folder; the search covers the folders from it up to its project's.
         images: the folder, if the caller knows it.
-        names: of the model's photos; the first folder that has any of them where it should be is
-            used, else the first one that has any, else a folder with the model or above it.
+        names: of the model's photos. The first folder that has any of them at its place is used;
+            otherwise the first that has any at all; otherwise the first that exists.
 
     Raises:
         SceneError: `images` is not a folder.

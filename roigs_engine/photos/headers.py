@@ -30,13 +30,13 @@ PNG = b"\x89PNG\r\n\x1a\n"
 FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "JPEG2000", "PPM")  # as Pillow calls them
 PNG_END = b"IEND"
 ORIENTATION = 0x0112  # EXIF and TIFF tag
-TURN = "turn"  # what `open_photo` calls the tag that it has taken from a TIFF
+TURN = "turn"  # key under which `open_photo` stores a TIFF's tag
 EXIF = b"Exif\0\0"
-TAIL = 1 << 16  # bytes at the end of a file that are searched for them
+TAIL = 1 << 16  # bytes at the end of a file that are searched for the end marker
 # A larger photo has a damaged or malicious header: the largest cameras today have 150 megapixels,
 # and Pillow rejects more than 179.
 MAX_PIXELS = 178_000_000
-LONGEST = 65_535  # pixels of a side, as in JPEG: Pillow takes memory for each row
+LONGEST = 65_535  # pixels of a side, as in JPEG: Pillow allocates memory for each row
 # The treatment of a photo's colour space if it is not sRGB (`colours`).
 CONVERTED, DAMAGED = "converted", "damaged profile"
 # The user can do nothing about Pillow's warnings on a photo's metadata.
@@ -54,7 +54,7 @@ def content_digest(path: Path) -> str:
 
 
 def check_unchanged(path: Path, digest: str) -> None:
-    """Raise PhotoError if a photo is no longer the one that the run knows; empty: it knows none."""
+    """Raise PhotoError if a photo's file no longer has this digest; empty: unknown, no check."""
     try:
         same = not digest or content_digest(path) == digest
     except OSError as error:
@@ -92,7 +92,7 @@ def photo_size(path: Path) -> tuple[int, int]:
 
 
 def png_chunk(file: BinaryIO, kind: bytes, end: bytes = PNG_END) -> bytes:
-    """The data of a PNG's first chunk of a kind before one of `end`; empty: there is none."""
+    """The data of a PNG's first chunk of a kind before a chunk `end`; empty: there is none."""
     file.seek(len(PNG))
     while len(head := file.read(8)) == 8:
         length, found = struct.unpack(">I4s", head)
@@ -130,7 +130,7 @@ def check_complete(path: Path) -> None:
 
 @contextmanager
 def open_photo(path: Path) -> Iterator[Image]:
-    """The photo, opened by Pillow, whose errors in the block become a PhotoError.
+    """Open the photo with Pillow; its errors in the block become a PhotoError.
 
     EngineError: it is a TIFF that needs tifffile, which is not installed.
     """
@@ -149,16 +149,16 @@ def open_photo(path: Path) -> Iterator[Image]:
 
 @contextmanager
 def open_png(path: Path) -> Iterator[Image]:
-    """A PNG, opened by Pillow, which raises nearly anything; OSError: it is a pipe."""
+    """Open a PNG with Pillow, which may raise nearly anything; OSError: it is a pipe."""
     from PIL import Image
 
     with open(path, "rb", opener=regular) as file, Image.open(file, formats=("PNG",)) as image:
-        setattr(image, "filename", str(path))  # noqa: B010 - by it, a part is read again
+        setattr(image, "filename", str(path))  # noqa: B010 - parts are read again by this name
         yield image
 
 
 def _opened(path: Path) -> Image:
-    """The photo, opened by Pillow, or by tifffile if Pillow does not read it rightly."""
+    """Open the photo with Pillow, or with tifffile if Pillow does not read it correctly."""
     from PIL import Image, UnidentifiedImageError
 
     from . import tiff
@@ -181,7 +181,7 @@ def _opened(path: Path) -> Image:
             tiff.check_parts(photo)
             if photo.format == "TIFF" and (tag := photo.getexif().get(ORIENTATION, 1)) != 1:
                 photo.info[TURN] = tag
-                photo.getexif()[ORIENTATION] = 1  # Pillow would turn it, as no other format
+                photo.getexif()[ORIENTATION] = 1  # Pillow turns only TIFFs by it
                 photo._size = getattr(photo, "_tile_size", photo.size)
             return photo
         photo.close()
@@ -229,7 +229,7 @@ STARTS = {
 
 
 def _kind(path: Path) -> str:
-    """The real kind of a file that is no photo; empty: not known."""
+    """The real kind of a file that is not a photo; empty if unknown."""
     try:
         with open(path, "rb", opener=regular) as file:
             start = file.read(32)

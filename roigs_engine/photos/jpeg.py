@@ -14,11 +14,11 @@ BARE = {0x01, *range(0xD0, 0xD8)}
 JPEG_END, SCAN = b"\xff\xd9", b"\xff\xda"
 PER_PIXEL, BESIDE = 8, 64 << 20
 """Bytes that a JPEG may have for each pixel, and besides: for headers, and a film behind it."""
-MOST_SCANS = 100  # of a JPEG, in each of which all pixels may change; usual ones have up to 20
+MOST_SCANS = 100  # of a JPEG; each may change all pixels. Usual files have up to 20
 
 
 def jpeg_size(file: BinaryIO) -> tuple[int, int]:
-    """(width, height) that the header of a JPEG says; ValueError, struct.error: it is damaged."""
+    """(width, height) from the header of a JPEG; ValueError, struct.error: it is damaged."""
     if not any(marker in FRAMES for marker in jpeg_segments(file)):
         raise ValueError("a JPEG without a frame header")
     height, width = struct.unpack(">3xHH", file.read(7))
@@ -31,7 +31,7 @@ def check_scans(file: BinaryIO) -> None:
     The file is read to the photo's end only if its first scan does not hold the whole photo.
     """
     most, width, height = BESIDE, 0, 0
-    with suppress(ValueError, IndexError, struct.error):  # others say what is damaged
+    with suppress(ValueError, IndexError, struct.error):  # other code reports damage
         progressive, components = False, 0
         for marker in jpeg_segments(file):
             if marker in FRAMES:
@@ -58,7 +58,7 @@ def check_scans(file: BinaryIO) -> None:
 
 
 def jpeg_segments(file: BinaryIO) -> Iterator[int]:
-    """The markers of the headers, with the file at the segment's length; ends at the image data."""
+    """Yield the headers' markers, with `file` at the segment's length, up to the image data."""
     file.seek(2)
     while True:
         (lead, marker) = struct.unpack(">BB", file.read(2))

@@ -15,7 +15,7 @@ MOST_TILES = 1 << 14
 
 
 def boxes(file: BinaryIO, at: int, end: int) -> Iterator[tuple[bytes, int, int]]:
-    """The kinds of boxes in a part of a file, and where their data begin and end (I.4)."""
+    """Yield the boxes in a part of a file: kind, and start and end of the data (I.4)."""
     while at + 8 <= end:
         file.seek(at)
         length, kind = struct.unpack(">I4s", file.read(8))
@@ -31,7 +31,7 @@ def boxes(file: BinaryIO, at: int, end: int) -> Iterator[tuple[bytes, int, int]]
 
 
 def picture_of(data: bytes, at: int) -> tuple[int, int, int]:
-    """Width, height and channels, by what is `at` the end of a codestream's `START`.
+    """Width, height and channels of a codestream; `at` is the offset after its `START`.
 
     ValueError: it has too many tiles. struct.error: it is cut off.
     """
@@ -43,7 +43,7 @@ def picture_of(data: bytes, at: int) -> tuple[int, int, int]:
 
 
 def check_tiles(file: BinaryIO) -> None:
-    """Raise as `picture_of` for a file that has too many tiles, or is cut off."""
+    """Raise as `picture_of` if a file has too many tiles or is cut off."""
     end, places = file.seek(0, 2), [0]
     places += [start for kind, start, _ in boxes(file, 0, end) if kind == b"jp2c"]
     for place in places:

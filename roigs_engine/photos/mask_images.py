@@ -1,4 +1,4 @@
-"""Mask images of photos: used and ignored pixels; pixels of an object.
+"""Reads and resamples masks of photos: of used pixels, or of an object's pixels.
 
 A mask is (H, W) bool, True where a pixel counts. docs/files.md (Masks) describes the files, and the
 resampling of masks.
@@ -41,16 +41,17 @@ def read_mask(
     hint: str = HINT,
     turn: int = AS_STORED,
 ) -> Mask:
-    """The mask in a file, a PNG of any depth, at the file's own size.
+    """Read the mask in a file, a PNG of any depth, at the file's own size.
 
     Args:
-        photo: (width, height) of its photo after `turn`, whose shape the mask must have.
+        photo: (width, height) of its photo after `turn`; the mask must have its shape.
         inverted: whether black counts and all else is ignored.
         hint: what to do with a file that cannot be read.
-        turn: of the photo, see `PosedImage`. A mask with the shape of its file alone is turned too.
+        turn: of the photo, see `PosedImage`. A mask that only has the shape of the unturned photo
+            is turned, too.
 
     Raises:
-        MaskError: the file cannot be read, is an animation, or has another shape; names it.
+        MaskError: the file cannot be read, is an animation, or has another shape.
     """
     try:
         with open_png(path) as image:
@@ -72,12 +73,12 @@ def has_alpha(path: Path) -> bool:
     try:
         with open_photo(path) as photo:
             return bool(photo.has_transparency_data)
-    except Exception:  # the photo is reported where it is decoded
+    except Exception:  # decoding it reports the error
         return False
 
 
 def alpha_mask(path: Path) -> Mask:
-    """The mask in a photo's alpha channel, at its own size; PhotoError if it cannot be decoded."""
+    """Read the mask in a photo's alpha channel, at full size; PhotoError: it cannot be decoded."""
     with open_photo(path) as photo:
         alpha = opacity(photo)
     if alpha is None:
@@ -86,9 +87,9 @@ def alpha_mask(path: Path) -> Mask:
 
 
 def resized(mask: Mask, size: tuple[int, int], least: int = ALL) -> Mask:
-    """The mask at `size` = (width, height).
+    """Resample the mask to `size` = (width, height).
 
-    `least`: `ALL`: a pixel that covers an ignored one is ignored; `HALF`: so is most of it.
+    `least`: with `ALL`, a pixel counts if all that it covers counts; with `HALF`, if half does.
     """
     if (mask.shape[1], mask.shape[0]) == size:
         return mask
@@ -101,10 +102,10 @@ def resized(mask: Mask, size: tuple[int, int], least: int = ALL) -> Mask:
 
 
 def _all_covered(mask: Mask, height: int) -> Mask:
-    """The mask (h, W) at `height`: pixels of which all that they cover, even in part, are in it."""
+    """Resample the mask (h, W) to `height`; a pixel counts if all rows that it touches count."""
     rows = np.arange(height)
     first, end = rows * len(mask) // height, -(-(rows + 1) * len(mask) // height)
-    # Of a pixel: all rows before the next one's first, and its own last.
+    # A pixel's rows: all before the next one's first row, and its own last row.
     return np.asarray(np.logical_and.reduceat(mask, first, axis=0) & mask[end - 1])
 
 
@@ -122,19 +123,19 @@ def write_mask(path: Path, mask: Mask) -> None:
 
 
 def load_mask(image: PosedImage) -> Mask | None:
-    """The mask of a posed photo at its camera's size; None: all pixels count.
+    """Load the mask of a posed photo at its camera's size; None: all pixels count.
 
-    A file that the engine made, and that is lost or damaged, is made again.
+    If a file made by the engine is missing or damaged, it is recreated.
 
     Raises:
-        MaskError, PhotoError: the mask or photo is missing or was changed; names it.
-        RunFolderError: a file of the engine cannot be made again.
+        MaskError, PhotoError: the mask or photo is missing or was changed.
+        RunFolderError: a file of the engine cannot be recreated.
     """
     return None if image.mask is None else _loaded(image.mask, image, ALL)
 
 
 def load_object_mask(image: PosedImage, box: str) -> Mask | None:
-    """The pixels of a posed photo that show a box's object; None: it has no such mask.
+    """Load the mask of a box's object for a posed photo; None: it has none.
 
     Raises as `load_mask`.
     """
@@ -152,7 +153,7 @@ def _loaded(mask: PhotoMask, image: PosedImage, least: int) -> Mask:
 
 
 def stored_mask(path: Path) -> Mask:
-    """A mask that `write_mask` has written; MaskError if it is damaged."""
+    """Read a mask that `write_mask` has written; MaskError if it is damaged."""
     try:
         with open_png(path) as image:
             return np.array(image.convert("1"))
@@ -163,7 +164,7 @@ def stored_mask(path: Path) -> Mask:
 
 
 def load_masked(image: PosedImage) -> Pixels:
-    """A posed photo with its mask: as `load_photo`, (H, W, 3), or (H, W, 4) if it has one.
+    """Load a posed photo as `load_photo`, (H, W, 3); with its mask (H, W, 4) if it has one.
 
     The last channel is 255 where a pixel counts, else 0. Raises as `load_photo` and `load_mask`.
     """
@@ -194,7 +195,7 @@ def _check(path: Path, image: Image.Image, photo: tuple[int, int]) -> None:
 
 
 def _bright(image: Image.Image) -> Mask:
-    """(H, W) the pixels of an opened file that are neither black nor transparent."""
+    """(H, W) whether pixels of an opened file are neither black nor transparent."""
     deep = deep_values(image)  # 1 of 65,535 is not black
     alpha = opacity(image)
     if deep is None:

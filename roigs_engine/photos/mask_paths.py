@@ -1,7 +1,7 @@
 """File names of masks: one rule for training and `reconstruct`.
 
-docs/files.md (Masks) has the names, which are those of COLMAP and Brush, in their order. Masks of a
-box's object that could not be written beside the photos are in a run folder
+docs/files.md (Masks) lists the names in their order; they are those of COLMAP and Brush. Masks of
+boxes' objects that could not be written beside the photos are in a run folder
 (`formats.mask_record.used_mask`).
 """
 
@@ -29,15 +29,15 @@ class MaskOptions:
     """The masks that the user wants."""
 
     folder: Path | None = None  # of the masks; None: `masks` beside the photos' folder
-    inverted: bool = False  # in files, black marks what is used; alpha channels are not inverted
-    used: bool = True  # False: there are no masks
-    boxes: tuple[str, ...] = ()  # those whose masks of objects are used, of the folders `masks/BOX`
-    other_boxes: bool = False  # whether the scene has boxes beside these
+    inverted: bool = False  # in files, black marks used pixels; alpha channels are not inverted
+    used: bool = True  # False: no masks are used
+    boxes: tuple[str, ...] = ()  # whose masks of objects are used, from the folders `masks/BOX`
+    other_boxes: bool = False  # whether the scene has more boxes than these
     objects_inverted: bool = False  # black marks the objects
-    objects: Path | None = None  # folder of such masks for photos that have none in `folder`
+    objects: Path | None = None  # folder of masks of objects for photos with none in `folder`
 
     def check(self) -> None:
-        """Raise ConfigError if the folder is none."""
+        """Raise ConfigError if `folder` is not a folder."""
         if self.folder is not None and not os.path.isdir(self.folder):
             raise ConfigError(f"{self.folder} is not a folder.", "Give --masks the masks' folder.")
 
@@ -53,12 +53,11 @@ class MaskFiles:
     """
 
     def __init__(self, photos: Path, folder: Path | None = None, *, made: bool = True) -> None:
-        """The masks to look for.
-
+        """Set where masks are searched.
         Args:
             photos: the photos' folder.
             folder: of the masks; None: `masks` beside it.
-            made: whether those that `reconstruct` has used count.
+            made: whether to include the masks that `reconstruct` has used.
         """
         project = Path(os.path.abspath(photos)).parent
         self._photos = photos
@@ -69,8 +68,7 @@ class MaskFiles:
     def of_object(self, box: str, other: Path | None) -> Callable[[str], Path | None]:
         """The function from a photo's name to its mask of a box's object, if it has one.
 
-        `other`: another folder of masks of objects, that of a run. SceneError: two folders have
-        the box's name.
+        `other`: a run's folder of masks of objects. SceneError: two folders have the box's name.
         """
         beside = MaskFiles(self._photos, _only_folder(self.folder, box))
         in_run = None if other is None else MaskFiles(self._photos, _only_folder(other, box))
@@ -82,7 +80,7 @@ class MaskFiles:
         return find
 
     def of_no_box(self, boxes: Iterable[str], photos: Iterable[str]) -> list[str]:
-        """Names of folders of masks that look like those of a box, but of none of these."""
+        """Names of folders that look like a box's masks, but have no name of these boxes."""
         known = {same_name(box) for box in boxes}
         masks = {same_name(each) for name in photos for kind in mask_names(name) for each in kind}
         found = {}
@@ -93,13 +91,13 @@ class MaskFiles:
         return [folder for folder, is_known in found.items() if not is_known]
 
     def is_made(self, mask: Path) -> bool:
-        """Whether `reconstruct` made that mask: in these, black is what is ignored in any case."""
+        """Whether `reconstruct` made that mask; in these, black always marks ignored pixels."""
         return mask.is_relative_to(self._made.folder)
 
     def find(self, name: str, *, beside: bool = True) -> Path | None:
         """The mask file of the photo with that name; None: it has none.
 
-        `beside`: False: only files in the folder count.
+        `beside`: whether to search among the photos, too, not only in the folder of masks.
         """
         marked, plain = mask_names(name)
         for candidate in (plain[0], *marked, *(() if self._among_photos else plain[1:])):
@@ -112,7 +110,7 @@ class MaskFiles:
         return found or (self._made.find(plain[0]) if self._uses_made else None)
 
     def unknown(self, photos: Iterable[str]) -> list[str]:
-        """Names of the files that are the mask of none of these photos, nor of a box in one."""
+        """Names of the files that are no mask of any of these photos, also not for a box."""
         names = (mask_names(name) for name in photos)
         known = {same_name(name) for marked, plain in names for name in (*marked, *plain)}
         folders = (self._beside,) if self._among_photos else (self._masks, self._beside)
@@ -125,7 +123,7 @@ class MaskFiles:
 
     @cached_property
     def _among_photos(self) -> bool:
-        """Whether the folder is that of the photos, in which `012.png` is no mask of `012.jpg`."""
+        """Whether masks are in the photos' folder; there, `012.png` is no mask of `012.jpg`."""
         return os.path.realpath(self.folder) == os.path.realpath(self._photos)
 
     @cached_property
@@ -149,7 +147,7 @@ def _only_folder(masks: Path, box: str) -> Path:
 
 
 def mask_names(photo: str) -> tuple[list[str], list[str]]:
-    """The names that the mask of a photo can have: those that say so, and plain ones."""
+    """The possible names of a photo's mask: with the ending of masks, and plain ones."""
     photo = photo.replace("\\", "/")
     folder, slash, name = photo.rpartition("/")
     stems = dict.fromkeys((photo, folder + slash + os.path.splitext(name)[0]))

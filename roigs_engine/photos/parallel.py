@@ -1,4 +1,4 @@
-"""Parallel work on many photos, with as many threads as the machine's memory allows."""
+"""Processes many photos in parallel, with as many threads as the machine's memory allows."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ Result = TypeVar("Result")
 
 MOST = 8  # threads
 SHARE = 2  # all threads take at most 1/2 of the machine's memory, unless one needs more
-# Measured bytes for a pixel of a photo's file while it is decoded, with Pillow's 4 for the result.
+# Measured bytes for each pixel of a photo during decoding, including Pillow's 4 for the result.
 PER_PIXEL = 8  # a progressive JPEG, a compressed TIFF
 HEAVY = {".jp2": 20, ".webp": 17}
 
 
 def decoding_bytes(path: Path, size: tuple[int, int]) -> int:
-    """Most bytes that decoding a photo takes whose file has `size` = (width, height)."""
+    """The most bytes for decoding a photo of `size` = (width, height)."""
     return HEAVY.get(path.suffix.lower(), PER_PIXEL) * size[0] * size[1]
 
 
@@ -42,14 +42,14 @@ def in_parallel(
     context: Context,
     stage: str = "",
 ) -> Iterator[Iterator[tuple[Item, Future[Result]]]]:
-    """Each item, in order, with its finished work; the caller reads the result or the error.
+    """Yield each item, in order, with its finished work; the caller reads the result or error.
 
-    At the end of the block, work that has begun is waited for, and the rest is dropped.
+    At the end of the block, started work is awaited, and the rest is cancelled.
 
     Args:
-        work: of one item; called on several threads.
-        memory: most bytes that the work on one item takes.
-        stage: name of the progress that is reported; empty: none is.
+        work: on one item; called on several threads.
+        memory: the most bytes for one item.
+        stage: name for reports of progress; empty: no reports.
     """
     pool = ThreadPoolExecutor(threads_for(memory), thread_name_prefix="photos")
     jobs = [pool.submit(work, item) for item in items]

@@ -1,4 +1,4 @@
-"""Colour spaces from primaries and curves: by numbers in files, and by ICC profiles."""
+"""Colour spaces from primaries and curves, given by numbers in files or by ICC profiles."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ PRIMARIES: dict[int, tuple[str, Primaries]] = {  # ITU-T H.273, table 2
 }
 PQ, HLG = 16, 18
 REFERENCE_WHITE = 203.0  # cd/m2 of PQ and HLG that become white: ITU-R BT.2408
-HLG_PEAK = 1000.0  # cd/m2 of the screen that HLG is meant for: ITU-R BT.2100
+HLG_PEAK = 1000.0  # cd/m2 of HLG's reference screen: ITU-R BT.2100
 PART = 1 << 18  # pixels that are converted at once
 WHITE = 65535
 # CIE XYZ of ICC's white, and Bradford's matrix, which adapts other whites to it (ICC.1, annex E).
@@ -94,24 +94,24 @@ CURVES: dict[int, tuple[str, Curve]] = {  # H.273, table 3
 
 
 def parts_of(pixels: NDArray[Any]) -> Iterator[NDArray[Any]]:
-    """Views of rows of (H, W, ...), of at most `PART` pixels each, but one row at least."""
+    """Split (H, W, ...) into views of whole rows, of at most `PART` pixels or one row each."""
     rows = max(1, PART // max(1, pixels.shape[1]))
     return (pixels[top : top + rows] for top in range(0, len(pixels), rows))
 
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """A colour space of curves and a matrix.
+    """A colour space defined by curves and a matrix.
 
     `curves`: for each channel, (65536,) float32 linear light of all values. `matrix`: (3, 3),
-    linear light of the channels -> that of sRGB; None: the only channel is grey.
+    linear light of the channels -> linear sRGB; None: the only channel is grey.
     """
 
     curves: tuple[NDArray[np.float32], ...]
     matrix: NDArray[np.float32] | None
 
     def light(self, values: NDArray[np.unsignedinteger[Any]]) -> NDArray[np.float32]:
-        """(H, W, 1 or 3) linear light of sRGB, of values (H, W, 1 or 3) of 8 or 16 bits."""
+        """Values (H, W, 1 or 3) of 8 or 16 bits -> linear sRGB light (H, W, 1 or 3)."""
         step = 1 if values.dtype == np.uint16 else 257
         channels = [values[..., min(k, values.shape[2] - 1)] for k in range(len(self.curves))]
         found = [curve[::step][each] for curve, each in zip(self.curves, channels, strict=True)]
@@ -119,22 +119,22 @@ class Space:
         return light if self.matrix is None else np.asarray(light @ self.matrix.T)
 
     def to_srgb(self, values: NDArray[np.unsignedinteger[Any]]) -> NDArray[np.uint8]:
-        """(H, W, 3) sRGB of values as of `light`, rounded; what lies outside is clipped.
+        """Values as for `light` -> (H, W, 3) sRGB, rounded and clipped.
 
-        The result takes the place of values in RGB, which are lost: photos may be large.
+        The result overwrites RGB values in their memory, because photos may be large.
         """
         if values.shape[2] == 3 and values.flags.c_contiguous:
             result = values.reshape(-1).view(np.uint8)[: values.size].reshape(values.shape)
         else:
             result = np.empty((*values.shape[:2], 3), np.uint8)
-        # Else ten times the memory of the photo.
+        # In parts: at once, this would take ten times the memory of the photo.
         for part, made in zip(parts_of(values), parts_of(result), strict=True):
             made[:] = encoded(self.light(part))
         return result
 
 
 def encoded(light: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """sRGB (IEC 61966-2-1) of linear light, rounded; what lies outside of 0 to 1 is clipped."""
+    """Linear light -> sRGB (IEC 61966-2-1), rounded; light outside 0 to 1 is clipped."""
     return _encoded()[(light.clip(0, 1) * WHITE + 0.5).astype(np.uint16)]
 
 
@@ -144,7 +144,7 @@ def _encoded() -> NDArray[np.uint8]:
 
 
 def space_of(primaries: Primaries, curve: Curve, *, limited: bool = False) -> Space:
-    """The space of primaries and a curve; ValueError: they span none.
+    """The space of primaries and a curve; ValueError: the primaries span no space.
 
     `limited`: black is 16 of 255, white 235 (H.273, 8.3).
     """
@@ -160,7 +160,7 @@ def space_of(primaries: Primaries, curve: Curve, *, limited: bool = False) -> Sp
 
 @lru_cache(maxsize=16)
 def space_of_code(primaries: int, transfer: int, *, limited: bool = False) -> Space:
-    """The space of two code points of ITU-T H.273 of a photo; unknown ones are those of sRGB.
+    """The space of a photo's two code points of ITU-T H.273; unknown ones count as sRGB's.
 
     Colours brighter than the reference white become white.
     """
@@ -177,9 +177,9 @@ def space_of_gamma(primaries: Primaries, exponent: float | None) -> Space:
 
 @lru_cache(maxsize=8)
 def space_of_profile(icc: bytes) -> Space | None:
-    """The space of a profile that LittleCMS reads; None: it has tables instead (ICC.1, 8.3).
+    """The space of an ICC profile that LittleCMS accepts; None: it has tables (ICC.1, 8.3).
 
-    On tags that are damaged: struct.error, ValueError, IndexError or ArithmeticError.
+    Damaged tags raise struct.error, ValueError, IndexError or ArithmeticError.
     """
     (count,) = struct.unpack_from(">I", icc, 128)
     entries = [struct.unpack_from(">4sII", icc, 132 + 12 * k) for k in range(count)]
@@ -205,7 +205,7 @@ def space_of_profile(icc: bytes) -> Space | None:
 
 
 def _curve(tag: memoryview) -> Values:
-    """(65536,) linear light of a tag: curveType or parametricCurveType (ICC.1, 10.6 and 10.18)."""
+    """(65536,) linear light from a curveType or parametricCurveType tag (ICC.1, 10.6, 10.18)."""
     values = np.linspace(0, 1, 65536)
     if bytes(tag[:4]) == b"curv":
         (count,) = struct.unpack_from(">I", tag, 8)

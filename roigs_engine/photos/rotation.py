@@ -1,7 +1,7 @@
 """Rotates photos by their EXIF tag, for models of software that applies it.
 
 COLMAP ignores the tag, and so does this engine for its models: `turn` is then `AS_STORED`. Other
-software shows and measures turned photos. `colmap.rotations` finds out which rule a model follows.
+software applies the tag first. `colmap.rotations` finds out which rule a model follows.
 
 A turn is the tag's value (Exif 3.0, 4.6.4, Orientation): the operation that the stored pixels need.
 """
@@ -28,7 +28,7 @@ Values = TypeVar("Values", NDArray[np.uint8], NDArray[np.bool_])
 
 
 def rotation_tag(path: Path) -> int:
-    """The turn that a photo's EXIF data ask for; `AS_STORED` if they ask for none, or are damaged.
+    """The turn in a photo's EXIF data; `AS_STORED` if there is none, or they are damaged.
 
     JPEG and PNG headers are read here, since reading cameras does not need Pillow.
     """
@@ -48,12 +48,12 @@ def rotation_tag(path: Path) -> int:
 
 
 def turned_size(size: tuple[int, int], turn: int) -> tuple[int, int]:
-    """(width, height) after the turn, or before it."""
+    """The size (width, height) after a turn; also converts back."""
     return (size[1], size[0]) if turn in SIDEWAYS else size
 
 
 def turned(pixels: Values, turn: int) -> Values:
-    """Pixels (H, W, ...), turned."""
+    """Apply a turn to pixels (H, W, ...)."""
     if turn in SIDEWAYS:
         pixels = pixels.swapaxes(0, 1)
     if turn in (2, 3, 6, 7):

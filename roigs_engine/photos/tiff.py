@@ -1,7 +1,7 @@
-"""Opens TIFF photos with tifffile that Pillow cannot read or reads wrongly.
+"""Opens TIFF photos that Pillow cannot read, or reads wrongly, with tifffile.
 
 Pillow reads 8 bits, 16 bits of chunky pixels, and floats of one channel; `pillow_reads` has the
-exact rule. Everything else is read here: other planes, byte orders, numbers and compressions, and
+exact rule. All other files are read here: other planes, byte orders, types and compressions, and
 files whose first page is a small copy or a mask. As with Pillow, white is the largest value of the
 type, 1 for floats.
 """
@@ -28,16 +28,16 @@ from .jpeg2000 import START, picture_of
 from .profiles import parts_of
 
 MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-# Tags (TIFF 6.0), and what they say.
+# Tags (TIFF 6.0), and their values.
 SUBFILE, BITS, COMPRESSION, PHOTOMETRIC, PLANAR, EXTRA, FORMAT = 254, 258, 259, 262, 284, 338, 339
 COLOURS, INKS, PROFILE = 320, 332, 34675
-KEPT = (271, 272, 274)  # maker, model and orientation, as EXIF data have them
+KEPT = (271, 272, 274)  # maker, model and orientation, as in EXIF data
 SMALL_OR_MASK = 1 | 4
 MINISWHITE, MINISBLACK, RGB, PALETTE, CMYK, YCBCR, CIELAB, ICCLAB = 0, 1, 2, 3, 5, 6, 8, 9
 ASSOCIATED, UNASSOCIATED = 1, 2
 UNSIGNED, FLOAT = 1, 3
 ZSTD, JPEG = 50000, (6, 7)
-# None, CCITT, LZW, Deflate, PackBits, LZMA: what libtiff in Pillow reads.
+# None, CCITT, LZW, Deflate, PackBits, LZMA: libtiff in Pillow reads these.
 COMPRESSIONS = {1, 2, 3, 4, 5, *JPEG, 8, 32773, 32946, 34925, ZSTD}
 CHANNELS = {MINISWHITE: 1, MINISBLACK: 1, RGB: 3, PALETTE: 1, CMYK: 4, CIELAB: 3, ICCLAB: 3}
 MODES = {RGB: "RGB", PALETTE: "RGB", CMYK: "CMYK", CIELAB: "LAB", ICCLAB: "LAB", YCBCR: "RGB"}
@@ -50,25 +50,25 @@ READ = COMPRESSIONS | {*JPEG_2000, WEBP, PNG}
 TYPE_BYTES = np.array([0, 1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8, 4, 0, 0, 8, 8, 8])
 """Bytes of a value, by the number of its type (TIFF 6.0, section 2, and BigTIFF)."""
 MOST_TAGS = 4096  # of a page
-MOST_LOOKS = 1024  # at lists of tags: of pages, of pages below them, of EXIF data
-MOST_PLACES = 1 << 22  # numbers in a page's lists: the places of strips and tiles, and below it
+MOST_LOOKS = 1024  # lists of tags read: of pages, of pages below them, of EXIF data
+MOST_PLACES = 1 << 22  # numbers in a page's lists: places of strips, tiles and pages below
 LISTS, BELOW = (273, 279, 324, 325, 330), (330, 34665, 34853, 40965)  # BELOW: of other pages
 HINT = "Save it as a TIFF of 8 or 16 bits, grey or RGB, or as PNG."
 Result = TypeVar("Result")
 
 
 class UnsupportedError(ValueError):
-    """A valid file that is not read; says what it is."""
+    """The file is valid, but its kind is not supported; the message names the kind."""
 
 
 def is_tiff(path: Path) -> bool:
-    """Whether a file begins as a TIFF does; OSError if it cannot be read."""
+    """Whether a file begins like a TIFF; OSError if it cannot be read."""
     with open(path, "rb", opener=regular) as file:
         return file.read(4) in MAGIC
 
 
 def pillow_reads(photo: Image.Image) -> bool:
-    """Whether Pillow decodes an opened photo rightly; always so if it is no TIFF."""
+    """Whether Pillow decodes an opened photo correctly; True if it is no TIFF."""
     if not isinstance(photo, TiffImagePlugin.TiffImageFile):
         return True
     tags = photo.tag_v2
@@ -88,12 +88,12 @@ def pillow_reads(photo: Image.Image) -> bool:
 
 
 def _of_eight_bits(palette: Sequence[int]) -> bool:
-    """Whether a palette has values of 8 bits, not of 16 as the format demands, as libtiff says."""
+    """Whether a palette has 8-bit values instead of the format's 16 bits (libtiff's rule)."""
     return max(palette, default=256) < 256
 
 
 def colmap_reads(photo: Image.Image) -> bool:
-    """Whether pycolmap decodes an opened photo to the same picture; always so if it is no TIFF."""
+    """Whether pycolmap decodes an opened photo to the same picture; True if it is no TIFF."""
     if not isinstance(photo, TiffImagePlugin.TiffImageFile):
         return not isinstance(photo, TiffPhoto)
     tags = photo.tag_v2
@@ -104,11 +104,11 @@ def colmap_reads(photo: Image.Image) -> bool:
 def check_tags(file: BinaryIO) -> None:
     """Raise ValueError if the data of a page's tags overlap, or if there are far too many.
 
-    Pillow and tifffile read all of them, and 4,096 tags may share a gigabyte. Damage is left to
-    them, and so is what is no TIFF.
+    Pillow and tifffile read all data, and 4,096 tags may share a gigabyte. Other damage, and files
+    that are no TIFF, are left to these libraries.
 
     Args:
-        file: TIFF or EXIF data. Its first pages are checked, and those below the first.
+        file: TIFF or EXIF data. Its first pages and the pages below the first are checked.
     """
     head = file.read(16)
     order = {b"II": "<", b"MM": ">"}.get(head[:2], "")
@@ -116,17 +116,16 @@ def check_tags(file: BinaryIO) -> None:
         return
     big, size = head[2:4] in (b"+\0", b"\0+"), file.seek(0, io.SEEK_END)
     kind = _Kind(order, big, size, set())
-    with suppress(struct.error):  # the data end
+    with suppress(struct.error):  # the data are cut off
         (at,) = struct.unpack_from(order + ("8xQ" if big else "4xI"), head)
         for page in range(MOST_PAGES):
             at = _check_directory(file, at, kind, 0 if page else 2) if at else 0
 
 
 class _Kind(NamedTuple):
-    """Of a TIFF's data: byte order, whether it is a BigTIFF, and bytes.
+    """A TIFF's byte order, whether it is a BigTIFF, and its size in bytes.
 
-    `looked`: places of its lists of tags that were looked at, and how deep below the first page
-    the lists were that those name: they may name one another.
+    `looked`: the lists of tags that were checked, as (place, depth): lists may name one another.
     """
 
     order: str
@@ -136,9 +135,9 @@ class _Kind(NamedTuple):
 
 
 def _check_directory(file: BinaryIO, at: int, kind: _Kind, depth: int) -> int:
-    """`check_tags` of the page at `at`; returns the place of the next one, 0 for none.
+    """Check the tags of the page at `at`; returns the place of the next page, 0 for none.
 
-    `depth`: of pages below.
+    `depth`: how many levels of pages below it are checked, too.
     """
     order, big, size, looked = kind
     if (at, depth) in looked:
@@ -179,11 +178,11 @@ def _check_directory(file: BinaryIO, at: int, kind: _Kind, depth: int) -> int:
 
 
 class TiffPhoto(ImageFile.ImageFile):
-    """A TIFF as Pillow opens photos: `mode` and `size` at once, pixels by `load`.
+    """A TIFF with Pillow's interface: `mode` and `size` at once, pixels by `load`.
 
     Raises:
-        EngineError: tifffile or imagecodecs is needed, and not installed.
-        UnsupportedError: the file is valid, but of a kind that is not read.
+        EngineError: tifffile or imagecodecs is needed, but not installed.
+        UnsupportedError: the file is valid, but its kind is not supported.
     """
 
     format = "TIFF"
@@ -218,7 +217,7 @@ class TiffPhoto(ImageFile.ImageFile):
         return Image.Image.load(self)
 
     def deep(self) -> NDArray[np.uint16] | None:
-        """(H, W, 1 or 3) grey or RGB of more than 8 bits, 65,535 for white; None: it is another."""
+        """(H, W, 1 or 3) grey or RGB of more than 8 bits, white 65,535; None for other kinds."""
 
         def read(page: Any) -> NDArray[np.uint16] | None:
             mode = _mode(page)
@@ -247,7 +246,7 @@ def _package(name: str, path: Path) -> Any:
 
 
 def _photo_page(file: Any) -> Any:
-    """The first page that is neither a small copy nor a mask; also one below the first."""
+    """The first page that is neither a small copy nor a mask, including those below the first."""
     pages = _pages(file)
     return next(
         (page for page in pages if not int(page.subfiletype) & SMALL_OR_MASK), file.pages[0]
@@ -255,12 +254,12 @@ def _photo_page(file: Any) -> Any:
 
 
 def _pages(file: Any) -> Iterator[Any]:
-    """The pages of a file, those below the first one after it; of each kind, `MOST_PAGES`."""
+    """Yield the first page, the pages below it, and the others; at most `MOST_PAGES` of each."""
     first = file.pages[0]
     yield first
     places = {offset: k for k, offset in reversed([*enumerate(first.subifds or ())])}
     below: Any = first.pages if places else None
-    with suppress(IndexError):  # their number is known only once all are read
+    with suppress(IndexError):  # their number is unknown until all are read
         for k in sorted(places.values())[:MOST_PAGES]:
             yield below[k]
     with suppress(IndexError):
@@ -269,7 +268,7 @@ def _pages(file: Any) -> Iterator[Any]:
 
 
 def _check(page: Any) -> None:
-    """Raise UnsupportedError if a page is of a kind that is not read, ValueError: it is damaged."""
+    """Raise UnsupportedError if a page's kind is not supported, ValueError if it is damaged."""
     photometric = int(page.photometric)
     end = page.parent.filehandle.size
     places = [*zip(page.dataoffsets, page.databytecounts, strict=False)]
@@ -310,7 +309,7 @@ def check_parts(photo: Image.Image) -> None:
 
 
 def _strip(width: int, height: int, rows: int) -> tuple[int, int]:
-    """Width and height of the strips of a page; `rows`: 0: it has one."""
+    """Width and height of the strips of a page; `rows` = 0: there is one strip."""
     return width, min(rows or height, height)
 
 
@@ -332,12 +331,12 @@ def _check_codec(
     samples: int,
     header: bytes = b"",
 ) -> None:
-    """Raise ValueError if a strip or tile that is a picture says that it is larger than one.
+    """Raise ValueError if the picture in a strip or tile is larger than the strip or tile.
 
     Args:
         file, places: an open file; offsets and lengths of strips or tiles in it.
         piece: width and height of the largest.
-        header: what the file has of all of them.
+        header: data that all of them share.
     """
     if compression not in (*JPEG, *JPEG_2000, WEBP, PNG):
         return
@@ -355,7 +354,7 @@ def _check_codec(
 
 
 def _own_size(inner: BinaryIO, compression: int, samples: int) -> tuple[int, int]:
-    """Width and height that a strip says; of JPEG 2000, the largest (ISO/IEC 15444-1, A.5.1)."""
+    """Width and height in a strip's header; for JPEG 2000, the largest (15444-1, A.5.1)."""
     if compression in JPEG:
         check_scans(inner)
         return jpeg_size(inner)
@@ -383,7 +382,7 @@ def _mode(page: Any) -> str:
 
 
 def _values(page: Any) -> NDArray[Any]:
-    """(H, W, channels) the values of a page as they are stored."""
+    """(H, W, channels) stored values of a page."""
     values: NDArray[Any] = page.asarray()
     if page.axes.startswith("S"):  # planes
         values = np.moveaxis(values, 0, -1)
@@ -391,7 +390,7 @@ def _values(page: Any) -> NDArray[Any]:
 
 
 def _decoded(page: Any) -> Image.Image:
-    """The pixels of a page in 8 bits, with Pillow's mode for them."""
+    """Decode a page to 8 bits, in Pillow's mode for it."""
     photometric, mode = int(page.photometric), _mode(page)
     if photometric == PALETTE:
         colours = page.colormap.T[_values(page)[..., 0]]
@@ -404,7 +403,7 @@ def _decoded(page: Any) -> Image.Image:
 
 
 def _straight(page: Any, kind: type[np.unsignedinteger[Any]], factor: int) -> NDArray[Any]:
-    """(H, W, channels of the mode) of a page, 0 to 255 times `factor`, not multiplied by alpha."""
+    """(H, W, channels of the mode) of a page, 0 to 255 * `factor`, alpha not premultiplied."""
     values = _values(page)[..., : Image.getmodebands(_mode(page))]
     white = np.float32(_white(values, page.bitspersample))
     result = np.empty(values.shape, kind)
@@ -424,17 +423,17 @@ def _straight(page: Any, kind: type[np.unsignedinteger[Any]], factor: int) -> ND
 
 
 def _white(values: NDArray[Any], bits: int) -> float:
-    """The value of white in a page: the largest value of its type, or of fewer bits in it."""
+    """The value of white in a page: the largest one of its bits."""
     if values.dtype.kind in "bf":
         return 1.0
-    # Programs write 16 bits as signed 32; by its type, such a photo would be black.
+    # Some programs write 16 bits as signed 32; by its type, such a photo would be black.
     if values.dtype == np.int32 and values.max(initial=0) <= 65535:
         return 65535.0
     return float(2.0 ** (bits - (values.dtype.kind == "i")) - 1)
 
 
 def _lab(values: NDArray[Any], *, signed: bool) -> Image.Image:
-    """L*a*b* of 8 or 16 bits as Pillow's LAB, from bytes with signed a* and b*."""
+    """Convert L*a*b* of 8 or 16 bits to Pillow's LAB, from bytes with signed a* and b*."""
     high = (values.view(np.uint16) >> 8 if values.dtype.itemsize == 2 else values).astype(np.uint8)
     if not signed:  # ICC's: an offset of 128
         high[..., 1:] ^= 128

@@ -21,7 +21,7 @@ AUTO_BLOCKS = 0  # as many as this machine's memory needs
 
 @dataclass(frozen=True, kw_only=True)
 class RunConfig:
-    """Everything that decides the result of a run, except its scene and its boxes.
+    """Everything that decides the result of a run, except its scene and boxes.
 
     Attributes:
         preset: name of the preset that the values come from.
@@ -32,8 +32,8 @@ class RunConfig:
             0.5), spread evenly over the selection.
         scene, roi: settings of the two stages, the Scene-GS and the box stage.
         scene_scale: factor on the size of the photos that the Scene-GS trains on.
-        roi_init: what the box stage starts from: the whole Scene-GS, the sparse points, or the
-            Scene-GS's Gaussians in the box (the paper's ablations).
+        roi_init: the start of the box stage: the whole Scene-GS, the sparse points, or the
+            Scene-GS's Gaussians in the box (the last two are the paper's ablations).
         roi_order: `ordered` repeats the selection in its order (paper); `shuffled` draws epochs.
         selected_share: of the steps of the joint stage (and the joint refinement) that train on a
             mask, the share that draws a selected photo; the others draw any training photo that
@@ -42,14 +42,14 @@ class RunConfig:
             refinement instead of the Object-GS. 0: no joint refinement (paper).
         baseline_densify: share of the baselines' steps that densify (3DGS: 15,000 of 30,000; paper:
             15,000 of 50,000).
-        whole_schedule: whether `scaled` shrinks the intervals of the schedule with the steps.
+        whole_schedule: whether `scaled` also scales the intervals of the schedule.
         test_every: every n-th photo that sees a box, by distance, becomes a test photo.
-        evaluate_on: `test` photos or `validation` photos. Settings are chosen on the latter; test
-            photos are then used by nothing.
+        evaluate_on: `test` photos or `validation` photos. Use the latter to choose settings; test
+            photos are then not used at all.
         seed: of everything random.
-        blocks: number of blocks that the scene is cut into; 1: it is not cut. `define_run` replaces
-            `AUTO_BLOCKS`.
-        groups: names of the boxes that are trained together; empty: by the photos that they share.
+        blocks: number of blocks that the scene is divided into; 1: it is not divided. `define_run`
+            replaces `AUTO_BLOCKS`.
+        groups: names of the boxes that are trained together; empty: derived from shared photos.
     """
 
     preset: str
@@ -115,21 +115,21 @@ class RunConfig:
 
     @property
     def total_steps(self) -> int:
-        """Steps of both stages: a baseline gets as many."""
+        """Steps of both stages; a baseline gets as many."""
         return self.scene.steps + self.roi.steps
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON; without `groups`."""
+        """The config as JSON values, without `groups`."""
         record = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
         record["selection"] = dataclasses.asdict(self.selection)
         record |= {"scene": self.scene.to_dict(), "roi": self.roi.to_dict()}
-        del record["groups"]  # the manifest has those that follow from the photos, too
+        del record["groups"]  # the manifest has them, also if they are derived from the photos
         return record
 
     def scaled(self, factor: float) -> RunConfig:
-        """The config with the steps of both stages multiplied.
+        """The config with the steps of both stages multiplied by `factor`.
 
-        With `whole_schedule` see `miniature`, else `with_steps`.
+        Uses `miniature` with `whole_schedule`, otherwise `with_steps`.
         """
         if not 0 < factor <= choices.MAX_FACTOR:
             raise ConfigError(

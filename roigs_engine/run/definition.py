@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 MANIFEST_VERSION = 4  # increase it if an older run folder cannot be resumed
 FEWEST = 24  # photos of a block: with fewer, its surroundings are guessed
-USELESS = 0.9  # of the photos in the usual block: cutting saves next to nothing
+USELESS = 0.9  # of the photos in the median block: above this, blocks save almost nothing
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,12 +39,12 @@ class Run:
     Attributes:
         scene: all photos, test photos included; in the local frame.
         rois: the boxes, in the local frame.
-        test: names of the test photos. Only the evaluation uses them; with validation photos,
-            nothing does.
+        test: names of the test photos. Only the evaluation uses them. If there are validation
+            photos, they are not used at all.
         validation: names of the validation photos, which replace the test photos in the evaluation;
             empty if the run is evaluated on test photos.
         manual: box -> its photos, best first, for boxes with a manual selection.
-        frame: the local frame, in which everything is computed; files are in the world's.
+        frame: the local frame, used for all computation; files are in the world's frame.
         inputs: the scene and the boxes for the manifest (`inputs_record`).
     """
 
@@ -69,7 +69,7 @@ class Run:
         return self.validation if self.config.evaluate_on == VALIDATION else self.test
 
     def split(self) -> dict[str, Any]:
-        """The photos to evaluate on; ready for JSON."""
+        """The photos to evaluate on, as JSON values."""
         record = {"evaluate_on": self.config.evaluate_on, TEST: list(self.test)}
         return record | ({VALIDATION: list(self.validation)} if self.validation else {})
 
@@ -80,12 +80,12 @@ class Run:
 
     @cached_property
     def layout(self) -> Layout:
-        """Blocks of the scene and groups of boxes; RoiError if no photo sees a box."""
+        """The blocks of the scene and groups of boxes; RoiError if no photo sees a box."""
         groups = given_groups(self.config, self.rois)
         return lay_out(self.train_scene, self.rois, self.config.blocks, groups)
 
     def memory(self, context: Context = QUIET) -> MemoryPlan:
-        """The memory that it needs; SceneError if this machine, or its GPU, has less."""
+        """Estimate the memory of the run; SceneError if this machine or its GPU has too little."""
         from .memory import layout_memory, with_card  # with torch
 
         plan = layout_memory(self.scene, self.layout, self.config, context.photo_memory)
@@ -93,11 +93,11 @@ class Run:
 
     @cached_property
     def extent(self) -> float:
-        """Of the training cameras, local units (`SfmScene.extent`)."""
+        """The extent of the training cameras, local units (`SfmScene.extent`)."""
         return self.train_scene.extent()
 
     def manifest(self) -> dict[str, Any]:
-        """Everything that decides the results; ready for JSON."""
+        """Everything that decides the results, as JSON values."""
         config = self.config.to_dict()
         record = {"version": MANIFEST_VERSION, "config": config, **self.inputs}
         record |= {"manual": dict(self.manual)} if self.manual else {}
@@ -106,7 +106,7 @@ class Run:
 
 
 def inputs_record(scene: SfmScene, rois: Sequence[OrientedBox]) -> dict[str, Any]:
-    """A scene and its boxes, both in the world's frame, in a manifest."""
+    """The manifest's entries for a scene and its boxes, both in the world's frame."""
     images = scene.images
     masks = {image.name: image.mask.digest for image in images if image.mask is not None}
     objects: dict[str, dict[str, str]] = {}
@@ -133,7 +133,7 @@ def define_run(
     manual: Mapping[str, Sequence[str]] | None = None,
     context: Context = QUIET,
 ) -> Run:
-    """The run of these inputs; chooses its test photos, and validation photos if it has any.
+    """Define the run of these inputs; chooses its test photos and, if needed, validation photos.
 
     Args:
         folder, config, manual: see `Run`.
@@ -143,7 +143,7 @@ def define_run(
     Raises:
         SceneError: the model has no points, or too few photos see a box to choose test and
             validation photos.
-        RoiError: no point lies in a box, or no photo sees one that does.
+        RoiError: no point lies in a box, or no photo sees its points.
         ConfigError: `manual` names photos that cannot be used.
         Stopped: on request.
     """
@@ -191,9 +191,9 @@ def number_of_blocks(
     config: RunConfig,
     context: Context = QUIET,
 ) -> int:
-    """The blocks that a run gets: as asked for, or fewer; says why.
+    """The number of blocks for a run: as requested, or fewer with a warning that says why.
 
-    `scene` has the test photos, `train` has not. RoiError if no photo sees one of the boxes.
+    `scene` includes the test photos, `train` does not. RoiError if no photo sees one of the boxes.
     """
     if config.blocks == 1:
         return 1
@@ -219,13 +219,13 @@ def number_of_blocks(
 
 
 class _Layouts:
-    """Layouts of a scene by the number of blocks, each made once."""
+    """Layouts of a scene for each number of blocks, cached."""
 
     def __init__(self, scene: SfmScene, made: Callable[[int], Layout]) -> None:
         self.scene, self.of = scene, cache(made)
 
     def photos(self, count: int) -> list[int]:
-        """Of each block, ascending."""
+        """Number of photos in each block, ascending."""
         blocks = self.of(count).blocks
         return sorted(len(c.photos) for c in blocks.cells) if blocks else [len(self.scene.images)]
 
@@ -233,13 +233,13 @@ class _Layouts:
         return self.photos(count)[0]
 
     def usual(self, count: int) -> float:
-        """Share of the photos that the usual block has."""
+        """Share of the photos in the median block."""
         photos = self.photos(count)
         return photos[len(photos) // 2] / max(len(self.scene.images), 1)
 
 
 def _by_memory(scene: SfmScene, layouts: _Layouts, config: RunConfig, context: Context) -> int:
-    """The fewest blocks that fit into this machine's memory; 1 if none do."""
+    """The smallest number of blocks that fits into this machine's memory; 1 if none does."""
     machine = machine_memory()
     needed = _needed(scene, layouts.of(1), config, context)
     if needed <= machine:
@@ -267,7 +267,7 @@ def _by_memory(scene: SfmScene, layouts: _Layouts, config: RunConfig, context: C
 
 
 def _needed(scene: SfmScene, layout: Layout, config: RunConfig, context: Context) -> float:
-    """Bytes that training needs; infinite if it could not even begin."""
+    """Bytes that training needs; infinite if even its start does not fit."""
     from .memory import layout_memory  # with torch
 
     settings = replace(config, blocks=1)

@@ -25,11 +25,11 @@ MOST_NAMES = 3  # of stages in a cell of the table
 def describe_plan(
     run: Run, compare: Sequence[str] = (), context: Context = QUIET, *, update: bool = False
 ) -> str:
-    """The plan of a run as text; trains a few steps to measure their time, and writes nothing.
+    """Describe the plan of a run; trains a few steps to measure their time, writes nothing.
 
     Args:
         run, compare, context: see `strategies.plan_run`.
-        update: whether the run may move the results of other settings aside.
+        update: whether the run may move results of other settings aside.
 
     Raises:
         As `plan_run`; SceneError: the scene does not fit into the machine's memory;

@@ -17,10 +17,10 @@ from ..formats.run_files import EARLIER, RESULTS
 
 
 def set_aside(run: Path, digest: str) -> None:
-    """Move the results of a run as a whole to `earlier/DIGEST`.
+    """Move the results of a whole run to `earlier/DIGEST`, the digest of their manifest.
 
-    If an engine was killed in between, the rest joins what it has moved. The digest is that of the
-    manifest of the results. RunFolderError if one cannot be moved, or a folder is a link.
+    If an engine was killed in between, the remaining results follow. RunFolderError if one cannot
+    be moved, or a folder is a link.
     """
     place = _place(run, digest)
     found = [name for name in RESULTS if os.path.lexists(run / name)]
@@ -31,7 +31,7 @@ def set_aside(run: Path, digest: str) -> None:
 
 
 def bring_back(run: Path, digest: str) -> None:
-    """Move back what `set_aside` moved for that manifest, but replace nothing; raises alike."""
+    """Move the results of `set_aside` for that manifest back; replaces nothing, raises alike."""
     place = _place(run, digest)
     for name in RESULTS:
         if os.path.lexists(place / name) and not os.path.lexists(run / name):

@@ -31,14 +31,14 @@ from .stage_folder import StageFolder, StageResult, folder_of
 class Executor:
     """Trains the stages of plans in a run's folder, each at most once.
 
-    `preview_seconds` of training are between two updates of `preview.ply`; 0: there is none.
+    `preview.ply` is updated every `preview_seconds` of training; 0: there is no preview.
     """
 
     def __init__(self, run: Run, context: Context = QUIET, *, preview_seconds: float = 0.0) -> None:
         self.run, self.context = run, context
         self._preview_seconds = preview_seconds
         self._memory = run.memory(context)
-        self._keeps = run.layout.blocks is None  # models, which blocks are too large for
+        self._keeps = run.layout.blocks is None  # models in memory; those of blocks are too large
         self._named: set[str] = set()
         self._results: dict[str, StageResult] = {}
         self._models: dict[str, Gaussians] = {}
@@ -66,12 +66,12 @@ class Executor:
             for output in plan.outputs:
                 if output.model is planned:
                     self._write(output)
-        self.list_stages(plan)  # some may be the same as others
+        self.list_stages(plan)  # again: equal stages now share a folder
         self.close()
         return [self.model(planned) for planned in plan.models]
 
     def result(self, stage: Stage) -> StageResult:
-        """The stage's result: loaded if finished, else trained now."""
+        """The stage's result: loaded if finished, otherwise trained now."""
         if stage.name not in self._results:
             folder = self._folder(stage)
             check_held(folder.folder)
@@ -131,7 +131,7 @@ class Executor:
         return self._folder(stage).peek()
 
     def list_stages(self, plan: Plan) -> None:
-        """Write where the plan's stages are; RunFolderError if that fails."""
+        """Write the list of the plan's stage folders; RunFolderError if that fails."""
         folders = {stage.name: self._place(stage) for stage in plan.stages}
         write_stage_list(self.run.folder, folders)
 
@@ -193,7 +193,7 @@ class Executor:
         return merge(self.gaussians(source.base), pairs, self._owners)
 
     def _owners(self, model: Gaussians, rois: Sequence[OrientedBox]) -> torch.Tensor:
-        """The box that owns each Gaussian: its object alone, where masks show that."""
+        """The box that owns each Gaussian; with masks of objects, boxes own only their object."""
         images = self.run.train_scene.images
         if not any(image.objects for image in images):
             return owners(model, rois)
@@ -201,7 +201,7 @@ class Executor:
         return object_owners(on_device, rois, images, self.context).to(model.means.device)
 
     def _cache(self, images: Sequence[PosedImage]) -> PhotoCache:
-        """The cache of these photos; drops that of others, as only one stage runs at a time."""
+        """The cache of these photos; drops the previous one, as only one stage runs at a time."""
         key = tuple((image.name, image.camera.width) for image in images)
         if self._photos is None or self._photos[0] != key:
             self.close()
@@ -209,9 +209,9 @@ class Executor:
         return self._photos[1]
 
     def _write(self, output: Output) -> None:
-        """Write the result as a whole and in parts, and the Scene-GS's Gaussians in each box.
+        """Write the whole result, its parts, and the Scene-GS's Gaussians in each box.
 
-        The parts are what each box owns, its object alone where masks show that, and the rest.
+        The parts are the Gaussians that each box owns (see `_owners`), and the rest.
         """
         folder = own_folder(self.run.folder, output.folder)
         rois, frame = self.run.rois, self.run.frame

@@ -1,7 +1,7 @@
-"""A run folder in use, locked by one engine, or by one for each stage.
+"""Works in a run folder, locked by one engine, or by one engine for each stage.
 
 A run holds `run.lock`; an engine that trains one stage holds `STAGE.lock` beside it. Each takes its
-own lock first, then checks the other's, so one of two always sees the other.
+own lock first and then checks the other kind, so one of two always sees the other.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from .manifest import claim, from_json, manifest_difference, read_manifest
 from .plan import Plan, Stage
 from .strategies import plan_run, plan_surface
 
-PATIENCE = 60.0  # seconds; an engine whose program was killed needs some to write a checkpoint
+PATIENCE = 60.0  # seconds; after its parent was killed, an engine still writes a checkpoint
 POLL = 0.5
 STAGE_LOCKS = "*.lock"
 
 
 @contextmanager
 def held(folder: Path, context: Context, patience: float = 0.0) -> Iterator[None]:
-    """Hold a run folder, once no engine trains one of its stages.
+    """Lock a run folder, once no engine trains one of its stages.
 
     RunFolderError if another engine is still at work there after `patience` seconds.
     """
     with ExitStack() as stack:
         _patiently(lambda: stack.enter_context(locked(folder, context.warn)), context, patience)
         for path in matching(folder, STAGE_LOCKS):
-            if path.name != LOCK and is_lock(path):  # others have poetry.lock, and the like
+            if path.name != LOCK and is_lock(path):  # other programs have poetry.lock etc.
                 _patiently(partial(_refuse_holder, path), context, patience)
                 path.unlink(missing_ok=True)  # a killed engine left it
         yield
@@ -50,7 +50,7 @@ def held(folder: Path, context: Context, patience: float = 0.0) -> Iterator[None
 
 @contextmanager
 def stage_held(folder: Path, stages: tuple[Stage, ...], context: Context) -> Iterator[None]:
-    """Hold the locks of some stages, once no engine holds the run folder; raises as `held`."""
+    """Lock some stages, once no engine holds the run folder; raises as `held`."""
     with ExitStack() as stack:
         for stage in stages:
             name = f"{stage.name.replace('/', '-')}.lock"
@@ -64,12 +64,12 @@ def stage_held(folder: Path, stages: tuple[Stage, ...], context: Context) -> Ite
 
 
 def open_folder(run: Run, context: Context = QUIET, *, update: bool = False) -> None:
-    """Write the manifest and the held-out photos' names to the folder; warn about scene problems.
+    """Write the manifest and the held-out photos' names to the folder; warn of scene problems.
 
     Args:
         run: the run; its folder must not be in use (`formats.lock`).
-        update: accept a folder made for other settings: stages that still fit are kept, the
-            results move to `earlier/`.
+        update: accept a folder made for other settings; valid stages are kept, and the results
+            move to `earlier/`.
 
     Raises:
         RunFolderError: the folder has a run of other settings, or of another version.
@@ -101,7 +101,7 @@ def train_opened(
 
 
 def train_stage(run: Run, plan: Plan, name: str, context: Context) -> None:
-    """Train one stage of a run folder that is prepared; what it starts from is trained if missing.
+    """Train one stage of a prepared run folder; missing stages that it starts from come first.
 
     Raises:
         RunFolderError: the plan has no such stage, the folder is not prepared for this run, or
@@ -130,15 +130,15 @@ def train_stage(run: Run, plan: Plan, name: str, context: Context) -> None:
 
 
 def train_surface(run: Run, context: Context = QUIET) -> Gaussians | None:
-    """The run's result, trained on as a surface, which is kept as the stage `surface`.
+    """Turn the run's result into a surface by the stage `surface`, which is kept.
 
-    The run's folder must be held. None: it has no longer all that this starts from.
+    The run's folder must be held. None: some of the stages that it starts from are missing.
 
     Raises:
         Stopped: on request; a checkpoint was written.
         TrainingError: the stage diverged twice.
     """
-    plan = plan_surface(run, replace(context, emit=QUIET.emit))  # it was said before
+    plan = plan_surface(run, replace(context, emit=QUIET.emit))  # its messages were shown before
     executor = Executor(run, context)
     *_, result, surface = plan.models
     if any(isinstance(executor.status(stage), int) for stage in result.source.stages):
@@ -151,7 +151,7 @@ def train_surface(run: Run, context: Context = QUIET) -> Gaussians | None:
 
 
 def _with_inputs(stage: Stage) -> list[Stage]:
-    """The stage and all that it needs, in the order of training, each once."""
+    """The stage and all stages that it needs, in the order of training, each once."""
     found: dict[str, Stage] = {}
     for needed in stage.start.stages:
         found |= {s.name: s for s in _with_inputs(needed)}
@@ -159,7 +159,7 @@ def _with_inputs(stage: Stage) -> list[Stage]:
 
 
 def _patiently(take: Callable[[], None], context: Context, patience: float) -> None:
-    """Call `take` until it raises no RunFolderError of another engine at work, or time is up."""
+    """Repeat `take` while another engine is at work; its RunFolderError passes at the end."""
     until = time.monotonic() + patience
     while True:
         try:

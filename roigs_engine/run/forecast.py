@@ -1,4 +1,4 @@
-"""Forecast of a plan: Gaussians, seconds and disk space, without finished work.
+"""Forecasts a plan's Gaussians, seconds and disk space, without finished work.
 
 The time of a step is measured by training a few steps on the stage's cameras and masks, twice: with
 the number of Gaussians at the start of the stage, and with the number expected at its end. In
@@ -40,15 +40,15 @@ from .definition import Run
 from .executor import Executor
 from .plan import POINTS, Plan, Source, Stage
 
-# One densification adds the share GROWTH to a small model, and less to a larger one: half of it to
-# a model of HALF Gaussians. Seen in two scenes whose growth differs by a factor of 2
+# A densification adds the share GROWTH to a small model, and less to a larger one: half of it to a
+# model of HALF Gaussians. Measured in two scenes whose growth differs by a factor of 2
 # (notebook/densification.md).
 
 WORTH_SAYING = 2000  # steps; an estimate takes as long as a few hundred of them
 PER_GAUSSIAN = 62 * 4  # bytes in a PLY with SH of degree 3
 PER_STATE = 4 * 62 * 4  # in a checkpoint: parameters, two moments, the mean of models
-CHECKPOINTS = 3  # the last one, the one before, and the one that is written
-OUTPUTS = 4  # times a model: whole, without boxes, the boxes' Gaussians, a preview
+CHECKPOINTS = 3  # the last one, the one before, and the one being written
+OUTPUTS = 4  # models' sizes: whole, without boxes, the boxes' Gaussians, a preview
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +57,7 @@ class StageForecast:
 
     stage: Stage
     end: int  # Gaussians at the end
-    most: int  # the most of them before
+    most: int  # the largest number during training
     seconds: float  # of training
     step_seconds: float  # of a step at the end
     steps_done: int = 0
@@ -65,7 +65,7 @@ class StageForecast:
 
     @property
     def done(self) -> float:
-        """Seconds of training that are done."""
+        """Finished seconds of training."""
         share = 1.0 if self.is_done else self.steps_done / max(self.stage.config.steps, 1)
         return min(1.0, share) * self.seconds
 
@@ -76,10 +76,10 @@ class Forecast:
 
     stages: Sequence[StageForecast]  # in the order of training
     evaluation: float  # seconds to evaluate all models
-    device: str  # what trains, for the text
+    device: str  # that trains, in words
 
     def counting_down(self, context: Context) -> Context:
-        """The context, where progress of a stage also tells the time to the end of the run."""
+        """A context that adds the time to the end of the run to each stage's progress."""
         after, later = self.evaluation, {}
         for each in reversed(self.stages):
             later[each.stage.name] = after
@@ -102,7 +102,7 @@ class Forecast:
 
 
 def forecast_if_long(run: Run, plan: Plan, context: Context) -> Forecast | None:
-    """`forecast`; None if little is left to train, or if it fails: it is only a text."""
+    """Call `forecast`; None if little is left to train, or if it fails (it only informs)."""
     executor = Executor(run, context)
     found = [(stage, executor.status(stage)) for stage in plan.stages]
     left = sum(stage.config.steps - step for stage, step in found if isinstance(step, int))
@@ -133,7 +133,7 @@ def forecast(run: Run, plan: Plan, context: Context) -> Forecast:
             )
         ends[stage.name] = found.end
         stages.append(found)
-    # To render the test photos with each stage's model and to compare them.
+    # Time to render the test photos with each stage's model, and to compare them.
     tests = RENDER_SHARE * len(run.measured)
     return Forecast(
         stages=stages,
@@ -151,11 +151,11 @@ def _in_words(device: str) -> str:
 
 
 def expected_start(source: Source, ends: dict[str, int], scene: SfmScene) -> int:
-    """The expected number of Gaussians of a source; `ends`: at the end of each stage before."""
+    """The expected number of Gaussians of a source; `ends`: at the end of earlier stages."""
     if source.kind == POINTS:
         return len(scene.points) if source.rows is None else len(source.rows)
     own = [ends[stage.name] for stage in source.inputs]
-    if source.partition is not None:  # each result has some of what its neighbours own, too
+    if source.partition is not None:  # each result also has Gaussians that its neighbours own
         owned = np.bincount(source.partition.owner, minlength=len(own))
         points = len(scene.points)
         shares = owned / max(points, 1) / [s.start_share(points) for s in source.inputs]
@@ -165,7 +165,7 @@ def expected_start(source: Source, ends: dict[str, int], scene: SfmScene) -> int
 
 
 def disk_space(run: Run, expected: Forecast) -> Message:
-    """The most disk space that the run needs; a warning if less is free."""
+    """A message on the run's peak disk space; a warning if less is free."""
     missing = [stage for stage in expected.stages if not stage.is_done]
     distorted = missing_in(run.folder / CACHE, run.scene.images)
     needed = PER_PIXEL * sum(image.camera.width * image.camera.height for image in distorted)
@@ -177,17 +177,17 @@ def disk_space(run: Run, expected: Forecast) -> Message:
 
 
 GROWTH, HALF, SATURATION = 0.4, 100_000, 1.3
-TRAINED = 0.3  # of that, around the boxes of a model that is trained already (35 % on kumamon)
+TRAINED = 0.3  # of that growth, outside the boxes of a trained model (35 % on kumamon)
 PRUNED = 0.3  # share of the Gaussians that importance pruning removes (24 to 39 % in two scenes)
 WARM_UP, MEASURED = 4, 12  # steps
-MOST_MEASURED = 300_000  # Gaussians; the time of more is extrapolated
+MOST_MEASURED = 300_000  # Gaussians; for more, the time is extrapolated
 RENDER_SHARE = 0.5  # of a training step's time, to render and compare a test photo
 
 
 class Estimator:
     """Estimates the stages of one run; measures stages with the same settings once.
 
-    The points of the scene become the models that are timed.
+    The timed models are made from the scene's points.
     """
 
     def __init__(self, scene: SfmScene, context: Context = QUIET) -> None:
@@ -208,7 +208,7 @@ class Estimator:
         )
 
     def _line(self, stage: Stage, start: int, most: int) -> Callable[[int], float]:
-        """Number of Gaussians -> seconds of a step."""
+        """A function: number of Gaussians -> seconds of a step."""
         few, many = min(start, MOST_MEASURED), min(most, MOST_MEASURED)
         low, high = self._step_seconds(stage, few, many)
         slope = (high - low) / (many - few) if many > few else high / max(few, 1)
@@ -261,7 +261,7 @@ class Estimator:
 
 @dataclass
 class _Growing:
-    """Gaussians that grow by one threshold: their number, where it saturates, its limit, speed."""
+    """Gaussians with one threshold: number, number at half growth, limit, relative speed."""
 
     count: float
     half: float
@@ -269,7 +269,7 @@ class _Growing:
     speed: float
 
     def grow(self) -> None:
-        """One densification."""
+        """Apply one densification."""
         share = min(1.0, GROWTH * self.speed / (1 + (self.count / self.half) ** SATURATION))
         self.count = max(self.count, min(self.count * (1 + share), self.limit))
 
@@ -292,12 +292,12 @@ def expected_counts(stage: Stage, start: int, share_in_boxes: float) -> list[int
 
 
 def _growing(density: DensityControl | None, start: int, share_in_boxes: float) -> list[_Growing]:
-    """The Gaussians of a stage: in its boxes and outside, where their thresholds differ."""
+    """The Gaussians of a stage; separately inside and outside boxes if thresholds differ."""
     usual = DensityControl.grad_threshold
     speed = usual / density.grad_threshold if density else 0.0
     if not (isinstance(density, BoxDensityControl) and density.box_sizes):
         return [_Growing(float(start), HALF, math.inf, speed)]
-    share, limit = share_in_boxes, math.inf  # as much detail as their share of the scene
+    share, limit = share_in_boxes, math.inf  # detail in proportion to their share of the scene
     if density.budgets is not None:
         limit = float(sum(density.budgets))
     inside = _Growing(start * share, max(1.0, HALF * share), limit, speed)
@@ -307,7 +307,7 @@ def _growing(density: DensityControl | None, start: int, share_in_boxes: float) 
 
 
 def model_of_size(scene: SfmScene, count: int) -> Gaussians:
-    """The scene's points as `count` Gaussians: some of the points, or all with smaller copies."""
+    """Make `count` Gaussians from the scene's points: some of them, or all with smaller copies."""
     rng = np.random.default_rng(0)
     rows = rng.permutation(len(scene.points))[:count]
     copies = -(-count // max(len(rows), 1))
@@ -323,7 +323,7 @@ def model_of_size(scene: SfmScene, count: int) -> Gaussians:
 
 
 class _GreyPhotos:
-    """Grey photos: the content of a photo hardly changes the time of a step."""
+    """Grey photos for timing: a photo's content hardly changes the time of a step."""
 
     def __init__(self, images: Sequence[PosedImage]) -> None:
         self._images = images
@@ -333,9 +333,9 @@ class _GreyPhotos:
         return np.full((camera.height, camera.width, 3), 128, dtype=np.uint8)
 
     def prefetch(self, indices: Sequence[int]) -> None:
-        """Nothing to decode."""
+        """Do nothing: there is nothing to decode."""
 
 
 def _rounded(count: int) -> int:
-    """The same number for counts within 5 %: they share one measurement."""
+    """Equal for counts within 5 %, which share one measurement."""
     return round(20 * float(np.log(max(count, 1))))

@@ -38,8 +38,9 @@ class Cell:
     """The training data of one stage.
 
     Attributes:
-        share: of the photos that see a box of its group, those that see its own; of all photos, its
-            own, if it has no box or trains a Scene-GS.
+        share: its photos' share. With boxes: among the photos that see a box of its group, the
+            share that sees its own boxes. Without boxes, or for a Scene-GS: its share of all
+            photos.
     """
 
     label: str  # begins the names of its stages; empty: the whole scene
@@ -51,7 +52,7 @@ class Cell:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Split:
-    """A scene in cells, and who owns what of their results."""
+    """A scene divided into cells, and the partition that joins their results."""
 
     cells: tuple[Cell, ...]
     partition: Partition
@@ -74,12 +75,12 @@ def lay_out(
     groups: Groups | None,
     context: Context = QUIET,
 ) -> Layout:
-    """The layout of a run; RoiError if no photo sees one of the boxes.
+    """Lay out a run; RoiError if no photo sees one of the boxes.
 
     Args:
         scene, rois: the training photos; the boxes.
-        blocks: number of blocks; 1: the scene is not cut.
-        groups: names of the boxes of each group; None: by the photos that they share.
+        blocks: number of blocks; 1: the scene is not divided.
+        groups: names of the boxes of each group; None: group boxes that share photos.
     """
     if blocks == 1 and len(rois) == 1:
         return Layout(groups=((rois[0].name,),))
@@ -102,7 +103,7 @@ def lay_out(
 
 
 def given_groups(config: RunConfig, rois: Sequence[OrientedBox]) -> Groups | None:
-    """The groups that the layout of a run is given; None: they follow from the photos.
+    """The groups for `lay_out`; None: they are derived from the photos.
 
     Raises:
         ConfigError: they do not name each box once.
@@ -118,7 +119,7 @@ def given_groups(config: RunConfig, rois: Sequence[OrientedBox]) -> Groups | Non
 
 
 class _Making:
-    """The cells of a scene that is cut, or whose boxes are trained in groups."""
+    """Makes the cells of a scene with several blocks or groups of boxes."""
 
     def __init__(
         self, views: Views, rois: Sequence[OrientedBox], seen: dict[str, set[str]], groups: Groups
@@ -129,7 +130,7 @@ class _Making:
         self.boxed = nearest_owner(self.scene.points, self.rois)  # the box of each point
 
     def keep_boxes_whole(self, block: Int64) -> None:
-        """Give all of a box to the block that most of its points are in."""
+        """Assign all points of a box to the block that has most of them, in place."""
         points = block[: len(self.boxed)]
         for index in range(len(self.rois)):
             inside = self.boxed == index
@@ -154,7 +155,7 @@ class _Making:
         return replace(found, cells=cells)
 
     def grouped(self, block: Int64, blocks: int) -> Split:
-        """The groups of each block as cells; a block without boxes, or with one group, is one."""
+        """The groups of each block as cells; a block with one group or no boxes is one cell."""
         cells = np.zeros_like(block)
         labels: list[str] = []
         boxes: list[tuple[OrientedBox, ...]] = []
@@ -175,7 +176,7 @@ class _Making:
     def _split(
         self, owner: Int64, labels: Sequence[str], boxes: Sequence[tuple[OrientedBox, ...]]
     ) -> Split:
-        """Cells from who owns each point and camera: their photos, and their partition."""
+        """Make cells and their partition from the owner of each point and camera."""
         views, scene = self.views, self.scene
         points, cameras = owner[: len(scene.points)].copy(), owner[len(scene.points) :]
         roi_owner = {roi.name: k for k, own in enumerate(boxes) for roi in own}
@@ -207,7 +208,7 @@ class _Making:
         )
 
     def _share(self, photos: int, boxes: tuple[OrientedBox, ...]) -> float:
-        """Share of the photos that see the boxes' group, or of all photos without boxes."""
+        """The `share` of a cell."""
         if not boxes:
             return photos / max(len(self.scene.images), 1)
         group = next(group for group in self.groups if boxes[0].name in group)

@@ -35,10 +35,10 @@ CACHED = {
     f"{CACHE}/{EXPOSURES}": exposures.KEYS,
 }
 """What is remembered of photos: file of a run folder -> the keys that it has."""
-FIRST = ("sizes", CONTENTS)  # say more than what follows from them
-LEFT_OUT = ("config", "selection", "mechanisms")  # of the keys that lead to a setting, in texts
+FIRST = ("sizes", CONTENTS)  # compared first: other differences may follow from these
+LEFT_OUT = ("config", "selection", "mechanisms")  # keys that texts leave out of a setting's path
 OTHER_SCENE = "its photos are those of another scene"
-MOST_TEXT = 120  # characters; a longer difference is not spelled out
+MOST_TEXT = 120  # characters; a longer text only says that the setting changed
 
 
 def claim(
@@ -46,9 +46,9 @@ def claim(
 ) -> None:
     """Write the manifest to `folder`, or check that it equals the folder's manifest.
 
-    With `update`, the results of another manifest move to `earlier/`, and those of this one come
-    back from there. An engine may be killed at any moment: results move while the manifest still
-    identifies them, and the next engine continues.
+    With `update`, the results of another manifest move to `earlier/`, and those of this one move
+    back from there. An engine may be killed at any moment. So results move while the manifest still
+    identifies them, and the next engine can continue.
 
     Raises:
         RunFolderError: the folder was made for other settings, or by another version.
@@ -70,7 +70,8 @@ def claim(
 def refuse_other_run(folder: Path, manifest: dict[str, Any]) -> None:
     """Raise RunFolderError if the folder has a run of other settings or boxes, or another scene.
 
-    As `claim`, before the photos are read: without what depends on which of them are damaged.
+    This is the check of `claim` before the photos are read. It leaves out all that depends on which
+    photos are damaged.
     """
     path, now = folder / MANIFEST, from_json(manifest)
     before = read_manifest(path) if path.exists() else None
@@ -83,7 +84,7 @@ def refuse_other_run(folder: Path, manifest: dict[str, Any]) -> None:
 
 
 def _without_contents(manifest: dict[str, Any]) -> dict[str, Any]:
-    """The parts that do not depend on photos: a damaged one also changes the others' use."""
+    """The parts that do not depend on photos: a damaged photo also changes the others' use."""
     return {key: manifest.get(key) for key in ("config", "rois")}
 
 
@@ -96,7 +97,7 @@ def _other_run(folder: Path, difference: str) -> RunFolderError:
 
 
 def read_manifest(path: Path) -> Any:
-    """The manifest of a run folder; RunFolderError if it cannot be read, or is none."""
+    """Read the manifest of a run folder; RunFolderError if it is unreadable or no manifest."""
     hint = "Delete it; valid finished stages are kept."
     record = read_json(path, hint=hint)
     if not isinstance(record, dict):
@@ -105,7 +106,7 @@ def read_manifest(path: Path) -> Any:
 
 
 def check_version(folder: Path) -> None:
-    """Raise RunFolderError if another version of the engine made the folder, or somebody else."""
+    """Raise RunFolderError if another version, or another program, made the folder."""
     refuse_foreign_files(folder)
     path = folder / MANIFEST
     record = read_manifest(path) if path.exists() else None
@@ -126,10 +127,10 @@ def refuse_foreign_files(folder: Path) -> None:
     if (folder / MANIFEST).exists() or is_run_folder(folder):
         return
     if {"evaluate_on", "test"} <= read_record(folder / SPLIT).keys():
-        return  # without a manifest, the results of a run are verified and kept
+        return  # a run folder without manifest: its results are verified and kept
     names = (*RESULTS, PREVIEW, PROVENANCE)
     there = next((folder / name for name in names if (folder / name).exists()), None)
-    # An engine that was killed at its start has left these.
+    # An engine killed at its start leaves only these.
     found = there or first_other(folder, {**CACHED, CLUSTER_OPTIONS: ("scene",)})
     if found is None and is_other(folder / EVENTS, ("event",), lines=True):
         found = folder / EVENTS
@@ -151,7 +152,7 @@ def from_json(value: Any) -> Any:
 def manifest_difference(before: Any, now: dict[str, Any]) -> str:
     """The first difference of two manifests, as text; empty: they are equal.
 
-    `now` is a manifest as JSON, `before` whatever a file holds.
+    `now` is a manifest as JSON, `before` any value from a file.
     """
     old = before if isinstance(before, dict) else {}
     if _is_other_scene(old, now):
@@ -160,7 +161,7 @@ def manifest_difference(before: Any, now: dict[str, Any]) -> str:
         if old.get(key) != now.get(key):
             try:
                 text = _WORDS.get(key, _setting)(key, old.get(key), now.get(key))
-            except Exception:  # it is not as an engine wrote it
+            except Exception:  # `before` is malformed
                 text = f"{key} changed"
             if text:
                 return text
@@ -168,9 +169,9 @@ def manifest_difference(before: Any, now: dict[str, Any]) -> str:
 
 
 def _setting(path: str, before: Any, now: Any) -> str:
-    """The first difference of two settings, or of what dicts of them hold, at a path of keys.
+    """The first difference of two settings, or of dicts of them, at a path of keys.
 
-    Empty: there is none, as a setting that is missing is null.
+    Empty if there is none: a missing setting equals null.
     """
     if isinstance(before, dict) and isinstance(now, dict):
         changed = (key for key in {**before, **now} if before.get(key) != now.get(key))
@@ -193,7 +194,7 @@ def _sizes(_: str, before: Any, now: Any) -> str:
 
 
 def _groups(_: str, before: Any, now: Any) -> str:
-    """Groups of boxes, as `--group` takes them."""
+    """A difference of groups of boxes, written as for `--group`."""
     was, are = (
         " and ".join(",".join(group) for group in groups or ()) or "all boxes"
         for groups in (before, now)
@@ -242,11 +243,11 @@ def _by_name(value: Any) -> dict[str, Any]:
 
 
 def _different(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
-    """Keys of the values that differ, sorted."""
+    """Keys with different values, sorted."""
     return [name for name in sorted(before | now) if before.get(name) != now.get(name)]
 
 
 def _is_other_scene(before: dict[str, Any], now: dict[str, Any]) -> bool:
-    """Whether two manifests have photos, and none in common."""
+    """Whether two manifests have photos, but none in common."""
     old, new = _by_name(before.get(CONTENTS)), _by_name(now.get(CONTENTS))
     return bool(old and new) and not old.keys() & new.keys()

@@ -1,8 +1,8 @@
-"""Estimates of a run's memory, on the machine and on a GPU, before it starts.
+"""Estimates a run's memory, on the machine and on a GPU, before it starts.
 
-The machine's constants were measured with `python -m benchmarks.memory` (docs/reliability.md). A
-GPU's are the sizes of a training's tensors, counted on the simulated GPU of the tests
-(tests/engine/run/test_card_memory.py compares). The additional memory of torch's cache is an
+The machine's constants were measured with `python -m benchmarks.memory` (docs/reliability.md). The
+GPU's constants are the sizes of training's tensors, counted on the simulated GPU of the tests
+(tests/engine/run/test_card_memory.py compares them). The extra memory of torch's cache is an
 assumption.
 """
 
@@ -28,23 +28,23 @@ from .config import RunConfig
 from .layout import Layout
 from .plan import Stage
 
-PER_JOINED = 1450  # bytes of a Gaussian while models are joined and written; four of 400,000 were
-PER_GAUSSIAN = 2800  # bytes: parameters, gradients, moments, and the copies while densifying
+PER_JOINED = 1450  # bytes per Gaussian to join and write models (measured: four of 400,000)
+PER_GAUSSIAN = 2800  # bytes: parameters, gradients, moments, and copies during densification
 PER_PIXEL = 80  # bytes at least, of the largest photo: render, gradient, the loss's images
 PER_PAIR = 100  # bytes: a Gaussian's place in a tile's list, its gradient there (kernels/view.h)
-PAIRS = 200  # in a tile, with Gaussians larger than a tile; real scenes had up to 190
+PAIRS = 200  # in a tile, if Gaussians are larger than tiles; real scenes had up to 190
 PER_PIXEL_AT_MOST = 120 + PER_PAIR * PAIRS // TILE**2
-PER_DENSIFICATION = 30_000  # Gaussians that one adds, on average; the largest of four scenes
-AHEAD = 3  # photos in memory at least: the one in use, and two that are decoded ahead
+PER_DENSIFICATION = 30_000  # Gaussians added by one, on average; the largest of four scenes
+AHEAD = 3  # photos in memory at least: the one in use, and two decoded ahead
 DEFAULT_SHARE = 4  # the cache takes at most 1/4 of the machine's memory
-CARD_PER_GAUSSIAN = 850  # bytes: parameters and moments, statistics, what a step computes of it
-CARD_PER_GAUSSIAN_EDITED = 1600  # .. and the copies while densifying, without a step's
+CARD_PER_GAUSSIAN = 850  # bytes: parameters and moments, statistics, results of a step
+CARD_PER_GAUSSIAN_EDITED = 1600  # bytes during densification: with copies, without a step's results
 CARD_PER_PIXEL = 110  # of the largest photo: pictures, gradients, half-filled groups' checkpoints
 CARD_PER_PAIR = 180  # of a Gaussian and a tile: its place in lists, its moments, the checkpoints
-CARD_BUFFER = 1.25  # cuda.pair_buffers: for more pairs than there are
+CARD_BUFFER = 1.25  # cuda.pair_buffers: buffers are larger than the number of pairs
 CARD_CACHE = 1.2  # torch keeps freed blocks of other sizes
 CARD_PER_PIXEL_AT_MOST = CARD_PER_PIXEL + int(CARD_PER_PAIR * PAIRS * CARD_BUFFER) // TILE**2
-CARD_AHEAD = 3  # photos on the GPU at least: the one in use, and two that are sent ahead
+CARD_AHEAD = 3  # photos on the GPU at least: the one in use, and two sent ahead
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,9 +53,9 @@ class CardPlan:
 
     free: int  # of the GPU, before the training
     total: int  # of the GPU
-    photos: int  # the photos that are kept there, at most
-    training: int  # all but photos, on the largest photo, if the model grows to `count` Gaussians
-    count: int  # that number (not bytes)
+    photos: int  # of the photos kept there, at most
+    training: int  # all except photos, for the largest photo and `count` Gaussians
+    count: int  # the largest number of Gaussians expected (not bytes)
 
     def messages(self) -> list[Message]:
         """Messages for the user before the run starts."""
@@ -80,24 +80,24 @@ class MemoryPlan:
 
     machine: int  # memory of the machine
     photos: int  # all photos of the run, decoded
-    cache: int  # most bytes of decoded photos that are kept at a time
+    cache: int  # limit for decoded photos kept at a time
     picture: int  # training on the largest photo
-    end: int  # the largest number of Gaussians that is expected
+    end: int  # the largest number of Gaussians expected
     count: int  # that number (not bytes)
-    joined: int = 0  # joining and drawing the models of a scene in blocks; 0: it is not cut
-    blocks: int = 1  # number of blocks; the other numbers are of the one that needs most
-    card: CardPlan | None = None  # of the GPU that trains; None: the CPU does
+    joined: int = 0  # joining and drawing the models of blocks; 0: there are no blocks
+    blocks: int = 1  # number of blocks; the other numbers are for the largest one
+    card: CardPlan | None = None  # for the GPU that trains; None: the CPU trains
     gpu_holds: int | None = None  # Gaussians that buffers of `gpu.program`'s GPU hold; None: no GPU
 
     @property
     def total(self) -> int:
-        """The most memory that is expected."""
+        """The expected peak memory."""
         training = min(self.photos, self.cache) + self.end
         return ENGINE + self.picture + max(training, self.joined)
 
     @property
     def joining(self) -> int:
-        """The most memory that is expected once all stages are trained."""
+        """The expected peak memory after all stages are trained."""
         return ENGINE + self.picture + self.joined if self.joined else self.total
 
     def messages(self) -> list[Message]:
@@ -136,7 +136,7 @@ class MemoryPlan:
 def with_card(
     plan: MemoryPlan, scene: SfmScene, layout: Layout, context: Context = QUIET
 ) -> MemoryPlan:
-    """A run's plan, with what a GPU needs where one trains: for the block with most photos."""
+    """Add the GPU's memory to a run's plan, if one is used: for the block with most photos."""
     device = torch.device(context.device)
     if device.type != "cuda":
         gpu = opened()
@@ -151,7 +151,7 @@ def with_card(
 def layout_memory(
     scene: SfmScene, layout: Layout, config: RunConfig, cache: int | None = None
 ) -> MemoryPlan:
-    """`plan_memory` of a run: of its scene, with test photos, or of the block that needs most."""
+    """`plan_memory` of a run: for its scene, with test photos, or for the largest block."""
     whole = len(scene.points)
     if layout.blocks is None:
         return plan_memory(scene.images, whole, config, cache)
@@ -164,7 +164,7 @@ def layout_memory(
 def cell_memory(
     scene: SfmScene, layout: Layout, config: RunConfig, cache: int | None = None
 ) -> list[MemoryPlan]:
-    """`plan_memory` of each cell of a scene in blocks: first the blocks, then the others."""
+    """`plan_memory` for each cell of a scene: first the blocks, then the other cells."""
     splits = [split for split in (layout.blocks, layout.cells) if split]
     return [
         plan_memory(
@@ -182,7 +182,7 @@ def cell_memory(
 def stage_memory(
     stage: Stage, scene: SfmScene, config: RunConfig, whole: MemoryPlan, cache: int | None = None
 ) -> int:
-    """The most memory, bytes, of an engine that trains one stage of a run.
+    """The expected peak memory, bytes, of an engine that trains one stage of a run.
 
     `scene` has the training photos; `whole` is the memory of the run.
     """
@@ -190,9 +190,9 @@ def stage_memory(
     points = round(share * len(scene.points))
     try:
         own = plan_memory(stage.images, points, config, cache, share=share)
-    except SceneError:  # too large for this machine; maybe not for the one that does it
+    except SceneError:  # too large for this machine; perhaps not for the one that trains it
         return machine_memory()
-    joins = stage.start.base is not None  # the models of all blocks become one, to start from
+    joins = stage.start.base is not None  # it starts from the joined models of all blocks
     return replace(own, joined=whole.joined if joins else 0).total
 
 
@@ -204,17 +204,17 @@ def plan_memory(
     *,
     share: float = 1.0,
 ) -> MemoryPlan:
-    """The memory that training on these photos needs.
+    """Estimate the memory for training on these photos.
 
     Args:
         images, config: all photos of the run, and its settings.
         points: number of sparse points, which become the first Gaussians.
         cache: bytes of decoded photos to keep; None: a quarter of the memory, or less if less is
             free.
-        share: of the scene that these photos show; so much of its growth is here.
+        share: of the scene that these photos show; its growth is multiplied by it.
 
     Raises:
-        SceneError: the start of training does not fit; the hint gives a size of photos that does.
+        SceneError: the start of training does not fit; the hint gives a photo size that does.
     """
     machine = machine_memory()
     largest = max(i.camera.width * i.camera.height for i in images)
@@ -249,14 +249,14 @@ def plan_memory(
 def plan_card(
     images: Sequence[PosedImage], points: int, count: int, card: tuple[int, int]
 ) -> CardPlan:
-    """The GPU memory that training needs; arguments as for `plan_memory`.
+    """Estimate the GPU memory for training; arguments as for `plan_memory`.
 
     Args:
-        count: the largest number of Gaussians that is expected.
+        count: the largest number of Gaussians expected.
         card: free and total bytes of the GPU.
 
     Raises:
-        SceneError: the start of training does not fit; the hint says what would.
+        SceneError: the start of training does not fit; the hint says what does.
     """
     free, total = card
     pixels = max(i.camera.width * i.camera.height for i in images)
@@ -289,7 +289,7 @@ def _densifications(*stages: TrainConfig) -> int:
 
 
 def _largest_side(images: Sequence[PosedImage], pixels: float) -> int | None:
-    """The longer side of the largest photo, reduced to so many pixels; None: to less than one."""
+    """The longer side of the largest photo when reduced to `pixels`; None: less than a pixel."""
     if pixels < 1:
         return None
     largest = max((i.camera for i in images), key=lambda c: c.width * c.height)

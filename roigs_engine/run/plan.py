@@ -26,27 +26,26 @@ CELLS, SEEN = "cells", "seen"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Source:
-    """The source of Gaussians.
+    """A source of Gaussians.
 
     Attributes:
         kind: `points` (the sparse points), `result` (of the one input), `crop` (the base's
             Gaussians in the one box), `merge` (the base, with the content of the k-th box taken
-            from input k), `cells` (of each input, what its model owns) or `seen` (the base's
-            Gaussians that photos show).
-        digest: hash of the sparse points, for `points`; of the partition, for `cells`; for
-            `merge`, of the masks of the boxes' objects, which decide what their content is; empty:
-            there are none.
+            from input k), `cells` (from each input, the Gaussians that it owns) or `seen` (the
+            base's Gaussians that photos show).
+        digest: for `points`, hash of the sparse points; for `cells`, of the partition; for `merge`,
+            of the masks of the boxes' objects, which decide the boxes' content (empty: no masks).
     """
 
     kind: str
-    base: Source | None = None  # what `crop`, `merge` and `seen` start from
+    base: Source | None = None  # the start of `crop`, `merge` and `seen`
     inputs: tuple[Stage, ...] = ()  # stages, without those of the base
     rois: tuple[OrientedBox, ...] = ()  # boxes, for `crop` and `merge`
     digest: str = ""
     rows: Int64 | None = None  # of the sparse points, for `points`; None: all
     partition: Partition | None = None  # of the inputs, for `cells`
     images: tuple[PosedImage, ...] = ()  # the photos, for `seen`
-    share: float = 1.0  # of the sparse points that these observe; decides nothing, for estimates
+    share: float = 1.0  # of the sparse points that these observe; only for estimates
 
     @property
     def stages(self) -> tuple[Stage, ...]:
@@ -55,7 +54,7 @@ class Source:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Identifies the Gaussians."""
+        """A text that identifies the Gaussians."""
         if self.kind == RESULT:
             return self.inputs[0].fingerprint
         parts = [self.base.fingerprint] if self.base else []
@@ -80,7 +79,7 @@ class Stage:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Hash of everything that decides the stage's result; the boxes' names do not."""
+        """Hash of everything that decides the stage's result; without the boxes' names."""
         record: dict[str, Any] = {
             "config": self.config.to_dict(planned=True),
             "mechanisms": [each.name for each in self.config.mechanisms],  # in their order
@@ -106,7 +105,7 @@ class Stage:
         ]
 
     def start_share(self, points: int) -> float:
-        """Share of the scene, which has so many sparse points, that it begins with, about."""
+        """Share of the scene (with `points` sparse points) that it starts with, about."""
         rows = self.start.rows
         return self.start.share if rows is None else max(len(rows), 1) / max(points, 1)
 
@@ -122,12 +121,12 @@ class PlannedModel:
 
     @property
     def rois(self) -> tuple[str, ...] | None:
-        """The boxes that get a row for it; None: all boxes, as it has shared stages."""
+        """The boxes that get a row for it; None: all boxes, because it has shared stages."""
         return None if self.stages else tuple(self.by_roi)
 
     @property
     def all_stages(self) -> tuple[Stage, ...]:
-        """All stages that its row counts the time of."""
+        """All stages whose time its row counts."""
         return (*self.stages, *(stage for own in self.by_roi.values() for stage in own))
 
     @classmethod
@@ -168,13 +167,13 @@ class Plan:
 
     @cached_property
     def in_training_order(self) -> tuple[PlannedModel, ...]:
-        """The models, those that are written first: a user waits for them."""
+        """The models; those written to files come first, because users wait for them."""
         written = [output.model for output in reversed(self.outputs)]
         return (*written, *(model for model in self.models if model not in written))
 
     @cached_property
     def stages(self) -> tuple[Stage, ...]:
-        """Each stage once, in the order of training, after the stages that it needs."""
+        """Each stage once, in the order of training; after the stages that it needs."""
         found: dict[str, Stage] = {}
 
         def visit(stage: Stage) -> None:
@@ -198,7 +197,7 @@ def camera_record(image: PosedImage) -> tuple[Any, ...]:
 
 
 def _image_record(image: PosedImage) -> tuple[Any, ...]:
-    """The facts that decide how a photo trains a stage."""
+    """Everything about a photo that affects a stage's training."""
     mask = image.mask.digest if image.mask else ""
     observed = hashlib.sha256(image.point_indices.astype("<i8").tobytes()).hexdigest()
     return image.name, image.digest, *camera_record(image), image.pixel_size, mask, observed

@@ -25,11 +25,11 @@ from ..training.mechanisms.warm_restarts import WarmRestarts
 from .config import RunConfig
 
 REFINE_SHARE = 0.2  # of the box stage's steps, for the joint refinement (notebook/paper.md)
-KEPT = ("baseline_densify", "test_every", "evaluate_on", "seed", "blocks")  # in each strategy
+KEPT = ("baseline_densify", "test_every", "evaluate_on", "seed", "blocks")  # by `in_strategy`
 
 
 def paper_recipe() -> RunConfig:
-    """Sections II-B and III-A of the paper; docs/method.md lists what the paper leaves open."""
+    """The paper's recipe (sections II-B and III-A); docs/method.md lists what it leaves open."""
     return RunConfig(
         preset="paper",
         strategy="independent",
@@ -59,8 +59,8 @@ def joint_recipe(
 
     notebook/README.md has the measurements behind the values that differ from 3DGS and the paper.
     """
-    # The Scene-GS's position learning rate decays as the baseline's does over its first steps. The
-    # box stage starts at the full one again: its new Gaussians must move far.
+    # The Scene-GS's position learning rate decays like the baseline's over its first steps. The box
+    # stage starts at the full rate again, because its new Gaussians must move far.
     middle = 1.6e-4 * (1.6e-6 / 1.6e-4) ** (scene_steps / (scene_steps + roi_steps))
     return RunConfig(
         preset=name,
@@ -105,7 +105,7 @@ def _box_mechanisms(steps: int) -> tuple[Mechanism, ...]:
     return (
         MaskedSteps(reinvested=0.5, view_weighting=1.5),
         MeasuredShRate(),
-        # 3 would make up for the fewer steps, but loses where SH learn fast.
+        # 3 would make up for the fewer steps, but is worse if SH learn fast.
         SurroundingsRate(factor=2.0),
         BoxDensityControl(
             start=0,
@@ -139,7 +139,7 @@ def preset(name: str) -> RunConfig:
 
 
 def in_strategy(config: RunConfig, strategy: str) -> RunConfig:
-    """The config for another strategy: the paper's recipe, or the preset's joint recipe.
+    """Convert a config to another strategy: the paper's recipe, or the preset's joint recipe.
 
     Steps, SH degree, target, baselines, test photos, seed and number of selected photos stay
     the same. The intervals of the paper's recipe do not shrink with the steps (`with_steps`).

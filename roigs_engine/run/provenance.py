@@ -31,7 +31,7 @@ PACKAGES = ("torch", "numpy", "scipy", "scikit-learn", "pillow", "pycolmap")
 
 @contextmanager
 def recorded(folder: Path, seed: int, device: str) -> Iterator[None]:
-    """Record in `folder`/provenance.json that the block worked there, and how it ended.
+    """Record in `folder`/provenance.json that the block ran there, and how it ended.
 
     Raises:
         RunFolderError: the file cannot be written, or is not the engine's.
@@ -77,7 +77,7 @@ def recorded(folder: Path, seed: int, device: str) -> Iterator[None]:
         now["stages"] = _stages(folder)
         with suppress(RunFolderError):  # the error that ended the block is more important
             check_held(folder)
-            # Not durable: a sync would also flush the checkpoint just written, and delay a stop.
+            # Not durable: a sync would also flush the new checkpoint, and so delay a stop.
             write_json(path, {"entries": [*entries, now]}, durable=False)
 
 

@@ -21,17 +21,18 @@ from ..training.mechanisms.warm_restarts import WarmRestarts
 from .config import RunConfig
 from .presets import in_strategy, joint_recipe
 
-# Whole photos that surroundings get in a stage with masks, in its steps: a third are whole, and the
-# masks of the others show much of what is behind the boxes, which may be in another block.
+# Whole photos for surroundings, as a share of the steps of a stage with masks. There, a third of
+# the steps use whole photos. The masks of the others show much of the area behind the boxes, which
+# may be in another block.
 WHOLE_SHARE = 0.6
-CUTOUT_SHARE = 0.6  # steps of the stage that cuts objects out, in steps of the box stage
-SURFACE_SHARE = 0.15  # .. and of the stage that makes surfaces
-SURFACE_RATE = 0.3  # its position learning rate at first, in that of the box stage
+CUTOUT_SHARE = 0.6  # steps of the cutout stage, as a share of the box stage's
+SURFACE_SHARE = 0.15  # the same for the surface stage
+SURFACE_RATE = 0.3  # its initial position learning rate, as a share of the box stage's
 
 
 @dataclass(frozen=True, kw_only=True)
 class TunedBaseline:
-    """Settings of the two stages of a tuned baseline, the last one on photos of full size."""
+    """Settings of the two stages of a tuned baseline; the second uses full-size photos."""
 
     coarse: TrainConfig
     scale: float  # factor on the size of the first stage's photos
@@ -39,9 +40,9 @@ class TunedBaseline:
 
 
 def baseline(config: RunConfig) -> TrainConfig:
-    """Full Scene and Full Object: 3DGS over the steps of both stages.
+    """Settings of Full Scene and Full Object: 3DGS over the steps of both stages.
 
-    The intervals are the Scene-GS's, which a miniature of the paper's schedule has scaled.
+    The intervals are the Scene-GS's: in a miniature of the paper's schedule, these are scaled.
     """
     own = config.scene.get(DensityControl) or DensityControl()
     density = DensityControl(
@@ -61,11 +62,11 @@ def baseline(config: RunConfig) -> TrainConfig:
 
 
 def tuned_baseline(config: RunConfig) -> TunedBaseline:
-    """The tuned Full Scene and Full Object: 3DGS with all settings of ours that fit any scene.
+    """Settings of the tuned Full Scene and Full Object: ours, minus those that need boxes.
 
-    These are the joint recipe's, without what boxes bring: masks, weights, budgets, a lower
-    threshold. The steps that densify are as many in sum as in the baseline; the last
-    stage densifies for a third of its steps at the least, like the joint stage.
+    These are the joint recipe's, without masks, weights, budgets and the lower threshold. In total,
+    as many steps densify as in the baseline. The last stage densifies for at least a third of its
+    steps, like the joint stage.
     """
     ours = config if config.strategy == "joint" else in_strategy(config, "joint")
     scene, box = ours.scene.of(DensityControl), ours.roi.of(DensityControl)
@@ -82,7 +83,7 @@ def tuned_baseline(config: RunConfig) -> TunedBaseline:
 
 
 def _without_boxes(stage: TrainConfig, density: DensityControl) -> TrainConfig:
-    """The settings of a box stage that fit any scene."""
+    """The settings of a box stage that need no boxes."""
     return replace(
         stage,
         mechanisms=(
@@ -95,7 +96,7 @@ def _without_boxes(stage: TrainConfig, density: DensityControl) -> TrainConfig:
 
 
 def cutout_stage(config: RunConfig) -> TrainConfig:
-    """The stage that makes objects look right alone: the box stage's settings at its end."""
+    """The stage that makes cut-out objects look right; settings as at the box stage's end."""
     steps = max(1, round(CUTOUT_SHARE * config.roi.steps))
     stage = replace(
         config.roi, steps=steps, sh_start=config.roi.sh_degree, lr_means=config.roi.lr_means / 10
@@ -105,9 +106,10 @@ def cutout_stage(config: RunConfig) -> TrainConfig:
 
 
 def surface_stage(config: RunConfig) -> TrainConfig:
-    """The stage that makes the result a surface: the box stage's settings at its end, masks alone.
+    """The stage that turns the result into a surface.
 
-    Its changes outside the boxes are not used.
+    Its settings are the box stage's at its end, with masked steps only. Its changes outside the
+    boxes are not used.
     """
     steps = max(1, round(SURFACE_SHARE * config.roi.steps))
     stage = replace(
@@ -127,16 +129,16 @@ def surface_stage(config: RunConfig) -> TrainConfig:
 
 
 def _no_more(stage: TrainConfig) -> TrainConfig:
-    """A short stage after the box stage: as many steps as it says, whatever masks leave out."""
+    """Keep the steps of a short stage as they are: masks do not add any."""
     masks = stage.get(MaskedSteps)
     return stage if masks is None else stage.using(replace(masks, reinvested=0.0))
 
 
 def shortened(config: TrainConfig, share: float) -> TrainConfig:
-    """A stage on a share of the photos: so much of its steps, and of the intervals between them.
+    """Shorten a stage for a share of the photos: scale its steps and intervals by `share`.
 
-    So each photo is used as often as in the whole stage, a Gaussian is seen as often between two
-    densifications, and there are as many of these, whatever rounding does.
+    So each photo is used as often as in the whole stage, and a Gaussian is seen as often between
+    two densifications. The number of densifications stays the same despite rounding.
     """
     short = miniature(config, max(1, round(share * config.steps)))
     before, density = config.get(DensityControl), short.get(DensityControl)
@@ -148,10 +150,10 @@ def shortened(config: TrainConfig, share: float) -> TrainConfig:
 
 
 def surroundings_stage(config: TrainConfig, share: float) -> TrainConfig:
-    """A stage of a part of the scene without boxes, on a share of the photos: whole photos only.
+    """The stage for a part of the scene without boxes, on a share of the photos; no masks.
 
-    It uses no background points and no opacity decay: other parts of the scene are behind it, and
-    other photos show it.
+    It uses no background points, because other parts of the scene are behind it. It uses no opacity
+    decay, because other photos show it.
     """
     masks, density = config.get(MaskedSteps), _outside_density(config)
     grows = (WarmRestarts, ImportancePruning) if density else ()
@@ -165,7 +167,7 @@ def surroundings_stage(config: TrainConfig, share: float) -> TrainConfig:
 
 
 def _outside_density(config: TrainConfig) -> DensityControl | None:
-    """The densification of a stage outside its boxes; None: there is none."""
+    """The densification outside a stage's boxes; None: there is none."""
     own = config.get(DensityControl)
     if not isinstance(own, BoxDensityControl):
         return own
@@ -176,15 +178,16 @@ def _outside_density(config: TrainConfig) -> DensityControl | None:
 
 
 def block_stage(config: TrainConfig, share: float, photos: float) -> TrainConfig:
-    """A stage of the boxes of a block and of its surroundings.
+    """The stage for the boxes of a block and its surroundings.
 
-    It uses no opacity decay, as other photos show what is beside the block, and no other rate for
-    its surroundings: each of its whole photos has nearly twice as many steps.
+    It uses no opacity decay, because other photos show the area beside the block. Its surroundings
+    have no learning rate of their own, because each of its whole photos gets nearly twice as many
+    steps.
 
     Args:
-        config: of the stage of a whole scene.
-        share: of the photos that see boxes, those that see this block's.
-        photos: share of all photos that the block has.
+        config: of the stage for a whole scene.
+        share: share of the photos that see boxes, for this block's boxes.
+        photos: the block's share of all photos.
     """
     config = config.only(
         *(MaskedSteps, MeasuredShRate, DensityControl, IdlePruning, WarmRestarts),
@@ -200,17 +203,17 @@ def block_stage(config: TrainConfig, share: float, photos: float) -> TrainConfig
 
 
 def _densify_steps(config: RunConfig) -> int:
-    """Number of a baseline's steps that densify."""
+    """Number of densifying steps of a baseline."""
     return int(config.baseline_densify * config.total_steps + 1e-9)
 
 
 def object_stage(config: RunConfig) -> TrainConfig:
-    """An Object-GS: the box stage without the steps of the joint refinement."""
+    """The settings of an Object-GS: the box stage without the joint refinement's steps."""
     return with_steps(config.roi, config.roi.steps - config.refine_steps)
 
 
 def refine_stage(config: RunConfig) -> TrainConfig:
-    """The joint refinement of a merged model: the joint stage's settings, no new Gaussians."""
+    """The settings of the joint refinement: the joint stage's, without new Gaussians."""
     steps = config.refine_steps
     stage = replace(
         joint_recipe("", config.scene.steps, config.roi.steps).roi,

@@ -62,14 +62,14 @@ class StageRecord:
 
     fingerprint: str
     seconds: float  # of training, without checkpoints and evaluation
-    cpu_seconds: float  # the same as CPU time of all threads: to compare on a busy machine
+    cpu_seconds: float  # the same in CPU time of all threads, for comparisons on a busy machine
     steps: int
     gaussians: int  # their number
-    device: str  # the type of device that it was trained on: `cpu`, `cuda`, `gpu`
-    model_sha256: str  # of the file with the model, in hexadecimal digits
+    device: str  # the type of device that trained it: `cpu`, `cuda`, `gpu`
+    model_sha256: str  # of the model's file, in hexadecimal digits
 
     def check(self) -> None:
-        """Raise ValueError unless training can have written it: who knows the checksum may have."""
+        """Raise ValueError if training cannot have written it; checksums can be forged."""
         texts = self.fingerprint, self.device, self.model_sha256
         counts, times = (self.steps, self.gaussians), (self.seconds, self.cpu_seconds)
         if not (
@@ -81,10 +81,10 @@ class StageRecord:
 
 
 def read_record(path: Path) -> StageRecord | None:
-    """The record; None if there is none.
+    """Read the record; None if there is none.
 
     Raises:
-        DamagedError: it is not as it was written.
+        DamagedError: it was changed or damaged.
         RunFolderError: it cannot be read.
     """
     try:
@@ -103,7 +103,7 @@ def read_record(path: Path) -> StageRecord | None:
 
 
 def check_model(path: Path, record: StageRecord) -> None:
-    """DamagedError if the model is not that of the record; RunFolderError if it is not readable."""
+    """Raise DamagedError if the model does not match the record, RunFolderError if unreadable."""
     try:
         found = sha256(path)
     except FileNotFoundError as error:
@@ -130,18 +130,18 @@ class StageResult:
         return self.trained or Gaussians.load_ply(self.model_path, self.frame)
 
     def without_model(self) -> StageResult:
-        """The same, without the model in memory."""
+        """The same result, without the model in memory."""
         return replace(self, trained=None)
 
 
 def folder_of(run: Path, name: str, fingerprint: str) -> Path:
     """The folder of a stage in a run folder: `stages/NAME-FINGERPRINT`; it need not exist.
 
-    If that does not exist, a finished stage of the same fingerprint serves, whatever its name: the
-    box was renamed, or two stages of a plan are the same.
+    If it does not exist, a finished stage with the same fingerprint is used, under any name: the
+    box may have been renamed, or two stages of a plan may be equal.
 
     Raises:
-        RunFolderError: the folder is a link, or no folder.
+        RunFolderError: the folder is a link, or not a folder.
     """
     stages, mark = own_folder(run, run_files.STAGES), fingerprint[:8]
     own = own_folder(stages, f"{name.replace('/', '-')}-{mark}")
@@ -157,15 +157,15 @@ def folder_of(run: Path, name: str, fingerprint: str) -> Path:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StageFolder:
-    """The folder that a stage is trained in; its PLYs are in the world's frame."""
+    """The folder in which a stage is trained; its PLYs are in the world's frame."""
 
-    name: str  # of the stage, to be shown to the user
+    name: str  # of the stage, shown to the user
     folder: Path  # `folder_of` the stage
     fingerprint: str
-    frame: LocalFrame = field(default_factory=LocalFrame.world)  # that the stage is trained in
+    frame: LocalFrame = field(default_factory=LocalFrame.world)  # in which the stage is trained
     preview: Path = Path(run_files.PREVIEW)  # file for the preview of the current Gaussians
     preview_seconds: float = 0.0  # seconds of training between two previews; 0: none
-    named: set[str] = field(default_factory=set)  # photos that a warning has named; gets more
+    named: set[str] = field(default_factory=set)  # photos already named in a warning; updated
 
     @property
     def _checkpoint(self) -> Path:
@@ -184,7 +184,7 @@ class StageFolder:
     def finished(self, context: Context = QUIET) -> StageResult | None:
         """The stage's result if it is finished, or None.
 
-        A result that is damaged is moved aside, with a warning, and counts as missing.
+        A damaged result is moved aside, with a warning, and counts as missing.
 
         Raises:
             RunFolderError: the folder cannot be read.
@@ -207,11 +207,12 @@ class StageFolder:
         return result
 
     def _verified(self) -> StageResult | None:
-        """The result, with a model as it was trained; None if the stage is not finished.
+        """The result, with checked model; None if the stage is not finished.
 
         Raises:
             RunFolderError: the record or the model cannot be read.
-            DamagedError: one is damaged, the model is missing, or the record is another stage's.
+            DamagedError: one of them is damaged, the model is missing, or the record belongs to
+                another stage.
         """
         path = self.folder / run_files.STAGE
         record = read_record(path)
@@ -237,7 +238,8 @@ class StageFolder:
             Stopped: on request; a checkpoint was written.
             RunFolderError: the checkpoint has other settings, or is damaged.
             TrainingError: training diverged twice.
-            KernelError: the GPU failed, or its memory is full; a checkpoint was written if it can.
+            KernelError: the GPU failed, or its memory is full; a checkpoint was written if
+                possible.
         """
         context.emit(StageStarted(stage=self.name, total=config.steps))
         try:
@@ -253,7 +255,7 @@ class StageFolder:
     def _trained(
         self, start: Callable[[], Gaussians], data: StageData, config: TrainConfig, context: Context
     ) -> Trainer:
-        """A trainer at its last step; `_save` never writes a checkpoint with NaN or Inf."""
+        """Train to the last step; `_save` never writes a checkpoint with NaN or Inf."""
         if checkpoint_exists(self._checkpoint):
             check = partial(check_state, config=config)
             state = load_checkpoint(self._checkpoint, self.fingerprint, context, check)
@@ -309,7 +311,7 @@ class StageFolder:
         values = asdict(record)
         write_json(self.folder / run_files.STAGE, values | {CHECKSUM: json_digest(values)})
         remove_checkpoint(self._checkpoint)
-        # The file rounds in another frame; a resumed run, which reads it, must go on the same.
+        # In another frame, the file has rounded values. Use these, like a resumed run does.
         trained = model if self.frame.is_world else None
         return StageResult(
             name=self.name, record=record, model_path=path, frame=self.frame, trained=trained

@@ -1,4 +1,4 @@
-"""A run's photos, and its stages: for the whole scene, or one for each cell."""
+"""Makes a run's stages: for the whole scene, or one for each cell."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from .plan import CELLS, POINTS, SEEN, PlannedModel, Source, Stage
 
 
 class PhotoSets:
-    """The training photos and boxes of a run, or of a cell; subsets of them are made once.
+    """The training photos and boxes of a run or a cell; their subsets are cached.
 
     Attributes:
-        folder: of their stages, below the run folder; empty: the run folder itself.
+        folder: for their stages, below the run folder; empty: the run folder itself.
         images: in the scene's order.
         rois: the boxes.
     """
@@ -96,14 +96,14 @@ def make_stage(
     start: Source | None = None,
     order: str = "shuffled",
 ) -> Stage:
-    """A stage, with what its mechanisms decide by its photos and boxes.
+    """Make a stage; its mechanisms adapt their settings to its photos and boxes.
 
     Args:
         name, config: of the stage; the folder of `photos` precedes the name.
         photos: of the run, or of a part of it.
         images: to train on.
         rois: boxes to densify in.
-        start: what it starts from; None: the sparse points.
+        start: the Gaussians to start from; None: the sparse points.
         order: `shuffled`: all photos equally often; `ordered`: as given (paper, sec. III-A);
             `mixed`: selected photos more often than others.
     """
@@ -125,7 +125,7 @@ def make_stage(
 def _order(
     kind: str, photos: PhotoSets, images: Sequence[PosedImage], config: TrainConfig
 ) -> PhotoOrder:
-    """An order of a stage's photos: see `make_stage`."""
+    """The order of a stage's photos: see `make_stage`."""
     order = PhotoOrder(kind=kind, count=len(images), seed=photos.run.config.seed)
     if kind != "mixed":
         return order
@@ -140,7 +140,7 @@ def _order(
 
 
 def points_source(run: Run, rows: Int64 | None = None) -> Source:
-    """The sparse points, or these rows of them."""
+    """The sparse points, or these rows of them, as a source."""
     scene = run.train_scene
     chosen = slice(None) if rows is None else rows
     digest = hashlib.sha256(scene.points[chosen].tobytes() + scene.colors[chosen].tobytes())
@@ -150,13 +150,13 @@ def points_source(run: Run, rows: Int64 | None = None) -> Source:
 def trained_on(
     name: str, photos: PhotoSets, config: TrainConfig, base: Source | None
 ) -> PlannedModel:
-    """A model that is trained on in all boxes, cell by cell if the run has cells.
+    """Plan the training of a model in all boxes, cell by cell if the run has cells.
 
     Args:
-        name: of the stage; after the cell's label, if there is one.
+        name: of the stage; it follows the cell's label, if there is one.
         photos: of the run.
         config: of the stage for the whole scene.
-        base: what it goes on with; None: the sparse points.
+        base: the model to continue; None: the sparse points.
     """
     cells = photos.run.layout.cells
     if cells is None:
@@ -166,7 +166,7 @@ def trained_on(
     alone = bool(config.chosen(CutoutSteps, SurfaceLosses))
     stages = []
     for index, cell in enumerate(cells.cells):
-        if alone and base is not None and not cell.rois:  # no object: it stays as it is
+        if alone and base is not None and not cell.rois:  # no object: it does not change
             stages.append(base.inputs[index])
             continue
         own = photos.of(cell)
@@ -184,7 +184,7 @@ def trained_on(
 
 
 def _config(photos: PhotoSets, config: TrainConfig, cell: Cell) -> TrainConfig:
-    """Of a cell's stage: a group has all steps, a block its share of them."""
+    """The settings of a cell's stage: a group gets all steps, a block its share of them."""
     if photos.run.layout.blocks is None:
         return config
     share = len(cell.photos) / len(photos.images)
@@ -196,7 +196,7 @@ def _config(photos: PhotoSets, config: TrainConfig, cell: Cell) -> TrainConfig:
 def _start(
     run: Run, base: Source | None, cell: Cell, images: Sequence[PosedImage]
 ) -> Source | None:
-    """The start of a cell's stage: in a divided scene, only Gaussians that its photos show."""
+    """The start of a cell's stage; in a scene of blocks, only Gaussians that its photos show."""
     if run.layout.blocks is None:
         return base
     if base is None:
@@ -205,21 +205,21 @@ def _start(
 
 
 def seen_part(run: Run, base: Source, images: Sequence[PosedImage], share: float = 1.0) -> Source:
-    """The Gaussians that a stage on some photos starts from: in a scene that is cut, a part."""
+    """The start of a stage on some photos; in a scene of blocks, the Gaussians that they show."""
     if run.layout.blocks is None:
         return base
     return Source(kind=SEEN, base=base, images=tuple(images), share=share)
 
 
 def joined(name: str, stages: Sequence[Stage], partition: Partition) -> PlannedModel:
-    """A model of what each stage's model owns of its result."""
+    """Join the stages' results: from each, the Gaussians that it owns in the partition."""
     inputs = tuple(stages)
     source = Source(kind=CELLS, inputs=inputs, digest=partition.digest, partition=partition)
     return PlannedModel(name=name, source=source, stages=inputs)
 
 
 def scene_model(photos: PhotoSets) -> PlannedModel:
-    """The Scene-GS: of one stage, or of one for each block of a scene that is cut."""
+    """The Scene-GS: one stage, or one for each block."""
     run, name = photos.run, "Scene-GS"
     blocks = run.layout.blocks
     if blocks is None:
@@ -238,13 +238,13 @@ def scene_model(photos: PhotoSets) -> PlannedModel:
 
 
 def scene_stage(photos: PhotoSets) -> Stage:
-    """The Scene-GS of a scene that is not cut."""
+    """The Scene-GS of a scene without blocks."""
     images = _images(photos, photos.images)
     return make_stage(run_files.SCENE_STAGE, photos, images, photos.run.config.scene)
 
 
 def _images(photos: PhotoSets, images: Sequence[PosedImage]) -> tuple[PosedImage, ...]:
-    """These photos without the reserved ones, at the size of the Scene-GS."""
+    """These photos without the reserved ones, at the Scene-GS's size."""
     reserved = photos.reserved()
     kept = tuple(image for image in images if image.name not in reserved)
     if not kept:

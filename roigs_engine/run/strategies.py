@@ -27,7 +27,7 @@ from .stages import (
 
 
 def plan_run(run: Run, compare: Sequence[str] = (), context: Context = QUIET) -> Plan:
-    """The plan of a run: the models to compare with, then its own strategy, its result last.
+    """Plan a run: the models to compare with, then its own strategy; its result is last.
 
     Args:
         run: the run.
@@ -51,7 +51,7 @@ def plan_run(run: Run, compare: Sequence[str] = (), context: Context = QUIET) ->
 
 
 def strategy(photos: PhotoSets, *, coarse: Stage | None = None) -> Plan:
-    """The plan of the run's strategy, from a Scene-GS (`coarse`) or the run's own."""
+    """Plan the run's strategy, from the Scene-GS `coarse` or the run's own."""
     scene = PlannedModel.of_stages("", coarse) if coarse else scene_model(photos)
     make = _joint if photos.run.config.strategy == "joint" else _independent
     models = make(photos, scene)
@@ -63,9 +63,9 @@ def strategy(photos: PhotoSets, *, coarse: Stage | None = None) -> Plan:
 
 
 def plan_surface(run: Run, context: Context = QUIET) -> Plan:
-    """The plan of a run, and at its end the result trained on as a surface (ours).
+    """Plan a run, followed by a stage that turns the result into a surface (ours).
 
-    The latter serves meshes alone; no file of the result is made from it. Raises as `plan_run`.
+    That model is only for meshes; no file of the result is made from it. Raises as `plan_run`.
     """
     photos = PhotoSets(run, context)
     plan = strategy(photos)
@@ -78,7 +78,7 @@ def plan_surface(run: Run, context: Context = QUIET) -> Plan:
 def _joint(photos: PhotoSets, scene: PlannedModel) -> tuple[PlannedModel, ...]:
     """One stage for all boxes and all photos, densified in the boxes (ours).
 
-    One for each group of boxes and each block, if there are several.
+    If there are several groups of boxes or several blocks, each has a stage.
     """
     run = photos.run
     start = scene.source if run.config.roi_init == "scene" else None
@@ -92,7 +92,7 @@ def _joint(photos: PhotoSets, scene: PlannedModel) -> tuple[PlannedModel, ...]:
 
 
 def _after(name: str, before: PlannedModel, last: PlannedModel) -> PlannedModel:
-    """The last model, with the stages of the one that it goes on with."""
+    """The last model, with the stages of the model before it."""
     stages = tuple(dict.fromkeys((*before.stages, *last.stages)))
     return replace(last, name=name, stages=stages, by_roi=before.by_roi)
 
@@ -100,8 +100,8 @@ def _after(name: str, before: PlannedModel, last: PlannedModel) -> PlannedModel:
 def _independent(photos: PhotoSets, scene: PlannedModel) -> tuple[PlannedModel, ...]:
     """The paper's strategy: an Object-GS for each box, then composition.
 
-    With `refine_share`, a joint refinement follows (ours): it trains the merged model on, so that
-    its parts fit together.
+    With `refine_share`, a joint refinement follows (ours): the merged model is trained further, so
+    that its parts fit together.
     """
     run = photos.run
     stages = {roi.name: _object_stage(photos, scene.source, roi) for roi in run.rois}
@@ -127,12 +127,12 @@ def _independent(photos: PhotoSets, scene: PlannedModel) -> tuple[PlannedModel, 
 
 
 def _object_stage(photos: PhotoSets, scene: Source, roi: OrientedBox) -> Stage:
-    """Object-GS of one box (paper, sec. II-B): its selected photos, densified in the box."""
+    """The Object-GS of one box (paper, sec. II-B): its selected photos, densified in the box."""
     run = photos.run
     by_name = {image.name: image for image in photos.images}
     images = tuple(by_name[name] for name in photos.selection(roi).names)
     start = None  # the sparse points, an ablation of the paper
-    if run.config.roi_init == "box":  # another one
+    if run.config.roi_init == "box":  # another ablation
         start = Source(kind=CROP, base=scene, rois=(roi,))
     elif run.config.roi_init == "scene":
         start = seen_part(run, scene, images)
@@ -148,7 +148,7 @@ def _object_stage(photos: PhotoSets, scene: Source, roi: OrientedBox) -> Stage:
 
 
 def _object_masks(run: Run) -> str:
-    """Hash of the masks of the boxes' objects on the training photos; empty: there are none."""
+    """Hash of the masks of boxes' objects for the training photos; empty: there are none."""
     found = [
         (image.name, index, image.objects[roi.name].digest)
         for image in run.train_scene.images
@@ -177,9 +177,9 @@ def full_objects(photos: PhotoSets) -> Plan:
 
 
 def full_scene_tuned(photos: PhotoSets) -> Plan:
-    """Baseline: Full Scene with every setting of ours that fits any scene.
+    """Baseline: Full Scene with our settings, minus those that need boxes.
 
-    Boxes are used for the points whose colours are compared, and the consistency test, only.
+    Boxes only decide which points' colours are compared, and limit the consistency test.
     """
     config = stage_configs.tuned_baseline(photos.run.config)
     stages = _tuned(photos, run_files.SCENE_STAGE, photos.images, config, photos.run.rois)

@@ -1,9 +1,9 @@
 """A run folder on a store: each part commits all of its changes, or none.
 
-Files go to `objects`, named by their hashes; a small record of names and hashes, a commit, is
-written last. Readers use only files named in commits, and check every hash, so half of an upload is
-never seen, on any file system. The commit of the last part has all files under their own names.
-Anyone who can write to the store can also write commits, unless they are signed with a key.
+Files go to `.objects`, named by their hashes. A commit, a small record of names and hashes, is
+written last. Readers use only files named in commits, and check every hash. So they never see an
+incomplete upload, on any file system. The commit of the last part has all files under their own
+names. Anyone who can write to the store can also write commits, unless they are signed with a key.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class StoredRun:
 
     Args:
         found: the file system.
-        place: of the run folder in it.
+        place: the run folder's path in it.
     """
 
     def __init__(self, found: FileSystem, place: str) -> None:
@@ -53,13 +53,13 @@ class StoredRun:
         return f"{self._place}/{LEASES}/{quote(part, safe='')}"
 
     def entries(self) -> dict[str, Entry]:
-        """File -> `sha`, `size` and `at`, by all commits."""
+        """Read all commits: file -> its hash `sha`, its `size` and its place `at` on the store."""
         return _entries(self._commits())
 
     def marks(self) -> dict[str, list[Any]]:
-        """Published file -> its size, its hash, and the store's mark, which changes if it does.
+        """Published file -> its size, its hash, and a mark that changes with its content.
 
-        FileNotFoundError: nothing is published, or a file is no longer there at its size.
+        FileNotFoundError: nothing is published, or a file is missing or has another size.
         """
         entries = self.entries()
         listed = self._found.find(self._place, detail=True)
@@ -71,13 +71,13 @@ class StoredRun:
         return {name: [mark[0], entries[name]["sha"], *mark[1:]] for name, mark in found.items()}
 
     def fetch(self, folder: Path, wanted: Callable[[str], bool] = lambda name: True) -> None:
-        """Make a folder here what the commits say; files that fit stay as they are.
+        """Bring a folder here to the state of the commits; matching files are not copied again.
 
-        A file that is damaged on the store counts as missing: what it belongs to is done again.
+        A file that is damaged on the store counts as missing, so its work is repeated.
 
         Raises:
-            RunFolderError: the store cannot be read, a commit is none of ours, or a folder is a
-                link.
+            RunFolderError: the store cannot be read, a commit is not the engine's, or a folder is
+                a link.
         """
         self._had = {}
         remove_leftovers(folder)
@@ -96,11 +96,11 @@ class StoredRun:
                 path.rmdir()
 
     def publish(self, folder: Path, part: str, *, last: bool, names: Iterable[str] = ()) -> None:
-        """Publish what no other commit has; replaces what the part has published before.
+        """Publish the files that no other commit has; replaces the part's earlier commit.
 
         Args:
-            part: name of the part that made it.
-            last: whether all is done: every file then gets its own name on the store.
+            part: name of the part that made the files.
+            last: whether all parts are done; every file then gets its own name on the store.
             names: only these files; empty: all.
 
         Raises:
@@ -128,7 +128,7 @@ class StoredRun:
             self._tidy(keep=part)
 
     def put_beside(self, path: Path, name: str) -> None:
-        """Store a file by a name in the folder of all runs; StoreError if that fails."""
+        """Store a file under a name in the folder above the run's; StoreError if that fails."""
         above = self._place.rpartition("/")[0]
         self._found.makedirs(f"{above}/{name}".rpartition("/")[0], exist_ok=True)
         self._found.put_file(str(path), f"{above}/{name}")
@@ -137,7 +137,7 @@ class StoredRun:
         return f"{self._place}/{COMMITS}/{quote(part, safe='')}.json"
 
     def _commits(self) -> list[dict[str, Any]]:
-        """The commits that are whole, the oldest first."""
+        """Read the complete commits, the oldest first; RunFolderError if one is malformed."""
         found = []
         with suppress(FileNotFoundError):
             listed = self._found.find(f"{self._place}/{COMMITS}", detail=True)
@@ -151,19 +151,19 @@ class StoredRun:
         return sorted(found, key=lambda body: (body["serial"], body["part"]))
 
     def _digest(self, body: dict[str, Any]) -> str:
-        """Of a commit of this run; with a key, only those who have it can make one."""
+        """The digest of a commit of this run; with a key, a signature."""
         text = json_digest(body | {"run": self._place.rpartition("/")[2]})
         key = os.fsencode(os.environ.get(KEY, ""))
         return hmac.digest(key, text.encode(), "sha256").hex() if key else text
 
     def _put(self, path: Path, name: str) -> Entry:
-        """Store a file that may be replaced here meanwhile, by its hash or under its own name."""
+        """Store a file by its hash or under its own name; it may be replaced here meanwhile."""
         with open(path, "rb", opener=regular) as file:
             sha = hashlib.file_digest(file, "sha256").hexdigest()
             size = file.tell()
             at = name or f"{OBJECTS}/{sha}"
             target = f"{self._place}/{at}"
-            # Somebody may have changed what is there under its own name.
+            # A file under its own name may have been changed on the store.
             if name or not self._has(target, size):
                 file.seek(0)
                 self._found.makedirs(target.rsplit("/", 1)[0], exist_ok=True)
@@ -177,7 +177,7 @@ class StoredRun:
             return False
 
     def _get(self, name: str, entry: Entry, target: Path) -> bool:
-        """Whether a file could be copied here as its entry says."""
+        """Copy a file from the store; returns whether it matches its entry."""
         target.parent.mkdir(parents=True, exist_ok=True)
         with written_by_name(target) as temporary:
             try:
@@ -190,7 +190,7 @@ class StoredRun:
             return True
 
     def _tidy(self, keep: str) -> None:
-        """Remove what the last commit replaces; what stays by accident harms nothing."""
+        """Remove objects and commits that the last commit replaces; leftovers are harmless."""
         for path in [*self._safe_find(COMMITS), *self._safe_find(OBJECTS)]:
             own = TIDIED.fullmatch(path[len(self._place) + 1 :])
             if own and path != self._commit(keep):
@@ -204,7 +204,7 @@ class StoredRun:
 
 
 def _checked(body: dict[str, Any], path: str) -> dict[str, Any]:
-    """A commit as `publish` writes it; RunFolderError if it is not, or names what is elsewhere."""
+    """Return the commit; RunFolderError if it is malformed or names a file outside the folder."""
     files, gone, serial = body.get("files"), body.get("gone"), body.get("serial")
     if (
         not (isinstance(files, dict) and isinstance(gone, list))
@@ -239,7 +239,7 @@ def _is_entry(entry: Any) -> bool:
 
 
 def published_files(folder: Path) -> list[str]:
-    """The files of a run folder that are published, by their names in it."""
+    """Names of the files of a run folder that are published."""
     skip = f"{CACHE}/{UNDISTORTED}/"
     found = (p for p in folder.rglob("*") if p.is_file() and not LEFTOVER.fullmatch(p.name))
     return [

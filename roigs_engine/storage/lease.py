@@ -3,8 +3,8 @@
 To get a lease, an engine writes its own file, as a claim, and then lists the folder. If there is no
 holder, the claim with the smallest name becomes the holder. It lists again, and gives way if a
 smaller name has appeared meanwhile. Every engine writes before it lists, so one of two always sees
-the other. Files are rewritten regularly. A file that does not change for `EXPIRY` seconds, by the
-watcher's own clock, is dead. So no two clocks are compared.
+the other. Engines rewrite their files regularly. A file that does not change for `EXPIRY` seconds,
+by the watcher's own clock, is dead. So clocks of two machines are never compared.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ NAME = re.compile("[0-9a-f]{32}")
 
 
 class LeaseTakenError(Exception):
-    """Somebody else holds the lease, and is alive; or the wait was given up."""
+    """Another engine holds the lease and is alive, or a stop was requested while waiting."""
 
 
 class Lease:
@@ -36,7 +36,7 @@ class Lease:
         found: the file system.
         folder: in it, for this lease alone.
         should_stop: asked while waiting.
-        waits: called once if somebody else holds it, or has until now.
+        waits: called once if the lease cannot be taken at once.
         expiry, beat: seconds, for tests.
     """
 
@@ -58,16 +58,16 @@ class Lease:
         self._seen: dict[str, tuple[bytes, float, int]] = {}  # content, since when, changes
 
     def is_held(self) -> bool:
-        """Whether nobody has taken it over, as after a pause of this machine.
+        """Whether it is still held: others may take it over during a pause of this machine.
 
-        While the store does not answer, it is as it was: `EXPIRY` is long enough for that.
+        If the store does not answer, the last answer counts: `EXPIRY` is long enough for that.
         """
         with suppress(Exception):  # each kind of store has errors of its own
             self._lost = self._lost or self._name not in self._names()
         return not self._lost
 
     def __enter__(self) -> Lease:
-        """Take it; LeaseTakenError if somebody else holds it."""
+        """Take the lease; LeaseTakenError if another engine holds it."""
         try:
             said = False
             while not self._try():
@@ -85,11 +85,11 @@ class Lease:
 
     def __exit__(self, *_: object) -> None:
         self._ended.set()
-        self._beats.join(self._expiry)  # else a heartbeat may write it again after its removal
+        self._beats.join(self._expiry)  # otherwise a heartbeat may write the file again
         self._remove(self._name)
 
     def _try(self) -> bool:
-        """Whether it could be taken now; raises as `__enter__`."""
+        """Try to take the lease now; returns whether that succeeded. Raises as `__enter__`."""
         self._write(CLAIM)
         others = self._others()
         if any(state == HELD and self._seen[name][2] > 0 for name, state in others.items()):
@@ -107,7 +107,7 @@ class Lease:
         return True
 
     def _others(self) -> dict[str, str]:
-        """The others that are alive: names and states; the dead are removed."""
+        """Name -> state of the other live files; dead ones are removed."""
         now, found = time.monotonic(), {}
         for name in self._names():
             if name == self._name:
@@ -135,7 +135,7 @@ class Lease:
         with suppress(FileNotFoundError):
             listed = self._found.find(self._folder, detail=True)
             names = [str(path).rsplit("/", 1)[-1] for path in small_files(listed)]
-            return list(filter(NAME.fullmatch, names))  # files of others are left alone
+            return list(filter(NAME.fullmatch, names))  # ignore files of other programs
         return []
 
     def _write(self, state: str) -> None:
@@ -145,13 +145,13 @@ class Lease:
         self._found.pipe_file(f"{self._folder}/{self._name}", text.encode())
 
     def _remove(self, name: str) -> None:
-        with suppress(Exception):  # what stays expires; work that is done stays done
+        with suppress(Exception):  # a file that stays expires; finished work is safe
             self._found.rm_file(f"{self._folder}/{name}")
 
     def _keep(self) -> None:
-        """Show that this one is alive, while it is."""
+        """Rewrite the file at each beat, until the lease ends or is lost."""
         while not self._ended.wait(self._beat):
-            with suppress(Exception):  # a store that is away for a while
+            with suppress(Exception):  # the store may be unreachable for a while
                 if self._name not in self._names():
                     self._lost = True
                     return

@@ -16,14 +16,14 @@ from .quota import alone, claim, enforce_quota, keep, limit
 from .urls import FileSystem, StoreError, file_system, folder_of, guarded
 
 SCENES, FILES, INDEX, LOCK = "scenes", "files", "index.json", "copy.lock"
-LONGEST = 255  # bytes that file systems allow in the name of a file
+LONGEST = 255  # bytes; file systems allow no longer file name
 
 
 def mirror(url: str, context: Context) -> Path:
-    """A copy of a scene's folder, brought up to date: only files that changed are read.
+    """Update the copy of a scene's folder and return it; only changed files are read.
 
-    ConfigError: there is no such folder, or no disk has a file of that name. StoreError: it cannot
-    be read.
+    ConfigError: there is no such folder, or a name there cannot be a file here. StoreError: it
+    cannot be read.
     """
     found, place = file_system(url, context.should_stop)
     limit()
@@ -34,7 +34,7 @@ def mirror(url: str, context: Context) -> Path:
         files = _listed(found, place, url)
         known = _index(folder)
         changed = [n for n, sign in files.items() if not _is_here(folder, n, sign, known.get(n))]
-        if known.keys() & set(changed):  # copies that are about to be others: a kill may come
+        if known.keys() & set(changed):  # forget copies before they change, in case of a kill
             known = {name: sign for name, sign in known.items() if name not in set(changed)}
             write_json(folder / INDEX, known)
         for name in changed:
@@ -58,19 +58,19 @@ def _is_here(folder: Path, name: str, sign: list[Any], known: Any) -> bool:
 
 
 def _target(folder: Path, name: str) -> Path:
-    """The path of a file's copy; RunFolderError: through a link."""
+    """The path of a file's copy; RunFolderError: it leads through a link."""
     return own_file(folder, f"{FILES}/{name}")
 
 
 def _listed(found: FileSystem, place: str, url: str) -> dict[str, list[Any]]:
-    """File below the folder -> its size and what changes with its content."""
+    """List the files below the folder: name -> `sign`."""
     with guarded(url):
         listed = found.find(place, detail=True)
     if not listed:
         raise ConfigError(f"There is nothing at {url}.", "Correct the address.")
     paths = {str(path)[len(place) :].removeprefix("/"): path for path in listed}
     names = {name: listed[path] for name, path in paths.items()}
-    # Empty objects stand for folders on some stores, by their name or with a slash behind it.
+    # On some stores, empty objects stand for folders, with or without a slash at the end.
     folders = {str(above) for name in names for above in PurePosixPath(name).parents}
     files = {}
     for name, facts in names.items():
@@ -89,9 +89,9 @@ def _listed(found: FileSystem, place: str, url: str) -> dict[str, list[Any]]:
 
 
 def sign(facts: Mapping[str, Any]) -> list[Any]:
-    """A mark that changes with a file, from the store's facts: its size, and a mark of its content.
+    """A file's size, and a mark that changes with its content, from the store's facts.
 
-    StoreError: it does not tell the size.
+    StoreError: the store does not report the size.
     """
     if facts.get("size") is None:
         raise StoreError(

@@ -1,7 +1,7 @@
 """Disk quota for cached copies: removes the least recently used ones, never one in use.
 
-Only folders made by `claim` are removed: their name is a hash, and they have a mark inside. The
-folder for the copies may have other files of the user.
+Only folders made by `claim` are removed. Their name is a hash, and they contain a mark. The folder
+above them may have other files of the user.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ REMOVED, LOCK = ".roigs-removed", "quota.lock"
 LIMIT_VARIABLE = "ROIGS_CACHE_GB"
 LIMIT = 50.0  # GB
 WAIT = 0.5
-IN_USE = 3600.0  # seconds for which a copy stays: an engine may be at work on it
+IN_USE = 3600.0  # seconds for which a used copy is kept: an engine may be at work on it
 
 
 def limit() -> float:
-    """Bytes that all copies may take; ConfigError if the user's number is none."""
+    """The limit for all copies, in bytes; ConfigError if the user's value is not a number."""
     text = os.environ.get(LIMIT_VARIABLE) or str(LIMIT)
     try:
         if (gigabytes := float(text)) >= 0:
@@ -49,17 +49,17 @@ def limit() -> float:
 
 
 def claim(context: Context, *folders: Path) -> None:
-    """Make copies' folders, in use from now on; `keep` must follow within `IN_USE` seconds."""
-    with alone(home(), LOCK, context):  # not between the look at its time and its removal
+    """Create folders for copies and mark them as used; call `keep` within `IN_USE` seconds."""
+    with alone(home(), LOCK, context):  # `enforce_quota` must not remove them meanwhile
         for folder in folders:
             make_copy(folder)
             os.utime(folder)
 
 
 def make_copy(folder: Path) -> None:
-    """Make a copy's folder, or one in it, with the mark.
+    """Create a copy's folder, or a folder in it, with the mark.
 
-    RunFolderError: it is a link. OSError: it cannot be made.
+    RunFolderError: it is a link. OSError: it cannot be created.
     """
     own_folder(home(), *folder.relative_to(home()).parts).mkdir(parents=True, exist_ok=True)
     mark = _copy_of(folder) / MARK
@@ -69,19 +69,19 @@ def make_copy(folder: Path) -> None:
 
 
 def keep(folder: Path) -> None:
-    """Note that a copy is still in use."""
+    """Mark a copy as used now."""
     with suppress(OSError):
         os.utime(folder)
 
 
 def enforce_quota(context: Context = QUIET) -> None:
-    """Remove the copies that were used longest ago, until all are within the limit.
+    """Remove the least recently used copies until the rest is within the limit.
 
-    Files that cannot be removed stay for another time.
+    Files that cannot be removed stay until a later call.
     """
     left = limit()
     try:
-        removed = own_folder(home(), REMOVED)  # what a link leads to is not ours
+        removed = own_folder(home(), REMOVED)  # do not follow links to other folders
     except RunFolderError:
         return
     with suppress(OSError, RunFolderError), alone(home(), LOCK, context):
@@ -95,7 +95,7 @@ def enforce_quota(context: Context = QUIET) -> None:
                     folder.rename(removed / uuid.uuid4().hex)
     for folder in matching(removed, "[0-9a-f]" * 32):
         shutil.rmtree(folder, ignore_errors=True)
-    with suppress(OSError):  # it has files of others
+    with suppress(OSError):  # it has other files
         removed.rmdir()
 
 
@@ -112,7 +112,7 @@ def _is_ours(folder: Path) -> bool:
 
 
 def _last_used(folder: Path) -> float:
-    """When a copy was used; now, while a batch or an engine holds it: clocks jump."""
+    """When a copy was last used; now, if a batch or an engine holds it, because clocks jump."""
     if any(holder(folder / name) for name in (BATCH_LOCK, RUN_LOCK)):
         return time.time()
     with suppress(OSError):
@@ -122,7 +122,7 @@ def _last_used(folder: Path) -> float:
 
 @contextmanager
 def alone(folder: Path, name: str, context: Context) -> Iterator[None]:
-    """Hold a lock of a folder here, once no other process does."""
+    """Wait for a lock of a folder on this machine, and hold it."""
     folder.mkdir(parents=True, exist_ok=True)
     while True:
         try:

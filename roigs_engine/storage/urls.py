@@ -63,7 +63,7 @@ class StoreError(RunFolderError):
 
 @contextmanager
 def guarded(place: str, *passes: type[Exception]) -> Iterator[None]:
-    """Make a StoreError of any error, as each kind of store has errors of its own."""
+    """Turn any error into a StoreError, because each kind of store has its own errors."""
     try:
         yield
     except Exception as error:
@@ -74,22 +74,22 @@ def guarded(place: str, *passes: type[Exception]) -> Iterator[None]:
 
 
 def reason(error: Exception) -> str:
-    """The store's words for an error; fsspec's configuration may have addresses with secrets."""
+    """The store's message for an error, without secrets: it may contain configured addresses."""
     return f"{without_secrets(first_line(error)):.100}"
 
 
 class FileSystem:
-    """fsspec's file system `found` of an address, whose calls raise StoreError, and nothing else.
+    """Wraps fsspec's file system `found` of an address; its calls raise only StoreError.
 
-    Those of `READS` raise FileNotFoundError for what is missing.
+    Calls in `READS` also raise FileNotFoundError if a file is missing.
 
-    A call may wait for ever, so it is left to itself, in a thread, soon after a stop was requested:
-    then it raises Stopped. Its files may be half written, as if this process had been killed.
+    A call may wait for ever. So it runs in a thread, which is abandoned soon after a stop was
+    requested: the call then raises Stopped. Its files may be half written, as after a kill.
 
     Args:
         own: a folder of this machine below which links, pipes and devices are refused; empty: none.
-        should_stop: whether a stop was requested. After a call that was given up, others like it
-            have no time left.
+        should_stop: whether a stop was requested. After one abandoned call, later calls of its kind
+            are abandoned at once.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class FileSystem:
         return lambda *given, **options: self._call(name, method, *given, **options)
 
     def upload(self, file: BinaryIO, target: str) -> None:
-        """Write what follows in an open file, which may be replaced meanwhile."""
+        """Upload the rest of an open file, whose name may be replaced meanwhile."""
 
         def copy(target: str) -> None:
             with self._found.open(target, "wb") as out:
@@ -125,11 +125,11 @@ class FileSystem:
             return given_up.interruptible(lambda: method(*given, **options))
 
     def _patience(self, name: str, sends: int, gets: str) -> Callable[[], bool]:
-        """Whether a call that begins now is given up; TimeoutError if the store is silent.
+        """A function: whether to abandon a call that begins now; TimeoutError: no answer.
 
         Args:
-            sends: bytes that it sends.
-            gets: the file that it writes here, if it is one.
+            sends: bytes that the call sends.
+            gets: the file that it writes on this machine, if any.
         """
         since, size, heard = math.inf, 0, time.monotonic()
         is_upload = name == "upload"
@@ -152,7 +152,7 @@ class FileSystem:
 
 
 def _size(path: str) -> int:
-    """Of a file here, 0 if there is none."""
+    """The size of a file on this machine, 0 if there is none."""
     try:
         return os.stat(path).st_size
     except OSError:
@@ -160,7 +160,7 @@ def _size(path: str) -> int:
 
 
 def _refuse_links(root: Path, place: str) -> None:
-    """Raise StoreError if there is a link between `root` and a place, or no file at it."""
+    """Raise StoreError if a path below `root` leads through a link, a pipe or a device."""
     path = root
     for part in Path(place).relative_to(root).parts:
         path /= part
@@ -169,12 +169,12 @@ def _refuse_links(root: Path, place: str) -> None:
 
 
 def small_files(listed: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """The listed files that can be records of ours: others would fill the memory."""
+    """The listed files that are small enough for records: others could fill the memory."""
     return [path for path, facts in listed.items() if int(facts.get("size") or 0) <= LARGEST]
 
 
 def refuse_lost(url: str) -> None:
-    """Raise ConfigError if what is written there is gone when this process ends."""
+    """Raise ConfigError if files at an address are lost when this process ends."""
     match = SCHEME.match(url)
     if match and match[1].lower() in LOST:
         raise ConfigError(
@@ -184,7 +184,7 @@ def refuse_lost(url: str) -> None:
 
 
 def home() -> Path:
-    """The folder of this machine's copies; whoever writes into it makes it."""
+    """The folder of this machine's copies; the code that writes into it creates it."""
     return Path(os.environ.get(HOME) or Path.home() / ".cache" / "roigs").absolute()
 
 
@@ -199,10 +199,11 @@ def file_system(
 ) -> tuple[FileSystem, str]:
     """The file system of an address, and the place in it without a slash at the end.
 
-    With `own`, files are written there, and nothing there is read or written through links.
-    `should_stop`: see `FileSystem`.
-    ConfigError: fsspec, or the package for such addresses, is missing, it knows none such, or a
-    password is where none may be.
+    With `own`, files will be written there, and links there are refused. `should_stop`: see
+    `FileSystem`.
+
+    ConfigError: fsspec or the package for such addresses is missing, the address is not supported,
+    or it has a password where none is allowed.
     """
     match = SCHEME.match(url)
     kind = match[1].lower() if match else ""
@@ -228,7 +229,7 @@ def file_system(
             f"{url:.200} needs {wanted}, which is not installed in {sys.executable}.",
             f"Install it ({sys.executable} -m pip install {wanted}), or use a folder.",
         ) from error
-    except Exception as error:  # whatever the file system raises for what it cannot use
+    except Exception as error:  # file systems raise many kinds of errors for addresses
         raise ConfigError(
             f"{url:.200} cannot be used ({reason(error)}).", "Use an address that fsspec knows."
         ) from error
