@@ -30,7 +30,7 @@ from roigs_engine.training import floaters
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.mechanisms.density_control import DensityControl
 from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
-from tests.engine.colmap.test_exposures import STOPS, project
+from tests.engine.colmap.drifting import STOPS, project
 from tests.engine.settings import adjusted, without
 from tests.engine.synthetic_scene import make_scene
 

@@ -27,7 +27,8 @@ from ..photos.headers import content_digest, photo_size
 from ..photos.mask_paths import MaskFiles, MaskOptions
 from ..photos.parallel import decoding_bytes, in_parallel
 from ..photos.rotation import AS_STORED, turned, turned_size
-from .undistort import UndistortionPlan, temporary_folder, undistorted_mask
+from .lenses import undistorted_mask
+from .undistort import UndistortionPlan, temporary_folder
 
 if TYPE_CHECKING:
     from ..photos.mask_images import Mask

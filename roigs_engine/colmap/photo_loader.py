@@ -24,7 +24,7 @@ from ..photos.files import PhotoFolder
 from ..photos.headers import check_complete, photo_size
 from ..photos.mask_paths import USUAL_MASKS, MaskFiles, MaskOptions
 from ..photos.rotation import AS_STORED, rotation_tag, turned_size
-from . import camera_masks, undistort
+from . import camera_masks, lenses, undistort
 from .records import Model, ModelImage
 from .rotations import Cloud, StoredPhoto, find_turns
 from .shown_photo import lens_in_words
@@ -180,19 +180,19 @@ class PhotoLoader:
             text = f"{photo.name} has {size[0]} x {size[1]} pixels, its camera"
             text += f" {camera.width} x {camera.height}: another shape"
             return Skip(WRONG_SIZE, text, HINT_SIDE if photo.on_its_side else HINT_SHAPE)
-        pinhole = undistort.as_pinhole(camera)
+        pinhole = lenses.as_pinhole(camera)
         try:
             if pinhole is not None:
                 target = pinhole.resized(*shrink(*size))
-            elif self._pixels or undistort.has_pycolmap():
+            elif self._pixels or lenses.has_pycolmap():
                 plan = undistort.plan_undistortion(path, camera, size, shrink, turn)
                 self._plans[photo.key], target = plan, plan.target
             else:
                 self._approximate = True
-                target = undistort.without_distortion(camera).resized(*shrink(*size))
+                target = lenses.without_distortion(camera).resized(*shrink(*size))
         except SceneError:
             return Skip(f"{camera.model} {CANNOT_UNDISTORT}")
-        lens = "" if pinhole else lens_in_words(undistort.resized_lens(camera, *size))
+        lens = "" if pinhole else lens_in_words(lenses.resized_lens(camera, *size))
         self.posed[photo.key] = PosedImage(
             name=photo.name,
             path=path,

@@ -17,10 +17,10 @@ from ..context import QUIET, Context
 from ..model.scene import Camera, Float64, PosedImage
 from ..photos.headers import photo_size
 from ..photos.rotation import turned_size
+from .lenses import resized_lens, undistorted_mask, undistorted_pixels, undistorted_places
 from .model_files import read_model
 from .photo_loader import photo_name
 from .records import ModelCamera
-from .undistort import resized_lens, undistorted_mask, undistorted_pixels, undistorted_places
 
 Mask = NDArray[np.bool_]
 ROWS = 256  # of a photo, looked up at a time

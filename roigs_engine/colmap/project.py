@@ -21,6 +21,7 @@ from ..photos.files import PhotoFolder, find_photos
 from ..photos.mask_paths import USUAL_MASKS, MaskOptions
 from ..requests.choices import MAX_DOWNSCALE, MAX_SIDE
 from .camera_masks import HIDDEN
+from .lenses import HINT_RESAMPLE
 from .model_files import HINT_DAMAGED, count_images, read_images, read_model
 from .photo_loader import (
     CANNOT_UNDISTORT,
@@ -35,7 +36,6 @@ from .photo_loader import (
 )
 from .records import NO_IDS, Model
 from .rotations import Cloud, StoredPhoto, find_turns
-from .undistort import HINT_RESAMPLE
 
 MODEL_FILES = ("cameras", "images", "points3D")
 LEAST_EXTENT = 1e-20  # world units; the squares of much smaller numbers underflow

@@ -19,8 +19,8 @@ from ..errors import SceneError
 from ..formats.text import counted, named
 from ..model.scene import Float64, Int64
 from ..photos.rotation import AS_STORED, turned, turned_size
+from .lenses import seen_places
 from .records import NO_IDS, ModelCamera, same_shape
-from .undistort import seen_places
 
 PHOTOS, POINTS = 4, 3000  # photos compared; points of each
 SIDE = 320  # px: the photos' longer side for the comparison

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roigs_engine.colmap import undistort
+from roigs_engine.colmap import lenses
 from roigs_engine.colmap.export import write_export
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.context import Context
@@ -62,7 +62,7 @@ def test_without_pycolmap_distortion_is_ignored_with_a_warning(
         raise EngineError("There is no pycolmap.")
 
     write_project(tmp_path, names=["a.png", "b.png"], cameras=[OPENCV, RADIAL])
-    monkeypatch.setattr(undistort, "_pycolmap", missing)
+    monkeypatch.setattr(lenses, "_pycolmap", missing)
     events: list[Event] = []
     first, second = load_colmap(tmp_path, pixels=False, context=Context(emit=events.append)).images
     messages = [event for event in events if isinstance(event, Message)]

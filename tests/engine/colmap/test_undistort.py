@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from roigs_engine.colmap import undistort
+from roigs_engine.colmap import lenses, undistort
 from roigs_engine.colmap.library import pycolmap_module
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.colmap.records import CAMERA_MODELS, ModelCamera
@@ -192,7 +192,7 @@ def test_without_pycolmap_pinholes_still_load(
     distorted(tmp_path / "bent", "SIMPLE_RADIAL")
     monkeypatch.setitem(__import__("sys").modules, "pycolmap", None)
     pycolmap_module.cache_clear()
-    undistort.undistorted_camera.cache_clear()
+    lenses.undistorted_camera.cache_clear()
     try:
         assert len(load_colmap(tmp_path / "plain").images) == 3
         with pytest.raises(EngineError, match="needs pycolmap"):
@@ -211,10 +211,10 @@ def test_pixels_stay_as_they_are_where_nothing_is_distorted() -> None:
     """Even if the picture loses an odd number of columns: half a pixel aside would blur it."""
     for params in ([FX, FY, CX, CY, 1e-7, 0, 0, 0], [FX, FY, CX + 0.3, CY, 0, 0, 1e-5, 0]):
         lens = ModelCamera(model="OPENCV", width=240, height=180, params=tuple(params))
-        pinhole = undistort.undistorted_camera(lens)
+        pinhole = lenses.undistorted_camera(lens)
         left, top = round(lens.params[2] - pinhole.cx), round(lens.params[3] - pinhole.cy)
         kept = noise()[top : top + pinhole.height, left : left + pinhole.width]
-        made = undistort.undistorted_pixels(noise(), lens)
+        made = lenses.undistorted_pixels(noise(), lens)
         assert np.abs(made.astype(int) - kept)[2:-2, 2:-2].mean() < 2
 
 
@@ -224,8 +224,8 @@ def test_detail_survives() -> None:
     rng = np.random.default_rng(1)
     waves = 127 + 100 * np.sin(np.arange(240) * 2 * np.pi / 4 + rng.uniform(0, 6))
     photo = np.repeat(np.tile(waves, (180, 1))[..., None], 3, axis=2).astype(np.uint8)
-    sharp = undistort.undistorted_pixels(photo, lens).std()
-    linear = undistort.undistorted_pixels(photo, lens, sharp=False).std()
+    sharp = lenses.undistorted_pixels(photo, lens).std()
+    linear = lenses.undistorted_pixels(photo, lens, sharp=False).std()
     assert sharp > 0.9 * photo.std() > linear
 
 
@@ -236,13 +236,13 @@ def test_squares_are_as_small_as_the_lens_needs() -> None:
         params = (380.0, 200.0, 150.0, k)
         lens = ModelCamera(model="SIMPLE_RADIAL", width=400, height=300, params=params)
         x = np.broadcast_to(np.arange(400, dtype=np.float32) + 0.5, (300, 400))
-        flat = undistort.undistorted_pixels(np.ascontiguousarray(x), lens, sharp=False)
-        pinhole = undistort.undistorted_camera(lens)
+        flat = lenses.undistorted_pixels(np.ascontiguousarray(x), lens, sharp=False)
+        pinhole = lenses.undistorted_camera(lens)
         columns, rows = (np.arange(n) + 0.5 for n in (pinhole.width, pinhole.height))
-        expected = undistort._places(lens, pinhole, columns, rows)[..., 0] - undistort.BORDER
+        expected = lenses._places(lens, pinhole, columns, rows)[..., 0] - lenses.BORDER
         inside = (expected > 3) & (expected < 397)
         assert np.abs(flat - expected)[inside].max() < 0.02
-        counts.append(len(undistort._mesh(lens)))
+        counts.append(len(lenses._mesh(lens)))
     assert counts == sorted(set(counts)) and counts[0] < 50
 
 
@@ -250,9 +250,9 @@ def test_masks_have_no_overshoot() -> None:
     lens = ModelCamera(model="OPENCV", width=240, height=180, params=tuple(DISTORTED["OPENCV"]))
     step = np.zeros((180, 240, 3), dtype=np.uint8)
     step[:, 120:] = 200
-    made = undistort.undistorted_pixels(step, lens, sharp=False)
+    made = lenses.undistorted_pixels(step, lens, sharp=False)
     assert made.max() == 200
-    assert undistort.undistorted_pixels(step, lens).max() > 200
+    assert lenses.undistorted_pixels(step, lens).max() > 200
 
 
 def test_files_of_others_among_the_undistorted_photos_stay(tmp_path: Path) -> None:
