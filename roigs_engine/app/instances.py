@@ -16,7 +16,8 @@ from ..formats.clean_up import disk_size
 from ..formats.drawable import drawable, usable
 from ..formats.files import read_json
 from ..formats.names import usable_path
-from ..formats.splat_ply import Check, made_of, read_ply
+from ..formats.ply_rows import Check
+from ..formats.splat_ply import made_of, read_ply
 from ..formats.text import counted, in_gb
 from ..formats.transforms import numbers
 from ..machine import machine_memory

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..formats.files import read_bytes, regular, write_bytes
-from ..formats.splat_ply import made_lines, read_header
+from ..formats.ply_rows import read_header
+from ..formats.splat_ply import made_lines
 from ..formats.targets import PLAIN, Target
 from ..machine import package
 from .arrays import Arrays, unit_quats

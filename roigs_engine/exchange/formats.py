@@ -15,7 +15,7 @@ from ..errors import ConfigError, RunFolderError
 from ..formats import splat_ply
 from ..formats.drawable import usable
 from ..formats.files import regular
-from ..formats.splat_ply import Check, nothing
+from ..formats.ply_rows import Check, nothing
 from ..formats.targets import PLAIN, Target, target_with
 from ..model.scene import Float64
 from .arrays import Arrays, extent, flaw, upright

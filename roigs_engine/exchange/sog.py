@@ -20,7 +20,7 @@ from sklearn.cluster import KMeans
 from ..errors import ConfigError
 from ..formats.files import atomic_write, read_bytes, regular
 from ..formats.names import inner_path
-from ..formats.splat_ply import Check, nothing
+from ..formats.ply_rows import Check, nothing
 from ..machine import package
 from ..model.scene import Float64
 from .arrays import Arrays, Float32, extent, in_morton_order, opacities, unit_quats

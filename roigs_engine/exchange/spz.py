@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..errors import ConfigError
 from ..formats.drawable import FLAT
 from ..formats.files import read_bytes, regular, write_bytes
-from ..formats.splat_ply import Check, nothing
+from ..formats.ply_rows import Check, nothing
 from ..machine import package
 from ..model.scene import Float64
 from .arrays import Arrays, Float32, in_morton_order, logits, unit_quats

@@ -29,7 +29,7 @@ from ..formats.files import (
     write_json,
 )
 from ..formats.lock import locked
-from ..formats.splat_ply import Check, nothing
+from ..formats.ply_rows import Check, nothing
 from . import sog
 from .arrays import Arrays
 from .formats import storable

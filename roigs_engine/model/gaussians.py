@@ -14,16 +14,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from ..errors import ConfigError
-from ..formats.splat_ply import (
-    Check,
-    Float32,
-    Floats,
-    Made,
-    made_of,
-    nothing,
-    read_ply,
-    write_ply,
-)
+from ..formats.ply_rows import Check, nothing
+from ..formats.splat_ply import Float32, Floats, Made, made_of, read_ply, write_ply
 from ..formats.targets import PLAIN, Target
 from .local_frame import LocalFrame
 from .roi import OrientedBox

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roigs_engine.errors import RunFolderError, Stopped
-from roigs_engine.formats import splat_ply
+from roigs_engine.formats import ply_rows
 from roigs_engine.formats.splat_ply import read_ply, target_of, up_axis, write_ply
 from roigs_engine.formats.targets import EEVEE, PLAIN, TARGETS, VIEWERS, Target
 from roigs_engine.model.gaussians import NAMES, Gaussians
@@ -453,8 +453,8 @@ def as_text(path: Path, model: dict[str, np.ndarray]) -> None:
 def test_a_stop_while_reading_is_heard(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    monkeypatch.setattr(splat_ply, "ROWS", 10)
-    monkeypatch.setattr(splat_ply, "LINES", 10)
+    monkeypatch.setattr(ply_rows, "ROWS", 10)
+    monkeypatch.setattr(ply_rows, "LINES", 10)
     path, model, asked = tmp_path / "a.ply", arrays(35, 4), [0]
     if kind == "lists":
         with_lists(path, bytes([0, 9, 9]) * 35, 35)
@@ -476,7 +476,7 @@ def test_a_stop_while_reading_is_heard(
 def test_a_stop_is_heard_where_nothing_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    monkeypatch.setattr(splat_ply, "LINES", 10)
+    monkeypatch.setattr(ply_rows, "LINES", 10)
     path, asked = tmp_path / "a.ply", []
     if kind == "blank lines":
         as_text(path, arrays(3, 1))
@@ -494,7 +494,7 @@ def test_a_stop_is_heard_where_nothing_is_read(
 def test_a_file_that_is_cut_off_while_it_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(splat_ply, "ROWS", 10)
+    monkeypatch.setattr(ply_rows, "ROWS", 10)
     path = tmp_path / "a.ply"
     write_ply(path, arrays(4000, 1))
 
@@ -518,7 +518,7 @@ def test_an_ascii_file_without_line_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, element: str
 ) -> None:
     """A line is not read whole: a file may be one of gigabytes."""
-    monkeypatch.setattr(splat_ply, "MAX_HEADER", 10_000)
+    monkeypatch.setattr(ply_rows, "MAX_HEADER", 10_000)
     path = tmp_path / "a.ply"
     write_ply(path, arrays(1))
     head = path.read_bytes().partition(b"end_header\n")[0].decode()
