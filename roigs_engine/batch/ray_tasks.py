@@ -68,7 +68,7 @@ class Mailbox:
     def take(
         self, stop: bool, stopped: set[tuple[str, str]]
     ) -> list[tuple[tuple[str, str], Record]]:
-        """Take the events since the last call; sets whether all (`stop`) or some parts must stop."""
+        """Take new events; sets whether all parts (`stop`) or some of them must stop."""
         self._stop, self._stopped = stop, stopped
         events, self._events = self._events, []
         return events
