@@ -1,1 +1,1 @@
-"""Many runs at once: plans are divided into parts, which executors do in parallel."""
+"""Many runs at once: divides plans into parts and runs these in parallel."""

@@ -1,4 +1,4 @@
-"""Progress of a batch: finished objects, running parts with step and PSNR, time left."""
+"""Reports a batch's progress: finished objects, running parts with step and PSNR, time left."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from .engine_process import DONE, FAILED, Outcome
 from .moves import RUNNING, PartState, share
 from .schedule import SceneState
 
-ENOUGH = 0.01  # of the work must be done before the time left is told
+ENOUGH = 0.01  # share of the work to be done before the time left is shown
 MOST_LINES = 12  # of running parts
 BATCH_STAGE = "batch"
-EVERY = 1.0  # seconds between two pictures of the board
+EVERY = 1.0  # seconds between two updates of the board
 
 
 class Reporter:
-    """Turns what parts tell into events, while a batch goes on; use it in a `with` block.
+    """Turns parts' reports into events while a batch runs; use it in a `with` block.
 
-    A program gets the parts' events, their stages named after their scenes. A person gets the
-    board, each scene that ends, and warnings.
+    A program gets the parts' events, with the scene's name before the stage's. A person gets the
+    board, a line for each finished scene, and warnings.
 
     Args:
         scenes: their states, by name.
         context: receives the events.
-        alone: whether there is one scene, whose name need not be said.
+        alone: whether there is only one scene; its name is then left out.
     """
 
     def __init__(
@@ -38,22 +38,22 @@ class Reporter:
         self._scenes, self._context, self._alone = scenes, context, alone
         self._started, self._before = time.monotonic(), self._work_done()
         self._last = 0.0
-        self._warned: set[tuple[str, str]] = set()  # the parts of a scene say the same
+        self._warned: set[tuple[str, str]] = set()  # parts of a scene repeat warnings
 
     def __enter__(self) -> Reporter:
-        """Say how far the batch is."""
+        """Report the batch's present progress."""
         if not self._alone:
             self._context.info(f"{self.head()}.")
         return self
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
-        """Show the board a last time; a batch that was stopped resumes."""
+        """Show the board a last time; a stopped batch can be resumed."""
         self._draw(now=True)
         if isinstance(error, Stopped):
             error.resumes = True
 
     def take(self, scene: SceneState, state: PartState, report: Record | Outcome) -> None:
-        """Tell what a part has told."""
+        """Forward a part's report."""
         name = "" if self._alone else f"{scene.plan.name}: "
         if isinstance(report, Outcome):
             if not self._alone:
@@ -89,7 +89,7 @@ class Reporter:
             self._context.info(f"{scene.plan.name}: done in {took}. {self.head()}.")
 
     def _pass_on(self, scene: str, report: Record) -> None:
-        """An engine's event, its stage named after its scene."""
+        """Forward an engine's event, with the scene's name before the stage's."""
         stage, emit = f"{scene}{report.get('stage', '')}", self._context.emit
         match report["event"]:
             case "progress":
@@ -109,7 +109,7 @@ class Reporter:
         return sum(len(scene.plan.objects) for scene in scenes)
 
     def seconds_left(self) -> float:
-        """By the work done since the start; NaN: too little."""
+        """Seconds left, from the work done since the start; NaN: too little was done."""
         whole = sum(scene.plan.work for scene in self._scenes.values() if not scene.reason)
         done = self._work_done()
         fresh, elapsed = done - self._before, time.monotonic() - self._started
@@ -118,7 +118,7 @@ class Reporter:
         return max(0.0, whole - done) * elapsed / fresh
 
     def head(self) -> str:
-        """One line: objects and time."""
+        """One line on objects and time."""
         failed = self.objects(FAILED)
         words = [
             f"{self.objects(DONE)} of {counted(self.objects(), 'object')} done",

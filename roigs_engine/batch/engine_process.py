@@ -1,4 +1,4 @@
-"""An engine process: reads its events, sends stop requests, and reports how it ended."""
+"""Runs an engine process: reads its events, sends stop requests, reports how it ended."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DONE, STOPPED, FAILED, LOST = "done", "stopped", "failed", "lost"
 """How a part ends: well; on request; with an error of the engine; its process or machine is gone,
 and it can be tried again."""
 POLL = 0.5
-LAST = 2000  # bytes of standard error that may say why a process ended
+LAST = 2000  # bytes at the end of standard error, searched for the reason of a failure
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,15 +28,15 @@ class Outcome:
 
     state: str  # a state above
     reason: str = ""  # one line, for `failed` and `lost`
-    node: str = ""  # where it was; empty: here
+    node: str = ""  # the machine; empty: this one
 
 
 def run_engine(
     argv: Sequence[str], emit: Callable[[Record], None], should_stop: Callable[[], bool]
 ) -> Outcome:
-    """`python -m roigs_engine ARGV` to its end; `emit` receives each event but the final one.
+    """Run `python -m roigs_engine ARGV`; `emit` receives each event except the final one.
 
-    `should_stop` is asked twice a second; a stop lets the engine write a checkpoint.
+    `should_stop` is asked twice a second; on a stop, the engine writes a checkpoint first.
     """
     final: Record = {}
     with tempfile.TemporaryFile() as errors:
@@ -70,7 +70,7 @@ def run_engine(
 def _stop(
     process: subprocess.Popen[bytes], should_stop: Callable[[], bool], ended: threading.Event
 ) -> None:
-    """Pass a stop request on, once."""
+    """Forward a stop request once."""
     while not ended.wait(POLL):
         if should_stop():
             with suppress(OSError, ValueError):
@@ -81,7 +81,7 @@ def _stop(
 
 
 def _outcome(status: int, final: Record, errors: IO[bytes]) -> Outcome:
-    """The end of a process: its final event, or its status and its last words."""
+    """The outcome of a process: from its final event, or its status and last line of errors."""
     if final.get("stopped"):
         return Outcome(state=STOPPED)
     if final.get("event") == "done":

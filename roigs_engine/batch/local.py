@@ -14,16 +14,16 @@ from .parts import Part
 from .staged import run_part
 
 Report = tuple[Part, "Record | Outcome"]
-SPARE = 2  # cores per part from which on, by default, another part is started instead
+SPARE = 2  # cores per part by default; with more cores, more parts run at a time
 
 
 def default_jobs(device: str) -> int:
-    """Parts at a time by default: one for every `SPARE` cores; one on a GPU, which they share."""
+    """Default number of parts at a time: one for every `SPARE` cores; one on a GPU."""
     return 1 if device != "cpu" else max(1, usable_cores() // SPARE)
 
 
 class LocalExecutor:
-    """Starts parts here, at most `jobs` at a time."""
+    """Runs parts on this machine, at most `jobs` at a time."""
 
     def __init__(self, jobs: int, context: Context) -> None:
         self._jobs, self._context = jobs, context
@@ -31,7 +31,7 @@ class LocalExecutor:
         self._reports: queue.SimpleQueue[Report] = queue.SimpleQueue()
 
     def has_capacity(self, part: Part, avoid: tuple[str, ...] = ()) -> bool:
-        """Whether the part can start now, not on `avoid`; a part that is too large starts alone."""
+        """Whether the part can start now, not on `avoid`; a part that is too large runs alone."""
         if not self._running:
             return True
         taken = sum(other.memory for other in self._running.values())
@@ -41,8 +41,8 @@ class LocalExecutor:
         """Start a part; returns the number of cores that it gets.
 
         Args:
-            waiting: number of parts that could start now besides; with few, each gets more cores.
-            avoid: nodes where it failed; there is only one here.
+            waiting: number of other parts that could start now; with few, each gets more cores.
+            avoid: nodes where it failed; here there is only one node.
         """
         self._running[part.key] = part
         at_a_time = max(len(self._running), min(self._jobs, len(self._running) + waiting))
@@ -66,14 +66,14 @@ class LocalExecutor:
         return reports
 
     def can_move(self, avoid: tuple[str, ...]) -> bool:
-        """Whether a part that failed may do better elsewhere."""
+        """Whether a failed part can be moved to another machine."""
         return False
 
     def stop(self, part: Part) -> None:
-        """Ask one part to stop; not needed here, as no part can move."""
+        """Ask one part to stop; does nothing here, because parts cannot move."""
 
     def close(self) -> None:
-        """Nothing to end: parts have ended before."""
+        """Do nothing: all parts have ended before."""
 
     def _run(self, part: Part, threads: int) -> None:
         def emit(event: Record) -> None:

@@ -1,8 +1,8 @@
 """Decides which running part to move to another machine or a later time, to end the batch sooner.
 
 A batch ends with its last part. So the longest remaining part must run, and not on a slow machine.
-A part of a slow machine moves to another one. A short part makes room for a long part of a lost or
-slow machine. Parts are stopped with a checkpoint, so a move costs only the few seconds that an
+A part on a slow machine moves to another one. A short part makes room for a long part from a lost
+or slow machine. Parts are stopped with a checkpoint, so a move costs only the few seconds that an
 engine takes to start.
 """
 
@@ -17,12 +17,12 @@ from .engine_process import DONE
 from .parts import Part
 
 WAITING, RUNNING = "waiting", "running"
-BEFORE = ("photos", "undistort")  # work with progress that comes before the stages
-SLOW, SHORT = 2.0, 0.5  # times as long as usual; as long as the part that it makes way for
-WORTH_MOVING = 60.0  # seconds that are left
-SEEN_SECONDS = 30.0  # of progress, which tell how fast a part is
-ENOUGH_SEEN = 3  # parts that tell what is usual
-MOST_NODES = 3  # where a part may fail, or be slow
+BEFORE = ("photos", "undistort")  # reported work before the stages
+SLOW, SHORT = 2.0, 0.5  # times the usual time; times that of the part it makes room for
+WORTH_MOVING = 60.0  # seconds left
+SEEN_SECONDS = 30.0  # of progress needed to measure a part's speed
+ENOUGH_SEEN = 3  # parts needed for a median
+MOST_NODES = 3  # on which a part may fail or be slow
 
 
 @dataclass(kw_only=True)
@@ -33,38 +33,38 @@ class PartState:
     state: str = WAITING  # `waiting`, `running`, `done`, `failed`
     lost: int = 0  # how often its process was lost
     avoid: tuple[str, ...] = ()  # nodes where it failed, or that are slow
-    cores: int = 1  # that it was given
+    cores: int = 1  # assigned to it
     progress: Record = field(default_factory=dict)  # the last event with its progress
-    started: float = 0.0  # `time.monotonic()` of its first event, or of when it was given out
+    started: float = 0.0  # `time.monotonic()` of its first event; before that, of its assignment
     first: tuple[float, float] = (0.0, 0.0)  # time and share at its first progress; zeros: none yet
-    seconds: float = 0.0  # it took, once it is done
+    seconds: float = 0.0  # that it took, once it is done
     kept: float = 0.0  # its share when it last stopped or was lost
-    moving: bool = False  # whether it was asked to stop, to go on elsewhere or later
-    from_slow: bool = False  # whether that is since its machine is slow
-    made_way: bool = False  # whether it made way for a longer part; it does once
+    moving: bool = False  # whether it was asked to stop, to resume elsewhere or later
+    from_slow: bool = False  # whether it moves because its machine is slow
+    made_way: bool = False  # whether it made room for a longer part; it does so once
     seen: bool = False  # whether it had an event; until then it may wait for a machine
 
     @property
     def left(self) -> float:
-        """Its work that is left."""
+        """Its remaining work."""
         return self.part.work * (1 - share(self))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Move:
-    """A part that is to stop, and whether its machine is slow: that gets no more parts."""
+    """A part to stop, and whether its machine is slow (then it gets no more parts)."""
 
     state: PartState
     slow: bool
 
 
 def share(state: PartState) -> float:
-    """The finished share of a part, 0 to 1: as saved, or more by its last progress."""
+    """The finished share of a part, 0 to 1: as saved, or by its last progress if that is more."""
     return 1.0 if state.state == DONE else max(state.kept, _shown(state))
 
 
 def _shown(state: PartState) -> float:
-    """The share of a part that its last progress shows, by its stages' work."""
+    """The share of a part by its last progress and its stages' work."""
     total, step = state.progress.get("total"), state.progress.get("step")
     if state.state != RUNNING or not total or step is None or not state.part.work:
         return 0.0
@@ -73,7 +73,7 @@ def _shown(state: PartState) -> float:
         if name == at:
             return float(min(1.0, (done + work * step / total) / whole))
         done += work
-    # Not a stage: looking at photos comes before all of them, evaluation after them.
+    # Not a stage: reading photos comes before all stages, evaluation after them.
     return 0.0 if at in BEFORE else sum(w for name, w in state.part.stages if name) / whole
 
 
@@ -85,12 +85,12 @@ def next_move(
     *,
     idle: bool,
 ) -> Move | None:
-    """The next part that is to stop; None: none is.
+    """Choose the next part to stop; None: none.
 
     Args:
         states: all parts.
-        after: key of a part -> the work of those that wait for it, on the longest way.
-        ready: parts that wait for a machine only.
+        after: key of a part -> the work after it, on the longest path.
+        ready: parts that only wait for a machine.
         now: `time.monotonic()`.
         idle: whether a machine has nothing to do.
     """
@@ -98,9 +98,9 @@ def next_move(
     if usual.overall is None:
         return None
     running = [s for s in states if s.state == RUNNING]
-    # Seconds until those end whose speed is known.
+    # Seconds left for the parts with a known speed.
     ends = {s.part.key: r * s.left for s in running if (r := _rate(s, now)) is not None}
-    # Until all is done, were the rest shared evenly.
+    # Seconds until the end of the batch if the remaining work were shared evenly.
     rest = sum(usual.left(s) for s in states if s.state == WAITING)
     rest += sum(ends.get(s.part.key, usual.left(s)) for s in running)
     rest /= max(len(running), 1)
@@ -126,8 +126,9 @@ def next_move(
 
 
 class _Usual:
-    """Seconds that a unit of work usually takes: in parts that are alike, of one name, with as many
-    cores, with a GPU or without; and overall. None: too few parts were seen.
+    """Median seconds for a unit of work: overall, and for each kind of parts (name, cores, GPU).
+
+    Kinds with too few parts are missing; `overall` is None if there are too few parts at all.
     """
 
     def __init__(self, states: Sequence[PartState], now: float) -> None:
@@ -145,7 +146,7 @@ class _Usual:
         return _kind(state) in self._alike
 
     def left(self, state: PartState) -> float:
-        """Seconds that what is left of a part usually takes."""
+        """Seconds that the remaining work of a part usually takes."""
         return self._alike.get(_kind(state), self.overall or 0.0) * state.left
 
 
@@ -154,7 +155,7 @@ def _kind(state: PartState) -> tuple[str, int, bool]:
 
 
 def _rate(state: PartState, now: float) -> float | None:
-    """Seconds that a unit of a part's work takes, from its progress; None: not known."""
+    """Seconds for a unit of a part's work, from its progress; None: unknown."""
     began, before = state.first
     if not began or not state.part.work or state.state not in (DONE, RUNNING):
         return None

@@ -22,8 +22,8 @@ from .schedule import SceneState
 
 IsThere = Callable[[str], bool]
 THUMBNAIL = 160  # pixels of the longer side
-MOST_PIXELS = 50_000_000  # of a picture; a run's own have some millions
-MOST_KEPT = 2000  # of about 4 KB each
+MOST_PIXELS = 50_000_000  # of a picture; those of runs have a few million
+MOST_KEPT = 2000  # thumbnails, of about 4 KB each
 COLUMNS = ("", "Scene", "Object", "State", "PSNR, dB", "SSIM", "Gaussians", "Training", "Files")
 CLEAR = """\
 th:nth-child(-n+4), td:nth-child(-n+4) { text-align: left; }
@@ -34,13 +34,13 @@ td img { display: block; max-height: 120px; }
 def write_batch_page(
     folder: Path, scenes: Iterable[SceneState], is_there: IsThere | None = None
 ) -> Path:
-    """Write the page over all scenes; returns its path.
+    """Write the page on all scenes; returns its path.
 
-    `is_there` tells whether there is a file of that name beside the page; None: look in the folder.
+    `is_there`: whether a file of that name exists beside the page; None: look in the folder.
     """
     path = folder / REPORT_PAGE
     is_there = is_there or (lambda name: (folder / name).exists())
-    # First what somebody has to look at.
+    # Failed scenes first: these need attention.
     ordered = sorted(scenes, key=lambda scene: scene.state != FAILED)
     write_text(path, _page(folder, ordered, is_there), durable=False)
     return path
@@ -74,14 +74,14 @@ def _rows(run: Path, scene: SceneState, is_there: IsThere) -> Iterator[str]:
             _links(name, box, is_there) if done else "",
         ]
         rest = ""
-        if scene.state == FAILED:  # its reason has the space of the numbers that it lacks
+        if scene.state == FAILED:  # the reason takes the space of the missing numbers
             wide = f'<td class="failed" colspan="{len(cells) - 3}">'
             cells, rest = cells[:3], f"{wide}failed: {html_text(scene.reason)}</td>"
         yield "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + f"{rest}</tr>"
 
 
 def _links(scene: str, box: str, is_there: IsThere) -> str:
-    """Links to what the object's run folder has."""
+    """Links to the object's files that exist in the run folder."""
     names = {"report": REPORT_PAGE, "object": f"{FINE}/{box}.ply", "scene": RESULT}
     return " ".join(
         f'<a href="{html.escape(quote(f"{scene}/{name}"))}">{what}</a>'
@@ -100,7 +100,7 @@ def _thumbnail(crops: Path) -> str:
 
 @lru_cache(maxsize=MOST_KEPT)
 def _small(path: Path, _time: int) -> str:
-    """A picture as an element of a page; kept, as the page is written again and again."""
+    """A picture as an HTML element; cached, because the page is written many times."""
     try:
         with open_photo(path) as image:
             if image.width * image.height > MOST_PIXELS:

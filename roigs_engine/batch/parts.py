@@ -1,4 +1,4 @@
-"""The parts of a batch: work for one engine process each, and their dependencies."""
+"""The parts of a batch, each for one engine process, and their dependencies."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ class Staging:
     """The places of a scene's files, if they are on a store."""
 
     url: str  # of the batch's folder
-    base: str  # the same folder on the machine that planned; the command line names it
-    options: dict[str, Any]  # of the scene, for its options file; addresses in them are copied here
+    base: str  # the same folder on the planning machine; the command line names it
+    options: dict[str, Any]  # of the scene, for its options file; files at addresses are copied
 
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
     """Work for one process."""
 
-    scene: str  # the scene's name in the table, and of its run folder
+    scene: str  # name of the scene in the table, and of its run folder
     name: str  # unique in the scene: `prepare`, a stage, `all`, or an output's suffix
     argv: tuple[str, ...]  # the engine's command line
     needs: tuple[str, ...] = ()  # names of the scene's parts that must be done before
-    work: float = 0.0  # steps times megapixels, to compare parts with one another
+    work: float = 0.0  # steps times megapixels, to compare parts
     memory: int = 0  # bytes that it may take
-    gpu: bool = False  # whether it uses a GPU where there is one
-    stages: tuple[tuple[str, float], ...] = ()  # name and work of those that it trains, in order
-    staging: Staging | None = None  # where its files are, if they are on a store
+    gpu: bool = False  # whether it uses a GPU if there is one
+    stages: tuple[tuple[str, float], ...] = ()  # name and work of its stages, in order
+    staging: Staging | None = None  # the places of its files, if they are on a store
 
     @property
     def key(self) -> Key:
-        """Unique in the batch."""
+        """Identifies the part in the batch."""
         return self.scene, self.name
 
     @property
@@ -60,7 +60,7 @@ class ScenePlan:
 
     @cached_property
     def work(self) -> float:
-        """Of all parts."""
+        """The work of all parts."""
         return sum(part.work for part in self.parts)
 
 
@@ -70,14 +70,14 @@ def stage_work(stage: Stage) -> float:
 
 
 def megapixels(images: Sequence[PosedImage]) -> float:
-    """Of the largest photo; 0: there is none."""
+    """Megapixels of the largest photo; 0 without photos."""
     return max((i.camera.width * i.camera.height for i in images), default=0) / 1e6
 
 
 def chains(plan: Plan) -> list[tuple[Stage, ...]]:
-    """The plan's stages in chains: within one, each stage serves the next alone.
+    """Group the plan's stages into chains, in which only the next stage needs each stage.
 
-    A chain is as good as one stage: nothing else can start before it ends.
+    A chain can run as one part: no other stage can start before it ends.
     """
     users: dict[str, list[str]] = {}
     for stage in plan.stages:
@@ -93,9 +93,9 @@ def chains(plan: Plan) -> list[tuple[Stage, ...]]:
 
 
 def cuts(plan: Plan) -> list[tuple[Stage, ...]]:
-    """The chains of a plan, for several processes; empty if one process does as well.
+    """The chains of a plan, for several processes; empty if one process is as fast.
 
-    Splitting pays only if two can work side by side.
+    Splitting only helps if two chains can run at the same time.
     """
     found = chains(plan)
     depth: dict[str, int] = {}
@@ -105,7 +105,7 @@ def cuts(plan: Plan) -> list[tuple[Stage, ...]]:
 
 
 def needs(chain: Sequence[Stage]) -> tuple[str, ...]:
-    """The chains that one waits for, by their last stages, which alone serve others."""
+    """The chains that a chain waits for, named by their last stages."""
     return tuple(dict.fromkeys(needed.name for needed in chain[0].start.stages))
 
 
@@ -115,7 +115,7 @@ def works(stages: Sequence[Stage]) -> tuple[tuple[str, float], ...]:
 
 
 def costs_after(parts: Sequence[Part], costs: Mapping[Key, float]) -> dict[Key, float]:
-    """The costs of what waits for each part of a scene, on the longest way to the scene's end."""
+    """For each part of a scene, the cost after it, on the longest path to the scene's end."""
     found: dict[Key, float] = {}
     for part in reversed(parts):
         later = [costs[p.key] + found[p.key] for p in parts if part.name in p.needs]

@@ -1,4 +1,4 @@
-"""A connection to a Ray cluster. Its calls also end if the cluster is gone."""
+"""A connection to a Ray cluster. Its calls also return if the cluster is gone."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ T = TypeVar("T")
 
 CONNECT_SECONDS = 10.0
 LOOK_EVERY, POLL = 5.0, 0.5  # seconds
-JOIN_SECONDS, START_SECONDS = 50.0, 300.0  # to join a cluster, and to start one here
-MOST_MISSED = 3  # looks for the head may fail until the cluster counts as gone
-NO_RAY = "any running Ray instance"  # Ray's words, where `auto` finds none
+JOIN_SECONDS, START_SECONDS = 50.0, 300.0  # to join a cluster; to start one here
+MOST_MISSED = 3  # failed checks of the head until the cluster counts as gone
+NO_RAY = "any running Ray instance"  # in Ray's message if `auto` finds no cluster
 LOOPBACK, CLIENT = "127.0.0.1", "ray://"
 SMALL_STORE = 80 << 20  # bytes: parts pass files, not objects
 
 
 class Connection:
-    """Ray, connected.
+    """A connection to Ray.
 
-    A call that needs the head waits for it a minute, and then Ray ends the whole process. So a
-    thread looks for the head, and calls are made in threads that can be left behind.
+    A call that needs the head waits for it for a minute, and then Ray ends the whole process. So a
+    thread checks the head, and calls are made in threads that can be abandoned.
 
     Args:
         address: `local`, `auto`, `HOST:PORT` or `ray://HOST:PORT`.
@@ -45,13 +45,13 @@ class Connection:
         self.address = address
         self.ray = _connected(address)
         self._gone, self._closed = threading.Event(), threading.Event()
-        if not address.startswith(CLIENT):  # whose calls fail by themselves
+        if not address.startswith(CLIENT):  # a client's calls fail by themselves
             place = host_and_port(self.ray.get_runtime_context().gcs_address)
             if place is not None:
                 threading.Thread(target=self._watch, args=(place,), daemon=True).start()
 
     def ask(self, call: Callable[[], T]) -> T:
-        """The result of calls of Ray; EngineError: the cluster is gone."""
+        """Make calls of Ray and return their result; EngineError: the cluster is gone."""
         try:
             return _in_thread(call, self._gone.is_set)
         except (TimeoutError, ConnectionError) as error:
@@ -62,7 +62,7 @@ class Connection:
             ) from error
 
     def close(self) -> None:
-        """Leave the cluster; one that was started by this connection ends."""
+        """Leave the cluster; if this connection started it, it ends."""
         self._closed.set()
         if self._gone.is_set():
             atexit.unregister(self.ray.shutdown)  # it would wait for the head
@@ -71,7 +71,7 @@ class Connection:
                 _in_thread(self.ray.shutdown, self._gone.is_set)
 
     def _watch(self, place: tuple[str, int]) -> None:
-        """Look for the head until it has not answered several times."""
+        """Check the head until it has failed to answer several times."""
         missed = 0
         while not self._closed.wait(LOOK_EVERY):
             try:
@@ -85,9 +85,9 @@ class Connection:
 
 
 def _in_thread(call: Callable[[], T], give_up: Callable[[], bool], *, stay: bool = False) -> T:
-    """The result of a call, made in a thread of its own; TimeoutError if it is given up.
+    """Make a call in its own thread and return its result; TimeoutError if it is given up.
 
-    With `stay` the thread does not end: on Linux, programs that Ray has started in it would.
+    With `stay`, the thread does not end: on Linux, programs that Ray started in it would end, too.
     """
     answers: queue.SimpleQueue[tuple[T | None, BaseException | None]] = queue.SimpleQueue()
 
@@ -114,7 +114,7 @@ def _connected(address: str) -> Any:
     place = host_and_port(address.removeprefix(CLIENT))
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     if address == "local" or (place is not None and place[0] in (LOOPBACK, "localhost")):
-        os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # else it goes outside
+        os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # stay on this machine
     try:
         import ray
     except ImportError as error:
@@ -134,7 +134,7 @@ def _connected(address: str) -> Any:
         if place is not None:
             with socket.create_connection(place, CONNECT_SECONDS):
                 pass
-        with suppress(AttributeError):  # what Ray prints of lost machines would not be JSON
+        with suppress(AttributeError):  # Ray's messages on lost machines are not JSON
             ray._private.worker.print_to_stdstream = lambda *_, **__: None
         seconds = START_SECONDS if address == "local" else JOIN_SECONDS
         until = time.monotonic() + seconds
@@ -166,6 +166,6 @@ def _nothing_there(address: str, error: Exception) -> ConfigError:
 
 
 def host_and_port(address: str) -> tuple[str, int] | None:
-    """Host and port of `HOST:PORT`; None if it is something else."""
+    """Host and port of `HOST:PORT`; None for other texts."""
     host, _, port = address.rpartition(":")
     return (host.strip("[]"), int(port)) if host and port.isdecimal() else None

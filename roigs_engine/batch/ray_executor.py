@@ -17,9 +17,9 @@ from .local import Report
 from .parts import Part
 from .ray_connection import CONNECT_SECONDS, POLL, Connection
 
-LOOK_SECONDS = 120.0  # for a machine to answer; it imports the engine for that
-NODE_LABEL = "ray.io/node-id"  # that Ray gives each machine
-REFRESH = 5.0  # seconds between two looks at the machines
+LOOK_SECONDS = 120.0  # for a machine to answer; it must import the engine first
+NODE_LABEL = "ray.io/node-id"  # Ray's label of each machine
+REFRESH = 5.0  # seconds between two checks of the machines
 
 
 class RayExecutor:
@@ -27,11 +27,11 @@ class RayExecutor:
 
     Args:
         address: `local`, `auto`, `HOST:PORT` or `ray://HOST:PORT`.
-        sign: a file of the batch, which every machine must see; None: it is on a store.
+        sign: a file of the batch that every machine must see; None: the batch is on a store.
         context: asked whether to stop; receives warnings.
 
     Raises:
-        ConfigError: Ray is not installed, there is no cluster, or no machine of it fits.
+        ConfigError: Ray is not installed, there is no cluster, or none of its machines fits.
     """
 
     def __init__(self, address: str, sign: Path | None, context: Context) -> None:
@@ -41,12 +41,12 @@ class RayExecutor:
         self._running: dict[Any, tuple[Part, float]] = {}  # reference -> part, its cores
         self._misfits: set[str] = set()
         self._silent: dict[str, float] = {}  # node -> since when it does not answer
-        self._looks: dict[str, Any] = {}  # node -> reference of a look that is on its way
+        self._looks: dict[str, Any] = {}  # node -> reference of a running check
         self._said: set[tuple[str, str]] = set()  # problems of nodes
-        self._fitted = time.monotonic()  # when a machine was last there that fits
-        self._stopped: set[tuple[str, str]] = set()  # parts that are asked to stop
+        self._fitted = time.monotonic()  # when there last was a machine that fits
+        self._stopped: set[tuple[str, str]] = set()  # parts that were asked to stop
         self._looked = 0.0
-        self._nodes: dict[str, dict[str, float]] = {}  # that fit, by id: their resources
+        self._nodes: dict[str, dict[str, float]] = {}  # machines that fit: id -> resources
         try:
             self._do = self._ray.remote(max_retries=0)(ray_tasks.do_part)
             self._look = self._ray.remote(num_cpus=0, max_retries=0)(ray_tasks.look)
@@ -65,7 +65,7 @@ class RayExecutor:
         return taken + 1 <= sum(has.get("CPU", 0.0) for has in self._fit(avoid).values())
 
     def _fit(self, avoid: tuple[str, ...]) -> dict[str, dict[str, float]]:
-        """The machines without some; all, if there are no others."""
+        """The machines except those to avoid; all if there are no others."""
         return {n: has for n, has in self._nodes.items() if n not in avoid} or self._nodes
 
     def start(self, part: Part, waiting: int, avoid: tuple[str, ...] = ()) -> int:
@@ -117,11 +117,11 @@ class RayExecutor:
         self._stopped.add(part.key)
 
     def close(self) -> None:
-        """Leave the cluster; one that was started for the batch ends."""
+        """Leave the cluster; one started for the batch ends."""
         self._connection.close()
 
     def _post(self) -> list[Any]:
-        """The events that came; none while the mailbox starts again elsewhere."""
+        """Take new events; none while the mailbox restarts elsewhere."""
         try:
             found = self._mailbox.take.remote(self._context.should_stop(), self._stopped)
             return list(self._ray.get(found, timeout=CONNECT_SECONDS))
@@ -132,7 +132,7 @@ class RayExecutor:
         return []
 
     def _new_mailbox(self) -> Any:
-        """A mailbox, near this process if that is a machine of the cluster."""
+        """Create a mailbox, on this machine if it belongs to the cluster."""
         home = self._affinity(self._ray.get_runtime_context().get_node_id(), soft=True)
         box = self._ray.remote(ray_tasks.Mailbox)
         return box.options(num_cpus=0, max_restarts=-1, scheduling_strategy=home).remote()
@@ -152,12 +152,12 @@ class RayExecutor:
         return NodeAffinitySchedulingStrategy(node_id=node, soft=soft)
 
     def _refresh(self, patience: float = 0.0) -> None:
-        """Look at new machines, for some seconds (`patience`); forget those that are gone.
+        """Check new machines, for `patience` seconds; forget machines that are gone.
 
-        ConfigError: there is no machine that fits.
+        ConfigError: no machine fits.
         """
         self._looked = time.monotonic()
-        # A head often gives no cores: parts cannot run there.
+        # A head often provides no cores: parts cannot run there.
         nodes = (n for n in self._ray.nodes() if n["Alive"])
         alive = {n["NodeID"]: n for n in nodes if n["Resources"].get("CPU", 0.0) >= 1}
         if not alive:
@@ -176,10 +176,10 @@ class RayExecutor:
             )
 
     def _take_looks(self, alive: Mapping[str, Any], patience: float) -> None:
-        """Send looks to new machines, and judge those that came back.
+        """Send checks to new machines, and evaluate the answers.
 
-        A machine that does not answer is checked again: its memory may be full for a while. A
-        warning says so if it goes on.
+        A machine that does not answer is checked again, because its memory may be full for a while.
+        If this continues, there is a warning.
         """
         self._looks = {node: found for node, found in self._looks.items() if node in alive}
         for node in alive.keys() - self._nodes.keys() - self._misfits - self._looks.keys():
@@ -204,7 +204,7 @@ class RayExecutor:
             if not may_pass:
                 self._misfits.add(node)
             elif time.monotonic() - self._silent.setdefault(node, time.monotonic()) < REFRESH:
-                # Ray refuses tasks for a machine that has just joined, until all have heard of it.
+                # For a while, Ray refuses tasks for a machine that has just joined.
                 continue
             where = alive[node]["NodeManagerAddress"]
             self._say(node, f"Machine {where} is not used: it {problem}.")
@@ -216,7 +216,7 @@ class RayExecutor:
             self._context.warn(problem)
 
     def _problem(self, reference: Any) -> tuple[str, bool]:
-        """Why a machine cannot be used, empty if it can; and whether that may pass."""
+        """Why a machine cannot be used (empty if it can), and whether this may be temporary."""
         try:
             found = self._ray.get(reference)
         except self._ray.exceptions.RayError as error:
@@ -227,16 +227,16 @@ class RayExecutor:
 
 
 def demand(part: Part, nodes: Sequence[Mapping[str, float]], parts: int) -> dict[str, int]:
-    """The resources that a part requests from Ray; at least one machine has all of them.
+    """The resources to request from Ray for a part; at least one machine has all of them.
 
     Args:
-        nodes: resources of the machines that it may go to.
-        parts: how many share the cores, this one included.
+        nodes: resources of the machines that may run it.
+        parts: number of parts that share the cores, this one included.
     """
     gpu = part.gpu and any(node.get("GPU") for node in nodes)
     nodes = [node for node in nodes if node.get("GPU") or not gpu]
     memory = int(min(part.memory, max(node.get("memory", 0.0) for node in nodes)))
     has = [int(node["CPU"]) for node in nodes if node.get("memory", 0.0) >= memory]
-    # With the even share, parts would wait for the large machines, and small ones do nothing.
+    # With an even share, parts would wait for large machines while small ones are idle.
     cores = next((c for c in range(max(has), 1, -1) if sum(n // c for n in has) >= parts), 1)
     return {"num_cpus": cores, "num_gpus": int(gpu), "memory": memory}

@@ -14,22 +14,22 @@ from .parts import Part
 from .staged import run_part
 
 POST_SECONDS = 1.0
-LONELY_SECONDS = 30.0  # without an answer: nobody waits for the part any more, or it starts again
-KEPT = ("progress",)  # of these events, only the last of a second is posted
+LONELY_SECONDS = 30.0  # without an answer: the batch has ended, or it starts the part again
+KEPT = ("progress",)  # of these events, only the last in a second is posted
 
 
 def look(sign: str) -> dict[str, Any]:
-    """This machine: its version of the engine, and whether it sees a file of the batch."""
+    """Check this machine: the version of its engine, and whether it sees a file of the batch."""
     return {"version": __version__, "sees": not sign or os.path.exists(sign)}
 
 
 def do_part(part: Part, threads: int, mailbox: Any, version: str, sign: str) -> Outcome:
-    """Do a part on this machine, with its events to a mailbox.
+    """Run a part on this machine; its events go to a mailbox.
 
     Args:
         mailbox: a handle to a `Mailbox`.
-        version: of the engine that gives out parts.
-        sign: a file of the batch, which every machine must see.
+        version: of the engine that runs the batch.
+        sign: a file of the batch that every machine must see.
     """
     import ray
 
@@ -44,7 +44,7 @@ def do_part(part: Part, threads: int, mailbox: Any, version: str, sign: str) -> 
 
 
 def misfit(found: dict[str, Any], version: str, sign: str) -> str:
-    """The reason why a checked machine cannot be used; empty: it can."""
+    """The reason why a checked machine cannot be used; empty if it can."""
     if found["version"] != version:
         return f"has roigs {found['version']}, this computer {version}; install the same"
     if not found["sees"]:
@@ -53,7 +53,7 @@ def misfit(found: dict[str, Any], version: str, sign: str) -> str:
 
 
 class Mailbox:
-    """Events of parts on their way to the batch, and its stop request on the way back."""
+    """Carries events from parts to the batch, and stop requests back."""
 
     def __init__(self) -> None:
         self._events: list[tuple[tuple[str, str], Record]] = []
@@ -61,14 +61,14 @@ class Mailbox:
         self._stopped: set[tuple[str, str]] = set()
 
     def put(self, key: tuple[str, str], events: list[Record]) -> bool:
-        """Leave events; returns whether the part is asked to stop."""
+        """Add events; returns whether the part should stop."""
         self._events += [(key, event) for event in events]
         return self._stop or key in self._stopped
 
     def take(
         self, stop: bool, stopped: set[tuple[str, str]]
     ) -> list[tuple[tuple[str, str], Record]]:
-        """All events since the last time; from now on, all parts (`stop`) or some shall stop."""
+        """Take new events; sets whether all parts (`stop`) or some of them must stop."""
         self._stop, self._stopped = stop, stopped
         events, self._events = self._events, []
         return events
@@ -77,8 +77,8 @@ class Mailbox:
 class _Post:
     """Posts events once a second, in a thread.
 
-    A mailbox that stays away stops the part, with a checkpoint: its batch has ended, and the next
-    one waits for the run folder.
+    If the mailbox does not answer for long, the part stops with a checkpoint: its batch has ended,
+    and the next one waits for the run folder.
     """
 
     def __init__(self, key: tuple[str, str], mailbox: Any) -> None:
@@ -98,7 +98,7 @@ class _Post:
             self._events.append(event)
 
     def close(self) -> None:
-        """Post the rest."""
+        """Post the remaining events."""
         self._ended.set()
         self._thread.join()
 

@@ -23,9 +23,9 @@ VERSION = 2
 class Output:
     """A file that a batch writes beside its run folders."""
 
-    name: str  # its place in the folder of outputs
-    source: Path  # the PLY that it is made of
-    path: Path  # where it is
+    name: str  # its path in the folder of outputs
+    source: Path  # the PLY that it is made from
+    path: Path  # of the file
     options: tuple[str, ...] = ()  # words of the command line that makes it
 
 
@@ -38,7 +38,7 @@ class BatchRecord:
     """
 
     def __init__(self, folder: Path) -> None:
-        """Read the record; one that is missing or damaged counts as empty."""
+        """Read the record; a missing or damaged one counts as empty."""
         self.folder = folder
         self._scenes: dict[str, Any] = {}
         self.was_there = False
@@ -51,17 +51,17 @@ class BatchRecord:
             pass
 
     def begin(self) -> None:
-        """Write the record, unless it is there: it identifies the owner of the folder."""
+        """Write the record if it is missing: it marks the folder as a batch's."""
         if not self.was_there:
             self._write()
 
     def is_done(self, name: str, row: str, run: Run, files: Iterable[Path]) -> bool:
-        """Whether the run of a scene is finished as the table has it now.
+        """Whether the run of a scene is finished with the table's present settings.
 
         Args:
             row: digest of the scene's row.
             run: of the row; its photos are hashed if an engine has read them before.
-            files: what it writes that others read.
+            files: of the run, used by outputs.
         """
         known = self._scenes.get(name)
         if not isinstance(known, dict) or known.get("row") != row:
@@ -77,7 +77,7 @@ class BatchRecord:
             return False
 
     def add(self, name: str, row: str, folder: Path, files: Iterable[Path]) -> None:
-        """Write down that the run of a scene, in `folder`, is finished; see `is_done`.
+        """Record that the run of a scene, in `folder`, is finished; see `is_done`.
 
         RunFolderError: a file cannot be read (a network drive may show it late), or written.
         """
@@ -93,7 +93,7 @@ class BatchRecord:
         self._write()
 
     def has_output(self, name: str, output: Output) -> bool:
-        """Whether an output of a scene whose run is finished is as the table has it now."""
+        """Whether a scene's output exists, made with the table's present settings."""
         try:
             made = self._made(name).get(output.name)
             return made == [list(output.options), self._stamp(output.path)]
@@ -101,7 +101,7 @@ class BatchRecord:
             return False
 
     def add_output(self, name: str, output: Output) -> None:
-        """Write down that an output of a scene is made; raises as `add`."""
+        """Record that an output of a scene was made; raises as `add`."""
         try:
             stamp = self._stamp(output.path)
         except OSError as error:
@@ -110,7 +110,7 @@ class BatchRecord:
         self._write()
 
     def left_over(self, name: str, outputs: Iterable[Output]) -> list[str]:
-        """The outputs that are there, made for a scene that has them no longer."""
+        """The existing outputs of a scene that the table no longer has."""
         found = []
         known = filter(inner_path, self._made(name))
         for place in sorted({*known} - {output.name for output in outputs}):
@@ -120,7 +120,7 @@ class BatchRecord:
         return found
 
     def _made(self, name: str) -> dict[str, Any]:
-        """The outputs of a scene: their place -> options and stamp."""
+        """The recorded outputs of a scene: path -> options and stamp."""
         known = self._scenes.get(name)
         found = known.get("outputs") if isinstance(known, dict) else None
         return found if isinstance(found, dict) else {}
@@ -129,12 +129,12 @@ class BatchRecord:
         write_json(self.folder / BATCH, {"version": VERSION, "scenes": self._scenes})
 
     def _stamps(self, run: Path, files: Iterable[Path]) -> dict[str, list[Any]]:
-        """Marks of files, by their place in the batch's folder; OSError if one is gone."""
+        """Stamps of files, by their path in the batch's folder; OSError if one is missing."""
         paths = (run / RESULT, run / REPORT_DATA, *files)
         return {path.relative_to(self.folder).as_posix(): self._stamp(path) for path in paths}
 
     def _stamp(self, path: Path) -> list[Any]:
-        """A mark that changes with a file: size and time; OSError if it is gone."""
+        """A stamp that changes with a file: size and time; OSError if it is missing."""
         status = path.stat()
         return [status.st_size, status.st_mtime_ns]
 

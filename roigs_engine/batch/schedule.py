@@ -52,11 +52,11 @@ Told = Callable[[SceneState, "PartState", "Record | Outcome"], None]
 
 
 class Scheduler:
-    """Does all parts; a part that fails ends its scene alone.
+    """Runs all parts; a failing part ends only its own scene.
 
     Args:
         scenes: their plans.
-        executor: does parts.
+        executor: runs parts.
         context: asked whether to stop; receives warnings.
         retries: how often a part may be lost before its scene fails.
         told: called with every event and outcome, after the state has changed.
@@ -89,7 +89,7 @@ class Scheduler:
             self._after |= costs_after(plan.parts, {p.key: p.work for p in plan.parts})
 
     def run(self) -> None:
-        """Do all parts; Stopped on request: what is done so far is kept."""
+        """Run all parts; Stopped on request, finished work is kept."""
         stopped = False
         while any(part.state == RUNNING for _, part in self._states()) or (
             not stopped and self._ready()
@@ -106,7 +106,7 @@ class Scheduler:
         return ((s, part) for s in self.scenes.values() for part in s.parts.values())
 
     def _ready(self) -> list[tuple[SceneState, PartState]]:
-        """Parts that can start; those with most work after them first, which ends sooner."""
+        """Parts that can start, longest remaining path first, to end the batch sooner."""
         ready = [
             (scene, part)
             for scene, part in self._states()
@@ -127,7 +127,7 @@ class Scheduler:
             self._move([state for _, state in ready if state.state == WAITING])
 
     def _move(self, ready: Sequence[PartState]) -> None:
-        """Stop a part that should continue elsewhere or later, if there is one."""
+        """Stop a part that should resume elsewhere or later, if there is one."""
         states = [state for _, state in self._states()]
         idle = bool(states) and self._executor.has_capacity(states[0].part, self._slow)
         found = next_move(states, self._after, ready, time.monotonic(), idle=idle)

@@ -1,4 +1,4 @@
-"""A part with its run folder on a store: copies its inputs here, and publishes its results.
+"""Runs a part whose run folder is on a store: copies its inputs here, publishes its results.
 
 The engine itself works in folders of this machine, as always.
 """
@@ -28,7 +28,7 @@ from .engine_process import DONE, FAILED, LOST, STOPPED, Outcome, run_engine
 from .parts import WHOLE, Part, Staging
 
 RUNS = "runs"
-PUBLISH_SECONDS = 60.0  # between two looks for new checkpoints
+PUBLISH_SECONDS = 60.0  # between two checks for new checkpoints
 INPUTS = ("scene", "rois", "images", "masks", "object_masks", "selection")
 
 
@@ -39,7 +39,10 @@ def stored_run(url: str, run: str, should_stop: Callable[[], bool] = lambda: Fal
 
 
 def local_options(options: dict[str, Any], context: Context) -> dict[str, Any]:
-    """Options whose addresses are folders of this machine; ConfigError if one cannot be read."""
+    """Copy the inputs at addresses, and return options with the copies' paths.
+
+    ConfigError: one cannot be read.
+    """
     found = dict(options)
     for key in INPUTS:
         value = str(found.get(key))
@@ -50,7 +53,7 @@ def local_options(options: dict[str, Any], context: Context) -> dict[str, Any]:
 
 
 def _folder_and_file(url: str) -> tuple[str, str]:
-    """The folder that is copied for an address, and the file in it; empty: the folder is meant."""
+    """The folder to copy for an address, and the file in it; empty: the folder itself."""
     folder, _, name = url.rstrip("/").rpartition("/")
     return (folder, name) if name.lower().endswith(".json") else (url, "")
 
@@ -58,7 +61,7 @@ def _folder_and_file(url: str) -> tuple[str, str]:
 def run_part(
     part: Part, threads: int, emit: Callable[[Record], None], should_stop: Callable[[], bool]
 ) -> Outcome:
-    """Do a part to its end, on so many threads if its command has that option; see `run_engine`."""
+    """Run a part to its end, on `threads` if its command has that option; see `run_engine`."""
     argv = [*part.argv, *(["--threads", str(threads)] if part.argv[0] == "run" else [])]
     if part.staging is None:
         return run_engine(argv, emit, should_stop)
@@ -79,14 +82,14 @@ def run_part(
         return Outcome(state=LOST, reason="Another engine is at work on it.")
     except Stopped:
         return Outcome(state=STOPPED)
-    except StoreError as error:  # another time may do, unless a disk is full
+    except StoreError as error:  # a retry may help, unless a disk is full
         full = getattr(error.__cause__, "errno", None) == errno.ENOSPC
         return Outcome(state=FAILED if full else LOST, reason=str(error))
     except EngineError as error:
         return Outcome(state=FAILED, reason=str(error))
     except OSError as error:
         return Outcome(state=FAILED, reason=f"{error.strerror or error}.")
-    except Exception as error:  # else the batch would wait for it for ever
+    except Exception as error:  # otherwise the batch would wait for it for ever
         return Outcome(state=LOST, reason=f"{first_line(error):.200}")
 
 
@@ -125,9 +128,9 @@ def _leased(
 def _at_work(
     run: StoredRun, folder: Path, part: str, staging: Staging, lease: Lease
 ) -> Iterator[None]:
-    """Publish checkpoints as the engine writes them, for the machine that resumes if this one ends.
+    """Publish checkpoints while the engine works, so that another machine can resume.
 
-    The copies that the engine uses are kept.
+    Also marks the copies that the engine uses as in use.
     """
     ended = threading.Event()
 
@@ -137,8 +140,8 @@ def _at_work(
             keep(folder)
             for url in filter(is_url, (str(staging.options.get(key)) for key in INPUTS)):
                 keep(folder_of(_folder_and_file(url)[0], SCENES))
-            # Beside a checkpoint, what it needs: without its manifest, no run resumes.
-            with suppress(Exception):  # the end of the part tries again, and says it
+            # With a checkpoint, publish all files: without its manifest, no run resumes.
+            with suppress(Exception):  # the end of the part tries again, and reports errors
                 now = {path: path.stat().st_mtime_ns for path in folder.rglob(CHECKPOINT)}
                 if now != known and now and lease.is_held():
                     names = published_files(folder)

@@ -1,4 +1,4 @@
-"""Estimates the time of a batch: of each part, from a few steps of each kind, and of all."""
+"""Estimates the time of a batch, from a few measured steps of each kind of stage."""
 
 from __future__ import annotations
 
@@ -17,13 +17,16 @@ if TYPE_CHECKING:
     from ..context import Context
     from ..run.definition import Run
 
-START = 4.0  # seconds until an engine trains: Python, torch, the scene
+START = 4.0  # seconds until an engine trains: it loads Python, torch and the scene
 ALIKE = 4  # stages share a measurement if their points and photos differ by less than 1 / ALIKE
 
 
 @dataclass
 class Times:
-    """Seconds of parts; stages with like settings, photos and points are `measured` once."""
+    """Seconds of parts; stages with similar settings, photos and points are measured once.
+
+    `measured` counts the measurements.
+    """
 
     measured: int = 0
     _rates: dict[str, float] = field(default_factory=dict)
@@ -31,7 +34,7 @@ class Times:
     def of_scene(
         self, scene: ScenePlan, run: Run | None, plan: Plan | None, context: Context
     ) -> dict[Key, float]:
-        """Seconds of each part that is left to do, with all cores, on the device of the context.
+        """Seconds of each unfinished part, with all cores, on the device of the context.
 
         Photos without a model (`run` and `plan` are None) count as nothing.
         """
@@ -55,7 +58,7 @@ class Times:
 
 
 def _kind(stage: Stage, points: int) -> str:
-    """The same for stages whose steps take about the same time."""
+    """A key that is equal for stages whose steps take about the same time."""
     config = miniature(stage.config, 0).to_dict()
     sizes = max(i.camera.width * i.camera.height for i in stage.images), points
     rough = [round(ALIKE * math.log(max(size, 1))) for size in sizes]
@@ -63,7 +66,7 @@ def _kind(stage: Stage, points: int) -> str:
 
 
 def makespan(scenes: Sequence[Sequence[Part]], seconds: Mapping[Key, float], workers: int) -> float:
-    """Seconds until the parts of all scenes are done, each on one of `workers` equal workers."""
+    """Seconds until all parts of the scenes are done, on `workers` equal workers."""
     needs = {p.key: {(p.scene, name) for name in p.needs} for parts in scenes for p in parts}
     after: dict[Key, float] = {}
     for parts in scenes:

@@ -3,7 +3,7 @@
 A point has one colour, so its brightness in the photos shows their exposures. EXIF is more exact.
 But EXIF does not change when a program brightens photos; levelling by it would then be wrong by
 stops. So EXIF is used only if photos agree better with it. Without EXIF, exposures are solved from
-the points. They are reduced by the difference between the solutions of two halves of the points.
+the points, and shrunk towards 0 if the solutions of two halves of the points disagree.
 """
 
 from __future__ import annotations

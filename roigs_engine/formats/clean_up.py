@@ -22,7 +22,7 @@ _OF_A_STAGE = {
 
 
 def is_run_folder(folder: Path) -> bool:
-    """Whether an engine has worked in the folder: by what its manifest or provenance says."""
+    """Whether an engine has worked in the folder, by its manifest or provenance."""
     manifest, provenance = folder / run_files.MANIFEST, folder / run_files.PROVENANCE
     return "config" in read_record(manifest) or "entries" in read_record(provenance)
 

@@ -16,7 +16,7 @@ STOPS = np.array(((0.0, 0.13, 0.31), (0.49, 0.48, 0.47), (1.0, 0.91, 0.22)))
 
 
 def most_directions(directions: Float32) -> float:
-    """The number of directions with the brightest colour, from those of (N,); at least 1."""
+    """(N,) numbers of directions -> the number that gets the brightest colour; at least 1."""
     found = directions[np.isfinite(directions)]
     return max(1.0, float(np.quantile(found, FULL))) if len(found) else 1.0
 

@@ -1,4 +1,4 @@
-"""Detects by its first bytes that a file of Gaussians is not what its name says."""
+"""Detects files of Gaussians whose first bytes do not match their name."""
 
 from __future__ import annotations
 

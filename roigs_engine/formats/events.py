@@ -100,7 +100,7 @@ FIELDS: dict[str, dict[str, type]] = {
 """The fields of each event, by its name in JSON; readers ignore anything else on a line."""
 FINAL = ("done", "failed")
 CPU_NAME = "the processor"
-MAX_NUMBER = 1 << 31  # what Blender's integers hold
+MAX_NUMBER = 1 << 31  # limit of Blender's integers
 MAX_LINE = 1 << 16  # characters; a longer line is not an event
 
 

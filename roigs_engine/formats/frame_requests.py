@@ -76,7 +76,7 @@ def tiff(values: NDArray[np.float32]) -> bytes:
 
 
 def png(rows: bytes, width: int, height: int) -> bytes:
-    """An 8-bit RGBA PNG, uncompressed: it is read only once, and compression takes longer.
+    """An 8-bit RGBA PNG, uncompressed: it is read immediately, and compressing takes longer.
 
     Each row begins with a byte 0: no filter.
     """

@@ -3,7 +3,7 @@
 `made.json` beside the masks of a box has three entries by file. "masks" is the SHA-256 of the
 written file. "inputs" is a hash of its inputs: a mask with unchanged inputs is kept. "writing"
 lists unfinished files, so that masks of a killed process are known as well. All other files, and
-those changed since, are the user's. They are never replaced.
+masks changed later, are the user's. They are never replaced.
 """
 
 from __future__ import annotations

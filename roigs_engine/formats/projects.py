@@ -14,7 +14,7 @@ VIDEOS = {  # they become photos
 SPARSE = "sparse"
 INNER = ("", "colmap", "undistorted", "dense/0", "dense", "distorted")
 """Where a project may have its model: `colmap` is nerfstudio's, `distorted` 3DGS's."""
-RECONSTRUCTION = "reconstruction"  # what `reconstruct` keeps for itself
+RECONSTRUCTION = "reconstruction"  # folder of `reconstruct`'s own files
 SUFFIXES = (".bin", ".txt")
 FIRST_MODEL, REFINED = "0", "refined"
 CAMERAS_FILE = "cameras.bin"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-MANIFEST = "manifest.json"  # what the run was made for: boxes, photos, settings
+MANIFEST = "manifest.json"  # the run's inputs: boxes, photos, settings
 SETTINGS = "settings.json"  # the options of the request, as an options file
 PROVENANCE = "provenance.json"
 SPLIT = "split.json"
@@ -23,7 +23,7 @@ PROJECT = "colmap"  # the COLMAP project of a run of photos
 SELECTION = "selection"  # folder with a list of photos for each box
 
 RESULT = "result.ply"
-BACKGROUND = "background.ply"  # the result without what lies in the boxes
+BACKGROUND = "background.ply"  # the result without the boxes' content
 FINE, COARSE = "rois", "coarse"
 """Folders with a PLY for each box: refined, and as the Scene-GS has it."""
 SURROUNDINGS = "background"

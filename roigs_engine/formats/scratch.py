@@ -63,7 +63,7 @@ def new_scratch(prefix: str, place: Path | None = None) -> tuple[Path, BinaryIO]
 
 
 def remove_scratch(folder: Path, owner: BinaryIO) -> None:
-    """Remove a folder of `new_scratch`; what cannot be removed stays."""
+    """Remove a folder of `new_scratch`; ignores errors."""
     with suppress(OSError):
         owner.close()
     shutil.rmtree(folder, ignore_errors=True)

@@ -147,7 +147,7 @@ def read_ply(path: str | Path, check: Check = nothing) -> dict[str, Floats]:
     """Read the arrays of `write_ply` by property name.
 
     `means` is float64 if the file has double `x y z`; everything else is float32. Normals may be
-    missing, and any degree of SH is read; bands above degree 3 are dropped.
+    missing. SH may have any degree up to 7; bands above degree 3 are dropped.
     Colours may be bytes `red green blue`, as nerfstudio writes them with `--ply-color-mode rgb`.
     Mip-Splatting's `filter_3D` is applied; other extra properties and elements are ignored.
     `check` is called while reading.

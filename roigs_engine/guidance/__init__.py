@@ -1,1 +1,1 @@
-"""How well photos cover a box, and which photo to take next (docs/method.md, "Guidance")."""
+"""Measures how well photos cover a box; suggests the next photo (docs/method.md, "Guidance")."""

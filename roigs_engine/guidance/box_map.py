@@ -1,6 +1,6 @@
 """Coverage of a box by photos: 0 to 1 for each patch of its surface and each direction.
 
-A photo v that sees the patch p from the direction d_v measures the look of p from there. Its
+A photo v that sees the patch p from the direction d_v measures the appearance of p from there. Its
 precision grows with its pixels on the patch:
 
     q(v, p) = (s_v rho / rho*)^2 cos(theta),   rho = f / z pixels per unit of length
@@ -11,15 +11,15 @@ theta is the angle to the patch's normal, s_v <= 1 the sharpness of the photo at
 resolution of the usual lens where the box just fills its picture. Precisions of independent
 measurements add up, and I / (1 + I) is the share by which they reduce a variance of 1. The error of
 a patch as seen from b also depends on photos from nearby directions, less with the angle. sigma is
-the spacing of the directions b, which are even over the sphere.
+the spacing of the directions b, which are spread evenly over the sphere.
 
 `known` is shown to users. Photos are chosen by the error in decibels, because it is later measured
-in decibels: by the mean of 10 log10(1 + I), the reduction of the variance by the photos. It is
-monotone and submodular in the photos, as a concave function of sums. `known` is, too, but for it,
-closing the first half of a gap counts more than closing the rest.
+in decibels: by the mean of 10 log10(1 + I), the reduction of the variance by the photos. This is a
+concave function of sums, so it is monotone and submodular in the photos. `known` is, too, but it
+counts closing the first half of a gap more than closing the rest.
 
 Means are over patches and directions, each weighted by cos(theta), its share of a picture from
-there. Directions without a possible camera have no weight.
+there. Directions without a possible camera have weight 0.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ Bools = NDArray[np.bool_]
 # With 18 degrees between them, predicted and true errors agree best (notebook/guidance.md).
 DIRECTIONS = 128
 SPACING = float(np.sqrt(4 * np.pi / DIRECTIONS))  # radians, between neighbouring directions
-MIN_COSINE = 0.1  # a patch seen at a lower one shows nothing
+MIN_COSINE = 0.1  # of a patch's normal and the view; below it, the patch does not count as seen
 
 View = tuple[Camera, Float64]
 """A camera and its (4, 4) world_to_camera."""
@@ -61,11 +61,11 @@ class BoxMap:
         information: (P, B) I of all photos.
         images: V photos that see a patch, in name order.
         seen: (P, V) whether each photo sees each patch.
-        density: (P, V) pixels per world unit of the surface, across the view, 0 where not seen.
+        density: (P, V) pixels per world unit of the surface, across the view; 0 if not seen.
         sharpness: (V,) of each photo at the box, 0 to 1.
         reference: rho*, pixels per world unit.
-        lens: the usual camera, by which it is measured.
-        space: what is solid around the box.
+        lens: the usual camera, which defines `reference`.
+        space: solid and free space around the box.
     """
 
     roi: OrientedBox
@@ -83,7 +83,7 @@ class BoxMap:
 
     @property
     def known(self) -> Float64:
-        """(P, B) what is known of each patch from each direction, 0 to 1."""
+        """(P, B) coverage of each patch from each direction, 0 to 1."""
         return self.information / (1 + self.information)
 
     @property
@@ -92,31 +92,31 @@ class BoxMap:
         return float((self.weights * self.known).sum())
 
     def decibels(self, information: Float64) -> float:
-        """The expected decrease of the error compared with no photos, in dB; (P, B) I."""
+        """The expected decrease of the error compared with no photos, dB, for I (P, B)."""
         return float((self.weights * np.log10(1 + information)).sum() * 10)
 
     def of_directions(self) -> tuple[Float64, Float64]:
-        """(B,) weight of each direction, and what is known from there; NaN without a weight."""
+        """(B,) weight of each direction, and the coverage from there; NaN without weight."""
         weight = self.weights.sum(axis=0)
         known = (self.weights * self.known).sum(axis=0)
         return weight, np.where(weight > 0, known / np.maximum(weight, 1e-300), np.nan)
 
     def of_patches(self) -> Float64:
-        """(P,) what is known of each patch over its directions; NaN if no camera can see it."""
+        """(P,) mean coverage of each patch over its directions; NaN if no camera can see it."""
         weight = self.weights.sum(axis=1)
         known = (self.weights * self.known).sum(axis=1)
         return np.asarray(np.where(weight > 0, known / np.maximum(weight, 1e-300), np.nan))
 
 
 def usual_camera(images: Sequence[PosedImage]) -> Camera:
-    """The camera of most of the photos; of several, the one of the first photo."""
+    """The camera of most photos; in a tie, the one that comes first."""
     cameras = [image.camera for image in images]
     counts = {camera: cameras.count(camera) for camera in dict.fromkeys(cameras)}
     return max(counts, key=lambda camera: counts[camera])
 
 
 def filling_distance(roi: OrientedBox, camera: Camera) -> float:
-    """Distance from the box's centre where its circumscribed sphere just fills the picture."""
+    """Distance from the box's centre at which its circumscribed sphere just fills the picture."""
     half = min(camera.width / camera.fx, camera.height / camera.fy) / 2
     return float(roi.diagonal / 2 * np.sqrt(1 + half**-2))
 
@@ -144,7 +144,7 @@ def sees(
 
 
 def information(patches: Patches, directions: Float64, density: Float64, ways: Float64) -> Float64:
-    """(P, B) I of one photo: `density` (P,) in units of rho*, 0 where not seen; `ways` (P, 3)."""
+    """(P, B) I of one photo; `density` (P,) in units of rho*, 0 if not seen; `ways` (P, 3)."""
     cosine = np.einsum("pi,pi->p", ways, patches.normals).clip(0, 1)
     rows = np.flatnonzero(density > 0)
     found = np.zeros((len(patches), len(directions)))
@@ -155,7 +155,7 @@ def information(patches: Patches, directions: Float64, density: Float64, ways: F
 
 
 def direction_weights(patches: Patches, directions: Float64, looked_from: Float64) -> Float64:
-    """(P, B) weights, 1 in sum; `looked_from`: (N, 3) unit ways from the box to viewers.
+    """(P, B) weights, 1 in sum; `looked_from`: (N, 3) unit vectors from the box to viewers.
 
     A direction counts if a viewer is within the spacing of the directions.
     """
@@ -174,12 +174,12 @@ def box_map(
     scene: SfmScene,
     context: Context = QUIET,
 ) -> BoxMap:
-    """The map of a box from its photos, as if all were sharp.
+    """Compute the map of a box from its photos, assuming that all are sharp.
 
     Args:
         candidates: the photos that observe points of the box.
-        looked_from: (N, 3) unit ways from the box to places of viewers, beside the photos.
-        scene: all photos; those that observe no point may see a patch, too.
+        looked_from: (N, 3) unit vectors from the box to viewers, in addition to the photos.
+        scene: all photos; a photo that observes no point may still see a patch.
     """
     roi = candidates.roi
     directions = fibonacci_directions(DIRECTIONS)
@@ -224,7 +224,7 @@ def box_map(
 
 
 def with_sharpness(found: BoxMap, sharpness: Float64, context: Context = QUIET) -> BoxMap:
-    """The map with another sharpness (V,) of its photos; what each sees is not looked up again."""
+    """The map with another sharpness (V,) of its photos; visibility is not computed again."""
     total = np.zeros(found.information.shape)
     for column, image in enumerate(found.images):
         context.check_cancelled()

@@ -1,4 +1,4 @@
-"""The certificate of an object: its size, the resolution and the directions of its photos."""
+"""The certificate of an object: its size, and the resolution and directions of its photos."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from .known import KnownBox
 from .words import Units
 
 SIDE = 320  # of the picture of directions, pixels
-NAMED = 120  # photos that are named on the page
-# Viridis, which people who are colour-blind can read, too: dark is little.
+NAMED = 120  # photos named on the page
+# Viridis, which colour-blind people can read, too; dark is low.
 COLOURS = ("#440154", "#3b528b", "#21918c", "#5ec962", "#fde725")
 SCORES = (
     ("object_psnr", "PSNR of the object", "{:.2f} dB"),
@@ -46,16 +46,16 @@ class Certificate:
     Attributes:
         box: the box's name.
         size: extent of its points along the box's axes.
-        metres: metres in a unit; None: not known.
+        metres: metres per unit; None: unknown.
         pixel_median, pixel_largest: length of a pixel on the surface, in the photo that shows each
-            patch best: the median, and the largest of those that any photo shows.
-        unseen: share of the surface that no photo shows, of what can be looked at, 0 to 1.
+            patch best: the median and the largest, over the patches in any photo.
+        unseen: share of the reachable surface that no photo shows, 0 to 1.
         covered: share of patches and directions, by their weight, with a photo that sees the patch
             from within `SPACING` of the direction, 0 to 1.
-        known: mean of what is known over patches and directions, 0 to 1.
-        worst: the direction of which least is known, as words.
+        known: mean coverage (`BoxMap.known`) over patches and directions, 0 to 1.
+        worst: the direction with the lowest coverage, in words.
         directions: (x, y, known) of each direction in a disc: up in the middle, straight below at
-            the rim; known is None where nobody can look.
+            the rim; known is None where no camera can be.
         photos: names of the photos that show the object.
         photos_digest: SHA-256 over their names and the hashes of their files.
         scores: held-out scores by their name in report.json; empty: there are none.
@@ -78,7 +78,7 @@ class Certificate:
     facts: Mapping[str, str]
 
     def to_dict(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """The certificate as JSON values."""
         return asdict(self)
 
     @property
@@ -101,7 +101,7 @@ def certificate(
     scores: Mapping[str, float],
     facts: Mapping[str, str],
 ) -> Certificate:
-    """The certificate of a box, from its map and what else is known of it."""
+    """Make the certificate of a box from its map, scores and other facts."""
     found = known.map
     real = found.patches.places[~found.patches.guessed]
     local = real @ found.roi.world_to_box[:3, :3].T
@@ -131,7 +131,7 @@ def certificate(
 
 
 def _covered(found: BoxMap) -> float:
-    """The share of patches and directions that a photo looks at from nearby."""
+    """The share of patches and directions with a photo from a near direction."""
     near = np.zeros(found.weights.shape, dtype=bool)
     for column, image in enumerate(found.images):
         ways = ways_to(image.centre, found.patches.places)
@@ -141,13 +141,13 @@ def _covered(found: BoxMap) -> float:
 
 
 def _angles(directions: Float64, up: Float64) -> tuple[Float64, Float64]:
-    """(B,) elevation and azimuth in radians; the azimuth is that of plans from above."""
+    """(B,) elevation and azimuth in radians; the azimuth is as in plans from above."""
     local = directions @ rotation_between(up, np.array([0.0, 0.0, 1.0])).T
     return np.arcsin(local[:, 2].clip(-1, 1)), np.arctan2(local[:, 1], local[:, 0])
 
 
 def _disc(found: BoxMap, up: Float64) -> tuple[tuple[float, float, float | None], ...]:
-    """The directions in a disc of radius 1 that keeps areas."""
+    """Map the directions to a disc of radius 1, preserving areas."""
     rise, turn = _angles(found.directions, up)
     reach = np.sqrt((1 - np.sin(rise)) / 2)
     weight, value = found.of_directions()
@@ -158,7 +158,7 @@ def _disc(found: BoxMap, up: Float64) -> tuple[tuple[float, float, float | None]
 
 
 def _worst(found: BoxMap, up: Float64) -> str:
-    """The direction of which least is known, by the photo from the nearest one."""
+    """The direction with the lowest coverage, described by the photo from the nearest direction."""
     weight, value = found.of_directions()
     row = int(np.argmin(np.where(weight > 0, value, np.inf)))
     way = found.directions[row]
@@ -187,7 +187,7 @@ def certificate_page(made: Certificate) -> str:
 
 
 def section(made: Certificate) -> Iterator[str]:
-    """The same for a report with others: its parts in HTML, below a heading."""
+    """The certificate as a section of a larger report: parts in HTML, below a heading."""
     yield f"<h3>{html_text(made.box)}</h3>"
     yield from _parts(made)
 
@@ -227,7 +227,7 @@ def _rows(rows: Mapping[str, str]) -> Iterator[str]:
 
 
 def _picture(made: Certificate) -> Iterator[str]:
-    """The directions as dots in a disc: dark ones are gaps, empty ones cannot be looked from."""
+    """Draw the directions as dots in a disc: dark ones are gaps, empty ones are unreachable."""
     half = SIDE / 2
     yield (
         f'<svg viewBox="0 0 {SIDE} {SIDE + 20}" width="{SIDE}" role="img" aria-label="Directions">'

@@ -1,10 +1,10 @@
 """Finds photos that are less useful than they should be, with the reason.
 
 A photo is compared with the others at the same patches (`photo_quality`). Information grows with
-the square of the resolution (`box_map`), so a photo with less than 1/sqrt(2) of the sharp photos'
-resolution has less than half of the possible information: it is blurred, or, if it is sharp
-elsewhere, out of focus at the object. Exposures are reported if they differ by a stop, half or
-twice the light, and are outliers; if many differ, they are levelled (`photos.exposures`). A camera
+the square of the resolution (`box_map`). So a photo with less than 1/sqrt(2) of the sharp photos'
+resolution has less than half of the possible information. It is blurred or, if it is sharp
+elsewhere, out of focus at the object. Exposures are reported if they differ by a stop (half or
+twice the light) and are outliers. If many differ, they are levelled (`photos.exposures`). A camera
 with few points may be misplaced (`formats.projects`).
 """
 
@@ -22,7 +22,7 @@ from .known import KnownBox
 
 HALF = 0.5
 STOP = 1.0
-FEW = 0.1  # share of the photos: more are no outliers
+FEW = 0.1  # share of the photos: if more differ, none is an outlier
 OUTLIER = 3 * 1.4826  # median deviations: three standard deviations of a normal distribution
 
 BLURRED, FOCUS, EXPOSED, PLACED, UNREADABLE = (
@@ -41,7 +41,7 @@ class PhotoFault:
     Attributes:
         photo: its name.
         reason: one of the constants of this module.
-        text: the reason with its figure, for people.
+        text: the reason with a figure, for people.
     """
 
     photo: str
@@ -49,14 +49,14 @@ class PhotoFault:
     text: str
 
     def to_dict(self) -> dict[str, str]:
-        """Ready for JSON."""
+        """The fault as JSON values."""
         return asdict(self)
 
 
 def photo_faults(known: KnownBox) -> tuple[PhotoFault, ...]:
-    """The photos of a box that have a fault, the worst first; a photo may have several.
+    """Find the faults of a box's photos, the worst first; a photo may have several.
 
-    Worse is what leaves less of the photo's information. Empty if the photos were not looked at
+    A fault is worse if it leaves less of the photo's information. Empty if the photos were not read
     (`known_box(look=False)`).
     """
     quality = known.quality
@@ -67,7 +67,7 @@ def photo_faults(known: KnownBox) -> tuple[PhotoFault, ...]:
         for name in quality.unreadable
     ]
     points = {image.name: len(image.point_indices) for image in known.map.images}
-    if any(points.values()):  # else the model stores no tracks
+    if any(points.values()):  # otherwise the model stores no tracks
         for name in weakly_observed(points):
             text = f"perhaps misplaced: its camera has only {counted(points[name], 'point')}"
             found.append((0.0, PhotoFault(photo=name, reason=PLACED, text=text)))
@@ -92,7 +92,7 @@ def photo_faults(known: KnownBox) -> tuple[PhotoFault, ...]:
 
 
 def _odd_exposures(exposures: Float64) -> NDArray[np.bool_]:
-    """(V,) which of the photos are outliers; `exposures` have a median of 0, NaN: not known."""
+    """(V,) which photos are outliers; `exposures` have a median of 0, NaN: unknown."""
     away = np.abs(exposures)
     known = away[np.isfinite(away)]
     spread = float(np.median(known)) if len(known) else 0.0

@@ -1,4 +1,4 @@
-"""Figures of what the photos of a box show, for people."""
+"""Figures on the photos of a box, for people."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SIDES = ("-x", "+x", "-y", "+y", "-z", "+z")
 
 
 def pixel_lengths(found: BoxMap) -> Float64:
-    """(P,) length of a pixel on each patch in the photo that shows it best; infinite: none does."""
+    """(P,) length of a pixel on each patch in the photo that shows it best; infinite if none."""
     centres = np.array([image.centre for image in found.images]).reshape(-1, 3)
     ways = centres[None] - found.patches.places[:, None]
     ways /= np.maximum(np.linalg.norm(ways, axis=2), 1e-300)[..., None]
@@ -26,7 +26,7 @@ def pixel_lengths(found: BoxMap) -> Float64:
 
 
 def pixels_across(found: BoxMap) -> float:
-    """Pixels along the box's longest side, at the median of `pixel_lengths`; 0: nothing is seen."""
+    """Pixels along the box's longest side, at the median of `pixel_lengths`; 0 if none is seen."""
     lengths = pixel_lengths(found)
     shown = lengths[np.isfinite(lengths)]
     return float(2 * found.roi.half_extents.max() / np.median(shown)) if len(shown) else 0.0
@@ -39,9 +39,9 @@ def exposure_spread(quality: PhotoQuality | None) -> float:
 
 
 def sides_without_photos(found: BoxMap) -> list[str]:
-    """The `SIDES` that no photo looks at, of those that can be looked at.
+    """The `SIDES` that cameras can see, but no photo does.
 
-    A photo looks at the side whose normal is nearest to its way from the box's centre.
+    A photo sees the side whose normal is nearest to the direction from the box's centre to it.
     """
     axes = found.roi.world_to_box[:3, :3]
     eyes = np.array([image.centre for image in found.images]).reshape(-1, 3) - found.roi.centre
@@ -52,6 +52,6 @@ def sides_without_photos(found: BoxMap) -> list[str]:
 
 
 def _sides(ways: Float64) -> Int64:
-    """(N, 3) ways in the box's frame -> (N,) the place in `SIDES` of each."""
+    """(N, 3) directions in the box's frame -> (N,) index in `SIDES`."""
     axis = np.abs(ways).argmax(axis=1)
     return np.asarray(2 * axis + (ways[np.arange(len(ways)), axis] > 0), dtype=np.int64)

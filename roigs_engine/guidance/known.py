@@ -1,4 +1,4 @@
-"""The coverage map of a box from a scene alone: surface, photos, places around it."""
+"""Computes the coverage map of a box from a scene: surface, photos, places around it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .photo_quality import PhotoQuality, measured
 from .places import Places, standing_places
 from .space import Space
 
-ELSEWHERE = 2000  # points outside the box that tell how sharp photos are as a whole
+ELSEWHERE = 2000  # points outside the box, to measure the sharpness of whole photos
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,8 +25,8 @@ class KnownBox:
 
     Attributes:
         map: by patch and direction.
-        places: from where it can be photographed.
-        quality: of the map's photos, in their order; None: the photos were not looked at.
+        places: from which it can be photographed.
+        quality: of the map's photos, in their order; None: the photos were not read.
     """
 
     map: BoxMap
@@ -37,9 +37,9 @@ class KnownBox:
 def known_box(
     scene: SfmScene, roi: OrientedBox, context: Context = QUIET, *, look: bool = True
 ) -> KnownBox:
-    """The map of a box; with `look`, the photos' sharpness counts, which is measured.
+    """Compute the map of a box; with `look`, the photos' sharpness is measured and included.
 
-    RoiError: no point lies in the box, or no photo sees one that does.
+    RoiError: no point lies in the box, or no photo sees its points.
     """
     candidates = find_candidates(scene, roi, context)
     space = Space.of(scene, roi, context)

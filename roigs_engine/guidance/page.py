@@ -1,4 +1,4 @@
-"""The suggested photos as a page for a phone or a printer: a plan, pictures and words."""
+"""Writes suggested photos as a page for a phone or a printer: a plan, pictures and words."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Shots:
 
 
 def suggestions_page(boxes: Sequence[Shots], units: Units) -> str:
-    """The page; it uses no network, and names in it are text alone."""
+    """The page; it uses no network, and all names are escaped."""
     names = ", ".join(f"'{box.known.map.roi.name}'" for box in boxes)
     parts = [part for box in boxes for part in _box(box, units)]
     return whole_page(f"Next photos of {names}", parts, style=f"\n{CLEAR}")
@@ -82,7 +82,7 @@ def _plan(box: Shots, units: Units) -> Iterator[str]:
     shots = np.array([shot.centre for shot in box.shots]).reshape(-1, 3) @ flat.T
     corners = convex_hull(found.roi.corners() @ flat.T)
     middle = flat @ found.roi.centre
-    # Far photos would make the near ones unreadable: what is farther is at the edge.
+    # Far photos would make near ones unreadable, so they are drawn at the edge.
     reach = np.linalg.norm(np.concatenate([photos, shots, corners]) - middle, axis=1)
     reach_of_shots = np.linalg.norm(np.concatenate([shots, corners]) - middle, axis=1).max()
     span = float(min(reach.max(), 2 * reach_of_shots)) or 1.0
@@ -116,7 +116,7 @@ def _plan(box: Shots, units: Units) -> Iterator[str]:
 
 
 def _scale_bar(span: float, scale: float, units: Units) -> Iterator[str]:
-    """A bar of a round length, about a third of the plan."""
+    """A scale bar with a round length, about a third of the plan."""
     unit = units.scale or 1.0
     wish = span * unit / 1.5
     power = 10 ** np.floor(np.log10(wish))

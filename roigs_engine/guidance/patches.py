@@ -1,7 +1,7 @@
-"""Surface patches of a boxed object: from sparse points, and from their hull where these end.
+"""Surface patches of a boxed object: from sparse points, and from their hull where there are none.
 
-A side without photos has no points. There, patches of the points' convex hull represent it, unless
-photos have looked through the place. So missing sides are on the map.
+A side without photos has no points. Patches of the points' convex hull represent it, except where
+photos have seen that the place is empty. So missing sides are on the map.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from ..selection.coverage import nearest_neighbours, surface_normals
 from .space import Space
 
 ALONG_LONGEST_SIDE = 24  # patches along the longest side of the box
-FEWEST = 8  # points that have a hull
-ALONE = 4.0  # times the usual distance to a point's neighbours: it is a stray
+FEWEST = 8  # points needed for a hull
+ALONE = 4.0  # x the median distance to a point's neighbours: farther points are strays
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Patches:
-    """P patches, about as large as one another.
+    """P patches of about equal size.
 
     Attributes:
         places: (P, 3) world positions.
         normals: (P, 3) unit vectors out of the surface.
-        points: (P,) row of `Candidates.points` of each, -1: a patch of the hull.
-        side: about the side of each, world units.
+        points: (P,) their rows of `Candidates.points`; -1: a patch of the hull.
+        side: approximate side of a patch, world units.
     """
 
     places: Float64
@@ -44,12 +44,12 @@ class Patches:
 
     @property
     def guessed(self) -> NDArray[np.bool_]:
-        """(P,) whether each is of the hull, where no photo shows a point."""
+        """(P,) whether each patch is from the hull, where no photo shows a point."""
         return np.asarray(self.points < 0)
 
 
 def surface_patches(candidates: Candidates, space: Space, context: Context = QUIET) -> Patches:
-    """The patches of a box, by the points that its photos observe."""
+    """Make the patches of a box from the points that its photos observe."""
     side = float(2 * candidates.roi.half_extents.max()) / ALONG_LONGEST_SIDE
     shown = object_points(candidates.points, candidates.roi, candidates.images)
     observed = np.bincount(candidates.obs_point, minlength=len(candidates.points)) > 0
@@ -68,7 +68,7 @@ def surface_patches(candidates: Candidates, space: Space, context: Context = QUI
 
 
 def _normals(candidates: Candidates, context: Context) -> Float64:
-    """(P, 3) unit normals; the mean way to the observers where the neighbours are no surface."""
+    """(P, 3) unit normals; if a point's neighbours are no surface, its mean observer direction."""
     normals, known = surface_normals(candidates, context)
     centres = candidates.centres()
     ways = centres[candidates.obs_view] - candidates.points[candidates.obs_point]
@@ -80,7 +80,7 @@ def _normals(candidates: Candidates, context: Context) -> Float64:
 
 
 def _one_in_each_cell(points: Float64, use: NDArray[np.bool_], side: float) -> Int64:
-    """Rows of the used points (P, 3), one in each cell of a grid: the nearest to its middle."""
+    """Rows of the used points (P, 3): in each cell of a grid, the one nearest to its middle."""
     rows = np.flatnonzero(use)
     cells = points[rows] / side
     index = np.floor(cells)
@@ -91,7 +91,7 @@ def _one_in_each_cell(points: Float64, use: NDArray[np.bool_], side: float) -> I
 
 
 def _hull(points: Float64, space: Space, side: float, context: Context) -> tuple[Float64, Float64]:
-    """Places (N, 3) on the points' convex hull, and its normals there, far from all points."""
+    """Places (N, 3) on the points' convex hull that are far from all points, and the normals."""
     from scipy.spatial import ConvexHull, QhullError, cKDTree
 
     nothing = np.zeros((0, 3)), np.zeros((0, 3))
@@ -102,7 +102,7 @@ def _hull(points: Float64, space: Space, side: float, context: Context) -> tuple
     points = points[spread <= ALONE * max(float(np.median(spread)), side / 2)]
     try:
         hull = ConvexHull(points)
-    except (QhullError, ValueError):  # in one plane, or too few are left
+    except (QhullError, ValueError):  # all are in one plane, or too few are left
         return nothing
     corners = points[hull.simplices]  # (F, 3, 3)
     areas = (
@@ -113,7 +113,7 @@ def _hull(points: Float64, space: Space, side: float, context: Context) -> tuple
     )
     counts = np.ceil(areas / side**2).astype(int)
     face = np.repeat(np.arange(len(counts)), counts)
-    # A sequence that fills the faces evenly (Roberts 2018), one for all of them.
+    # One sequence fills all faces evenly (Roberts 2018).
     share = (0.5 + np.arange(len(face))[:, None] * (0.7548776662466927, 0.5698402909980532)) % 1
     share = np.where(share.sum(axis=1, keepdims=True) > 1, 1 - share, share)
     a, b, c = corners[face, 0], corners[face, 1], corners[face, 2]

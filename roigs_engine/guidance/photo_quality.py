@@ -1,10 +1,10 @@
-"""Sharpness and exposure of each photo at a box, from the pixels around its patches.
+"""Measures sharpness and exposure of each photo at a box, from the pixels around its patches.
 
-Two values are measured of each patch p in each photo v that sees it: the energy L of the Laplacian,
-divided by the squared brightness, so that a dark photo does not count as blurred; and the light Y.
-Each patch has a different texture, and a nearer photo shows finer parts of it. So photos are
-compared by a model with two effects. It is fitted by medians, which a few odd patches do not
-change:
+Two values are measured for each patch p in each photo v that sees it. One is the energy L of the
+Laplacian, divided by the squared brightness, so that a dark photo does not count as blurred. The
+other is the light Y. Each patch has a different texture, and a nearer photo shows finer parts of
+it. So photos are compared by a model with two effects. It is fitted by medians, which a few odd
+patches do not change:
 
     log L(p, v) = texture_p + k log rho(p, v) + sharp_v
     log Y(p, v) = light_p + exposure_v
@@ -30,13 +30,13 @@ from ..photos.parallel import decoding_bytes, in_parallel
 from ..photos.profiles import srgb_curve
 from .patches import Patches
 
-SIDE = 1600  # longest side of the photos that are looked at, pixels
+SIDE = 1600  # longest side of the photos for measuring, pixels
 WINDOW = 9  # pixels around a patch
-ROUNDS = 10  # of fitting; the medians settle in fewer
-SHARP = 75.0  # percentile of photos that are called sharp
-FEWEST = 5  # patches that tell how sharp a photo is
-MOST = 20_000_000  # numbers of each measure; with more photos, fewer places tell
-LEAST = 1e-8  # of energies, which are of values from 0 to 1
+ROUNDS = 10  # of fitting; the medians converge in fewer
+SHARP = 75.0  # percentile of the photos that defines sharp
+FEWEST = 5  # patches needed to measure a photo
+MOST = 20_000_000  # numbers of each measure; with more photos, fewer places are used
+LEAST = 1e-8  # of energies, of values from 0 to 1
 """Below the noise of 8 bits."""
 DARKEST, BRIGHTEST = 8 / 255, 254 / 255
 """Values that tell an exposure: below, half a level of 8 bits is more than a tenth of a stop."""
@@ -44,14 +44,14 @@ DARKEST, BRIGHTEST = 8 / 255, 254 / 255
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PhotoQuality:
-    """Measures of V photos at a box; NaN of those that show too little of it or cannot be read.
+    """Measures of V photos at a box; NaN for photos that show too little of it or are unreadable.
 
     Attributes:
-        sharpness: (V,) resolution over that of the sharp photos, 0 to 1.
-        overall: (V,) the same over the whole photo, by the scene's points elsewhere.
-        exposure: (V,) of the whole photo in stops (EV) over the usual one of the same places.
+        sharpness: (V,) resolution relative to sharp photos, 0 to 1.
+        overall: (V,) the same for the rest of the photo, from the scene's points elsewhere.
+        exposure: (V,) of the whole photo, in stops (EV) above the median for the same places.
         texture: (P,) log energy of each patch's detail at the usual distance; NaN if not seen, or
-            not measured, as there are many photos.
+            left out because there are many photos.
         unreadable: names of photos that cannot be read.
     """
 
@@ -95,7 +95,7 @@ def measured(
     texture = np.full(len(patches), np.nan)
     texture[::step], sharp = _effects(detail[here], rho[here])
     _, over = _effects(detail[elsewhere], rho[elsewhere])
-    _, exposure = _effects(brightness, None)  # of whole photos: the box may be hidden in one
+    _, exposure = _effects(brightness, None)  # of whole photos: the box may be hidden in some
     return PhotoQuality(
         sharpness=_resolution(sharp),
         overall=_resolution(over),
@@ -115,7 +115,7 @@ def _bytes(image: PosedImage) -> int:
 
 
 def _look(image: PosedImage, places: Float64) -> tuple[Float64, Float64, Float64]:
-    """Of each place (P, 3): energy of the Laplacian, light, pixels per unit; NaN out of sight."""
+    """For places (P, 3): energy of the Laplacian, light, pixels per unit; NaN if not in view."""
     from scipy.ndimage import laplace, uniform_filter
 
     pixels = load_photo(image).astype(np.float32) / 255
@@ -133,7 +133,7 @@ def _look(image: PosedImage, places: Float64) -> tuple[Float64, Float64, Float64
 
 
 def _effects(values: Float64, slope_of: Float64 | None) -> tuple[Float64, Float64]:
-    """Effects of patches (P,) and of photos (V,) on values (P, V), by medians; NaN: too few."""
+    """Fit effects of patches (P,) and photos (V,) to values (P, V) by medians; NaN: too few."""
     values = values.copy()
     counts = np.isfinite(values).sum(axis=0)
     values[:, counts < FEWEST] = np.nan
@@ -155,7 +155,7 @@ def _effects(values: Float64, slope_of: Float64 | None) -> tuple[Float64, Float6
 
 
 def _slope(x: Float64, y: Float64) -> float:
-    """Of y over x, both (P, V), through zero: the median of ratios, weighted by |x|."""
+    """The slope of y over x, both (P, V), through 0: the median of y / x, weighted by |x|."""
     use = np.isfinite(x) & np.isfinite(y) & (np.abs(x) > 1e-3)
     if use.sum() < FEWEST:
         return 0.0
@@ -166,14 +166,14 @@ def _slope(x: Float64, y: Float64) -> float:
 
 
 def _medians(values: Float64, axis: int) -> Float64:
-    """Medians of the numbers; NaN where there are none."""
+    """Medians that ignore NaN; NaN if there are no numbers."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # of rows without a number
+        warnings.simplefilter("ignore", RuntimeWarning)  # for rows without a number
         return np.asarray(np.nanmedian(values, axis=axis), dtype=np.float64)
 
 
 def _resolution(effects: Float64) -> Float64:
-    """(V,) effects on log energy -> resolution over that of sharp photos, at most 1."""
+    """(V,) effects on log energy -> resolution relative to sharp photos, at most 1."""
     good = effects[np.isfinite(effects)]
     if not len(good):
         return effects

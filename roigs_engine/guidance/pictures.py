@@ -1,4 +1,4 @@
-"""Preview of a suggested photo, drawn from the nearest photo and sparse points."""
+"""Draws a preview of a suggested photo from the nearest photo and sparse points."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from ..photos.headers import PhotoError
 from ..selection.coverage import nearest_neighbours
 from .box_map import BoxMap
 
-NEIGHBOURS = 5  # points, itself included: a point is as large as the way to the farthest of them
+NEIGHBOURS = 5  # points, itself included; the distance to the farthest is a point's size
 BACKGROUND = 40
 LARGEST = 0.012  # of the picture's width: half the side of a point
 LINE = (255, 160, 0)
-ALIKE = np.cos(np.radians(40))  # of the angle at the box up to which a photo looks like another
+ALIKE = np.cos(np.radians(40))  # of the largest angle at the box between similar photos
 Pixels = NDArray[np.uint8]
 
 
 class PointPictures:
-    """Draws a scene's points as squares that are as large as the gaps between them."""
+    """Draws a scene's points as squares of the size of the gaps between them."""
 
     def __init__(self, scene: SfmScene, context: Context = QUIET) -> None:
         use = np.isfinite(scene.points).all(axis=1)
@@ -53,10 +53,10 @@ class PointPictures:
 
 
 def from_photos(image: Pixels, found: BoxMap, camera: Camera, world_to_camera: Float64) -> Pixels:
-    """The picture (H, W, 3), with the photo over it that shows the box most alike.
+    """Draw the photo with the most similar view of the box over the picture (H, W, 3).
 
-    All that the photo shows is taken to be on a plane that faces the camera, as far away as the
-    box's surface: so it is right near the middle. No photo is used if none looks alike.
+    The photo's content is assumed to be on a plane that faces the camera at the distance of the
+    box's surface. So it is right near the middle. If no photo is similar, none is drawn.
     """
     centre = found.roi.centre
     photos = [photo for photo in found.images if _shows(photo, centre)]
@@ -88,7 +88,7 @@ def _shows(photo: PosedImage, place: Float64) -> bool:
 
 
 def _surface_depth(found: BoxMap, eye: Float64, world_to_camera: Float64) -> float:
-    """Median depth of the patches that face the eye; of the box's centre, if none does."""
+    """Median depth of the patches that face the eye; if there are none, the box's depth."""
     places = found.patches.places
     facing = ((eye - places) * found.patches.normals).sum(axis=1) > 0
     places = places[facing] if facing.any() else found.roi.centre[None]
@@ -96,7 +96,7 @@ def _surface_depth(found: BoxMap, eye: Float64, world_to_camera: Float64) -> flo
 
 
 def with_box(image: Pixels, roi: OrientedBox, camera: Camera, world_to_camera: Float64) -> Pixels:
-    """The picture with the edges of the box that are in front of the camera."""
+    """Draw the box's edges that are in front of the camera over the picture."""
     from PIL import Image, ImageDraw
 
     shown = Image.fromarray(image)
@@ -109,7 +109,7 @@ def with_box(image: Pixels, roi: OrientedBox, camera: Camera, world_to_camera: F
 
 
 def as_jpeg(image: Pixels) -> bytes:
-    """The picture as a JPEG file."""
+    """Encode the picture as a JPEG file."""
     from PIL import Image
 
     file = io.BytesIO()

@@ -1,4 +1,4 @@
-"""Places where a person can photograph a box, derived from the places of existing photos."""
+"""Finds places from which a person can photograph a box, from the places of existing photos."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from .space import Space
 
 SPACING = np.radians(8)  # between neighbouring places, as seen from the box
 SHELLS = 4  # distances at most
-NEAR = 0.5  # of the way to the box: so far a person steps aside from where a photo was taken
-STEEPEST = np.radians(80)  # straight down, a picture has no upright
+NEAR = 0.5  # of the distance to the box: reach of a person from the place of a photo
+STEEPEST = np.radians(80)  # looking straight down, a picture has no up direction
 STEP = float(np.sqrt(2))  # ratio of the distances of neighbouring shells
 
 
@@ -42,7 +42,7 @@ class Places:
 
 
 def up_of(images: Sequence[PosedImage]) -> Float64:
-    """(3,) up in the world, by the photos."""
+    """(3,) up in the world, estimated from the photos."""
     poses = np.array([image.world_to_camera for image in images]).reshape(-1, 4, 4)
     return np.asarray(gravity_alignment(poses)[2])
 
@@ -51,7 +51,7 @@ def looking_at(eye: Float64, target: Float64, up: Float64) -> Float64:
     """(4, 4) world_to_camera of an upright camera at `eye` that looks at `target`."""
     forward = (target - eye) / max(float(np.linalg.norm(target - eye)), 1e-300)
     right = np.cross(forward, up)
-    if np.linalg.norm(right) < 1e-6:  # straight down: any side may be the right one
+    if np.linalg.norm(right) < 1e-6:  # straight down: any direction may be right
         right = np.cross(forward, np.eye(3)[int(np.abs(forward).argmin())])
     right /= np.linalg.norm(right)
     pose = np.eye(4)
@@ -68,11 +68,11 @@ def standing_places(
     lens: Camera,
     context: Context = QUIET,
 ) -> Places:
-    """Places where a person can stand and see the box: on shells, in air that rays passed.
+    """Find places where a person can stand and see the box: on shells, in air that rays passed.
 
-    The nearest shell is where the box fills the picture, the farthest at the usual distance of its
-    photos. Heights are those at which the camera was held. Nothing is nearer to the camera than to
-    one of the photos, or than half of the way to the box from the nearest shell.
+    On the nearest shell, the box fills the picture. The farthest is at the median distance of its
+    photos. Heights are limited to those of the cameras. All points are at least as far away as the
+    nearest one is from any photo's camera, or half the radius of the nearest shell if that is less.
 
     Args:
         seeing: the photos that see the box.
@@ -99,7 +99,7 @@ def standing_places(
 
 
 def _shell(radius: float, heights: tuple[float, float]) -> Float64:
-    """(N, 3) even places on a sphere around the origin, in a range of heights; z is up."""
+    """(N, 3) evenly spaced places on a sphere around the origin, in a range of heights; z up."""
     low, high = np.arcsin(np.clip(np.array(heights) / radius, -1, 1))
     rows: list[Float64] = []
     for rise in np.linspace(low, high, 1 + int(np.ceil((high - low) / SPACING))):
@@ -115,7 +115,7 @@ def _shell(radius: float, heights: tuple[float, float]) -> Float64:
 def _looked_through(scene: SfmScene, eyes: Float64, space: Space) -> NDArray[np.bool_]:
     """(N, 3) places -> (N,) whether each is in air that photos have looked through.
 
-    Most of the photos in whose picture a place is must have nothing solid before it.
+    For most of the photos that have the place in view, nothing solid may be in front of it.
     """
     shown, free = np.zeros(len(eyes), dtype=int), np.zeros(len(eyes), dtype=int)
     for image in scene.images:
@@ -126,7 +126,7 @@ def _looked_through(scene: SfmScene, eyes: Float64, space: Space) -> NDArray[np.
 
 
 def _beside(scene: SfmScene, eyes: Float64, reach: Float64, space: Space) -> NDArray[np.bool_]:
-    """(N, 3) places -> (N,) whether each is so near to a camera, with nothing solid between."""
+    """(N, 3) places -> (N,) whether a camera is within `reach`, with nothing solid between."""
     beside = np.zeros(len(eyes), dtype=bool)
     for image in scene.images:
         near = np.linalg.norm(eyes - image.centre, axis=1) <= reach
@@ -136,7 +136,7 @@ def _beside(scene: SfmScene, eyes: Float64, reach: Float64, space: Space) -> NDA
 
 
 def _room(scene: SfmScene, eyes: Float64) -> Float64:
-    """(N, 3) places -> (N,) distance of each from the nearest point."""
+    """(N, 3) places -> (N,) distance to the nearest sparse point."""
     from scipy.spatial import cKDTree
 
     points = scene.points[np.isfinite(scene.points).all(axis=1)]
@@ -156,7 +156,7 @@ class Offset:
 
 
 def offset_from(eye: Float64, image: PosedImage, up: Float64) -> Offset:
-    """The place `eye` (3,) from where a photo was taken; forward is level."""
+    """The offset of a place `eye` (3,) from a photo's camera; forward is level."""
     forward = image.forward - up * (image.forward @ up)
     if np.linalg.norm(forward) < 1e-6:
         forward = -image.world_to_camera[1, :3]

@@ -1,8 +1,8 @@
-"""Finds solid and free space by the rays from photos to their observed points.
+"""Finds solid and free space from the rays between photos and their observed points.
 
-A grid as in robotics (occupancy mapping; Moravec and Elfes 1985). Each ray passes through air and
-ends at something solid. A cell is solid if at least as many rays end in it as pass through it, and
-air if rays pass and fewer end. The other cells are unknown.
+It uses a grid as in robotics (occupancy mapping; Moravec and Elfes 1985). Each ray passes through
+air and ends at something solid. A cell is solid if at least as many rays end in it as pass through
+it. It is air if rays pass and fewer end. The other cells are unknown.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ Bools = NDArray[np.bool_]
 CELLS_ALONG_DIAGONAL = 12  # of the box: objects that hide a part of it are larger than a cell
 MOST_CELLS = 1 << 22
 MOST_RAYS = 1 << 17
-NEIGHBOURS, MOST = 5, 75.0  # points, the point included; percent of the points
-SKIPPED = 1.75  # cells at the start of a ray, about the diagonal of one: the surface's own
+NEIGHBOURS, MOST = 5, 75.0  # points, the point included; percentile over the points
+SKIPPED = 1.75  # cells at the start of a ray, about a cell's diagonal: they are the surface itself
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,7 +34,7 @@ class Space:
     Attributes:
         low: (3,) corner of the grid, world units.
         cell: side of a cell, world units.
-        solid, air: (X, Y, Z) of the cells.
+        solid, air: (X, Y, Z) whether cells are solid, or air.
     """
 
     low: Float64
@@ -46,10 +46,10 @@ class Space:
     def of(
         cls, scene: SfmScene, roi: OrientedBox, context: Context = QUIET, *, coarse: bool = False
     ) -> Space:
-        """By the tracks, or by projection if there are none.
+        """Compute the grid from the tracks, or from projections if there are none.
 
         Args:
-            coarse: cells as large as the gaps between points, in which walls have no holes.
+            coarse: make cells as large as the gaps between points, so that walls have no holes.
         """
         centres = scene.centres()
         usual = float(np.median(np.linalg.norm(centres - roi.centre, axis=1)))
@@ -73,11 +73,11 @@ class Space:
         return cls(low=low, cell=cell, solid=solid, air=(passed > 0) & ~solid)
 
     def _cast(self, eye: Float64, points: Float64, ends: Float64, passed: Float64) -> None:
-        """Count the ends of rays from a camera to points (N, 3), and the cells they pass."""
+        """Count rays from a camera to points (N, 3) in the cells where they end or pass."""
         points = points[np.isfinite(points).all(axis=1)]
         ways = points - eye
         lengths = np.linalg.norm(ways, axis=1)
-        # One look in each cell's length; the last before the cells of the surface around the point.
+        # One sample per cell's length, ending before the cells of the surface around the point.
         counts = np.floor(lengths / self.cell - SKIPPED).clip(0).astype(int)
         most = int(counts.max(initial=0))
         most = min(most, int(np.ceil(np.linalg.norm(np.array(self.solid.shape)))))
@@ -93,7 +93,7 @@ class Space:
         ends += np.bincount(cells[inside], minlength=ends.size).reshape(ends.shape)
 
     def _cells(self, places: Float64) -> tuple[Int64, Bools]:
-        """(..., 3) places -> (...) flat index of their cells, 0 outside; whether in the grid."""
+        """(..., 3) places -> (...) flat cell index, 0 outside; and whether inside the grid."""
         index = np.floor((places - self.low) / self.cell)
         shape = np.array(self.solid.shape)
         inside = ((index >= 0) & (index < shape)).all(axis=-1)
@@ -102,19 +102,19 @@ class Space:
         return np.asarray(flat), np.asarray(inside)
 
     def is_free(self, places: Float64) -> Bools:
-        """(N, 3) -> whether nothing solid is in the cell of each, or beside it."""
+        """(N, 3) places -> (N,) whether their cells and the adjacent ones are not solid."""
         cells, inside = self._cells(places)
         return np.asarray(inside & ~_grown(self.solid).reshape(-1)[cells])
 
     def passed(self, places: Float64) -> Bools:
-        """(N, 3) -> whether each is in a cell of air."""
+        """(N, 3) places -> (N,) whether each is in a cell of air."""
         cells, inside = self._cells(places)
         return np.asarray(inside & self.air.reshape(-1)[cells])
 
     def hidden(self, places: Float64, eye: Float64, skipped: float = SKIPPED) -> Bools:
         """(P, 3) places -> (P,) whether something solid is between each and the eye (3,).
 
-        `skipped` cells at the places do not count: those of the surface that they are on.
+        The first `skipped` cells do not count: they are the surface that a place is on.
         """
         ways = eye - places
         lengths = np.linalg.norm(ways, axis=1)
@@ -129,7 +129,7 @@ class Space:
 
 
 def _gap(points: Float64, context: Context) -> float:
-    """Diameter of the ball around a point that has a few others, of most points."""
+    """Gap between points: twice the distance to a point's `NEIGHBOURS`-th, for most points."""
     points = points[np.isfinite(points).all(axis=1)]
     count = min(NEIGHBOURS, len(points))
     if count < 2:
@@ -140,7 +140,7 @@ def _gap(points: Float64, context: Context) -> float:
 
 
 def _grown(cells: Bools) -> Bools:
-    """The cells and all that touch one."""
+    """The cells, and all cells that touch one."""
     grown = cells.copy()
     for axis in range(3):
         before = grown.copy()

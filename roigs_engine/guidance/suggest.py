@@ -1,8 +1,8 @@
-"""Chooses the next photos of a box (greedy): each lowers the expected error most.
+"""Chooses the next photos of a box greedily: each lowers the expected error most.
 
 The expected error in dB is monotone and submodular. So greedy photos reach at least 1 - 1/e of the
-best gain of that number of photos (Nemhauser, Wolsey and Fisher 1978), and an earlier gain is an
-upper bound of a later one.
+best gain for their number (Nemhauser, Wolsey and Fisher 1978), and an earlier gain is an upper
+bound of a later one.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ class Suggestion:
     Attributes:
         camera: its lens.
         world_to_camera: (4, 4) its pose.
-        gain: how much lower the error is expected to be with it, after those before, dB.
-        value: what is known of the box with it, 0 to 1.
+        gain: expected reduction of the error by it, after those before, dB.
+        value: coverage of the box with it, 0 to 1.
         distance: to the box's centre, world units.
-        height: of the camera over the box's centre, world units.
-        near: where it is as seen from the nearest photo of the box.
+        height: of the camera above the box's centre, world units.
+        near: its offset from the nearest photo of the box.
     """
 
     camera: Camera
@@ -44,7 +44,7 @@ class Suggestion:
 
     @property
     def centre(self) -> Float64:
-        """(3,) where the camera is."""
+        """(3,) camera centre."""
         pose = self.world_to_camera
         return np.asarray(-pose[:3, :3].T @ pose[:3, 3])
 
@@ -69,18 +69,18 @@ class _Greedy:
         return np.asarray(self._information + more)
 
     def gain(self, view: int) -> float:
-        """By how much a photo lowers the error, dB."""
+        """The reduction of the error by a photo, dB."""
         return self._map.decibels(self._with(view)) - self.decibels[-1]
 
     def add(self, view: int) -> None:
-        """Take a photo."""
+        """Add a photo."""
         self._information = total = self._with(view)
         self.decibels.append(self._map.decibels(total))
         self.values.append(float((self._map.weights * total / (1 + total)).sum()))
 
 
 def suggested(known: KnownBox, count: int, context: Context = QUIET) -> list[Suggestion]:
-    """The next photos of a box, best first; fewer if no other place adds anything.
+    """Choose the next photos of a box, best first; fewer if no other place has a gain.
 
     RoiError: there is no place from which the box can be photographed.
     """

@@ -15,10 +15,10 @@ SAME = 0.05  # of the distance to the box: a smaller offset is not worth a word
 
 @dataclass(frozen=True, kw_only=True)
 class Units:
-    """The format of lengths.
+    """Formats lengths.
 
     Attributes:
-        scale: metres in a world unit; None: not known.
+        scale: metres per world unit; None: unknown.
     """
 
     scale: float | None
@@ -34,7 +34,7 @@ class Units:
 
 
 def in_words(shot: Suggestion, roi: OrientedBox, up: Float64, units: Units) -> str:
-    """Distance, height, and place beside the nearest photo, for a person with a camera."""
+    """Describe a place to a person with a camera: distance, height, offset from a photo."""
     top = float((roi.corners() @ up).max() - roi.centre @ up)
     return printable(
         f"{units.length(shot.distance)} from the middle of '{roi.name}',"

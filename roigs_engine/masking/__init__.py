@@ -1,1 +1,1 @@
-"""Masks of objects from a person's strokes on one photo or a few (docs/method.md)."""
+"""Makes masks of objects from a user's strokes on one photo or a few (docs/method.md)."""

@@ -1,4 +1,4 @@
-"""The masks of one box, from strokes to files; recreated only if their inputs change."""
+"""Makes the masks of one box, from strokes to files; recreates them only if inputs change."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from ..photos.mask_paths import MaskFiles
 from .propagation import Knowledge, fenced, make_masks
 from .views import View, in_photo, part_around, view_of
 
-NAMED = 3  # photos that a warning names
+NAMED = 3  # photos named in a warning
 LEAST_PHOTOS = 6  # the scribbled one and five more
 
 
@@ -41,12 +41,12 @@ class BoxMasks:
     """The request for the masks of a box.
 
     Attributes:
-        scene, roi: in the frame that is computed in; the scene has no pixels.
-        photos: the photos by name, those with strokes included.
-        strokes: on photos, by their names.
+        scene, roi: in the frame used for computing; the scene has no pixels.
+        photos: the photos by name, including those with strokes.
+        strokes: photo -> its strokes.
         folder: of the box's masks.
-        basis: hash of what carries masks from photo to photo (`basis_digest`).
-        anew: whether masks of the same inputs are made again, so that strokes on other photos help.
+        basis: hash of the model or points that carry masks between photos (`basis_digest`).
+        anew: whether to recreate masks with the same inputs, so that strokes on other photos help.
     """
 
     scene: SfmScene
@@ -60,11 +60,11 @@ class BoxMasks:
     def make(self, knowledge: Knowledge, context: Context = QUIET) -> list[str]:
         """Make and write the masks; returns the names of their files.
 
-        A person's masks stay, and so do, unless `anew`, those that were made of the same inputs.
+        The user's masks stay. Masks made from the same inputs also stay, unless `anew`.
 
         Raises:
-            ConfigError: no photo with strokes shows the box, or none is on the object.
-            PhotoError, MaskError: a photo, or a person's mask, cannot be used.
+            ConfigError: no photo with strokes shows the box, or no stroke is on the object.
+            PhotoError, MaskError: a photo, or a user's mask, cannot be used.
             RunFolderError: a mask cannot be written.
             Stopped: on request; no mask has changed then.
         """
@@ -99,7 +99,7 @@ class BoxMasks:
         return names
 
     def _views(self, made: Mapping[str, str], context: Context) -> list[View]:
-        """The photos that show the box, with their strokes and a person's masks."""
+        """The photos that show the box, with their strokes and the user's masks."""
         files, views = MaskFiles(self.folder.parent, self.folder), []
         for image in self.scene.images:
             if image.name not in self.photos:
@@ -110,7 +110,7 @@ class BoxMasks:
                 photo, strokes = self.photos[image.name], self.strokes.get(image.name, ())
                 file, given = files.find(photo.name, beside=False), None
                 if file is not None and file.relative_to(self.folder).as_posix() not in made:
-                    given = photo.of_file(read_mask(file, photo.size))  # a person's
+                    given = photo.of_file(read_mask(file, photo.size))  # the user's
                 views.append(view_of(photo, self.roi, part, image.world_to_camera, strokes, given))
         if not any(view.is_scribbled or view.given is not None for view in views):
             raise ConfigError(
@@ -127,7 +127,7 @@ class BoxMasks:
     def _with_kept(
         self, views: list[View], made: Mapping[str, str], inputs: Mapping[str, str]
     ) -> list[View]:
-        """The photos, with the masks that were made of the same inputs."""
+        """The photos, with existing masks that were made from the same inputs."""
         known = made_of(self.folder)
         found = []
         for view in views:
@@ -139,11 +139,11 @@ class BoxMasks:
         return found
 
     def _write(self, files: Mapping[str, bytes], inputs: Mapping[str, str]) -> list[str]:
-        """Write masks by their names, but not over a person's; returns the names.
+        """Write masks (name -> file), but not over the user's; returns the written names.
 
-        The record comes first: masks of a process that is killed here are known to be made.
+        The record is written first, so that masks of a process killed here count as generated.
         """
-        made = generated_masks(self.folder)  # a person may have changed some meanwhile
+        made = generated_masks(self.folder)  # the user may have changed some meanwhile
         paths = {name: own_file(self.folder, name) for name in files}
         names = [name for name in files if name in made or not (self.folder / name).is_file()]
         digests = {name: hashlib.sha256(files[name]).hexdigest() for name in names}
@@ -160,7 +160,7 @@ class BoxMasks:
 def masked_photos(
     selected: Sequence[str], seeing: Sequence[str], scribbled: Sequence[str]
 ) -> list[str]:
-    """The photos to make masks for: those selected, some more if these are few, and the scribbled.
+    """The photos to make masks for: scribbled ones, selected ones, and more if these are few.
 
     `selected`: best first; `seeing`: all that see the box; `scribbled`: photos with strokes.
     """
@@ -169,14 +169,14 @@ def masked_photos(
     return [*names, *more[: max(0, LEAST_PHOTOS - len(names))]]
 
 
-VERSION = 2  # increase it if masks of the same inputs become others
+VERSION = 2  # increase it if the same inputs give other masks
 Strokes = Mapping[str, tuple[Stroke, ...]]
 
 
 def basis_digest(
     model: Path | None, scene: SfmScene, roi: OrientedBox, rois: Sequence[OrientedBox]
 ) -> str:
-    """Hash of what carries masks from photo to photo: the model's PLY, or else the sparse points.
+    """Hash of the model's PLY or, without a model, of the sparse points, and of the boxes.
 
     `rois` are all boxes, which share the Gaussians. SceneError: the model cannot be read.
     """
@@ -191,11 +191,11 @@ def basis_digest(
 
 
 def _inputs(views: Iterable[View], strokes: Strokes, basis: str) -> dict[str, str]:
-    """By photo, the hash of what decides its mask; a mask with the same hash is kept.
+    """Photo -> hash of the inputs of its mask; a mask with the same hash is kept.
 
-    The inputs are the photo with its camera and strokes, the strokes that the work begins with, the
-    boxes, and the model (`basis`). Strokes that correct another photo are none of them: masks that
-    the user has checked stay as they are.
+    The inputs are the photo with its camera and strokes, the strokes at the start, the boxes, and
+    the model (`basis`). Strokes that correct another photo are not included, so masks that the user
+    has checked do not change.
     """
     views = list(views)
     drawn = [view for view in views if view.is_scribbled]

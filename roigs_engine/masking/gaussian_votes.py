@@ -21,11 +21,11 @@ from .views import ON_BACKGROUND, ON_OBJECT, Mask, View
 
 Votes = tuple[Tensor, Tensor]
 EDGE = 0.03  # width of a mask's outline, in the object's size
-HEARD = 1.0  # least sum of votes, in pixels, that says something of a Gaussian
+HEARD = 1.0  # least sum of votes, in pixels, to count for a Gaussian
 
 
 class GaussianVotes(Knowledge):
-    """The Gaussians of a box, with the votes of each photo for and against them."""
+    """The Gaussians of a box, with each photo's votes for and against them."""
 
     def __init__(
         self, model: Gaussians, roi: OrientedBox, rois: list[OrientedBox], context: Context = QUIET
@@ -46,7 +46,7 @@ class GaussianVotes(Knowledge):
         self._count(view, view.seeds == ON_OBJECT, view.seeds == ON_BACKGROUND, 1.0)
 
     def learn(self, view: View, mask: Mask, weight: float = 1.0) -> None:
-        # Pixels at its outline say nothing: they show a little of Gaussians on the far side.
+        # Pixels at its outline do not vote: they also show a little of Gaussians on the far side.
         edge = max(2.0, EDGE * math.sqrt(mask.sum()))
         self._count(view, eroded(mask, edge), eroded(~mask, edge), weight)
 
@@ -66,7 +66,7 @@ class GaussianVotes(Knowledge):
         return Prior(in_object=shown[0], in_box=shown[1], unknown=shown[2])
 
     def rows(self) -> Tensor:
-        """(N,) bool: the Gaussians of the object, by all photos."""
+        """(N,) bool: the object's Gaussians, by the votes of all photos."""
         return object_rows(self._model, self._sum(None), self._owned)
 
     def _sum(self, without: str | None) -> Votes:
@@ -80,7 +80,7 @@ class GaussianVotes(Knowledge):
 
     @torch.no_grad()
     def _shown(self, view: View, groups: Tensor) -> NDArray[np.float32]:
-        """(3, H, W) the share that each of three groups, (3, N) bool, has in each pixel."""
+        """(3, H, W) share of each pixel for three groups of Gaussians, (3, N) bool."""
         model = self._model
         colours = (groups.T.to(model.means) - 0.5) / SH_C0
         painted = model.with_tensors({"sh": colours[:, None].contiguous()})

@@ -1,7 +1,7 @@
 """Carries masks to other photos by votes on sparse points and on colours.
 
-For untrained scenes. Points are few, so between them the nearest ones decide, together with the
-colours of the object and its surroundings so far.
+For untrained scenes. Points are few. Between them, the nearest ones decide, together with the
+colours that the object and its surroundings have so far.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from .views import FREE, ON_OBJECT, Mask, View
 Numbers = NDArray[np.float64]
 NEAREST = 5  # points that decide for a pixel
 LEVELS, SMOOTHING = 16, 0.7  # of each channel's histogram; standard deviation of its smoothing
-EDGE = 2.0  # pixels at a mask's outline that say nothing
-TRUST, UNKNOWN = 0.5, 0.4  # see `Prior`: between points, nothing is sure
+EDGE = 2.0  # pixels at a mask's outline that do not vote
+TRUST, UNKNOWN = 0.5, 0.4  # see `Prior`: between points, nothing is certain
 EVERY = 7  # every n-th pixel of strokes counts as a point
 
 
 class PointVotes(Knowledge):
-    """The sparse points of a box with the votes of each photo, and the photos' colours."""
+    """The sparse points of a box with each photo's votes, and the photos' colours."""
 
     def __init__(self, scene: SfmScene, roi: OrientedBox) -> None:
         """Args: `scene`, `roi`: in one frame."""
@@ -44,7 +44,7 @@ class PointVotes(Knowledge):
         self._colours: dict[str, Numbers] = {}
 
     def learn_strokes(self, view: View) -> None:
-        """Nothing: strokes are points of their own photo, see `prior`."""
+        """Do nothing: `prior` uses strokes as points of their own photo."""
 
     def learn(self, view: View, mask: Mask, weight: float = 1.0) -> None:
         said = np.zeros(mask.shape)
@@ -77,13 +77,13 @@ class PointVotes(Knowledge):
         )
 
     def _labelled(self, view: View, votes: Numbers) -> tuple[Numbers, Numbers]:
-        """(M, 2) places in a photo of what is known, (M,) 1 for the object, else 0.
+        """(M, 2) labelled places in a photo, and (M,) 1 for the object, 0 for the rest.
 
-        These are the points of the box, those that the photo observes beside it, and its strokes.
+        They are points of the box, other points that the photo observes, and its strokes.
         """
         column, row, inside = self._places(view, self._points)
         seen = self._observed[view.name]
-        # A point behind the object is hidden; one at its back is still in its silhouette.
+        # A background point may be hidden by the object. The object's own are in its silhouette.
         used = inside & ((votes > 0) | ((votes < 0) & (True if seen is None else seen)))
         across, down, there = self._places(view, self._around[view.name])
         stroke_rows, stroke_columns = (each[::EVERY] for each in np.nonzero(view.seeds != FREE))
@@ -97,14 +97,14 @@ class PointVotes(Knowledge):
 
     @staticmethod
     def _places(view: View, points: Float64) -> tuple[NDArray[np.int64], NDArray[np.int64], Mask]:
-        """Column and row of each point in a photo, and whether it is in it."""
+        """Column and row of each point in a photo, and whether it is in view."""
         pixels, _, inside = project(points, view.camera, view.world_to_camera)
         column, row = np.where(inside[:, None], pixels, 0).astype(np.int64).T
         return column, row, inside
 
 
 def _by_neighbours(places: Float64, labels: Float64, view: View) -> Numbers:
-    """(H, W) the share of the object among the nearest points; computed on a coarser grid."""
+    """(H, W) share of the object among the nearest points; computed on a coarser grid."""
     from .views import opencv
 
     height, width = view.near_box.shape
@@ -127,7 +127,7 @@ def _bins(view: View) -> tuple[NDArray[np.uint8], ...]:
 
 
 def _histogram(view: View, mask: Mask) -> Numbers:
-    """(LEVELS, LEVELS, LEVELS) share of each colour in a mask of a photo."""
+    """(LEVELS, LEVELS, LEVELS) share of each colour in a photo's mask."""
     counts = np.zeros((LEVELS,) * 3)
     np.add.at(counts, tuple(channel[mask] for channel in _bins(view)), 1.0)
     found: Numbers = gaussian_filter(counts / max(1.0, counts.sum()), SMOOTHING, mode="nearest")
@@ -135,7 +135,7 @@ def _histogram(view: View, mask: Mask) -> Numbers:
 
 
 def _by_colour(view: View, histograms: Numbers) -> Numbers:
-    """(H, W) how likely a pixel shows the object by its colour alone."""
+    """(H, W) the likelihood that a pixel shows the object, from its colour alone."""
     ratio = histograms[0] / np.maximum(histograms.sum(axis=0), 1e-12)
     ratio[histograms.sum(axis=0) < 1e-7] = 0.5
     found: Numbers = ratio[_bins(view)]

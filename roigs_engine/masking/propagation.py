@@ -1,6 +1,6 @@
-"""Propagates an object's masks from photos with strokes to all photos, until they agree.
+"""Propagates an object's masks from photos with strokes to all photos, so that they agree.
 
-In each photo, GrabCut (Rother et al. 2004, OpenCV's) cuts the object out, with the votes of the
+In each photo, GrabCut (Rother et al. 2004, OpenCV's) cuts the object out, using the votes of the
 other photos (docs/method.md, "Masks from strokes").
 """
 
@@ -22,33 +22,33 @@ from .views import ON_BACKGROUND, ON_OBJECT, Mask, View, opencv
 
 STAGE = "masks"
 FIRST_BAND, WIDE_BAND, BAND = 0.5, 0.08, 0.04  # see `cut`: strokes alone; on the way; at the end
-PERSON = 3.0  # weight of a mask that a person has made or scribbled on
+PERSON = 3.0  # weight of a mask that the user made or scribbled on
 AGREEMENTS = 1  # rounds in which all photos vote on each
 
 
 class Knowledge(Protocol):
-    """The votes of photos on the things in a box, and their meaning in other photos."""
+    """Collects photos' votes on points or Gaussians, and projects them into other photos."""
 
     def learn_strokes(self, view: View) -> None:
-        """Count what the strokes on a photo say; other pixels say nothing."""
+        """Count the strokes on a photo as its votes; other pixels do not vote."""
 
     def learn(self, view: View, mask: Mask, weight: float = 1.0) -> None:
-        """Count a photo's mask, in place of what the photo has said before."""
+        """Count a photo's mask as its votes, replacing its earlier votes."""
 
     def prior(self, view: View, *, without: bool = True) -> Prior:
-        """Votes of the photos on this one; `without`: without its own votes."""
+        """The votes on a photo's pixels; `without`: without its own votes."""
 
 
 def make_masks(
     views: Sequence[View], knowledge: Knowledge, centre: Float64, context: Context = QUIET
 ) -> dict[str, Mask]:
-    """The object's masks in all photos, by their names, at the sizes of the views.
+    """Make the object's masks in all photos: name -> mask, at the size of its view.
 
-    Masks that are kept help to make the others, and stay.
+    Kept masks do not change, and help to make the others.
 
     Args:
         views: photos that show the box; at least one with strokes or a mask.
-        knowledge: what carries masks from photo to photo; nothing is learnt yet.
+        knowledge: carries masks between photos; without votes yet.
         centre: (3,) of the box.
     """
     masks: dict[str, Mask] = {}
@@ -61,7 +61,8 @@ def make_masks(
         step += 1
         context.progress(STAGE, step, total, started)
 
-    # Strokes all around an object begin; others correct a mask, unless there is nothing else.
+    # Start from users' masks and strokes all around the object. Other strokes only correct masks,
+    # unless there is nothing else.
     whole = [view for view in views if view.given is not None or fenced(view).any()]
     begun = whole or [view for view in views if view.is_scribbled]
     for view in views:
@@ -95,10 +96,10 @@ def make_masks(
 
 
 def _nearest_first(views: Sequence[View], begun: Sequence[View], centre: Float64) -> list[View]:
-    """The other photos, each the nearest to any before it, seen from the box."""
+    """Order the other photos: each is the nearest to any before it, as seen from the box."""
 
     def distance(a: View, b: View) -> float:
-        """The difference between two photos' views of the box: angle, and ratio of distances."""
+        """The difference of two photos' views of the box, from angle and ratio of distances."""
         x, y = a.centre - centre, b.centre - centre
         far, near = float(np.linalg.norm(x)) + 1e-12, float(np.linalg.norm(y)) + 1e-12
         angle = float(np.arccos(np.clip(x @ y / (far * near), -1, 1)))
@@ -120,11 +121,11 @@ Floats = NDArray[np.float32]
 SURE_BACKGROUND, SURE_OBJECT, MAYBE_BACKGROUND, MAYBE_OBJECT = range(4)  # OpenCV's numbers
 ROUNDS = 5
 CERTAIN = 0.9  # of a pixel's weight
-DOUBT = 0.5  # of what only neighbours say
-LEAST_INSIDE = 0.35  # likelihood of what nothing is known of, if strokes run around the object
-LEAST_OUTSIDE = 0.02  # share of the box's silhouette beyond strokes around the object
+DOUBT = 0.5  # weight of a guess for unknown parts
+LEAST_INSIDE = 0.35  # least likelihood of unknown pixels, if strokes run around the object
+LEAST_OUTSIDE = 0.02  # least share of the box's silhouette beyond strokes around the object
 RAMP = 0.03  # standard deviation of the outline's place, in the object's size
-ISLAND, HOLE = 0.03, 0.003  # smaller ones, as shares of the object, are no part of it
+ISLAND, HOLE = 0.03, 0.003  # smaller ones, as shares of the object, are removed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,10 +133,10 @@ class Prior:
     """Votes of other photos on one photo's pixels, as shares of each pixel, 0 to 1.
 
     Attributes:
-        in_object: (H, W) of the object, as far as that can be told or guessed.
-        in_box: (H, W) of what is in the box.
-        unknown: (H, W) of what no other photo has said anything about.
-        trust: how much this counts beside the colours, 0 to 1.
+        in_object: (H, W) share of the object, known or guessed.
+        in_box: (H, W) share of the box's content.
+        unknown: (H, W) share without votes of other photos.
+        trust: weight of these votes relative to the colours, 0 to 1.
     """
 
     in_object: Floats
@@ -145,22 +146,22 @@ class Prior:
 
 
 def cut(view: View, prior: Prior, band: float) -> Mask:
-    """The object's mask in a photo.
+    """Cut the object out of a photo; returns its mask.
 
     Args:
         view: the photo; its strokes always win.
-        prior: what other photos say; of a photo with strokes, what these say elsewhere in it.
-        band: how far the outline may be from where the prior has it for sure, in the object's size.
+        prior: the votes of other photos or, at the start, of its own strokes.
+        band: how far the outline may be from the prior's outline, in the object's size.
     """
     cv2 = opencv()
     likely = _likelihood(view, prior)
     trimap = _trimap(view, prior, likely > 0.5, band)
     if _is_object(trimap).any() and not _is_object(trimap).all():
-        cv2.setRNGSeed(0)  # of the clustering that colour models start from
+        cv2.setRNGSeed(0)  # for the clustering that starts the colour models
         models = np.zeros((1, 65)), np.zeros((1, 65))
         image = _with_likelihood(view, likely, prior.trust)
         cv2.grabCut(image, trimap, None, *models, ROUNDS, cv2.GC_INIT_WITH_MASK)
-    # Small islands and holes go, except where strokes are.
+    # Remove small islands and holes, except where there are strokes.
     mask = _is_object(trimap)
     area = int(mask.sum())
     mask = mask & ~_small(mask, ISLAND * area, view.seeds == ON_OBJECT)
@@ -168,12 +169,12 @@ def cut(view: View, prior: Prior, band: float) -> Mask:
 
 
 def _likelihood(view: View, prior: Prior) -> Floats:
-    """(H, W) how likely each pixel shows the object, 0 to 1; a ramp across the outline."""
+    """(H, W) the likelihood that a pixel shows the object, 0 to 1; a ramp across the outline."""
     cv2 = opencv()
     guessed = prior.unknown * (0.5 * prior.in_box - prior.in_object)
     found = prior.in_object + DOUBT * guessed
     if fenced(view).any():
-        # Not less beyond the strokes: a step there would pass for the object's outline.
+        # Not less beyond the strokes: GrabCut would take a step there for the object's outline.
         least = LEAST_INSIDE * prior.unknown
         found = np.maximum(found, least + (1 - least) * prior.in_object) * (prior.in_box > 0.5)
     size = math.sqrt((prior.in_object > 0.5).sum())
@@ -182,10 +183,10 @@ def _likelihood(view: View, prior: Prior) -> Floats:
 
 
 def _with_likelihood(view: View, likely: Floats, trust: float) -> NDArray[np.uint8]:
-    """(H, W, 3) what GrabCut works on: brightness, one channel of colour, and the likelihood.
+    """The input of GrabCut, (H, W, 3): brightness, one channel of colour, and the likelihood.
 
-    As a third channel, the likelihood enters GrabCut's models beside the colours, and its ramp
-    separates the object from things of the same colours.
+    As a third channel, the likelihood enters GrabCut's models like a colour. Its ramp separates the
+    object from areas of the same colours.
     """
     cv2 = opencv()
     bright, red, blue = cv2.split(cv2.cvtColor(view.smooth, cv2.COLOR_RGB2YCrCb).astype(np.float32))
@@ -194,7 +195,7 @@ def _with_likelihood(view: View, likely: Floats, trust: float) -> NDArray[np.uin
 
 
 def _trimap(view: View, prior: Prior, likely: Mask, band: float) -> NDArray[np.uint8]:
-    """Sure and likely pixels, in OpenCV's numbers."""
+    """The trimap of sure and likely pixels, in OpenCV's numbers."""
     reach = max(2, round(band * math.sqrt(likely.sum())))
     known = prior.unknown < 1 - CERTAIN
     trimap = np.where(likely, np.uint8(MAYBE_OBJECT), np.uint8(MAYBE_BACKGROUND))
@@ -212,7 +213,7 @@ def _trimap(view: View, prior: Prior, likely: Mask, band: float) -> NDArray[np.u
 
 
 def fenced(view: View) -> Mask:
-    """The pixels beyond strokes that run all around the object; none if there is a gap in them."""
+    """The pixels beyond strokes that run all around the object; none if the strokes have a gap."""
     cv2 = opencv()
     free = (view.seeds != ON_BACKGROUND) & view.near_box
     _, labels = cv2.connectedComponents(free.astype(np.uint8), connectivity=4)
@@ -225,7 +226,7 @@ def fenced(view: View) -> Mask:
 
 
 def eroded(mask: Mask, reach: float) -> Mask:
-    """The mask without what is within `reach` pixels of its outline; photo's edges are none."""
+    """The mask without pixels within `reach` of its outline; the photo's edges are no outline."""
     cv2 = opencv()
     padded = np.pad(mask.astype(np.uint8), 1, mode="edge")
     return np.asarray(cv2.distanceTransform(padded, cv2.DIST_L2, 3)[1:-1, 1:-1] > reach)
@@ -241,5 +242,5 @@ def _small(mask: Mask, area: float, kept: Mask) -> Mask:
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
     small = stats[:, cv2.CC_STAT_AREA] < area
     small[np.unique(labels[kept])] = False
-    small[0] = False  # what is not of the mask
+    small[0] = False  # pixels outside the mask
     return np.asarray(small[labels])

@@ -1,4 +1,4 @@
-"""Photos cropped around a box: pixels, camera, and the strokes on them."""
+"""Photos cropped around a box: pixels, camera, and strokes."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from ..model.scene import Camera, Float64, origin
 Mask = NDArray[np.bool_]
 Seeds = NDArray[np.uint8]
 
-SIDE = 640  # longest side of the part that is worked on, pixels
+SIDE = 640  # longest side of the working part, pixels
 MARGIN = 0.15  # around the box's silhouette, in its size
-MOST_WIDTH = 32767  # of a line, pixels: OpenCV draws no wider one
+MOST_WIDTH = 32767  # of a line, pixels; OpenCV draws no wider ones
 SMOOTHING = 4, 20  # of fine texture: pixels, and levels of colour
 FREE, ON_OBJECT, ON_BACKGROUND = 0, 1, 2
 """Values of seeds."""
@@ -38,7 +38,7 @@ class Part:
 
     Attributes:
         x, y, width, height: in pixels of the photo's camera.
-        scale: pixels of the part in one of these, at most 1.
+        scale: pixels of the part per pixel of the photo's camera, at most 1.
     """
 
     x: int
@@ -54,17 +54,17 @@ class Part:
 
     @property
     def rows(self) -> tuple[slice, slice]:
-        """Rows and columns of the photo's pixels."""
+        """The part's rows and columns in the photo."""
         return slice(self.y, self.y + self.height), slice(self.x, self.x + self.width)
 
     def of_mask(self, mask: Mask) -> Mask:
-        """The part of a whole photo's mask."""
+        """Crop and resize a whole photo's mask to this part."""
         cv2 = opencv()
         grey = np.where(mask[self.rows], np.uint8(255), np.uint8(0))
         return np.asarray(cv2.resize(grey, self.size, interpolation=cv2.INTER_AREA) >= 128)
 
     def camera(self, camera: Camera) -> Camera:
-        """The photo's camera, for this part alone."""
+        """The photo's camera, cropped to this part."""
         cx, cy = camera.cx - self.x, camera.cy - self.y
         cropped = replace(camera, width=self.width, height=self.height, cx=cx, cy=cy)
         return cropped.resized(*self.size)
@@ -72,15 +72,15 @@ class Part:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class View:
-    """A photo, as far as it shows a box.
+    """A photo cropped to a box.
 
     Attributes:
-        part: of the photo that is worked on.
+        part: of the photo.
         camera: of that part.
         world_to_camera: (4, 4).
         near_box: (H, W) pixels in the box's silhouette or just beside it.
-        seeds: (H, W) what the strokes say: `FREE`, `ON_OBJECT` or `ON_BACKGROUND`.
-        given: (H, W) the mask, if the user has one.
+        seeds: (H, W) labels from strokes: `FREE`, `ON_OBJECT` or `ON_BACKGROUND`.
+        given: (H, W) the user's mask, if there is one.
         kept: (H, W) the mask, if it was made earlier and stays.
     """
 
@@ -104,7 +104,7 @@ class View:
 
     @property
     def known(self) -> Mask | None:
-        """The mask, if it is there already; None: it is to be made."""
+        """The existing mask; None: it must be made."""
         return self.kept if self.given is None else self.given
 
     @property
@@ -119,7 +119,7 @@ class View:
 
     @property
     def shows_object(self) -> bool:
-        """Whether a stroke or the user's mask says that the object is here."""
+        """Whether a stroke or the user's mask marks the object here."""
         return bool((self.seeds == ON_OBJECT).any()) or bool(
             self.given is not None and self.given.any()
         )
@@ -151,11 +151,11 @@ def view_of(
     strokes: tuple[Stroke, ...] = (),
     given: Mask | None = None,
 ) -> View:
-    """A part of a photo, ready to be worked on.
+    """Make the view of a part of a photo.
 
     Args:
         roi: the box, in the frame of `world_to_camera`, (4, 4).
-        part: of the photo, of `part_around`.
+        part: of the photo, from `part_around`.
         strokes: on the photo, in pixels of its file.
         given: (H, W) the user's mask at the size of the photo's camera.
     """
@@ -174,7 +174,7 @@ def view_of(
 
 
 def draw_strokes(photo: PhotoPixels, part: Part, strokes: tuple[Stroke, ...]) -> Seeds:
-    """(H, W) seeds of the strokes in a part of a photo; the later stroke covers the earlier."""
+    """Draw strokes as seeds (H, W) in a part of a photo; later strokes cover earlier ones."""
     cv2 = opencv()
     across, down = part.size
     seeds = np.zeros((down, across), dtype=np.uint8)
@@ -193,7 +193,7 @@ def draw_strokes(photo: PhotoPixels, part: Part, strokes: tuple[Stroke, ...]) ->
 
 
 def _pieces(places: Float64) -> list[Float64]:
-    """The pieces of a line (N, 2) between places that the lens cannot show."""
+    """Split a line (N, 2) at places that the lens cannot show."""
     with np.errstate(invalid="ignore"):
         lost = np.flatnonzero(~(np.abs(places) < MOST).all(axis=1))
     pieces = np.split(places, np.unique([*lost, *(lost + 1)]).astype(int))
@@ -202,7 +202,7 @@ def _pieces(places: Float64) -> list[Float64]:
 
 
 def in_photo(mask: Mask, part: Part, camera: Camera) -> Mask:
-    """A part's mask as one of the whole photo, at its camera's size."""
+    """Convert a part's mask to a mask of the whole photo, at its camera's size."""
     cv2 = opencv()
     whole = np.zeros((camera.height, camera.width), dtype=bool)
     grey = np.where(mask, np.uint8(255), np.uint8(0))

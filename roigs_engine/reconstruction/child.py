@@ -1,4 +1,4 @@
-"""Parent's side of the worker process: its progress, its errors, stopping it."""
+"""Runs the worker process: its progress, its errors, stopping it."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ WORKER = [sys.executable, "-m", f"{__package__}.worker"]
 def run_stage(
     task: Record, log: Path, stage: str, total: int, done: Callable[[Record], int], context: Context
 ) -> Any:
-    """Do a task that is a stage of the reconstruction; raises and returns as `run_task`.
+    """Run a task as a stage of the reconstruction; raises and returns as `run_task`.
 
-    `done` tells how many of its `total` units are done, by the child's last record.
+    `done`: the child's last record -> number of finished units, of `total`.
     """
     context.emit(StageStarted(stage=stage, total=total))
     began = time.monotonic()
@@ -46,13 +46,13 @@ def run_stage(
 def run_task(
     task: Record, log: Path, context: Context, poll: Callable[[Record], None] = lambda record: None
 ) -> Any:
-    """Do a task of `worker` in a child process, and return its result.
+    """Run a task of `worker` in a child process, and return its result.
 
     Args:
-        task: as JSON; `work` is its name.
-        log: file that gets what pycolmap says.
-        context: checked for cancellation four times a second; the child is killed then. SQLite
-            keeps the database whole.
+        task: as JSON values; `work` is its name.
+        log: file for pycolmap's messages.
+        context: checked for cancellation four times a second. The child is then killed; SQLite
+            keeps the database consistent.
         poll: called as often, with the child's last record.
 
     Raises:
@@ -67,7 +67,7 @@ def run_task(
             stdout=subprocess.PIPE,
             stderr=messages,
             env=child_environment(),
-            # A session of its own, so that Ctrl-C reaches this process alone.
+            # In its own session, so that Ctrl-C only reaches this process.
             start_new_session=True,
             creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
         )
@@ -83,7 +83,7 @@ def run_task(
 
 
 def _opened(log: Path) -> BinaryIO:
-    """The log, to append to; RunFolderError if it cannot be written, or is a pipe or a link."""
+    """Open the log to append; RunFolderError if it cannot be written, or is a pipe or link."""
     try:
         return open(log, "ab", opener=unlinked)
     except OSError as error:
@@ -101,14 +101,14 @@ def _result(
     output, lines = child.stdout, queue.SimpleQueue[bytes | None]()
 
     def read() -> None:
-        """The child's lines, then None."""
+        """Queue the child's lines, then None."""
         with suppress(ValueError, OSError):  # closed
             for line in output:
                 lines.put(line)
         lines.put(None)
 
     threading.Thread(target=read, daemon=True).start()
-    with suppress(OSError):  # it has ended; said below
+    with suppress(OSError):  # it has ended; reported below
         child.stdin.write(json.dumps(task).encode() + b"\n")
         child.stdin.flush()
     last: Record = {}

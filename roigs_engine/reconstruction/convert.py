@@ -25,23 +25,23 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 STAGE = "convert photos"
-FOREIGN = {*HEIC, ".webp", ".jp2"}  # pycolmap's wheels cannot read them
-TIFF = {".tif", ".tiff"}  # it reads some kinds of them otherwise
+FOREIGN = {*HEIC, ".webp", ".jp2"}  # pycolmap's wheels cannot read these
+TIFF = {".tif", ".tiff"}  # it reads some of these differently
 QUALITY = 95
 ORIENTATION = 0x0112  # EXIF tag
-BYTES = 20 * 50_000_000  # that converting a large photo takes
+BYTES = 20 * 50_000_000  # for converting a large photo
 RECORD = "converted.json"
-SRGB = " sRGB"  # behind the digest of a photo whose colours were converted, too
+SRGB = " sRGB"  # after the digest of a photo whose colours were also converted
 
 
 def converted(files: Mapping[str, Path], folder: Folder, context: Context) -> dict[str, Path]:
-    """The photos (name -> file), foreign ones replaced by JPEG files in the folder's images.
+    """Convert photos that pycolmap cannot read to JPEG files in the folder's images.
 
-    `a.heic` becomes `a.heic.jpg`. A photo that cannot be read stays as it is. Files converted by an
-    earlier call are used again.
+    Takes and returns name -> file. `a.heic` becomes `a.heic.jpg`. A photo that cannot be read stays
+    as it is. Files converted by an earlier call are used again.
 
     Raises:
-        EngineError: pillow-heif is not installed, and needed.
+        EngineError: pillow-heif is needed, but not installed.
         SceneError: another photo has been converted to that name.
         RunFolderError: the folder cannot be written.
     """
@@ -80,7 +80,7 @@ def converted(files: Mapping[str, Path], folder: Folder, context: Context) -> di
 
 
 def _is_foreign(name: str, path: Path) -> bool:
-    """Whether pycolmap cannot read a photo, or reads another picture."""
+    """Whether pycolmap cannot read a photo, or reads it differently."""
     suffix = Path(name).suffix.lower()
     if suffix in TIFF:
         with suppress(PhotoError), open_photo(path) as photo:
@@ -89,7 +89,7 @@ def _is_foreign(name: str, path: Path) -> bool:
 
 
 def _convert(source: Path, target: Path, known: str) -> str:
-    """Write a photo as JPEG unless that is done; returns what is recorded of its file.
+    """Write a photo as JPEG unless this was done before; returns the record of its file.
 
     Raises:
         PhotoError: it cannot be read.
@@ -120,7 +120,7 @@ def _convert(source: Path, target: Path, known: str) -> str:
 
 
 def _as_jpeg(source: Path) -> bytes:
-    """The photo as a JPEG file in sRGB; raises nearly anything on damaged files."""
+    """Encode the photo as a JPEG file in sRGB; raises nearly anything on damaged files."""
     heic, file = source.suffix.lower() in HEIC, BytesIO()
     if not heic:
         check_whole(source)

@@ -1,4 +1,4 @@
-"""Queries of COLMAP's database, which pycolmap may be writing."""
+"""Queries COLMAP's database, which pycolmap may be writing at the same time."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from ..errors import SceneError
 from ..formats.text import first_line
 
-# COLMAP reads lists of pairs up to the first space, and leaves out lines that begin with #.
+# COLMAP splits lines of pairs at the first space, and skips lines that begin with #.
 HIDDEN = {" ": "\x1f", "#": "\x1e"}
 PAIR_BASE = 2147483647  # COLMAP's: a pair's id is smaller id * base + larger id
-FEWEST_INLIERS = 15  # matches of a pair that COLMAP's mapper uses
-# COLMAP's kinds of a pair: the camera only turned, or saw a plane, which cannot always be told
-# apart; and what matches stands still in the picture, as a watermark or a background.
+FEWEST_INLIERS = 15  # matches of a pair for COLMAP's mapper
+# COLMAP's kinds of pairs. PANORAMIC: the camera only turned, or saw a plane (these cannot always be
+# told apart). STILL: the matches do not move in the picture, like a watermark or a background.
 PANORAMIC = (5, 6)
 STILL = (7,)
 COMPUTES = re.compile(r"\bVIRTUAL\b|\bAS\s*\(|(blob|printf|format)\s*\(|/\*|--", re.IGNORECASE)
@@ -32,7 +32,7 @@ Pair = tuple[str, str]
 
 @contextmanager
 def _opened(database: Path) -> Iterator[sqlite3.Connection]:
-    """The database, to read; SceneError if it is damaged."""
+    """Open the database to read; SceneError if it is damaged."""
     address = f"{database.absolute().as_uri()}?mode=ro"
     with _explained(database), closing(sqlite3.connect(address, uri=True)) as file:
         if any(starmap(_computes, file.execute("SELECT type, sql FROM sqlite_master"))):
@@ -41,16 +41,16 @@ def _opened(database: Path) -> Iterator[sqlite3.Connection]:
 
 
 def _computes(kind: object, sql: object) -> bool:
-    """Whether a part of a database can take any time, or memory: COLMAP makes none of these.
+    """Whether part of a database may use unlimited time or memory; COLMAP makes no such parts.
 
-    Queries of views and triggers may never end, and functions make values of a gigabyte.
+    Queries of views and triggers may never end, and functions can make values of a gigabyte.
     """
     return kind in ("view", "trigger") or COMPUTES.search(str(sql or "")) is not None
 
 
 @contextmanager
 def _explained(database: Path) -> Iterator[None]:
-    """Turn what SQLite raises, and what values that COLMAP never writes lead to, into one line."""
+    """Turn errors of SQLite, and of values that COLMAP never writes, into a SceneError."""
     try:
         yield
     except (sqlite3.Error, TypeError, ValueError, LookupError, ArithmeticError) as error:
@@ -61,7 +61,7 @@ def _explained(database: Path) -> Iterator[None]:
 
 
 def _rows(file: sqlite3.Connection, query: str, *kinds: type) -> Iterator[Any]:
-    """The rows of a query, with values of these types; TypeError if not: SQLite takes others."""
+    """Yield the rows of a query; TypeError for values of other types, which SQLite allows."""
     for row in file.execute(query):
         if tuple(map(type, row)) != kinds:
             raise TypeError("it has values of other types than COLMAP writes")
@@ -69,29 +69,29 @@ def _rows(file: sqlite3.Connection, query: str, *kinds: type) -> Iterator[Any]:
 
 
 def feature_counts(database: Path) -> dict[str, int]:
-    """Photo's name -> number of its features, of the photos whose features were looked for."""
+    """Photo -> number of its features, for the photos already searched for features."""
     query = "SELECT name, rows FROM images JOIN descriptors USING (image_id)"
     with _opened(database) as file:
         return dict(_rows(file, query, str, int))
 
 
 def numbers(database: Path) -> dict[str, tuple[int, int]]:
-    """Photo's name -> its id, and the number of its features, of those that have any."""
+    """Photo -> its id and number of features, for the photos already searched for features."""
     query = "SELECT name, image_id, rows FROM images JOIN keypoints USING (image_id)"
     with _opened(database) as file:
         return {name: (key, rows) for name, key, rows in _rows(file, query, str, int, int)}
 
 
 def camera_ids(database: Path) -> dict[str, int]:
-    """Photo's name -> id of its camera."""
+    """Photo -> id of its camera."""
     with _opened(database) as file:
         return dict(_rows(file, "SELECT name, camera_id FROM images", str, int))
 
 
 def count(database: Path, table: str) -> int:
-    """The number of rows of a table of COLMAP's; 0 while there is no such table.
+    """The number of rows of a table; 0 while there is no such table.
 
-    Does not raise: it is for progress.
+    It is for progress only, so it never raises.
     """
     try:
         with _opened(database) as file:
@@ -101,12 +101,12 @@ def count(database: Path, table: str) -> int:
 
 
 def matched_pairs(database: Path) -> dict[Pair, int]:
-    """Names of two photos, in order -> number of verified matches, of all pairs tried."""
+    """Names of two photos, in order -> number of verified matches, for all tried pairs."""
     return _pairs_of(database, "two_view_geometries")
 
 
 def match_counts(database: Path) -> dict[Pair, int]:
-    """Names of two photos, in order -> number of their matches, not verified."""
+    """Names of two photos, in order -> number of unverified matches."""
     return _pairs_of(database, "matches")
 
 
@@ -129,7 +129,7 @@ def pair_kinds(database: Path) -> Counter[int]:
 
 
 def largest_features(database: Path, most: int) -> Iterator[tuple[str, NDArray[np.uint8]]]:
-    """Each photo's name, and the (N, 128) descriptors of its features of the largest scales."""
+    """Yield each photo's name and (N, 128) descriptors, N at most `most`, largest scales first."""
     query = (
         "SELECT name, keypoints.rows, keypoints.cols, coalesce(keypoints.data, x''),"
         " coalesce(descriptors.data, x'')"
@@ -154,7 +154,7 @@ def pair_line(pair: Pair) -> str:
 
 @contextmanager
 def spaces_hidden(database: Path) -> Iterator[None]:
-    """While the block runs, names in the database are as in `pair_line`."""
+    """Change names in the database as in `pair_line` while the block runs."""
     _rename(database, HIDDEN)
     try:
         yield
@@ -163,7 +163,7 @@ def spaces_hidden(database: Path) -> Iterator[None]:
 
 
 def show_spaces(database: Path) -> None:
-    """Undo what a killed process has left of `spaces_hidden`."""
+    """Undo `spaces_hidden`, also after a killed process."""
     if database.exists():
         _rename(database, {hidden: letter for letter, hidden in HIDDEN.items()})
 

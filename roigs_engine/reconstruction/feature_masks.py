@@ -1,4 +1,4 @@
-"""Masks of the photos to reconstruct, in the form that pycolmap reads: one file per photo.
+"""Writes the masks of the photos to reconstruct for pycolmap: one file per photo.
 
 Places and formats of masks are the same as in training (`photos.mask_paths`, `photos.mask_images`).
 pycolmap needs them in one folder, `NAME.png` for the photo NAME, at its size.
@@ -31,18 +31,18 @@ RECORD = "masks.json"
 class Kept:
     """The record of a mask in the folder."""
 
-    digest: str  # hash of all that decides it
+    digest: str  # hash of everything that decides it
     sha256: str  # of its file, as it was written
-    photos: str  # the folder of the photos that it was made for; relative if it is in the project
+    photos: str  # the folder of its photos; relative if it is in the project
 
 
 def write_masks(
     photos: Sequence[Photo], source: Path, options: MaskOptions, folder: Folder, context: Context
 ) -> dict[str, str]:
-    """Write the masks that the folder does not have yet, and say how many there are.
+    """Write the masks that the folder does not have yet, and report their number.
 
-    Masks that are not used any more are removed, unless a person has changed them. `source` is the
-    photos' folder.
+    Masks that are no longer used are removed, unless the user changed them. `source` is the photos'
+    folder.
 
     Returns:
         Hash of each mask, by the photo's name; a photo with an opaque alpha channel has none.
@@ -68,14 +68,14 @@ def write_masks(
     ]
 
     def make(name: str) -> bool | None:
-        """Write a mask; whether anything of the photo is used. None: an opaque alpha channel."""
+        """Write a mask; returns whether any pixel is used. None: an opaque alpha channel."""
         mask = plans[name].make()
         if plans[name].file is None and mask.all():
             return None
         write_mask(_place(folder, name), mask)
         return bool(mask.any())
 
-    if stale := known.keys() & set(missing):  # files that are about to be others: a kill may come
+    if stale := known.keys() & set(missing):  # forget files before they change, in case of a kill
         kept = {name: asdict(known[name]) for name in sorted(known.keys() - stale)}
         write_json(folder.work(RECORD), kept)
     sizes = (decoding_bytes(plan.photo, plan.size) for plan in plans.values())
@@ -101,8 +101,8 @@ def write_masks(
 def _plans(
     photos: Sequence[Photo], source: Path, options: MaskOptions, context: Context
 ) -> dict[str, MaskPlan]:
-    """Plans for the masks; nothing is decoded, so also of opaque alpha channels."""
-    files = MaskFiles(source, options.folder, made=False)  # the folder's are made of others
+    """Plan the masks; nothing is decoded, so opaque alpha channels are included."""
+    files = MaskFiles(source, options.folder, made=False)  # the folder's masks are copies
     plans = {}
     for photo in photos if options.used else ():
         context.check_cancelled()
@@ -123,9 +123,9 @@ def _of_other_photos(
     place: str,
     folder: Folder,
 ) -> dict[str, Kept]:
-    """The masks in the folder that were made beside other photos, which had the same names.
+    """The masks in the folder that were made for photos of the same names in another folder.
 
-    One that was made for photos in this place, and is not there any more, a person has removed.
+    A missing mask of photos in this folder was removed by the user.
     """
     return {
         photo.name: known[photo.name]
@@ -144,7 +144,7 @@ def _size(mask: Path) -> tuple[int, int] | None:
 
 
 def _forget(names: Iterable[str], known: Mapping[str, Kept], folder: Folder) -> None:
-    """Remove masks from the folder that nobody has changed; RunFolderError if that fails."""
+    """Remove unchanged masks from the folder; RunFolderError if that fails."""
     for name in names:
         if inner_path(name) is None:
             continue

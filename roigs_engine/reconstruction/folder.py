@@ -1,7 +1,7 @@
-"""Folder of a reconstruction: a COLMAP project, and files needed to resume.
+"""The folder of a reconstruction: a COLMAP project, and files needed to resume.
 
-SCENE/images has the photos, SCENE/database.db COLMAP's database, SCENE/sparse/0 the model, and
-SCENE/reconstruction.md the report. SCENE/reconstruction is the engine's own.
+SCENE/images has the photos, SCENE/database.db is COLMAP's database, SCENE/sparse/0 the model, and
+SCENE/reconstruction.md the report. SCENE/reconstruction has the engine's own files.
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ IMAGES, DATABASE, REPORT = PHOTO_FOLDERS[0], "database.db", "reconstruction.md"
 WORK, EARLIER = RECONSTRUCTION, "earlier"
 RECORD, PHOTOS = "state.json", "photos"
 """The record, in the engine's own folder, and its key of the photos."""
-VERSION = 1  # of the record; increase it if features or matches of older engines are of no use
+VERSION = 1  # of the record; increase it if features or matches of older engines are unusable
 
 
 class Folder:
-    """The places in a reconstruction's folder, and what its record says.
+    """The places in a reconstruction's folder, and its record.
 
     Attributes:
         root: the folder.
         images, database: the photos, and COLMAP's database.
-        model, report: the result, and what was found, to read.
+        model, report: the result, and a report to read.
     """
 
     def __init__(self, root: Path) -> None:
@@ -62,7 +62,7 @@ class Folder:
         self.report = root / REPORT
 
     def work(self, *names: str) -> Path:
-        """A place of the engine's own."""
+        """A path in the engine's own folder."""
         return own_folder(self.root, WORK).joinpath(*names)
 
     @property
@@ -80,9 +80,9 @@ class Folder:
         """Keep other engines out while the block runs.
 
         Raises:
-            RunFolderError: another engine is at work here, the folder cannot be written, or what
-                would be written is a link.
-            SceneError: it has a model, or files called like ours, that this command did not make.
+            RunFolderError: another engine is at work here, the folder cannot be written, or a place
+                to write is a link.
+            SceneError: it has a model, or files with our names, that this command did not make.
         """
         is_new = not self._record.exists()
         if is_new and model_suffix(self.model):
@@ -93,7 +93,7 @@ class Folder:
             own_folder(self.root, SPARSE, self.model.name)
             refuse_linked_folders(self.work(), self.log, *self._replaced())
             self._bring_back()
-            if is_new:  # from now on, all that is called like ours is
+            if is_new:  # from now on, files with our names are ours
                 write_json(self._record, {"version": VERSION, PHOTOS: {}})
             yield
 
@@ -108,10 +108,10 @@ class Folder:
                 yield path
 
     def begin(self, photos: Sequence[Photo], features: Mapping[str, Any]) -> str:
-        """Prepare for these photos; what is of use stays, and the rest begins again.
+        """Prepare for these photos; keeps valid work and removes the rest.
 
-        `features` are the values that features depend on; if they change, all begins again.
-        Returns a sentence on what begins again, and why; empty: nothing, or this is the first time.
+        `features` are the settings that features depend on; if they change, all work is repeated.
+        Returns a sentence on what is repeated and why; empty if nothing is.
         """
         state = read_record(self._record)
         digests, known = {photo.name: photo.digest for photo in photos}, state.get(PHOTOS, {})
@@ -123,13 +123,13 @@ class Folder:
                 why = "Photos were changed or removed, so features are found again."
         if why:
             self.forget()
-            state["apart"] = True  # the model's numbers of photos and features are not those here
+            state["apart"] = True  # the model's ids of photos and features differ
         state |= {"version": VERSION, "features": features, PHOTOS: digests}
         write_json(self._record, state)
         return why
 
     def emptied(self, *names: str) -> Path:
-        """An empty folder of the engine's own; RunFolderError: something in it cannot be removed.
+        """Empty a folder of the engine; RunFolderError: something in it cannot be removed.
 
         Remaining files could be links, and pycolmap would write through them.
         """
@@ -143,7 +143,7 @@ class Folder:
         return folder
 
     def forget(self) -> None:
-        """Remove the database and what was made of it, except results."""
+        """Remove the database and everything made from it, except results."""
         for path in self._replaced():
             if path.is_dir():
                 shutil.rmtree(path, ignore_errors=True)
@@ -159,7 +159,7 @@ class Folder:
 
     @property
     def _record(self) -> Path:
-        """Settings and photos; it is written before anything else that takes time to make."""
+        """The record's file, with settings and photos; written before any slow work."""
         return self.work(RECORD)
 
     def is_done(self, key: str) -> bool:
@@ -168,12 +168,12 @@ class Folder:
 
     @property
     def finished_model(self) -> Path | None:
-        """The model that this command has made here; None: it has made none."""
+        """The model that this command made here; None: it made none."""
         return self.model if self._was_finished() else None
 
     @property
     def can_grow(self) -> bool:
-        """Whether there is a finished model, and the database is the one that it was made from."""
+        """Whether there is a finished model, made from the present database."""
         return self._was_finished() and not read_record(self._record).get("apart")
 
     def _was_finished(self) -> bool:
@@ -188,7 +188,7 @@ class Folder:
         write_json(self._record, read_record(self._record) | values)
 
     def _bring_back(self) -> None:
-        """Move back the model that an engine had moved away when it was killed.
+        """Move back the model that a killed engine had moved away.
 
         Without it, cameras and boxes would lose their place.
         """
@@ -220,7 +220,7 @@ class Folder:
             raise cannot_write(self.model, error) from error
 
     def photos_of(self, source: Path) -> dict[str, Path]:
-        """Name -> file, of the photos below a folder, except this one's own; SceneError: none."""
+        """Name -> file, for photos below `source` except our own copies; SceneError: none."""
         if not source.is_dir():
             raise SceneError(f"{source} is not a folder.", "Give the folder of the photos.")
         found = self._files_of(source, EXTENSIONS | HEIC)
@@ -231,9 +231,9 @@ class Folder:
         return found
 
     def unread_of(self, source: Path) -> dict[str, int]:
-        """Format, as `.NEF` -> how many photos below a folder have one that is not read.
+        """Unsupported format, such as `.NEF` -> number of photos below a folder that have it.
 
-        Those that a camera has also written as JPEG do not count.
+        Photos that the camera also wrote in a supported format do not count.
         """
         if not source.is_dir():
             return {}
@@ -243,14 +243,14 @@ class Folder:
         return dict(Counter(Path(name).suffix.upper() for name in alone))
 
     def _files_of(self, source: Path, extensions: Set[str]) -> dict[str, Path]:
-        """Name -> file, of those below a folder, except this folder's own."""
+        """Name -> file, for files below `source` except this folder's own."""
         own = [Path(os.path.realpath(path)) for path in (self.images, self.root / WORK)]
         here = Path(os.path.realpath(source))
         skipped = [path for path in own if not here.is_relative_to(path)]
 
         @cache
         def is_own(folder: Path) -> bool:
-            """By its real path: a link may lead there."""
+            """Whether the folder is our own, by its real path: a link may lead there."""
             real = Path(os.path.realpath(folder))
             return any(real.is_relative_to(path) for path in skipped)
 
@@ -258,10 +258,10 @@ class Folder:
         return {name: path for name, path in files.items() if not is_own(path.parent)}
 
     def take_photos(self, photos: Sequence[Photo]) -> None:
-        """Put the photos into `images`: as second names of the files if possible, else as copies.
+        """Put the photos into `images`: as hard links if possible, otherwise as copies.
 
         Raises:
-            SceneError: another photo of that name is there.
+            SceneError: another photo with that name is there.
             RunFolderError: it cannot be written.
         """
         for photo in photos:
@@ -282,7 +282,7 @@ class Folder:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 os.link(os.path.realpath(photo.path), target)
                 continue
-            # Some file systems have no second names, and none is of a file of another one.
+            # Hard links are not possible on all file systems, nor between two of them.
             with (
                 atomic_write(target, durable=False) as copy,
                 open(photo.path, "rb", opener=regular) as file,

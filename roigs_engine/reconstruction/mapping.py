@@ -13,12 +13,12 @@ from .child import run_stage
 from .folder import Folder
 
 MAPPING = "mapping"
-FEWEST = 3  # photos of a model that is named
-JOINED = 0.5  # of a photo's points in its own model: if it has fewer here, its place is a chance
+FEWEST = 3  # photos of a model
+JOINED = 0.5  # of a photo's points in its own model: with fewer here, its place is unreliable
 Options = dict[str, dict[str, Any]]
 """Values of pycolmap's options by the part that has them; "": the pipeline's own."""
-# All cameras are adjusted when the model has grown by 30 %, once, by points that are not redundant.
-# COLMAP's 10 %, five times, by all points take twice as long, and the cameras are as exact.
+# All cameras are adjusted once when the model has grown by 30 %, with non-redundant points only.
+# COLMAP's defaults (10 %, five times, all points) take twice as long for equally exact cameras.
 # All threads work on small adjustments, too (notebook/reconstruction.md).
 FAST: Options = {
     "": {
@@ -30,7 +30,7 @@ FAST: Options = {
     },
     "mapper": {"ba_global_ignore_redundant_points3D": True},
 }
-# First COLMAP's own limits; then, to begin at all, or to add photos to a model, lower ones.
+# COLMAP's own limits come first; lower ones are for starting at all, or adding photos to a model.
 STRICT: Options = {"": {"min_model_size": FEWEST, "max_num_models": 10}, "mapper": {}}
 LOW_TO_ADD = {"abs_pose_min_num_inliers": 12, "abs_pose_min_inlier_ratio": 0.15}
 LOW_TO_BEGIN = {"init_min_num_inliers": 30, "init_min_tri_angle": 2.0}
@@ -39,7 +39,7 @@ LOW: Options = {"": {"min_num_matches": 10, "multiple_models": False}, "mapper":
 
 @dataclass(frozen=True, kw_only=True)
 class Mapped:
-    """A model that was found."""
+    """A model found by the mapper."""
 
     folder: str
     photos: dict[str, int]  # name -> number of points that the photo observes
@@ -51,20 +51,20 @@ class Mapped:
 def map_models(
     folder: Folder, total: int, settings: dict[str, Any], context: Context
 ) -> list[Mapped]:
-    """The models, the largest first; empty: no two photos could be registered.
+    """Find the models, the largest first; empty: no two photos could be registered.
 
     Args:
         settings: `seed` and `threads` of the task; `earlier`: the folder of an earlier model of
-            this place, onto which these are laid, or empty.
+            this place, to align these with, or empty.
 
-    After a stop, snapshots stay, from which the next call resumes. SceneError: pycolmap failed.
+    After a stop, the next call resumes from snapshots. SceneError: pycolmap failed.
     """
     out = folder.emptied("models")
     snapshots = folder.work("snapshots")
     snapshots.mkdir(parents=True, exist_ok=True)
     own = {"snapshot_path": str(snapshots), "snapshot_frames_freq": max(20, total // 10)}
     options = STRICT | {"": STRICT[""] | own}
-    # The last but one snapshot is complete in any case.
+    # The last but one snapshot is always complete.
     older = sorted(path for path in snapshots.iterdir() if path.is_dir())[-2:-1]
     start = str(older[0]) if older else ""
     found = _map(folder, out / "first", options, settings, total, context, start)
@@ -78,7 +78,7 @@ def map_models(
 def add_photos(
     folder: Folder, total: int, settings: dict[str, Any], context: Context
 ) -> list[Mapped]:
-    """The earlier model with more photos; its own cameras stay as they are. See `map_models`."""
+    """Add photos to the earlier model; its own cameras do not change. See `map_models`."""
     out = folder.emptied("models", "more")
     options = STRICT | {"": STRICT[""] | {"multiple_models": False}}
     return _map(folder, out, options, settings, total, context, settings["earlier"])
@@ -91,7 +91,7 @@ def map_rest(
     settings: dict[str, Any],
     context: Context,
 ) -> list[Mapped]:
-    """The models, the largest with more photos if lower limits bring any; see `map_models`.
+    """Try to add more photos to the largest model with lower limits; see `map_models`.
 
     Photos of other models are added only if they fit as well as there.
     """
@@ -108,7 +108,7 @@ def map_rest(
         for name, points in model.photos.items()
         if name not in best.photos
     }
-    # A photo of another model was added that observes far fewer points than there.
+    # A photo from another model was added, but observes far fewer points than there.
     if found and any(found[0].photos.get(k, n) < JOINED * n for k, n in others.items()):
         kept = [name for name in names if name not in others]
         found = low("apart", LOW | {"": LOW[""] | {"image_names": kept}})

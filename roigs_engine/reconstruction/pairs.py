@@ -1,9 +1,9 @@
 """Chooses the pairs of photos to match: in order, or by a cheap measure of similarity.
 
-Features of large scales are few and match most often. So a few hundred of a photo show whether
-matching all features is worth it (preemptive matching, Wu 2013). With very many photos, even these
-are compared only with the nearest photos, by an aggregate of all features of a photo (VLAD, Jégou
-et al. 2010, with words from the photos themselves).
+Features of large scales are few and match most often. So a few hundred of them show whether it is
+worth matching all features (preemptive matching, Wu 2013). With very many photos, even these are
+compared only with the most similar photos, found by an aggregate of all features of a photo (VLAD,
+Jégou et al. 2010, with words from the photos themselves).
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ from .database import Pair
 
 FEW = 30  # photos up to which all pairs are matched
 OVERLAP = 5  # photos before and after, in the order of names
-LOOPS = 5  # most similar photos that ordered photos are matched with too
-JUMPS = 5  # farther ones: 2, 4, 8, ... photos ahead, for ordered photos
+LOOPS = 5  # similar photos that each ordered photo is also matched with
+JUMPS = 5  # farther photos, for ordered ones: `OVERLAP` + 2, 4, 8, ... photos ahead
 
 
 def all_pairs(names: Sequence[str]) -> list[Pair]:
-    """Every pair."""
+    """All pairs of photos."""
     return [(one, other) for row, one in enumerate(names) for other in names[row + 1 :]]
 
 
 def in_order(names: Sequence[str], overlap: int = OVERLAP, jumps: int = 0) -> list[Pair]:
-    """Photos that follow one another, at most `overlap` apart, or 2, 4, 8, ... (`jumps` of these).
+    """Pairs of photos at most `overlap` apart, and `jumps` farther ones.
 
-    `names` are sorted.
+    The farther ones are `overlap` + 2, 4, 8, ... apart. `names` are sorted.
     """
     steps = sorted({*range(1, overlap + 1), *(overlap + 2**power for power in range(1, jumps + 1))})
     return [(names[row], names[row + k]) for k in steps for row in range(len(names) - k)]
 
 
 def most_similar(names: Sequence[str], scores: NDArray[np.float32], count: int) -> list[Pair]:
-    """Each photo with the `count` most similar ones; pairs that have nothing alike are left out."""
+    """Pair each photo with the `count` most similar ones, except those with a score of 0."""
     chosen: set[Pair] = set()
     for row, one in enumerate(names):
         nearest = np.argsort(-scores[row], kind="stable")[:count]
@@ -58,10 +58,10 @@ def _ordered(one: str, other: str) -> Pair:
 
 
 STAGE = "compare photos"
-LARGEST = 600  # features of a photo that are compared
-MAX_RATIO, MAX_ANGLE = 0.8, 0.7  # of matches: COLMAP's, of the angles between descriptors
+LARGEST = 600  # features of a photo to compare
+MAX_RATIO, MAX_ANGLE = 0.8, 0.7  # COLMAP's limits for the angles between matching descriptors
 ALL_PAIRS = 300  # photos up to which every pair is compared
-SHORTLIST = 100  # photos that each is compared with beyond
+SHORTLIST = 100  # photos that each is compared with if there are more
 WORDS, SAMPLE = 64, 100_000
 
 Descriptors = NDArray[np.uint8]
@@ -71,9 +71,9 @@ Unit = NDArray[np.float32]
 def similarities(
     photos: Sequence[Descriptors], context: Context, seed: int = 0
 ) -> NDArray[np.float32]:
-    """(N, N) number of matches between the photos' largest features, symmetric, 0 if not compared.
+    """(N, N) symmetric numbers of matches between photos' largest features; 0: not compared.
 
-    `photos`: (M, 128) descriptors of each; `seed`: of the words.
+    `photos`: (M, 128) descriptors of each; `seed`: for the words.
     """
     total = len(photos)
     found = np.zeros((total, total), dtype=np.float32)
@@ -91,7 +91,7 @@ def similarities(
 
 
 def unit(descriptors: Descriptors) -> Unit:
-    """Descriptors as unit vectors."""
+    """Convert descriptors to unit vectors."""
     values = descriptors.astype(np.float32)
     values /= np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-6)
     return values
@@ -113,7 +113,7 @@ def matches(one: Unit, other: Unit) -> int:
 
 @functools.cache
 def _product() -> Callable[[Unit, Unit], Unit]:
-    """(N, K), (M, K) -> (N, M) products: torch's if it is there, as numpy's may take longer."""
+    """The function (N, K), (M, K) -> (N, M) products: torch's if installed, for speed."""
     try:
         import torch
     except ImportError:
@@ -122,7 +122,7 @@ def _product() -> Callable[[Unit, Unit], Unit]:
 
 
 def _shortlisted(photos: Sequence[Descriptors], seed: int) -> NDArray[np.bool_]:
-    """(N, N) whether a photo is among the nearest of another by its aggregated features."""
+    """(N, N) whether a photo is among the most similar ones of another, by VLAD vectors."""
     from sklearn.cluster import MiniBatchKMeans
 
     rng = np.random.default_rng(seed)

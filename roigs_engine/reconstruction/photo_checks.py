@@ -20,27 +20,27 @@ from ..photos.headers import open_photo, photo_size
 from ..photos.parallel import decoding_bytes, in_parallel
 
 STAGE = "look at photos"
-LOOK_SIDE = 1024  # px of the longest side, for the sharpness
+LOOK_SIDE = 1024  # px of the longest side, to measure sharpness
 EXIF_IFD = 0x8769
-# EXIF tags: maker, model; then, in their own table, focal length, that of 35 mm film, lens.
+# EXIF tags: maker, model; in another table, focal length, the same for 35 mm film, lens.
 DEVICE_TAGS, LENS_TAGS = (0x010F, 0x0110), (0x920A, 0xA405, 0xA434)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Photo:
-    """A photo that can be used."""
+    """A usable photo."""
 
     name: str  # below the folder, with `/`
     path: Path  # its file
     digest: str  # hash of its bytes
     size: tuple[int, int]  # width and height, px, as in the file: orientation tags are ignored
-    device: str  # maker, model, focal lengths and lens, which tell cameras apart; "": not known
+    device: str  # maker, model, focal lengths and lens, to identify cameras; "": unknown
     sharpness: float  # share of fine detail in its contrast; comparable within one set of photos
 
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """The photos of a folder: those to use, and names of the others by the reason."""
+    """The photos of a folder: usable ones, and the names of others by reason."""
 
     photos: tuple[Photo, ...]
     unreadable: tuple[str, ...]
@@ -53,9 +53,9 @@ class Found:
 
 
 def look_at(files: Mapping[str, Path], remembered: Path, context: Context) -> Found:
-    """Look at photos, name -> file; SceneError if fewer than two can be used.
+    """Inspect photos (name -> file); SceneError if fewer than two can be used.
 
-    `remembered`: file that keeps what was found (`photos.contents`).
+    `remembered`: file that stores their contents (`photos.contents`).
     """
     contents = read_contents(files, remembered, context)
     whole = [name for name in sorted(files) if contents[name].whole]
@@ -98,7 +98,7 @@ def look_at(files: Mapping[str, Path], remembered: Path, context: Context) -> Fo
 
 
 def camera_groups(photos: Sequence[Photo], cameras: str) -> list[list[Photo]]:
-    """The photos that share a camera, see `Reconstruct.cameras`; of one size in any case."""
+    """Group photos that share a camera (see `Reconstruct.cameras`) and have the same size."""
     groups: dict[object, list[Photo]] = defaultdict(list)
     for photo in photos:
         own = {"one": "", "each": photo.name, "auto": photo.device}[cameras]
@@ -117,7 +117,7 @@ def _device(path: Path) -> str:
 
 
 def fine_detail(grey: NDArray[np.float32] | NDArray[np.uint8]) -> float:
-    """The share of fine detail in the contrast of an (H, W) picture, see `Photo.sharpness`."""
+    """The share of fine detail in the contrast of a picture (H, W); see `Photo.sharpness`."""
     grey = grey.astype(np.float32, copy=False)
     if min(grey.shape) < 3:
         return 0.0
@@ -131,7 +131,7 @@ BLURRED = 0.2  # of the median sharpness
 
 
 def warnings_of(found: Found) -> list[str]:
-    """One sentence for each thing that is wrong, usually none."""
+    """One sentence for each kind of problem, usually none."""
     checks = [
         (list(found.unreadable), "cannot be read and {is} left out"),
         (list(found.copies), "{is} a copy of another and {is} left out"),
@@ -147,7 +147,7 @@ def warnings_of(found: Found) -> list[str]:
 
 
 def unread_in_words(unread: Mapping[str, int]) -> list[str]:
-    """The sentence about photos whose format is not read, if there are any; see `Found`."""
+    """The sentence on photos in unsupported formats, if there are any; see `Found.unread`."""
     kinds = [f"{number} {kind}" for kind, number in sorted(unread.items())]
     total = sum(unread.values())
     were = "file was" if total == 1 else "files were"
@@ -156,11 +156,11 @@ def unread_in_words(unread: Mapping[str, int]) -> list[str]:
 
 
 def small(photos: Sequence[Photo]) -> list[str]:
-    """Names of the photos that are very small."""
+    """Names of photos smaller than `SMALL`."""
     return [photo.name for photo in photos if max(photo.size) < SMALL]
 
 
 def blurred(photos: Sequence[Photo]) -> list[str]:
-    """Names of the photos with much less detail than is usual among them."""
+    """Names of photos with much less fine detail than the median."""
     usual = float(np.median([photo.sharpness for photo in photos]))
     return [photo.name for photo in photos if photo.sharpness < BLURRED * usual]

@@ -33,9 +33,9 @@ from .video import take_frames
 
 FEATURES, MATCHING = "features", "matching"
 OF_FEATURES = ("max_side", "features", "cameras", "camera_model")  # options that decide features
-# Measured bytes that a thread takes: for a pixel of the photo as it is searched, and of its file.
+# Measured bytes of a thread: for each pixel of the searched photo, and of the file.
 SEARCHED, DECODED = 320, 8
-REST_PAIRS = 20_000  # most pairs that are tried for photos that were not registered
+REST_PAIRS = 20_000  # most pairs to try for unregistered photos
 
 
 def find_features(folder: Folder, found: Found, request: Reconstruct, context: Context) -> None:
@@ -58,7 +58,7 @@ def find_features(folder: Folder, found: Found, request: Reconstruct, context: C
         "groups": groups,
         "threads": threads_in_memory(found.photos, request.max_side, threads_of(request)),
         "max_side": request.max_side,
-        # Few photos overlap little and have few pairs: there, more features find more, and cost
+        # Few photos have little overlap and few pairs: more features find more there, and cost
         # less.
         "features": request.features or (MANY if total <= FEW_PHOTOS else USUAL),
         "camera_model": request.camera_model,
@@ -95,7 +95,7 @@ def match(
     listed = folder.work("pairs.txt")
     write_text(listed, "".join(map(database.pair_line, missing)), durable=False)
     task = {"work": "match", "database": str(folder.database), "pairs": str(listed), **settings}
-    tables = ("matches", "two_view_geometries")  # half the work is to match, half to verify
+    tables = ("matches", "two_view_geometries")  # matching and verifying are half the work each
     _run(task, folder, MATCHING, tables, len(there) + len(missing), context)
 
 
@@ -107,7 +107,7 @@ def _run(
     total: int,
     context: Context,
 ) -> None:
-    """Do a task whose progress is the mean number of rows of tables."""
+    """Run a task; its progress is the mean number of rows of `tables`."""
 
     def done(record: dict[str, Any]) -> int:
         return sum(database.count(folder.database, table) for table in tables) // len(tables)
@@ -118,7 +118,7 @@ def _run(
 def choose_pairs(
     folder: Folder, names: Sequence[str], request: Reconstruct, context: Context
 ) -> list[database.Pair]:
-    """The pairs of photos to match first."""
+    """Choose the pairs of photos to match first."""
     kind = request.pairs
     if kind == "auto":
         kind = "all" if len(names) <= pairs.FEW else "similar"
@@ -136,9 +136,9 @@ def choose_pairs(
 
 
 def solve(folder: Folder, found: Found, request: Reconstruct, context: Context) -> Reconstruction:
-    """Features, matches and models of photos that lie in the folder; SceneError if pycolmap fails.
+    """Find features, matches and models of the folder's photos; SceneError if pycolmap fails.
 
-    Models stand where an earlier one of the folder stands; if that can grow, its cameras do not
+    Models are aligned with an earlier one in the folder. If that one can grow, its cameras do not
     move at all. After a stop, the next call resumes.
     """
     names = [photo.name for photo in found.photos]
@@ -189,10 +189,10 @@ def reconstruct(
     context: Context,
     ready: Callable[[Path], None] = lambda folder: None,
 ) -> Path:
-    """Reconstruct photos or a video as a COLMAP project; what an earlier call has left is resumed.
+    """Reconstruct photos or a video as a COLMAP project; resumes an earlier call.
 
     Args:
-        request: what is asked for.
+        request: the options.
         masks: which of the photos' masks are used.
         context: receives progress and warnings.
         ready: called with the folder for a log, once this process may write there.
@@ -246,7 +246,7 @@ def reconstruct(
 def _taken(
     files: Mapping[str, Path], unread: Mapping[str, int], folder: Folder, context: Context
 ) -> Found:
-    """The photos, looked at, in the folder's images; `unread`: see `Found`."""
+    """Convert and inspect the photos, and put them into the folder; `unread`: see `Found`."""
     for text in unread_in_words(unread):
         context.warn(text)
     files = converted(files, folder, context)

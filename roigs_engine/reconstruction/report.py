@@ -1,4 +1,4 @@
-"""Report of a reconstruction: registered photos, and reasons for unregistered ones."""
+"""Reports on a reconstruction: registered photos, and reasons for unregistered ones."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from .database import FEWEST_INLIERS, PANORAMIC, STILL, Pair
 from .mapping import Mapped
 from .photo_checks import Found, blurred, small, warnings_of
 
-GROUP = 3  # photos: fewer that match nothing else are single photos
-# Of the pairs. Real scenes with walls and tables have up to 54 % that a plane explains too.
+GROUP = 3  # photos; smaller unconnected groups are not a place
+# Shares of the pairs. In real scenes with walls and tables, a plane explains up to 54 % of them.
 ONE_PLACE, BEHIND = 0.9, 0.5
 NOTHING = "No two photos could be registered: their matches are too few, or all are from one place."
 FEW_FEATURES = 200
 HIGH_ERROR = 1.5  # px
-FEW_POINTS = 100  # that a photo observes
-WEAK = 0.2  # of the registered photos: if more have few points, it is a warning
-SHARE = 0.9  # of the photos: if fewer are registered, it is a warning
+FEW_POINTS = 100  # observed by a photo
+WEAK = 0.2  # of the registered photos: a warning if more have few points
+SHARE = 0.9  # of the photos: a warning if fewer are registered
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,25 +31,25 @@ class Reconstruction:
     found: Found  # the photos, and those that were left out
     features: Mapping[str, int]  # name -> number of features
     matched: Mapping[Pair, int]  # two names -> number of verified matches
-    models: list[Mapped]  # the result first, the largest; empty: no two photos could be registered
+    models: list[Mapped]  # the largest first, it is the result; empty: no photos were registered
     seconds: Mapping[str, float]  # wall-clock of each step
-    warnings: Sequence[str] = ()  # what the matches tell, see `warnings_of_matches`
+    warnings: Sequence[str] = ()  # from the matches, see `warnings_of_matches`
 
     @property
     def missing(self) -> list[str]:
-        """Names of the photos that the result does not have."""
+        """Names of the photos that are not registered."""
         return [p.name for p in self.found.photos if p.name not in self.registered]
 
     @property
     def registered(self) -> Mapping[str, int]:
-        """Name -> number of points that the photo observes, of the photos of the result."""
+        """Registered photo -> number of points that it observes."""
         return self.models[0].photos if self.models else {}
 
 
 def warnings_of_matches(
     names: Sequence[str], matched: Mapping[Pair, int], kinds: Mapping[int, int]
 ) -> list[str]:
-    """Warnings from the matches, before photos are registered: a sentence each, usually none.
+    """Warnings from the matches, before photos are registered: sentences, usually none.
 
     `matched`, `kinds`: `database.matched_pairs` and `database.pair_kinds`.
     """
@@ -73,7 +73,7 @@ def warnings_of_matches(
 
 
 def connected(names: Sequence[str], matched: Mapping[Pair, int]) -> list[list[str]]:
-    """The photos in groups that verified pairs connect, the largest first."""
+    """Group photos that verified pairs connect; the largest group first."""
     leader = {name: name for name in names}
 
     def leading(name: str) -> str:
@@ -91,7 +91,7 @@ def connected(names: Sequence[str], matched: Mapping[Pair, int]) -> list[list[st
 
 
 def reason(result: Reconstruction, name: str) -> str:
-    """Why a photo was not registered."""
+    """The reason why a photo was not registered."""
     features = result.features.get(name, 0)
     if features == 0:
         return "no features: it shows nothing, or pycolmap cannot read it"
@@ -117,7 +117,7 @@ def reason(result: Reconstruction, name: str) -> str:
 
 
 def findings(result: Reconstruction) -> list[tuple[str, str]]:
-    """(level, sentence) of what to tell: 'info', or 'warning' where something should be done."""
+    """Messages on the result: (level, sentence), with level 'info', or 'warning' if to be fixed."""
     best, total = result.models[0], len(result.found.photos)
     told = [("info", _summary(result))]
     missing = result.missing
@@ -142,7 +142,7 @@ def findings(result: Reconstruction) -> list[tuple[str, str]]:
 
 
 def _unreliable(result: Reconstruction) -> list[str]:
-    """The sentence about photos that hang on too few points, if there are any."""
+    """The sentence on photos registered by too few points, if there are any."""
     names = weakly_observed(result.registered)
     if not names:
         return []
@@ -164,7 +164,7 @@ def _summary(result: Reconstruction) -> str:
 
 
 def as_markdown(result: Reconstruction) -> str:
-    """The findings as a document."""
+    """The report as Markdown."""
     lines = ["# Reconstruction", "", _summary(result), ""]
     lines += [f"- {text}" for text in (*warnings_of(result.found), *result.warnings)]
     if result.models:

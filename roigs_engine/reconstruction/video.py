@@ -1,7 +1,7 @@
 """Chooses frames of a video as photos: the sharpest in each part of the camera's path.
 
-A video is read as a stream, twice: to measure the movement of the picture, and to write the chosen
-frames. PyAV is imported when it is used.
+A video is read as a stream, twice: to measure the picture's motion, and to write the chosen frames.
+PyAV is imported when it is used.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from .video_colours import Colours, colours_of, to_srgb
 
 CONTAINERS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg"
 """FFmpeg's names of what `projects.VIDEOS` are."""
-ENDS_EARLY = 0.98  # of the frames that the file's header promises
+ENDS_EARLY = 0.98  # of the number of frames in the file's header
 NARROWEST, WIDEST = 0.25, 4.0  # pixels, width by height
 CONVERT = "Copy it again, or convert it to MP4."
 FLAGGING = ("h264", "mpeg1video", "mpeg2video", "vc1")  # codecs that flag each interlaced frame
@@ -52,11 +52,11 @@ class Video:
 
     Attributes:
         path: of the file.
-        expected: number of frames by the file's header; 0: it does not say.
-        ratio: width of a pixel by its height.
+        expected: number of frames by the file's header; 0: unknown.
+        ratio: width of a pixel divided by its height.
         colours: of the frames; None before the first one.
         deinterlaced: whether a frame of the last pass was interlaced.
-        damaged: whether the last pass left frames out, or ended early.
+        damaged: whether the last pass skipped frames or ended early.
     """
 
     def __init__(self, path: Path) -> None:
@@ -70,19 +70,19 @@ class Video:
         self._av = package("av", "Reading videos", otherwise=otherwise)
 
     def frames(self) -> Iterator[tuple[int, Any]]:
-        """The number of each frame, from 0, and the frame; the same in every pass.
+        """Yield each frame with its number, from 0; the same in every pass.
 
-        Frames that cannot be decoded are left out. SceneError: the file is no video, or unreadable.
+        Frames that cannot be decoded are skipped. SceneError: the file is no video, or unreadable.
         """
         number = -1
         try:
             with open(self.path, "rb", opener=regular):
-                pass  # no pipe or device, which would be waited for
-            # The prefix keeps names such as "concat:..." from being more than names, the list a
-            # playlist that is called a video from naming other files.
+                pass  # refuses pipes and devices: reading them might never end
+            # The prefix prevents names such as "concat:..." from being interpreted. The list of
+            # formats prevents playlists with a video's name from naming other files.
             name, only = f"file:{self.path.absolute()}", {"format_whitelist": CONTAINERS}
             most = {"max_pixels": str(MAX_PIXELS)}
-            # Names in it may be no text, and are of no use.
+            # Metadata may not be valid text, and are not needed.
             with self._av.open(
                 name, options=most, container_options=only, metadata_errors="replace"
             ) as file:
@@ -120,7 +120,7 @@ class Video:
         return [*said, "It is interlaced: it was deinterlaced."] if self.deinterlaced else said
 
     def _decoded(self, file: Any, stream: Any) -> Iterator[Any]:
-        """The frames as the file has them, as far as its packets can be read."""
+        """Decode the file's frames, as far as its packets can be read."""
         packets = file.demux(stream)
         while True:
             try:
@@ -131,10 +131,10 @@ class Video:
                 self.damaged = True
 
     def _whole(self, stream: Any, frames: Iterator[Any]) -> Iterator[Any]:
-        """The frames, one for each; from the first interlaced one on, these are deinterlaced.
+        """Deinterlace frames from the first interlaced one on; yields one for each frame.
 
-        Half of the lines of an interlaced frame were taken later: where the camera moves, edges
-        become combs, which look like detail.
+        In an interlaced frame, half of the lines were taken later. If the camera moves, edges get
+        combs, which look like detail.
         """
         tags = stream.codec_context
         unflagged = tags.name not in FLAGGING and INTERLACED.get(tags.field_order)
@@ -154,7 +154,7 @@ class Video:
         yield from self._filtered(graph, None)
 
     def _deinterlacer(self, stream: Any, frame: Any, parity: str) -> Any:
-        """A graph of filters; `parity` of frames that carry no flags, else empty."""
+        """A graph of filters; `parity`: for frames without flags, otherwise empty."""
         graph = self._av.filter.Graph()
         size = {"width": frame.width, "height": frame.height, "format": frame.format.name}
         source = graph.add_buffer(**size, time_base=stream.time_base)
@@ -164,7 +164,7 @@ class Video:
         return graph
 
     def _filtered(self, graph: Any, frame: Any) -> Iterator[Any]:
-        """The output of a graph after a frame; None: at the end."""
+        """Push a frame into a graph and yield its output; None: flush the graph."""
         if graph is None:
             return
         graph.push(frame)
@@ -176,7 +176,7 @@ class Video:
 
 
 def grey(frame: Any, side: int) -> Pixels:
-    """(H, W) of a frame, its longer side at most `side`; not turned."""
+    """A frame in grey, (H, W), its longer side at most `side`; not turned."""
     shrink = min(1.0, side / max(frame.width, frame.height))
     width, height = (max(2, round(length * shrink)) for length in (frame.width, frame.height))
     small = frame.reformat(width=width, height=height, format="gray")
@@ -184,18 +184,18 @@ def grey(frame: Any, side: int) -> Pixels:
 
 
 def picture_of(frame: Any, ratio: float, colours: Colours) -> Pixels:
-    """(H, W, 3) sRGB of a frame, turned and mirrored as its metadata say, and its pixels square.
+    """Convert a frame to (H, W, 3) sRGB, turned and mirrored by its metadata, with square pixels.
 
-    `ratio`: width of a pixel by its height.
+    `ratio`: width of a pixel divided by its height.
     """
     rgb = to_srgb(frame, colours, max(2, round(frame.width * ratio)))
     return np.ascontiguousarray(_upright(rgb, frame.side_data.get("DISPLAYMATRIX")))
 
 
 def _upright(pixels: Pixels, display: Any) -> Pixels:
-    """Pixels as a display matrix shows them; to the nearest quarter of a turn.
+    """Turn pixels by a display matrix, rounded to the nearest quarter turn.
 
-    The matrix is FFmpeg's: nine numbers of 32 bits, of which (a, b, _, c, d) say that a pixel
+    The matrix is FFmpeg's: nine numbers of 32 bits. By the first five, (a, b, _, c, d), a pixel
     (x, y) is shown at (a x + c y, b x + d y), y down.
     """
     if display is None:
@@ -209,14 +209,14 @@ def _upright(pixels: Pixels, display: Any) -> Pixels:
 LOOK, WRITE = "look at the video", "write frames"
 FARTHEST = 1e6  # longer sides: no camera moves so far
 VERSION = 2  # of the record; increase it if other frames would be chosen
-STEP = 0.05  # of the picture's longer side: how far the picture moves from photo to photo
+STEP = 0.05  # of the picture's longer side: motion of the picture between photos
 FEWEST, MOST = 30, 300  # photos, if their number is not given
-STILL = 0.004  # of the picture's longer side: nearer frames are taken for the same
-APART = 0.4  # of the way from photo to photo: the least between two
+STILL = 0.004  # of the picture's longer side: frames with less motion count as equal
+APART = 0.4  # of the step between photos: the least distance of two
 SHARP_SIDE, MOVED_SIDE, BLOCK = 640, 256, 64  # px
-FAR = 0.15  # of a block: when the picture has moved so far, it is compared with a later frame
+FAR = 0.15  # of a block: after this motion, a later frame becomes the reference
 COARSE = 0.1  # cycles per px: finer detail counts less in the motion
-TEXTURE = 3.0  # grey levels: the least contrast of a block whose motion is found
+TEXTURE = 3.0  # grey levels: the least contrast of a block to measure its motion
 QUALITY = 95
 RECORD = "video.json"
 _FRAME = re.compile(r"frame_\d{6,}\.jpg")
@@ -224,9 +224,9 @@ _FRAME = re.compile(r"frame_\d{6,}\.jpg")
 
 @dataclass(frozen=True, kw_only=True)
 class Seen:
-    """A frame: its number, how far the picture had moved until then, and its fine detail.
+    """A frame: its number, the picture's motion up to it, and its fine detail.
 
-    `moved` is in longer sides of the picture; `sharpness` as of `look.Photo`.
+    `moved` is in longer sides of the picture; `sharpness` is as in `photo_checks.Photo`.
     """
 
     number: int
@@ -237,7 +237,7 @@ class Seen:
 def take_frames(path: Path, folder: Folder, wanted: int, context: Context) -> dict[str, Path]:
     """Write the frames of a video that become photos; name -> file. Existing files are kept.
 
-    `wanted`: about how many frames; 0: as many as the motion asks for.
+    `wanted`: approximate number of frames; 0: derived from the motion.
 
     Raises:
         SceneError: the video cannot be read, shows too little, or the folder has another's frames.
@@ -261,7 +261,7 @@ def take_frames(path: Path, folder: Folder, wanted: int, context: Context) -> di
 
 
 def _seen(video: Video, folder: Folder, context: Context) -> list[Seen]:
-    """All frames; remembered beside the video's digest."""
+    """All frames; stored in the record with the video's digest."""
     path = folder.work(RECORD)
     try:
         digest = content_digest(video.path)
@@ -287,12 +287,12 @@ def _seen(video: Video, folder: Folder, context: Context) -> list[Seen]:
 
 
 def _frames_in(folder: Folder) -> list[Path]:
-    """The frames in the folder of the photos; a person's `frame_of_a_door.jpg` is none."""
+    """The frames in the folder of photos; a user's `frame_of_a_door.jpg` is not one."""
     return [path for path in matching(folder.images, "*.jpg") if _FRAME.fullmatch(path.name)]
 
 
 def _remembered(record: Mapping[str, Any]) -> list[Seen]:
-    """The frames of a record; none if it is of another version or damaged."""
+    """The frames in a record; none if it has another version or is damaged."""
     if record.get("version") != VERSION:
         return []
     try:
@@ -326,7 +326,7 @@ def look(video: Video, context: Context) -> list[Seen]:
 
 
 def shift(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> float:
-    """Movement of the picture, px: the mean over its blocks, each by phase correlation."""
+    """The picture's motion, px: the mean over its blocks, each by phase correlation."""
     rows, columns = (max(1, length // BLOCK) for length in before.shape)
     height, width = before.shape[0] // rows, before.shape[1] // columns
     window = np.outer(np.hanning(height), np.hanning(width))
@@ -353,9 +353,9 @@ def _block_shift(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
 
 
 def choose(seen: Sequence[Seen], wanted: int = 0) -> list[Seen]:
-    """The frames that become photos: the sharpest of each part of the way, in order.
+    """Choose the frames that become photos: the sharpest in each part of the path, in order.
 
-    `wanted`: number of parts; 0: as many as the way is long.
+    `wanted`: number of parts; 0: derived from the path's length.
     """
     way = max((frame.moved for frame in seen), default=0.0)
     parts = wanted or int(np.clip(round(way / STEP), FEWEST, MOST))

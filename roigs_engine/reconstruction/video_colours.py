@@ -1,7 +1,7 @@
 """Converts the colours of a video to sRGB by its tags (ITU-T H.273, VUI of H.264 and HEVC).
 
-libswscale undoes range and matrix. Primaries and transfer follow here. HDR is tone-mapped with one
-curve for all frames: photogrammetry needs the same colour for the same point in each.
+libswscale applies range and matrix. Primaries and transfer are converted here. HDR is tone-mapped
+with one curve for all frames, because photogrammetry needs the same colour for a point in each.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ UNKNOWN = (0, 2, 3)  # reserved or unspecified
 MATRICES = {1: "BT.709", 4: "FCC", 5: "BT.601", 6: "BT.601", 7: "SMPTE 240M", 9: "BT.2020"}
 DERIVED = {1: 1, 5: 5, 6: 6, 9: 9}  # H.273's matrix 12 follows from the primaries
 
-WHITE, PEAK = REFERENCE_WHITE, HLG_PEAK  # cd/m2; PEAK is that of most PQ masters, too
+WHITE, PEAK = REFERENCE_WHITE, HLG_PEAK  # cd/m2; most PQ masters have this peak, too
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB: BT.709
 # Of libswscale: SWS_BILINEAR, SWS_ACCURATE_RND, SWS_FULL_CHR_H_INT
 BILINEAR, ACCURATE, ALL_CHROMA = 2, 0x40000, 0x2000
@@ -55,7 +55,7 @@ class Colours:
         transfer: from light to signal.
         full: whether the values use the whole range.
         direct: whether pixels are grey or RGB: without a matrix, and full for libswscale.
-        assumed: what the stream does not name, in words.
+        assumed: tags that the stream lacks, in words.
     """
 
     matrix: int
@@ -67,7 +67,7 @@ class Colours:
 
     @property
     def plain(self) -> bool:
-        """Whether RGB of libswscale is sRGB."""
+        """Whether libswscale's RGB is already sRGB."""
         unscaled = self.full or not self.direct
         return self.primaries == 1 and self.transfer in LIKE_SRGB and unscaled
 
@@ -89,14 +89,14 @@ class Colours:
 
 
 def colours_of(tags: Any, frame: Any) -> Colours:
-    """The colours of a stream.
+    """Determine the colours of a stream.
 
     Args:
         tags: PyAV's codec context, which has decoded the frame.
         frame: for its size and pixel format.
 
-    Untagged video is BT.709 from 720 lines or 1280 pixels a line on, else BT.601 of its number of
-    lines. Raises SceneError for colours that are not supported; it names them.
+    Untagged video counts as BT.709 from 720 lines or 1280 pixels a line on, otherwise as BT.601 for
+    its number of lines. SceneError: the colours are not supported; the message names them.
     """
     layout, codec = frame.format, str(tags.name)
     grey = len(layout.components) - layout.name.startswith("ya") == 1 and not layout.has_palette
@@ -163,7 +163,7 @@ def _usual_primaries(matrix: int, large: bool, lines: int) -> int:
 
 
 def _check_dolby_vision(tags: Any, frame: Any, transfer: int) -> None:
-    """SceneError if only Dolby Vision's own metadata say what the pixels mean (profile 5)."""
+    """Raise SceneError if pixels need Dolby Vision's own metadata (profile 5)."""
     tag = str(tags.codec_tag)[:3] in ("dvh", "dva", "dav")
     metadata = frame.side_data.get("DOVI_METADATA") is not None
     if transfer in UNKNOWN and (tag or metadata):
@@ -177,7 +177,7 @@ def _not_supported(what: str) -> SceneError:
 
 
 def to_srgb(frame: Any, colours: Colours, width: int) -> Pixels:
-    """(H, width, 3) sRGB of a frame of PyAV, as stored: neither turned nor mirrored."""
+    """Convert a frame of PyAV to (H, width, 3) sRGB; neither turned nor mirrored."""
     frame.colorspace = colours.matrix
     frame.color_range = 2 if colours.full or colours.direct else 1
 
@@ -187,11 +187,11 @@ def to_srgb(frame: Any, colours: Colours, width: int) -> Pixels:
         return np.asarray(made.to_ndarray())
 
     if colours.plain:
-        # Without these, grey gets a tint of up to 3 of 255. Ordinary video, where it is 2 at most,
-        # keeps its values of earlier versions.
+        # Without these flags, grey gets a tint of up to 3 of 255. For ordinary video, the tint is 2
+        # at most; its values stay as in earlier versions.
         ordinary = colours.matrix == 1 and not colours.full and frame.format.name == "yuv420p"
         return rgb("rgb24", BILINEAR if ordinary else BILINEAR | ACCURATE | ALL_CHROMA)
-    deep = rgb("rgb48le", BILINEAR | ACCURATE)  # libswscale has a fault with ALL_CHROMA here
+    deep = rgb("rgb48le", BILINEAR | ACCURATE)  # libswscale has a bug with ALL_CHROMA here
     curve, limited = CURVES[colours.transfer][1], colours.direct and not colours.full
     space = space_of(PRIMARIES[colours.primaries][1], curve, limited=limited)
     if colours.transfer not in (PQ, HLG):
@@ -203,7 +203,7 @@ def to_srgb(frame: Any, colours: Colours, width: int) -> Pixels:
 
 
 def _sdr(light: NDArray[np.float32], transfer: int) -> NDArray[np.float32]:
-    """Tone-mapped linear light of sRGB of an HDR video."""
+    """Tone-map linear sRGB light of an HDR video."""
     if transfer == HLG:  # BT.2100's OOTF for a screen of 1000 cd/m2
         luminance = np.maximum(light @ LUMINANCE, 0)
         light = light * (luminance**0.2 * np.float32(PEAK / WHITE))[..., None]
@@ -212,9 +212,9 @@ def _sdr(light: NDArray[np.float32], transfer: int) -> NDArray[np.float32]:
 
 
 def _tone_mapped(light: Light) -> Light:
-    """Light of HDR, 1 at its reference white, for a screen whose peak that is.
+    """Tone-map HDR light (1: reference white) for a screen whose peak is the reference white.
 
-    ITU-R BT.2390, section 5.4.1: unchanged up to 98 cd/m2, above a spline in PQ that ends at PEAK.
+    ITU-R BT.2390, section 5.4.1: unchanged up to 98 cd/m2; above, a spline in PQ that ends at PEAK.
     """
     peak = _to_pq(np.array(PEAK))
     most = float(_to_pq(np.array(WHITE)) / peak)

@@ -1,4 +1,4 @@
-"""Child process for a long call of pycolmap, which can be killed at any time.
+"""A child process for long calls of pycolmap; it can be killed at any time.
 
 `python -m roigs_engine.reconstruction.worker` reads a task, one line of JSON, from standard input,
 and ends when standard input is closed. Each line on standard output is JSON: `{"registered": 12}`,
@@ -33,12 +33,12 @@ from .database import (
 
 Task = dict[str, Any]
 NEEDED = ("FeatureExtractionOptions", "FeatureMatchingOptions", "match_image_pairs")
-DISTANCE = 2.0  # from the cameras to what they see, in units of the scene; a guess at metres
-SHARES = (0.25, 0.4, 0.6, 0.8)  # of inliers that RANSAC looks for; the first is COLMAP's
-LAID = 0.02  # of the photos' extent: photos that two models place so near each other agree
+DISTANCE = 2.0  # from cameras to the points that they see, scene units; an estimate of metres
+SHARES = (0.25, 0.4, 0.6, 0.8)  # least shares of inliers for RANSAC; the first is COLMAP's
+LAID = 0.02  # of the photos' extent: tolerance for a photo's place in two models
 LAYERS = 200  # of the height, in the search for the floor
-FLOOR = 3.0  # times the points of the median layer that has any: a layer with more is a floor
-LOWEST = 0.02  # share of the points below the floor, where no layer stands out
+FLOOR = 3.0  # x the points of the median filled layer: a layer with more may be the floor
+LOWEST = 0.02  # share of the points below the floor, if no layer stands out
 
 
 def colmap_module() -> Any:
@@ -53,7 +53,7 @@ def colmap_module() -> Any:
 
 
 def extract(colmap: Any, task: Task) -> None:
-    """Find the features of the photos; those that the database has are left out."""
+    """Find the features of the photos; photos already in the database are skipped."""
     options = colmap.FeatureExtractionOptions()
     options.use_gpu = False
     options.num_threads = task["threads"]
@@ -65,7 +65,7 @@ def extract(colmap: Any, task: Task) -> None:
         reader.existing_camera_id = group["camera"]
         given, masks = group["names"], task["masks"]
         masked = [name for name in given if masks and Path(masks, f"{name}.png").is_file()]
-        # pycolmap would leave out photos without a mask: they come by themselves.
+        # pycolmap would skip photos without a mask, so these are processed separately.
         rest = [name for name in given if name not in set(masked)]
         for folder, names in ((masks, masked), ("", rest)):
             if not names:
@@ -86,10 +86,10 @@ def extract(colmap: Any, task: Task) -> None:
 
 
 def match(colmap: Any, task: Task) -> None:
-    """Match the pairs of a file; those that the database has are left out.
+    """Match the pairs in a file; pairs already in the database are skipped.
 
-    All pairs are matched first, then verified by how many matches each has: a pair is used if it
-    has `FEWEST_INLIERS`, so RANSAC need not look for a smaller share of its matches.
+    All pairs are matched first. Then they are verified in groups by their number of matches: a pair
+    needs `FEWEST_INLIERS`, so RANSAC need not search for a smaller share of inliers.
     """
     database, listed = Path(task["database"]), Path(task["pairs"])
     options = colmap.FeatureMatchingOptions()
@@ -113,7 +113,7 @@ def match(colmap: Any, task: Task) -> None:
         options.skip_geometric_verification = True
         work(listed)
         options.skip_geometric_verification = False
-        # `splitlines` and `split()` would also split at what stands for spaces in names.
+        # `splitlines` and `split()` would also split at the substitutes for spaces in names.
         lines = listed.read_text("utf-8").rstrip("\n").split("\n")
         alike = listed.with_name("alike.txt")
         for share, same in by_share(lines, match_counts(database)).items():
@@ -123,7 +123,7 @@ def match(colmap: Any, task: Task) -> None:
 
 
 def by_share(lines: Sequence[str], counts: Mapping[Pair, int]) -> dict[float, list[str]]:
-    """Pairs by the least share of their matches, of `SHARES`, that inliers must be.
+    """Group pairs by the share of inliers that they need at least, one of `SHARES`.
 
     `lines` are as in `pair_line`; `counts`: the number of matches of each pair.
     """
@@ -137,7 +137,7 @@ def by_share(lines: Sequence[str], counts: Mapping[Pair, int]) -> dict[float, li
 
 
 def map_photos(colmap: Any, task: Task) -> list[dict[str, Any]]:
-    """Find cameras and points; the models as records, the largest first."""
+    """Find cameras and points; returns the models as records, the largest first."""
     options = colmap.IncrementalPipelineOptions()
     options.random_seed = task["seed"]
     options.num_threads = task["threads"]
@@ -154,7 +154,7 @@ def map_photos(colmap: Any, task: Task) -> list[dict[str, Any]]:
         if _is_of(before, Path(task["database"])):
             options.fix_existing_frames = True
             options.constant_cameras = set(before.cameras)
-        else:  # the database or the model is another by now
+        else:  # the database or the model has changed
             grows, start = False, ""
     try:
         registered = _model(colmap, start).num_reg_images() if start else 0
@@ -183,18 +183,18 @@ def map_photos(colmap: Any, task: Task) -> list[dict[str, Any]]:
 
 
 def _model(colmap: Any, folder: str) -> Any:
-    """The model in a folder; SceneError if it is damaged, from which pycolmap may not return."""
+    """Read a model; SceneError if it is damaged (pycolmap might not return from it)."""
     return pycolmap_model(colmap, Path(folder))[1]
 
 
 def _is_of(model: Any, database: Path) -> bool:
-    """Whether a model's photos have the ids and the features of a database."""
+    """Whether a model's photos have the same ids and numbers of features as a database."""
     own = {image.name: (key, len(image.points2D)) for key, image in model.images.items()}
     return own.items() <= numbers(database).items()
 
 
 def _laid_onto(model: Any, earlier: Any) -> bool:
-    """Move a model to where an earlier one of the same photos is; False: that cannot be found."""
+    """Align a model with an earlier one of the same photos; False if this fails."""
     here, there = _marks(model), _marks(earlier)
     both = sorted(here.keys() & there.keys())
     if len(both) < 2:
@@ -212,7 +212,7 @@ def _laid_onto(model: Any, earlier: Any) -> bool:
 
 
 def _marks(model: Any) -> dict[str, Matrix]:
-    """Name of a photo -> (3, 3): its place, and how far it sees, before it and above it."""
+    """Photo -> (3, 3) points: its centre, and points at its viewing distance ahead and above."""
     marks = {}
     for image, seen in _looks(model):
         pose = image.cam_from_world().matrix()
@@ -222,7 +222,7 @@ def _marks(model: Any) -> dict[str, Matrix]:
 
 
 def _looks(model: Any) -> list[tuple[Any, float]]:
-    """Each photo that observes points, and their median distance from it."""
+    """The photos that observe points, each with their median distance from it."""
     points = {key: point.xyz for key, point in model.points3D.items()}
     looks = []
     for image in (model.images[key] for key in model.reg_image_ids()):
@@ -234,7 +234,7 @@ def _looks(model: Any) -> list[tuple[Any, float]]:
 
 
 def _written(model: Any, folder: Path) -> dict[str, Any]:
-    """Write a model; returns what it is as plain values."""
+    """Write a model; returns its figures as plain values."""
     folder.mkdir()
     model.write_binary(str(folder))
     images = [model.images[key] for key in sorted(model.reg_image_ids())]
@@ -260,9 +260,9 @@ def _normalise(model: Any) -> None:
 
 
 def normalisation(poses: Matrix, points: Matrix, distance: float) -> Matrix:
-    """The similarity (3, 4) to a usual frame: z up, floor at 0, foreground at the origin, metres.
+    """The similarity (3, 4) to a standard frame: z up, floor at 0, points' middle at x = y = 0.
 
-    Photos alone do not determine direction, position or scale; the scale is a guess.
+    Photos alone do not determine direction, position or scale. The scale is an estimate of metres.
 
     Args:
         poses: (N, 4, 4) world_to_camera of the photos.
@@ -293,17 +293,17 @@ def floor(heights: Vector, top: float) -> float:
     return float(np.quantile(heights, LOWEST))
 
 
-REPLIES = 1  # the standard output that the parent reads, once `main` has moved it
+REPLIES = 1  # the standard output that the parent reads; `main` moves it
 WORK = {"extract": extract, "match": match, "map": map_photos}
 
 
 def say(record: dict[str, Any]) -> None:
-    """Write a line to the parent."""
+    """Send a line to the parent."""
     os.write(REPLIES, json.dumps(record).encode() + b"\n")
 
 
 def _end_with_parent() -> None:
-    """End this process when its parent is gone, whatever it does."""
+    """End this process when its parent is gone, at any point."""
     while os.read(0, 4096):
         pass
     os._exit(1)
@@ -313,9 +313,9 @@ def main() -> None:
     """Do the task on standard input."""
     global REPLIES
     REPLIES = os.dup(1)
-    os.dup2(2, 1)  # what pycolmap prints goes to the log
+    os.dup2(2, 1)  # pycolmap's output goes to the log
     with open(0, "rb", buffering=0, closefd=False) as given:
-        task = json.loads(given.readline())  # what follows is left to `_end_with_parent`
+        task = json.loads(given.readline())  # `_end_with_parent` reads the rest
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         show_spaces(Path(task["database"]))

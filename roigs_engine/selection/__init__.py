@@ -1,8 +1,8 @@
-"""Selection of the photos that train an object (the paper's sec. III-A).
+"""Selects the photos that train an object (the paper's sec. III-A).
 
 `select_cameras` is the entry point; `METHODS` names the methods. The same scene, box and settings
 always give the same photos in the same order: photos are processed in name order, names break ties,
-and everything random has a seed. Nothing here needs torch.
+and all random choices have a seed. Nothing here needs torch.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def select_cameras(
         tests: the model with its test photos only; a warning about few photos counts them.
 
     Raises:
-        RoiError: no point lies in the box, or no photo sees one that does.
+        RoiError: no point lies in the box, or no photo sees its points.
     """
     candidates = find_candidates(scene, roi, context)
     features = static_features(candidates, context)

@@ -1,4 +1,4 @@
-"""`static`, `fvs` and `random`: baselines; farthest views also complete saturated selections."""
+"""The baselines `static`, `fvs` and `random`; farthest views also fill up saturated selections."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def most_keypoints(candidates: Candidates) -> int:
 
 
 def farthest_first(positions: Float64, start: Sequence[int], count: int) -> list[int]:
-    """`start` extended to `count` photos; each next one is farthest from all before it.
+    """Extend `start` to `count` photos; each next one is farthest from all before it.
 
     The name breaks ties. `positions`: (V, D) one row per candidate; `start`: at least one of them.
     """
@@ -50,7 +50,7 @@ def farthest_first(positions: Float64, start: Sequence[int], count: int) -> list
 
 
 def order_static(request: Request) -> Picks:
-    """The photos with the best sum of ranks of -distance, area and keypoints (paper, ablation 3).
+    """Order photos by the sum of ranks of -distance, area and keypoints (paper, ablation 3).
 
     Equal values share their mean rank; names break ties (candidates are in name order).
     """
@@ -66,7 +66,7 @@ def _ranks(values: Float64) -> Float64:
 
 
 def order_fvs(request: Request) -> Picks:
-    """Farthest view sampling, from the photo that sees most points of the box."""
+    """Order photos by farthest view sampling, from the photo that sees most points of the box."""
     candidates = request.candidates
     start = [most_keypoints(candidates)]
     positions = view_positions(candidates)
@@ -74,7 +74,7 @@ def order_fvs(request: Request) -> Picks:
 
 
 def order_random(request: Request) -> Picks:
-    """A seeded random order."""
+    """Order photos at random, with a seed."""
     order = np.random.default_rng(request.seed).permutation(len(request.candidates))
     return Picks(order=tuple(order[: request.count].tolist()))
 
@@ -82,9 +82,9 @@ def order_random(request: Request) -> Picks:
 def fill_up(
     request: Request, order: Sequence[int], score: Score, flags: tuple[str, ...] = ()
 ) -> Picks:
-    """The first photos of `order`, extended with farthest views if it is too short.
+    """Take the first photos of `order`; if it is too short, add farthest views.
 
-    For methods that maximise a score, when no photo improves the score any more.
+    For methods that maximise a score, once no photo improves the score.
     """
     score.clear()
     candidates, count = request.candidates, request.count

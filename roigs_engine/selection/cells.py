@@ -1,10 +1,10 @@
-"""Cells of a large scene: blocks on the ground with their photos, and groups of boxes.
+"""Divides a large scene into cells: blocks on the ground with their photos, and groups of boxes.
 
 As in block-wise Gaussian Splatting (VastGaussian, Lin et al. 2024; CityGaussian, Liu et al. 2024;
 Hierarchical 3D Gaussians, Kerbl et al. 2024), blocks are rectangles on the ground with equal
-numbers of cameras and observations. A photo trains each block that it shows enough of, so blocks
-share photos. Unlike there, a point that a block's photos hardly show belongs to the block that
-shows it. Boxes that many photos see together are trained together.
+numbers of cameras and observations. A photo trains each block of which it shows enough, so blocks
+share photos. Unlike there, a point that is hardly visible in its block's photos belongs to the
+block whose photos show it. Boxes that many photos see together are trained together.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from ..model.visibility import observed_points
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-SHOWN = 0.15  # a photo trains a cell that fills this share of it, or more
-GRID = 24  # places across and down a photo whose nearest points are looked up
-FEWER = 0.5  # a point leaves a cell whose photos observe it this much less than another's
-LEAST = 0.5  # of its share of the observations: a side of a cut has more
-NEAR = 0.9  # of the positions decide along which axis to cut: not the few far ones
+SHOWN = 0.15  # a photo trains a cell that fills at least this share of it
+GRID = 24  # places across and down a photo, for finding the nearest points
+FEWER = 0.5  # a point leaves its cell if another's photos observe it more than 1 / this as often
+LEAST = 0.5  # each side of a cut has at least this part of its share of the observations
+NEAR = 0.9  # share of the positions that decide the axis of a cut; the farthest ones do not
 Bools = NDArray[np.bool_]
 
 
@@ -41,8 +41,8 @@ class Views:
     Attributes:
         scene: V photos, P points.
         seen: (V, P) sparse matrix of 1 and 0.
-        areas: (V, P) sparse matrix of each photo's share that is nearest to each point it observes:
-            a white wall has few points, but fills the picture.
+        areas: (V, P) sparse matrix: for each observed point, the share of the photo that is nearest
+            to it. A white wall has few points, but fills the picture.
     """
 
     scene: SfmScene
@@ -51,7 +51,7 @@ class Views:
 
     @classmethod
     def of(cls, scene: SfmScene, context: Context = QUIET) -> Views:
-        """By the tracks, or by projection if there are none."""
+        """The views of a scene, by its tracks, or by projection if there are none."""
         from scipy.sparse import csr_matrix
 
         found = observed_points(scene, context)
@@ -77,7 +77,7 @@ class Views:
         return np.asarray((self.areas @ cells).todense())
 
     def times(self, photos: Bools) -> Float64:
-        """(P,) by how many of some photos (V,) each point is observed."""
+        """(P,) number of the selected photos (V,) that observe each point."""
         return np.asarray(self.seen.T @ photos.astype(float))
 
 
@@ -97,7 +97,7 @@ def _areas(image: PosedImage, points: Float64) -> Float64:
 
 
 def ground(scene: SfmScene, positions: Float64) -> Float64:
-    """(N, 3) positions -> (N, 2) on the ground: by the photos' up, else the cameras' plane."""
+    """(N, 3) positions -> (N, 2) on the ground, by the photos' up or the cameras' plane."""
     poses = np.array([image.world_to_camera for image in scene.images]).reshape(-1, 4, 4)
     up, _ = up_direction(poses)
     if not up.any():
@@ -106,11 +106,11 @@ def ground(scene: SfmScene, positions: Float64) -> Float64:
 
 
 def ground_cells(views: Views, count: int) -> tuple[Int64, Int64]:
-    """The cell of each point (P,) and of each camera (V,).
+    """Divide the scene into cells: the cell of each point (P,) and of each camera (V,).
 
-    A cell is cut across its longer side until there are `count`, so that both sides have their
-    share of the cameras and of the observations, which weigh as much in sum. If cameras are so
-    close together that one side would have almost no observations, observations alone count.
+    Cells are cut across their longer sides until there are `count`. Each side gets its share of the
+    cameras and the observations; both have the same total weight. If cameras are so close together
+    that one side would have almost no observations, only observations count.
     """
     scene = views.scene
     cameras, points = len(scene.images), len(scene.points)
@@ -127,7 +127,7 @@ def ground_cells(views: Views, count: int) -> tuple[Int64, Int64]:
 def _cut(
     places: Float64, weights: Float64, rows: Int64, numbers: tuple[int, int], cells: Int64
 ) -> None:
-    """Number the cells of some rows from `numbers[0]` to below `numbers[1]`."""
+    """Divide rows into cells, numbered from `numbers[0]` to below `numbers[1]`."""
     first, end = numbers
     cells[rows] = first
     if end - first < 2 or len(rows) < 2:
@@ -154,7 +154,7 @@ def _cut(
 
 
 def _axes(places: Float64) -> Float64:
-    """(N, D) -> (D, D): in columns, the directions in which places vary, the least first."""
+    """(N, D) places -> (D, D) principal axes in columns, least variance first."""
     away = places - places.mean(axis=0)
     return np.asarray(np.linalg.eigh(away.T @ away)[1])
 
@@ -162,10 +162,10 @@ def _axes(places: Float64) -> Float64:
 def photos_of_cells(views: Views, owner: Int64, camera: Int64, count: int) -> Bools:
     """(V, count) which photos train which cell.
 
-    A photo trains the cell that it shows most of, each that it shows `SHOWN` of, and the one that
-    its camera stands in if it shows any of it: the air of a cell is in the pictures taken there.
+    A photo trains the cell that fills most of it, and each cell that fills `SHOWN` of it. It also
+    trains its camera's cell if it shows any of it, because it shows the air there.
 
-    `owner`: (P,) the cell of each point; `camera`: (V,) that of each camera.
+    `owner`: (P,) the cell of each point; `camera`: (V,) the cell of each camera.
     """
     shares = views.shares(owner, count)
     rows = np.arange(len(shares))
@@ -176,10 +176,10 @@ def photos_of_cells(views: Views, owner: Int64, camera: Int64, count: int) -> Bo
 
 
 def visible_owners(views: Views, owner: Int64, photos: Bools) -> Int64:
-    """(P,) the cell of each point, by what the cells' photos show.
+    """(P,) the cell of each point, by the cells' photos.
 
-    A point stays in its cell unless the photos of another one observe it more than `1 / FEWER`
-    times as often: then its own cell's training hardly knows it.
+    A point stays in its cell unless the photos of another cell observe it more than `1 / FEWER`
+    times as often. Then its own cell's training hardly sees it.
 
     `owner`: (P,) the cell of each point by its place; `photos`: (V, count) of `photos_of_cells`.
     """
@@ -191,12 +191,12 @@ def visible_owners(views: Views, owner: Int64, photos: Bools) -> Int64:
 
 
 def observed_by(views: Views, photos: Bools) -> Int64:
-    """Rows of the points that some photos (V,) observe, ascending."""
+    """Ascending rows of the points that the selected photos (V,) observe."""
     return np.flatnonzero(views.times(photos) > 0).astype(np.int64)
 
 
 def names_of(scene: SfmScene, photos: Bools) -> tuple[str, ...]:
-    """The names of some photos (V,), in the scene's order."""
+    """The names of the selected photos (V,), in the scene's order."""
     return tuple(i.name for i, chosen in zip(scene.images, photos, strict=True) if chosen)
 
 
@@ -206,15 +206,15 @@ def rows_named(scene: SfmScene, names: Sequence[str]) -> Bools:
     return np.array([image.name in wanted for image in scene.images], dtype=bool)
 
 
-SHARED = 0.25  # share of the photos of a box that see another one too: they are near
+SHARED = 0.25  # boxes are near if this share of one's photos also see the other
 ALL = "all"
 Groups = tuple[tuple[str, ...], ...]
 
 
 def parsed_groups(texts: Sequence[str], boxes: Sequence[str]) -> Groups:
-    """The groups that the option names, `vase,tin`, once each; boxes without one are one more.
+    """Parse groups of boxes such as `vase,tin`; the boxes that are not named form one more group.
 
-    `all`, unless a box has that name, is all boxes. ConfigError: a box is unknown or is named
+    `all` stands for all boxes, unless a box has that name. ConfigError: a box is unknown or named
     twice, or `all` is not alone.
     """
     if ALL in texts and ALL not in boxes and len(texts) > 1:
@@ -235,14 +235,14 @@ def parsed_groups(texts: Sequence[str], boxes: Sequence[str]) -> Groups:
 
 
 def _names(text: str, boxes: Sequence[str]) -> tuple[str, ...]:
-    """The names in one value; a box's name may hold a comma."""
+    """The names in one value; a box's name may contain a comma."""
     if text in boxes:
         return (text,)
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 def groups_by_photos(seen: Mapping[str, Set[str]]) -> Groups:
-    """The boxes in groups: two are in one if they share photos, or both do with a third.
+    """Group the boxes: two are in one group if they share photos, also through other boxes.
 
     `seen`: box -> names of the photos that see it.
     """
@@ -266,6 +266,6 @@ def _ordered(groups: Iterable[Sequence[str]], boxes: Sequence[str]) -> Groups:
 
 
 def nearest_group(positions: Float64, groups: Sequence[Sequence[OrientedBox]]) -> Int64:
-    """(N, 3) world positions -> (N,) the group with the box that is nearest to each."""
+    """(N, 3) world positions -> (N,) the group with the nearest box."""
     distances = [np.min([roi.distance(positions) for roi in group], axis=0) for group in groups]
     return np.asarray(np.argmin(distances, axis=0), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""`coverage`: photos that show each point from many directions and at high resolution (ours).
+"""`coverage`: selects photos that show each point from many directions, at high resolution (ours).
 
 Facility location over points x viewing-direction bins, for the photos S:
 
@@ -6,10 +6,10 @@ Facility location over points x viewing-direction bins, for the photos S:
 
 rho = f / z * cos(theta) is the number of pixels of photo v per world unit of the surface at p. rho*
 is its 90th percentile over all observations. b is one of the bins of directions from p to the
-camera. The weights w_p give each voxel (see score.py) the same total weight; a point outside the
-object's masks has none. F is monotone and submodular: lazy greedy equals greedy, it reaches at
-least 1 - 1/e of the best set of its size, and each prefix is the greedy result for that number of
-photos.
+camera. The weights w_p give each voxel (see score.py) the same total weight; points outside the
+object's masks have weight 0. F is monotone and submodular. So lazy greedy equals greedy, it reaches
+at least 1 - 1/e of the best set of its size, and each prefix is the greedy result for that number
+of photos.
 
 theta is the angle between the ray and the surface normal. SfM points have no normals. A normal is
 estimated from the neighbouring points if these lie on a surface; otherwise cos(theta) = 1.
@@ -34,19 +34,19 @@ from .score import voxel_indices
 
 RESOLUTION_PERCENTILE = 90.0
 DIRECTIONS = 32  # bins of viewing directions
-NORMAL_NEIGHBOURS = 16  # points, the point included, that a normal is fitted to
+NORMAL_NEIGHBOURS = 16  # points for fitting a normal, the point itself included
 # Neighbours lie on a surface if they deviate across it by less than this share of the smaller
 # deviation along it (standard deviations); points along a line do not.
 FLATNESS = 0.5
 # Lower limit of cos(theta): the photo does observe the point, so a lower value is an estimation
 # error.
 MIN_COSINE = 0.2
-ROWS = 1 << 16  # observations that are compared with all directions at once
-PART = 1 << 21  # observations whose rays are in memory at once
+ROWS = 1 << 16  # observations to compare with all directions at once
+PART = 1 << 21  # observations with rays in memory at once
 
 
 class Coverage:
-    """F(S) of a growing set S of photos, as a share of F(all candidates)."""
+    """F(S) for a growing set S of photos, as a share of F(all candidates)."""
 
     def __init__(self, candidates: Candidates, context: Context = QUIET) -> None:
         self._starts = candidates.row_starts()
@@ -98,7 +98,7 @@ class Coverage:
 
 
 def order_coverage(request: Request) -> Picks:
-    """Greedy order: each photo increases F most; then farthest views."""
+    """Order photos greedily: each increases F most; farthest views follow."""
     views, context = list(range(len(request.candidates))), request.context
     coverage = Coverage(request.candidates, context)
     order = lazy_greedy(views, coverage.gain, coverage.add, request.count, context)
@@ -106,7 +106,7 @@ def order_coverage(request: Request) -> Picks:
 
 
 def fibonacci_directions(count: int) -> Float64:
-    """(count, 3) unit vectors, even over the sphere (Fibonacci lattice)."""
+    """(count, 3) unit vectors, evenly over the sphere (Fibonacci lattice)."""
     index = np.arange(count) + 0.5
     height = 1 - 2 * index / count
     angle = np.pi * (1 + np.sqrt(5)) * index
@@ -135,7 +135,7 @@ def _pixel_density(candidates: Candidates) -> Float64:
 
 
 def _rays(candidates: Candidates) -> Iterator[tuple[slice, Float64]]:
-    """Parts of the observations, each with its (N, 3) unit vectors from point to camera."""
+    """Yield parts of the observations, with their unit vectors (N, 3) from point to camera."""
     centres = candidates.centres()
     for start in range(0, len(candidates.obs_view), PART):
         part = slice(start, start + PART)
@@ -145,7 +145,7 @@ def _rays(candidates: Candidates) -> Iterator[tuple[slice, Float64]]:
 
 
 def surface_normals(candidates: Candidates, context: Context) -> tuple[Float64, NDArray[np.bool_]]:
-    """(P, 3) unit normals by PCA, towards the observers; (P,) whether each is known."""
+    """Estimate unit normals (P, 3) by PCA, towards the observers; (P,) whether each is known."""
     points = candidates.points
     total = len(points)
     if total < NORMAL_NEIGHBOURS:
@@ -164,11 +164,11 @@ def surface_normals(candidates: Candidates, context: Context) -> tuple[Float64, 
     return np.where(away[:, None], -normals, normals), known
 
 
-MANY = 100  # leaves to search
+MANY = 100  # leaves to search; with more, the group is divided
 
 
 def nearest_neighbours(points: Float64, count: int, context: Context = QUIET) -> Int64:
-    """(P, 3) points -> (P, count) rows of the nearest points, unordered, the point included.
+    """(P, 3) points -> (P, count) rows of the nearest points, the point included, unordered.
 
     `count` is at most P and `LEAF` / 2.
     """

@@ -5,8 +5,8 @@ score f (score.py). The photo with the best upper confidence bound is picked, it
 measured, and the GP is fitted again. The inputs of `gp6` are position and viewing direction; `gp9`
 adds the three static features.
 
-The cost is limited: hyper-parameters are optimised at the start and every `REFIT_EVERY` picks; in
-between, only the new gain is added. 150 picks of 314 photos take seconds on one core.
+To limit the cost, hyper-parameters are optimised only at the start and every `REFIT_EVERY` picks.
+In between, only the new gain is added. 150 picks of 314 photos take seconds on one core.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def gp_inputs(
     """(V, D) z-scored inputs, and the names of the D <= 6 (9 if `extended`) features that vary.
 
     Position is in the box's frame, in half extents. Direction is the unit forward vector in the
-    box's frame, since an angle could wrap.
+    box's frame, because angles wrap around.
     """
     roi = candidates.roi
     rotation = roi.world_to_box[:3, :3]
@@ -99,9 +99,9 @@ class Surrogate:
 
 
 def order_gp(request: Request, *, extended: bool) -> Picks:
-    """The photos with the best upper confidence bound, one at a time.
+    """Pick photos by the best upper confidence bound, one at a time.
 
-    Starts with the photo that sees most points, and those with the most different viewing
+    Starts with the photo that sees most points and those with the most different viewing
     directions. Continues with farthest views once no remaining photo improves the score.
     """
     candidates, count = request.candidates, request.count
@@ -132,7 +132,7 @@ def _loop(
     gains: list[float],
     request: Request,
 ) -> list[int]:
-    """`seeds` extended until there are enough photos, or all remaining gains are zero."""
+    """Extend `seeds` until there are enough photos, or all remaining gains are zero."""
     order = list(seeds)
     while len(order) < request.count:
         request.context.check_cancelled()

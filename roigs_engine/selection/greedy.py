@@ -1,8 +1,8 @@
 """`greedy`: exact greedy maximisation of density x occupancy, without a surrogate.
 
-Also the lazy greedy loop (Minoux 1978), which `coverage` shares. For a submodular function, an
-earlier gain is an upper bound of the current one, so only the photo on top of the heap is measured
-again. f = D O is not submodular; log f is, and has the same argmax, so the heap uses its gains.
+Also has the lazy greedy loop (Minoux 1978), which `coverage` shares. For a submodular function, an
+earlier gain is an upper bound of the current one. So only the photo on top of the heap is measured
+again. f = D O is not submodular. log f is, and has the same argmax, so the heap uses its gains.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ def lazy_greedy(
     count: int,
     context: Context,
 ) -> list[int]:
-    """Up to `count` views, each with the largest gain given those before it; view ids break ties.
+    """Choose up to `count` views, each with the largest gain after those before it.
 
-    There are fewer if no remaining view has a gain. `gain`, of a view for the current set, must not
-    grow as the set grows; `add` adds a view to the set.
+    View ids break ties. There are fewer views if no remaining one has a gain. `gain` of a view for
+    the current set must not grow as the set grows; `add` adds a view to the set.
     """
     heap = [(-gain(view), view, 0) for view in views]
     heapq.heapify(heap)
@@ -48,7 +48,7 @@ def lazy_greedy(
 
 
 def order_greedy(request: Request) -> Picks:
-    """Greedy order: each photo increases density x occupancy most; then farthest views."""
+    """Order photos greedily: each increases density x occupancy most; farthest views follow."""
     score = DensityOccupancy(request.candidates)
     # log f of the empty set is -Inf: the first photo is picked outside the lazy loop.
     first = int(np.argmax(score.gains()))

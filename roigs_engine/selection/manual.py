@@ -20,9 +20,9 @@ METHOD = "manual"
 
 
 def load_manual(folder: Path, rois: Sequence[OrientedBox]) -> dict[str, tuple[str, ...]]:
-    """Box -> the photos listed in `folder`/ROI.json, for the boxes that have such a file.
+    """Read `folder`/ROI.json of each box that has one: box -> photos.
 
-    Reads only the list `names` of a file; a photo that is named twice counts once.
+    Reads only the list `names` of a file; a photo named twice counts once.
 
     Raises:
         ConfigError: the folder has no file for any of these boxes, or a file cannot be read or has
@@ -48,10 +48,10 @@ def load_manual(folder: Path, rois: Sequence[OrientedBox]) -> dict[str, tuple[st
 def usable_manual(
     names: Sequence[str], scene: SfmScene, test: Sequence[str], roi: str, context: Context = QUIET
 ) -> tuple[str, ...]:
-    """The manually selected photos of a box that can be trained on.
+    """The manually selected photos of a box that can be used for training.
 
-    Test and validation photos (`test`), and photos of the model that cannot be used, are skipped
-    with a warning. `scene` is the whole one, test photos included.
+    Test and validation photos (`test`) and unusable photos of the model are skipped with a warning.
+    `scene` is the whole scene, test photos included.
 
     Raises:
         ConfigError: the model does not have a photo, or no photo is left.

@@ -1,9 +1,9 @@
-"""Registry of the selection methods: name -> how photos are ordered and scored.
+"""Registry of the selection methods: name -> functions that order and score photos.
 
-Each has its own file: `gp` (Gaussian process, the paper's methods), `greedy` (the same score
-without a surrogate), `coverage` (facility location over points and directions), `baselines` (ranks
-of static features, farthest views, random). A new one is one file, and one line in `METHODS`: its
-name for the user, and a function that returns `Picks`.
+The methods are in `gp` (Gaussian process, the paper's methods), `greedy` (the same score without a
+surrogate), `coverage` (facility location over points and directions) and `baselines` (ranks of
+static features, farthest views, random). A new one is one file, and one line in `METHODS`: its name
+for the user, and a function that returns `Picks`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .score import DensityOccupancy, Score
 
 @dataclass(frozen=True)
 class Method:
-    """A method: it orders photos, best first, and scores a set of them."""
+    """A method: orders photos, best first, and scores a set of them."""
 
     order: Callable[[Request], Picks]
     score: Callable[[Candidates, Context], Score] = DensityOccupancy

@@ -1,4 +1,4 @@
-"""Input and output of selection methods, and the static features of photos (paper, sec. III-A)."""
+"""Input and output of selection methods, and photos' static features (paper, sec. III-A)."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Picks:
     Attributes:
         order: unique candidate ids, best first.
         flags: warnings about them.
-        score: the method's score of an empty set, if the method has made one.
+        score: the method's score, reset to an empty set, if the method has one.
     """
 
     order: tuple[int, ...]

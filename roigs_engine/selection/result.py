@@ -1,4 +1,4 @@
-"""Result of a selection, and its text."""
+"""The result of a selection, and its text."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ class CameraSelection:
         roi: the box's name.
         method: one of `METHODS`, or `manual`.
         names: selected photos, best first.
-        scores: the score after each photo, 0 to 1: for `coverage`, F as a share of F of all
-            candidates; else density x occupancy of the points in the box.
+        scores: the score after each photo, 0 to 1: for `coverage`, F as a share of F(all
+            candidates); otherwise density x occupancy of the points in the box.
         candidates: every photo that sees the box, in name order.
         flags: warnings about degenerate cases.
         features: candidate -> 'distance' (world units, to the box's centre), 'area' (share of the
@@ -33,7 +33,7 @@ class CameraSelection:
     features: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def in_units(self, unit: float) -> CameraSelection:
-        """The selection with its distances divided by a unit's length."""
+        """The selection with its distances divided by `unit`."""
         features = {
             name: {**values, "distance": values["distance"] / unit}
             for name, values in self.features.items()
@@ -41,7 +41,7 @@ class CameraSelection:
         return replace(self, features=features)
 
     def to_dict(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """The selection as JSON values."""
         record = asdict(self)
         return {key: list(v) if isinstance(v, tuple) else v for key, v in record.items()}
 

@@ -1,6 +1,6 @@
-"""Score of a set of photos: point density x voxel occupancy inside the box.
+"""Scores a set of photos: point density x voxel occupancy inside the box.
 
-After ActiveInitSplat (arXiv 2503.06859), whose exact formula is unpublished. For the photos S:
+After ActiveInitSplat (arXiv 2503.06859); its exact formula is unpublished. For the photos S:
 
     D(S) = points of the box seen by S / points of the box
     O(S) = voxels holding a point seen by S / voxels holding a point of the box
@@ -36,13 +36,13 @@ def voxel_indices(points: Float64, roi: OrientedBox) -> Int64:
 
 
 class _Unseen:
-    """The things (points, voxels) that no photo of a growing set S shows yet.
+    """The items (points or voxels) that no photo of a growing set S shows yet.
 
-    All additions together take as long as there are pairs of a photo and a thing that it shows.
+    The total time of all additions is linear in the number of pairs of a photo and a shown item.
     """
 
     def __init__(self, view: Int64, thing: Int64, views: int, things: int) -> None:
-        """Pairs (N,) of a photo and a thing, each once, ascending by photo."""
+        """Args: `view`, `thing`: (N,) pairs of photo and item, each once, ascending by photo."""
         self._thing, self._view_of = thing, view[np.argsort(thing, kind="stable")]
         self._starts = np.searchsorted(view, np.arange(views + 1))
         self._viewers = np.concatenate([[0], np.cumsum(np.bincount(thing, minlength=things))])
@@ -50,7 +50,7 @@ class _Unseen:
 
     def clear(self) -> None:
         """Make S empty."""
-        self.gains = np.diff(self._starts)  # (V,) number of things that each photo adds
+        self.gains = np.diff(self._starts)  # (V,) number of items that each photo adds
         self.seen = np.zeros(len(self._viewers) - 1, dtype=bool)  # (T,)
 
     def add(self, view: int) -> None:
@@ -63,13 +63,13 @@ class _Unseen:
 
 
 class DensityOccupancy:
-    """f(S) of a growing set S of photos, and the gain of each photo.
+    """f(S) for a growing set S of photos, and the gain of each photo.
 
     Counts are integers, so equal gains are exactly equal.
     """
 
     def __init__(self, candidates: Candidates, context: Context = QUIET) -> None:
-        """Nothing here takes so long that `context` is asked."""
+        """`context` is not used: nothing here takes long."""
         view, point = candidates.obs_view, candidates.obs_point
         voxel = voxel_indices(candidates.points, candidates.roi)
         voxels = int(voxel.max()) + 1
@@ -95,7 +95,7 @@ class DensityOccupancy:
         return self.product / (len(self._points.seen) * len(self._voxels.seen))
 
     def product_with(self, view: int) -> int:
-        """`product` of S and that photo."""
+        """`product` of S with that photo."""
         points, voxels = self._counts
         return int((points + self._points.gains[view]) * (voxels + self._voxels.gains[view]))
 

@@ -1,4 +1,4 @@
-"""Splits of the photos: test photos, chosen before anything else, and photos for each stage."""
+"""Splits the photos: test photos, chosen before anything else, and photos for each stage."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from . import visible_images
 def choose_test_views(
     scene: SfmScene, rois: Sequence[OrientedBox], every: int = 8, context: Context = QUIET
 ) -> tuple[str, ...]:
-    """Names of the test photos, in the scene's order (docs/method.md, evaluation).
+    """Choose the test photos; returns their names in scene order (docs/method.md, evaluation).
 
     For the first box, the views that see it are sorted by the camera's distance to the box's centre
     (names break ties). Every `every`-th view becomes a test photo, starting at `every // 2`, so
-    that near and far views are tested. Test photos of earlier boxes count for later boxes: if a
+    that near and far views are tested. Test photos of earlier boxes count for later boxes. If a
     later box has fewer than ceil(visible / every), the missing ones are taken at equal steps from
     its other views. Every box has at least one test photo and one training photo. With `every` = 0
     there are no test photos.
@@ -52,7 +52,7 @@ def choose_test_views(
         rest = [name for name in views if name not in chosen]
         missing = math.ceil(len(views) / every) - (len(views) - len(rest))
         count = max(0, min(missing, len(rest)))
-        # From the middles of `count` equal parts of the list.
+        # The middles of `count` equal parts of the list.
         chosen.update(rest[int((k + 0.5) * len(rest) / count)] for k in range(count))
     for name, views in seen_by.items():
         if chosen.issuperset(views):
@@ -75,7 +75,7 @@ def _by_distance(scene: SfmScene, roi: OrientedBox, context: Context) -> list[st
 
 
 def interleaved(orders: Sequence[Sequence[str]]) -> list[str]:
-    """Several selections merged by rank, each name once, best first."""
+    """Merge selections by rank, each name once, best first."""
     merged: dict[str, None] = {}
     for rank in range(max(map(len, orders), default=0)):
         for order in orders:
@@ -85,10 +85,10 @@ def interleaved(orders: Sequence[Sequence[str]]) -> list[str]:
 
 
 def reserved(orders: Sequence[Sequence[str]], kept_share: float) -> set[str]:
-    """Selected photos that the Scene-GS must not use (paper, sec. II-B: half of them).
+    """The selected photos that the Scene-GS must not use (paper, sec. II-B: half of them).
 
-    The Scene-GS may use the share `kept_share` of each selection, evenly over its order. A
-    photo that any box reserves is reserved.
+    The Scene-GS may use the share `kept_share` of each selection, evenly over its order. A photo is
+    reserved if any box reserves it.
     """
     return {
         name
@@ -99,5 +99,5 @@ def reserved(orders: Sequence[Sequence[str]], kept_share: float) -> set[str]:
 
 
 def in_even_share(step: int, share: float) -> bool:
-    """Whether `step` (from 0) belongs to the share `share` of all steps, evenly."""
+    """Whether `step` (from 0) belongs to a share of all steps that is spread evenly."""
     return int((step + 1) * share + 1e-9) > int(step * share + 1e-9)
