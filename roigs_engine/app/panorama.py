@@ -62,12 +62,20 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
         for name in dict.fromkeys(each.file for each in records)
     }
     models = [each.of(*read[each.file]) for each in records]
+    # A list may place models of other runs, in which the boxes' places are something else.
+    listed = request.model.suffix.lower() == LIST
+    of_run = [
+        not listed or folder_of_model(Path(each.file)) == folder.absolute() for each in records
+    ]
     surfaces, objects = _background(folder, records), _objects(folder, records, context)
     context.emit(StageStarted(stage=STAGE, total=len(files)))
     lines, started = [], time.monotonic()
     for step, (at, file) in enumerate(zip(request.at, files, strict=True), start=1):
         place = to_upright[:3, :3] @ at + to_upright[:3, 3]
-        seen = [left_out(model, boxes, place, request.near) for model in models]
+        seen = [
+            left_out(model, boxes if own else (), place, request.near)
+            for model, own in zip(models, of_run, strict=True)
+        ]
         light = panorama(seen, place, request.width // 2, context)
         given = request.highlights, request.unseen
         factors = brightness(light, place, surfaces, *given)

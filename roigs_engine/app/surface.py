@@ -245,11 +245,11 @@ def _inputs(gaussians: Gaussians, run: Run, roi: OrientedBox, options: SurfaceOp
     from ..run.plan import camera_record
 
     photos = [
-        (image.name, image.file_digest or image.digest, *camera_record(image))
+        (image.name, image.digest, *camera_record(image))
         for image in run.train_scene.images
     ]
     masks = [
-        image.objects[roi.name].digest
+        (image.name, image.objects[roi.name].digest)
         for image in run.train_scene.images
         if roi.name in image.objects
     ]

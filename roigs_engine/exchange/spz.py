@@ -86,7 +86,7 @@ def encoded(
         )
     reach = np.abs(arrays["means"].astype(np.float32)).max(axis=1)
     farthest = max(1e-6, min(float(reach.max()), FARTHEST * float(np.median(reach))))
-    free = BITS - 1 - np.ceil(np.log2(farthest))
+    free = BITS - 2 - np.floor(np.log2(farthest))
     fraction = int(np.clip(free, 1, _enough(scales.astype(np.float32))))
     inside = reach < 2.0 ** (BITS - 1 - fraction)
     if inside.mean() < 1 - LOST:

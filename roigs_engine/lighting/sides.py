@@ -209,7 +209,8 @@ def _brightest(normals: Float64, values: Float64) -> tuple[Float64, Float64]:
 def _coarse(light: Float32) -> tuple[Float64, Float64]:
     """Ways (N, 3) of fewer pixels, and the brightness times the solid angle from there (N,)."""
     step = max(1, len(light) // ROWS)
-    height, width = len(light) // step, light.shape[1] // step
+    height = len(light) // step
+    width = 2 * height
     flux = light.mean(axis=-1) * solid_angles(len(light))
     cut = flux[: height * step, : width * step].reshape(height, step, width, step)
     return directions(height).reshape(-1, 3), cut.sum(axis=(1, 3)).ravel().astype(float)

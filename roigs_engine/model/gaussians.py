@@ -92,7 +92,7 @@ class Gaussians:
     def concatenate(parts: list[Gaussians]) -> Gaussians:
         """Join the parts into one model, in their order; missing SH bands become zeros.
 
-        The result has the longest focal length of photos. ConfigError: the parts are made for
+        The result has the shortest focal length of photos. ConfigError: the parts are made for
         different targets.
         """
         titles = list(dict.fromkeys(part.target.title for part in parts))
@@ -109,7 +109,7 @@ class Gaussians:
         ]
         tensors = {name: torch.cat(column) for name, column in columns.items()}
         known = [part.photo_focal for part in parts if part.photo_focal is not None]
-        focal = max(known, default=None)
+        focal = min(known, default=None)  # the widest blur, as in `render_instances`
         return Gaussians(**tensors, target=parts[0].target, photo_focal=focal)
 
     @classmethod

@@ -90,7 +90,7 @@ class Exposures(Request, heading="scene"):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene(PhotoSize, PhotoMasks, Exposures):
+class Scene(PhotoSize, PhotoMasks):
     """The scene, and how its photos are read."""
 
     scene: Path = argument(

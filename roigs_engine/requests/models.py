@@ -127,7 +127,7 @@ class Compose(Boxes):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Adapt(PhotoSize, PhotoMasks, Device):
+class Adapt(PhotoSize, PhotoMasks, Exposures, Device):
     """A finished model, made for another renderer by a short training on its photos."""
 
     model: Path = argument(

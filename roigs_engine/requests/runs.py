@@ -32,7 +32,7 @@ CLUSTER = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Train(Scene, ObjectMasks, Boxes, Selection, Training, Layout, Device):
+class Train(Scene, Exposures, ObjectMasks, Boxes, Selection, Training, Layout, Device):
     """Scene and boxes trained, and one PLY written."""
 
     run_dir: Path = option(DIR, "folder of the run", required=True, decides=False)
@@ -96,7 +96,7 @@ class TrainAndEvaluate(Train):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluate(Scene, ObjectMasks, Boxes, Device):
+class Evaluate(Scene, Exposures, ObjectMasks, Boxes, Device):
     """The evaluation table of any PLYs, on test photos."""
 
     model: tuple[str, ...] = option(

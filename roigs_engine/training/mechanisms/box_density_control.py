@@ -55,7 +55,7 @@ class BoxDensityControl(DensityControl):
         if not views.rois or self.budget <= 0:
             return config
         budgets = box_budgets(views.images, views.rois, self.budget, views.context)
-        return config.using(replace(self, budgets=budgets))
+        return config.using(replace(config.of(BoxDensityControl), budgets=budgets))
 
     def begin(self, config: TrainConfig, training: Training) -> RunningBoxDensityControl:
         return RunningBoxDensityControl(self, training)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ...context import QUIET, Context
 from ...model.roi import OrientedBox
 from ...model.scene import PosedImage
+from ...photos.exposures import MOST, white
 from ...photos.mask_images import load_mask, load_object_mask
 from ..config import Mechanism, TrainConfig
 from ..photo_order import mixed, shuffled
@@ -81,9 +82,10 @@ class _Running(Running):
         view = cutout.photo, cutout.box
         output = training.render(part, view, cutout.counted, background=cutout.background)
         window = cutout.window()
+        image = training.data.images[cutout.photo]
         loss = photo_loss(
-            clipped_like(output.image.squeeze(0), training.data.images[cutout.photo])[window],
-            cutout.target(target)[window],
+            clipped_like(output.image.squeeze(0), image)[window],
+            cutout.target(target, white(image.exposure))[window],
             ssim_weight=self._config.ssim_weight,
             counted=sent(cutout.counted[window], target.device),
         )
@@ -119,11 +121,14 @@ class Cutout:
         ys, xs = (self.counted.any(dim=axis).nonzero()[:, 0] for axis in (1, 0))
         return slice(int(ys[0]), int(ys[-1]) + 1), slice(int(xs[0]), int(xs[-1]) + 1)
 
-    def target(self, photo: Tensor) -> Tensor:
-        """The photo (H, W, 3) uint8 with the background's colour where it shows something else."""
+    def target(self, photo: Tensor, largest: int = MOST) -> Tensor:
+        """The photo (H, W, 3) uint8 with the background's colour where it shows something else.
+
+        `largest`: the photo's white, see `clipped_like`.
+        """
         from ...cuda.device import sent
 
-        behind = (self.background * 255).round().to(photo)
+        behind = (self.background * MOST).round().clamp(max=largest).to(photo)
         return photo.where(sent(self.shown[..., None], photo.device), behind)
 
 

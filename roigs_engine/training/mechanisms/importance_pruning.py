@@ -169,6 +169,7 @@ class PhotoErrors:
 
         from ...rasterize import rasterize
         from ..loss_masks import split_mask
+        from ..losses import clipped_like
 
         photo, counted = split_mask(self._views.photo(index))
         options: dict[str, Any] = self._views.view(index)._asdict()
@@ -184,7 +185,8 @@ class PhotoErrors:
             **gaussians.target.drawing,
             **options,
         )
-        squares = (output.image[0] - photo / 255.0).square().mean(dim=-1)
+        picture = clipped_like(output.image[0], self._views.images[index])
+        squares = (picture - photo / 255.0).square().mean(dim=-1)
         return squares, torch.ones_like(squares, dtype=torch.bool) if counted is None else counted
 
 

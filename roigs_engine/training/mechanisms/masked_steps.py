@@ -9,6 +9,7 @@ from ...selection.split import in_even_share
 from ..config import Mechanism, PlannedViews, TrainConfig, limited, planned, with_steps
 from ..photo_order import evenly_spaced
 from ..running import Running
+from .density_control import DensityControl
 
 if TYPE_CHECKING:
     from ..loss_masks import LossMask, LossMasks
@@ -59,8 +60,10 @@ class MaskedSteps(Mechanism):
             masks = LossMasks(views.images, views.rois, some, context=views.context)
             whole += self.reinvested * (1 - masks.shares(some).mean()) * masked
         share = whole / (masked + whole)
-        config = with_steps(config, round(masked + whole))
-        return config.using(replace(self, whole_share=share, seeing=seeing))
+        longer = with_steps(config, round(masked + whole))
+        # Steps that are given back refine: densification ends when it would have.
+        longer = longer.using(*config.chosen(DensityControl))
+        return longer.using(replace(self, whole_share=share, seeing=seeing))
 
     def begin(self, config: TrainConfig, training: Training) -> Running:
         from ..loss_masks import LossMasks
