@@ -52,7 +52,7 @@ def on_normals(picture: Float32, normals: Float32) -> Float32:
 
 
 def hemisphere(count: int) -> Float32:
-    """Directions (count, 3) around z, as dense as a matt surface is sensitive to them."""
+    """Directions (count, 3) around z with cosine-weighted density, as for a matt surface."""
     k = np.arange(count) + 0.5
     radius, turn = np.sqrt(k / count), np.pi * (1 + np.sqrt(5)) * k
     parts = radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1 - k / count)
