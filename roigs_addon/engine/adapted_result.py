@@ -15,17 +15,17 @@ SHAPE = ("means", "quats", "log_scales")
 
 
 def write(source: Path, adapted: Path, place: Path) -> None:
-    """Write a result's folder of an adapted model.
+    """Write an adapted model as the folder of a result.
 
-    The engine keeps the order of the Gaussians, and a result's parts are some of its rows.
+    The engine keeps the order of the Gaussians, and each part of a result has some of its rows.
 
     Args:
-        source: folder of the result that was adapted.
-        adapted: the whole of it as it is now.
-        place: folder to write, which exists. The first pass is copied as it is.
+        source: folder of the original result.
+        adapted: PLY of the whole adapted result.
+        place: existing folder to write to. The first pass is copied unchanged.
 
     Raises:
-        AddonError: a file of the result was changed since.
+        AddonError: a file of the result has changed since.
         EngineError, OSError: a file cannot be read or written.
     """
     whole, made = (splat_ply.read_ply(path) for path in (source / run_files.RESULT, adapted))
@@ -61,6 +61,6 @@ def _copy(path: Path, to: Path) -> None:
 
 
 def _keys(arrays: dict[str, splat_ply.Floats]) -> list[bytes]:
-    """Keys that distinguish Gaussians."""
+    """Return keys that tell Gaussians apart."""
     table = np.column_stack([arrays[name].astype(np.float64) for name in SHAPE])
     return [row.tobytes() for row in table]

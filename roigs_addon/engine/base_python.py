@@ -18,20 +18,20 @@ PYTHONS = ((3, 13), (3, 12), (3, 11), (3, 14))
 """Versions that torch has wheels for, in the order in which they are looked for."""
 
 PROBE_SECONDS = 20.0
-# Where macOS keeps Pythons that programs started from the Dock do not see.
+# Folders with Pythons on macOS that programs started from the Dock do not find.
 MAC_FOLDERS = ("/opt/homebrew/bin", "/usr/local/bin")
 
 _PROBE = "import ensurepip, venv, sys; print(*sys.version_info[:2])"
 
 
 def wheel_versions(folder: Path) -> set[tuple[int, int]]:
-    """The Python versions that the wheels of torch in a folder are for."""
+    """Return the Python versions of the torch wheels in a folder."""
     tags = (re.search(r"-cp3(\d+)-", wheel.name) for wheel in folder.glob("torch-*.whl"))
     return {(3, int(tag[1])) for tag in tags if tag}
 
 
 def choose_python(wheels: Path | None = None) -> Path:
-    """A Python that can make the environment: Blender's own, or one found on this computer.
+    """Return a Python that can make the environment: Blender's own, or another on this computer.
 
     Raises:
         AddonError: there is none, or the folder has no torch.
@@ -50,7 +50,7 @@ def choose_python(wheels: Path | None = None) -> Path:
 
 
 def _pythons() -> Iterator[list[str]]:
-    """Command lines of Pythons to try."""
+    """Yield command lines of Pythons to try."""
     yield [str(own_python())]
     folders = MAC_FOLDERS if sys.platform == "darwin" else ()
     launcher = find_program("py") if os.name == "nt" else None
@@ -65,7 +65,7 @@ def _pythons() -> Iterator[list[str]]:
 
 
 def _version(command: list[str]) -> tuple[int, int]:
-    """Version of a Python that can make environments; (0, 0) of anything else."""
+    """Return the version of a Python that can make environments; (0, 0) for anything else."""
     try:
         said = _ask(command, _PROBE)
         major, minor = said.split()
@@ -75,7 +75,7 @@ def _version(command: list[str]) -> tuple[int, int]:
 
 
 def _program(command: list[str]) -> Path:
-    """The program behind a command such as `py -3.11`."""
+    """Return the program behind a command such as `py -3.11`."""
     if len(command) == 1:
         return Path(command[0])
     return Path(_ask(command, "import sys; print(sys.executable)"))

@@ -37,11 +37,11 @@ last: tuple[Finding, ...] = ()
 
 
 def check(chosen: str, environments: Iterable[Path]) -> tuple[Finding, ...]:
-    """Ask every candidate again.
+    """Check every candidate Python again.
 
     Args:
         chosen: Python named by the user, or empty.
-        environments: folders of those that 'Set Up the Engine' makes.
+        environments: folders of the environments made by 'Set Up the Engine'.
     """
     global last
     python.ability.cache_clear()
@@ -70,7 +70,7 @@ def _place(path: Path) -> Finding:
 
 
 def _outdated(path: Path) -> str:
-    """The reason why a Python of 'Set Up the Engine' does not fit this version of the add-on."""
+    """Return why a Python of 'Set Up the Engine' does not fit this version of the add-on."""
     wanted = files.read_record(path.parent.parent / python.MARKER).get("requirements")
     made_for_this = wanted in (None, install_steps.requirements())
     return "" if made_for_this else "made for other versions of packages; set up the engine again"
@@ -82,6 +82,6 @@ def _name(path: Path) -> str:
 
 
 def forget() -> None:
-    """Drop what was found."""
+    """Drop the findings."""
     global last
     last = ()

@@ -21,11 +21,11 @@ SEARCHED = re.compile("PATH|LD_LIBRARY_PATH|DYLD_(FALLBACK_)?(LIBRARY|FRAMEWORK)
 
 
 def variables() -> dict[str, str]:
-    """This process's environment without what leads to code that the user did not choose.
+    """Return this process's environment, without variables that could load untrusted code.
 
-    Python's own variables lead another Python to Blender's packages. In lists of folders, an entry
-    that is no full path is one in the working folder, where a stranger's .blend may be; an empty
-    one, as of `LD_LIBRARY_PATH=$LD_LIBRARY_PATH:/opt/lib`, is the working folder itself.
+    Python's own variables would lead another Python to Blender's packages. In search paths, a
+    relative entry is a folder below the working folder, where an untrusted .blend may be. An empty
+    entry, as from `LD_LIBRARY_PATH=$LD_LIBRARY_PATH:/opt/lib`, is the working folder itself.
     """
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     found = {name: _full(kept[name]) for name in kept if SEARCHED.fullmatch(name.upper())}
@@ -33,7 +33,7 @@ def variables() -> dict[str, str]:
 
 
 def _full(folders: str) -> str:
-    """The entries of a list of folders that are full paths."""
+    """Return a search path with only its absolute entries."""
     return os.pathsep.join(each for each in folders.split(os.pathsep) if os.path.isabs(each))
 
 
@@ -45,11 +45,11 @@ class Engine:
     source: Path
 
     def command(self, arguments: Sequence[str]) -> list[str]:
-        """The full command line of one engine command."""
+        """Return the full command line of one engine command."""
         return [str(self.python), "-m", "roigs_engine", *arguments]
 
     def environment(self) -> dict[str, str]:
-        """The variables of its process."""
+        """Return the environment variables of the engine's process."""
         return variables() | {
             "PYTHONPATH": str(self.source),
             "PYTHONSAFEPATH": "1",  # no modules from the folder that Blender was started in

@@ -17,9 +17,9 @@ FAILED = "Cannot train: "
 
 
 def ask(engine: Engine, device: str) -> str:
-    """The device of a training, and the reason; empty if the engine does not say.
+    """Return the device of a training, and the reason; empty if the engine does not answer.
 
-    `device`: of the preferences; 'auto' is the engine's choice.
+    `device` is that of the preferences; for 'auto', the engine chooses.
     """
     try:
         process = EngineProcess(engine, ["check-gpu", "--brief", "--device", device])

@@ -1,4 +1,4 @@
-"""Results of earlier settings, which the engine keeps in a run folder. No bpy."""
+"""Lists and deletes results of earlier settings in a run folder. No bpy."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ class EarlierResult:
 
     Attributes:
         folder: laid out like a run folder.
-        made: when, in seconds since the epoch.
+        made: time of training, in seconds since the epoch.
         size: bytes on disk.
-        settings: what it was trained with.
-        psnr: as measured, in words; empty if it was not.
+        settings: of its training.
+        psnr: in words; empty if it was not measured.
     """
 
     folder: Path
@@ -33,7 +33,7 @@ class EarlierResult:
 
 
 def earlier_results(run: Path) -> list[EarlierResult]:
-    """The earlier results of a run folder, newest first."""
+    """Return the earlier results of a run folder, newest first."""
     found = []
     for folder in files.matching(run / run_files.EARLIER, "*"):
         try:
@@ -52,10 +52,10 @@ def earlier_results(run: Path) -> list[EarlierResult]:
 
 
 def delete(run: Path, name: str) -> None:
-    """Delete an earlier result; the stages that it was made of stay.
+    """Delete an earlier result; its stages stay.
 
     Raises:
-        AddonError: there is none of that name, or it cannot be deleted.
+        AddonError: there is no such result, or it cannot be deleted.
     """
     known = {result.folder.name: result.folder for result in earlier_results(run)}
     if name not in known:

@@ -1,7 +1,7 @@
-"""Environments of **Set Up the Engine**: their users, and their removal. No bpy.
+"""Environments of **Set Up the Engine**: locks while they are used, and their removal. No bpy.
 
-Several Blenders share them. So each engine that runs in one holds a lock in it. A process that
-makes or removes environments holds the lock of their folder.
+Several Blenders share them. So each engine that runs in an environment holds a lock in it. A
+process that makes or removes environments holds the lock of their folder.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ USES = "uses"
 
 
 def made(folders: Iterable[Path]) -> list[Path]:
-    """All environments in the folders, incomplete ones too."""
+    """Return all environments in the folders, incomplete ones too."""
     return [
         path
         for folder in folders
@@ -39,7 +39,7 @@ def made(folders: Iterable[Path]) -> list[Path]:
 def using(python: Path) -> Iterator[None]:
     """Keep the environment of a Python from being removed while the block runs.
 
-    Nobody removes a Python that is in no such environment, so nothing is done for it.
+    A Python outside these environments is never removed, so it needs no lock.
 
     Raises:
         OSError: the environment was removed just now.
@@ -48,7 +48,7 @@ def using(python: Path) -> Iterator[None]:
     marker = environment / MARKER
     with ExitStack() as stack:
         if marker.is_file():
-            with suppress(EngineError):  # it cannot be written to, nor removed from here
+            with suppress(EngineError):  # not writable, so not removable from here either
                 stack.enter_context(lock.locked(environment / USES / secrets.token_hex(4)))
             if not marker.is_file():
                 raise FileNotFoundError(errno.ENOENT, "The engine was removed", str(environment))
@@ -56,17 +56,17 @@ def using(python: Path) -> Iterator[None]:
 
 
 def user(environment: Path) -> int:
-    """A process that runs an engine in the environment; 0 if there is none."""
+    """Return a process that runs an engine in the environment; 0 if there is none."""
     locks = environment.glob(f"{USES}/*/{run_files.LOCK}")
     return next(filter(None, map(lock.holder, locks)), 0)
 
 
 @contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Let nobody else make or remove environments in a folder while the block runs.
+    """Lock a folder, so that no other process makes or removes environments during the block.
 
     Raises:
-        AddonError: somebody does so now, or the folder cannot be written to.
+        AddonError: another process holds the lock, or the folder cannot be written to.
     """
     with ExitStack() as stack:
         try:
@@ -80,7 +80,7 @@ def alone(folder: Path) -> Iterator[None]:
 
 
 def remove(environment: Path) -> bool:
-    """Remove one, unless an engine runs in it; whether it is gone."""
+    """Remove an environment, unless an engine runs in it; return whether it is gone."""
     marker, aside = environment / MARKER, environment / f"{MARKER}.removed"
     with suppress(OSError):
         os.replace(marker, aside)  # from now on, no engine starts in it
@@ -101,7 +101,7 @@ def remove_replaced(folders: Iterable[Path]) -> None:
 
 
 def remove_all(folders: Iterable[Path]) -> int:
-    """Remove every environment and what belongs to it; the bytes of their files.
+    """Remove every environment with its logs and downloads; return the bytes freed.
 
     Raises:
         AddonError: one is in use, an installation runs, or something cannot be removed.

@@ -1,4 +1,4 @@
-"""Reads the engine's output, with limited lines, and shows its events as text. No bpy."""
+"""Reads the engine's output, with lines cut at a limit, and shows events as text. No bpy."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DEVICE = "Trains on "
 
 
 def in_words(event: events.Record) -> str:
-    """The event as a line of the log; empty for events that belong on the screen only."""
+    """Return the event as a line of the log; empty for events shown only on the screen."""
     match event["event"]:
         case "message":
             return str(event.get("text", ""))
@@ -36,7 +36,7 @@ def in_words(event: events.Record) -> str:
 
 
 def read_lines(stream: IO[str]) -> Iterator[str]:
-    """The stream's lines; of a line that is too long only the beginning."""
+    """Yield the stream's lines; of a line that is too long, only the beginning."""
     begins = True
     while part := stream.readline(events.MAX_LINE + 1):
         if begins:

@@ -1,7 +1,7 @@
 """Reads an exported model (docs/files.md) from the folder named in a .blend. No bpy.
 
-The author of the .blend chose the folder, and panels read it while they are drawn. So nothing here
-waits for a pipe, needs more memory than the file has bytes, or runs anything.
+The author of the .blend chose the folder, and panels read it while they are drawn. So the code here
+never waits for a pipe, needs no more memory than the file has bytes, and runs no code from it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MOST_BYTES = 256 << 20
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """The description of a model: a JSON object whose `images` are objects with a `name`.
+    """Read the description of a model: a JSON object whose `images` are objects with a `name`.
 
     OSError or ValueError: there is none, or it is damaged.
     """
@@ -38,10 +38,10 @@ def _is_named(image: Any) -> bool:
 
 
 def read_numbers(folder: Path, name: str, width: int = 0) -> NDArray[Any]:
-    """The array of numbers in a file, (N,), or (N, `width`) if that is given.
+    """Read an array of numbers from a file: (N,), or (N, `width`) if `width` is given.
 
-    It is not mapped: Blender dies when a mapped file is lost, as on a network drive.
-    OSError or ValueError: it is missing, damaged, or not of that shape.
+    The file is not memory-mapped: Blender crashes if a mapped file is lost, as on a network drive.
+    OSError or ValueError: it is missing, damaged, or has another shape.
     """
     with open(folder / name, "rb", opener=files.regular) as file:
         formats: Any = np.lib.format  # without types

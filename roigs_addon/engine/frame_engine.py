@@ -12,7 +12,7 @@ from .command import Engine
 from .process import EngineProcess
 
 PAUSE = 0.005
-LONGEST_PAUSE = 1.0  # seconds; a longer one was the computer's sleep
+LONGEST_PAUSE = 1.0  # seconds; during a longer one, the computer was asleep
 END_SECONDS = 5.0
 ENDED = "The engine ended while rendering."
 SILENT_SECONDS = 600.0
@@ -27,8 +27,8 @@ class FrameEngine:
     """Draws one frame after the other; models stay in its memory. For one thread.
 
     Args:
-        engine: to run.
-        requests: an empty folder of its own.
+        engine: the engine to run.
+        requests: an empty folder for it alone.
         options: of the command.
     """
 
@@ -38,17 +38,17 @@ class FrameEngine:
         self._process = EngineProcess(engine, ["render-frames", str(requests), *options])
 
     def draw(self, request: dict[str, Any]) -> str:
-        """Draw a frame and wait for it; returns what is wrong, or nothing.
+        """Draw a frame and wait for it; return an error, or an empty string.
 
-        Blender tells only a render engine, not a handler, that the user has cancelled the render.
-        So the wait ends with the frame, or when the engine hangs.
+        Only a render engine, not a handler, learns from Blender that the user has cancelled the
+        render. So the wait ends with the frame, or when the engine hangs.
         """
-        self._process.events()  # of the frame before
+        self._process.events()  # drop those of the frame before
         path = self._requests / f"frame{frame_requests.REQUEST}"
         files.write_json(path, request, durable=False)
         drawn, warnings, silence = False, [], _Silence()
         while True:
-            # The engine deletes the request last, but its words may come later than that.
+            # The engine deletes the request last, but its events may arrive later.
             gone = not path.exists()
             for event in self._process.events():
                 silence.end()
@@ -72,7 +72,7 @@ class FrameEngine:
         return not self._hung and self._process.running()
 
     def close(self) -> None:
-        """End it; a process that the system itself cannot end is left behind."""
+        """End the engine. If even the system cannot end the process, it is left behind."""
         self._process.stop()
         if not self._process.wait(END_SECONDS):
             self._process.kill()
@@ -82,17 +82,17 @@ class FrameEngine:
 
 
 class _Silence:
-    """The time without a message, except the time in which the computer slept."""
+    """Measures the time without an event, except while the computer was asleep."""
 
     def __init__(self) -> None:
         self._seconds, self._last = 0.0, time.monotonic()
 
     def end(self) -> None:
-        """Something was heard."""
+        """Reset the time: an event arrived."""
         self._seconds = 0.0
 
     def seconds(self) -> float:
-        """Since the last sound; to be called often."""
+        """Return the seconds since the last event; call this often."""
         now = time.monotonic()
         self._seconds += min(now - self._last, LONGEST_PAUSE)
         self._last = now

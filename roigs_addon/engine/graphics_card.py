@@ -43,9 +43,9 @@ class Build:
     """A build of torch for CUDA.
 
     Attributes:
-        name: of PyTorch's index.
-        driver: the oldest that it runs with, on Linux and on Windows.
-        oldest, newest: compute capabilities of the cards that it is for, and our kernels too.
+        name: in PyTorch's index.
+        driver: oldest supported driver, on Linux and on Windows.
+        oldest, newest: range of compute capabilities that it and our kernels support.
     """
 
     name: str
@@ -55,7 +55,7 @@ class Build:
 
     @property
     def index(self) -> str:
-        """The package index for pip."""
+        """Return the package index for pip."""
         return f"https://download.pytorch.org/whl/{self.name}"
 
 
@@ -71,8 +71,8 @@ class Choice:
     """The build to install, and the reason, as a sentence for the user.
 
     Attributes:
-        build: None: the one for the CPU.
-        card: None: there is none, or its driver is not installed.
+        build: None for the build for the CPU.
+        card: None if there is none, or its driver is not installed.
     """
 
     build: Build | None
@@ -81,7 +81,7 @@ class Choice:
 
 
 def choose(card: Card | None, platform: str = sys.platform) -> Choice:
-    """The build of torch for a card; `platform` as sys.platform."""
+    """Choose the build of torch for a card; `platform` is as sys.platform."""
     if card is None:
         return Choice(build=None, card=None, reason="No NVIDIA card with a driver was found.")
     known = f"{card.name}, driver {card.driver}"
@@ -98,9 +98,10 @@ def choose(card: Card | None, platform: str = sys.platform) -> Choice:
 
 
 def find() -> Card | None:
-    """The card that computes: of several, the one with the highest compute capability.
+    """Return the NVIDIA card; of several, the one with the highest compute capability.
 
-    The driver's own program is asked, not its library: what crashes does so elsewhere.
+    This runs the driver's own program instead of loading its library, so a crash stays outside
+    Blender.
     """
     for program in _programs():
         for fields in FIELDS:
@@ -111,12 +112,12 @@ def find() -> Card | None:
 
 
 def _programs() -> Iterator[str]:
-    """Possible places of nvidia-smi: it is not always on the path of desktop programs."""
+    """Yield possible places of nvidia-smi: it is not always on the path of desktop programs."""
     if found := find_program("nvidia-smi"):
         yield str(found)
     places = [Path("/usr/bin"), Path("/usr/lib/wsl/lib"), Path("/run/current-system/sw/bin")]
     name = "nvidia-smi"
-    if sys.platform == "win32":  # whose variables have any case
+    if sys.platform == "win32":  # its variables' names may have any case
         name = "nvidia-smi.exe"
         windows = os.environ.get("SYSTEMROOT", r"C:\Windows")
         programs = os.environ.get("PROGRAMW6432") or os.environ.get("PROGRAMFILES", "")
@@ -130,7 +131,7 @@ def _programs() -> Iterator[str]:
 
 
 def _ask(program: str, fields: str) -> list[str]:
-    """The lines of its answer; none if it fails."""
+    """Query nvidia-smi; return the lines of its answer, none if it fails."""
     try:
         result = subprocess.run(
             [program, f"--query-gpu={fields}", "--format=csv,noheader"],
@@ -150,7 +151,7 @@ def _ask(program: str, fields: str) -> list[str]:
 
 
 def _card(line: str) -> Card | None:
-    """A line such as 'NVIDIA GeForce RTX 4070, 580.95.05, 8.9'."""
+    """Parse a line such as 'NVIDIA GeForce RTX 4070, 580.95.05, 8.9'."""
     name, *rest = (part.strip() for part in line.split(","))
     if not name or not rest or not _numbers(rest[0]):
         return None
@@ -161,7 +162,7 @@ def _card(line: str) -> Card | None:
 
 
 def _numbers(version: str) -> tuple[int, ...]:
-    """(580, 95, 5) of '580.95.05'; empty if it is no version."""
+    """Parse a version: (580, 95, 5) for '580.95.05'; empty if it is not one."""
     if not re.fullmatch(r"\d+(\.\d+)*", version):
         return ()
     return tuple(int(part) for part in version.split("."))

@@ -36,21 +36,21 @@ _RAW_PROGRESS = re.compile(r"Progress (\d+) of (\d+)")
 
 
 class Installation:
-    """The making of one environment. Its attributes may be read at any time, from any thread.
+    """Makes one environment. Its attributes may be read at any time, from any thread.
 
     Attributes:
-        folder: where the environment is made.
-        title: what it is doing.
-        line: the last line that a program printed.
-        fraction: how much of all steps is done, 0 to 1.
-        finished: whether it has ended, well or not.
+        folder: of the environments.
+        title: of the current step.
+        line: the last line printed by a program.
+        fraction: progress over all steps, 0 to 1.
+        finished: whether it has ended, successfully or not.
         message: why it failed; empty while it runs and after success.
         stopped: whether it was stopped on request.
-        python: the environment's, after success.
+        python: that of the environment, after success.
     """
 
     def __init__(self, plan: Plan) -> None:
-        """Prepare it; `start` begins."""
+        """Prepare the installation; call `start` to begin."""
         self.plan = plan
         self.folder = plan.environments[0]
         self.log = self.folder / SETUP_LOG
@@ -63,11 +63,11 @@ class Installation:
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     def start(self) -> None:
-        """Begin, in a thread."""
+        """Start the installation in a thread."""
         self._thread.start()
 
     def stop(self, timeout: float = 5.0) -> None:
-        """End it and what it started."""
+        """Stop the installation and the programs that it started."""
         self.stopped = True
         process = self._process
         if process is not None:
@@ -95,7 +95,7 @@ class Installation:
         before = [int(path.name) for path in made([self.folder])]
         remove_replaced(self.plan.environments)
         environment = self.folder / str(max(before, default=0) + 1)
-        self.log.unlink(missing_ok=True)  # a link or a pipe in its place is not written to
+        self.log.unlink(missing_ok=True)  # so that no link or pipe in its place is written to
         with self.log.open("x", encoding="utf-8") as log:
             planned = steps(self.plan, base, environment)
             for number, step in enumerate(planned):
@@ -115,7 +115,7 @@ class Installation:
         """Run one program to its end; its output goes to the log.
 
         Raises:
-            AddonError: it failed, and is needed.
+            AddonError: a needed step failed.
         """
         if self.stopped:
             return
@@ -127,7 +127,7 @@ class Installation:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             env=self._variables(step),
-            cwd=self.folder,  # its own: no file of a stranger is in it
+            cwd=self.folder,  # our own folder, without untrusted files
             text=True,
             encoding="utf-8",
             errors="replace",
@@ -155,7 +155,7 @@ class Installation:
             raise AddonError(f"{said} See the log {self.log}")
 
     def _of_the_disk(self) -> str:
-        """Advice if the disk is full: most programs do not name this cause."""
+        """Return advice if the disk is full: most programs do not name this cause."""
         with contextlib.suppress(OSError):
             if shutil.disk_usage(self.folder).free < LEAST_FREE:
                 return f" The disk of {self.folder} is full: free some space."
@@ -177,7 +177,7 @@ class Installation:
 
 
 def _end(process: subprocess.Popen[str]) -> None:
-    """End a program and everything that it started."""
+    """Kill a program and its child processes."""
     if os.name == "nt":
         command = [windows_tool("taskkill"), "/T", "/F", "/PID", str(process.pid)]
         subprocess.run(command, capture_output=True, check=False, creationflags=HIDDEN)
@@ -187,7 +187,7 @@ def _end(process: subprocess.Popen[str]) -> None:
 
 
 def useful(lines: list[str]) -> str:
-    """The line that says what went wrong: pip's last ERROR, else the last line."""
+    """Return the line with the cause of a failure: pip's last ERROR, else the last line."""
     errors = [line for line in lines if line.startswith("ERROR:")]
     line = (errors or lines or ["no output."])[-1].removeprefix("ERROR:").strip()
     return line if line.endswith(".") else f"{line}."
@@ -203,10 +203,10 @@ def running() -> bool:
 
 
 def begin(plan: Plan) -> Installation:
-    """Start one.
+    """Start an installation.
 
     Raises:
-        AddonError: one runs already.
+        AddonError: one is running already.
     """
     global current
     if running():
@@ -217,7 +217,7 @@ def begin(plan: Plan) -> Installation:
 
 
 def forget() -> None:
-    """End what runs, and forget it."""
+    """Stop a running installation, and forget it."""
     global current
     if current is not None and not current.finished:
         current.stop()

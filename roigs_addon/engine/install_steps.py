@@ -35,10 +35,10 @@ class Plan:
     """The packages to install, and their source.
 
     Attributes:
-        environments: folders of earlier ones; the new one is made in the first.
-        torch_index: where torch comes from, for an NVIDIA GPU; empty: torch for the CPU.
-        formats: also what **Export** and **Import** need for other formats than PLY.
-        wheels: folder to install from, without a network; None: PyPI and PyTorch's index.
+        environments: folders of environments; the new one is made in the first folder.
+        torch_index: package index of torch for an NVIDIA GPU; empty for torch for the CPU.
+        formats: also install packages for **Export** and **Import** of formats other than PLY.
+        wheels: folder to install from, without a network; None for PyPI and PyTorch's index.
     """
 
     environments: tuple[Path, ...]
@@ -52,8 +52,9 @@ class Step:
     """One program that runs to its end.
 
     Attributes:
-        title, command: of it.
-        optional: the engine works without it; if it fails, the set-up continues.
+        title: for the user.
+        command: of the program.
+        needed: if not, the engine works without it, and the set-up continues if it fails.
     """
 
     title: str
@@ -69,7 +70,7 @@ def _project() -> dict[str, Any]:
 
 
 def requirements(*extras: str) -> list[str]:
-    """Requirements of training and of the given extras of the project, for pip."""
+    """Return the requirements of training and of the project's given extras, for pip."""
     project = _project()
     optional = project["optional-dependencies"]
     return [
@@ -79,12 +80,12 @@ def requirements(*extras: str) -> list[str]:
 
 
 def name_of(package: str) -> str:
-    """The name of what pip is asked for, without its version."""
+    """Return the name in a requirement, without its version."""
     return re.split(r"[<>=!~;\[ ]", package)[0]
 
 
 def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
-    """The programs that make `environment` with the Python `base`."""
+    """Return the steps that make `environment` with the Python `base`."""
     python = str(environment_python(environment))
     runs = [python, ISOLATED]
     pip = [*runs, "-m", "pip", "install", "--no-input", "--disable-pip-version-check"]
@@ -104,9 +105,9 @@ def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
     torch = [*runs, _script("install_torch"), *index]
     return [
         make,
-        # From 24.1 on, pip reports how much of a file it has.
+        # From 24.1 on, pip reports the progress of a download.
         Step(title="Updating pip", command=[*pip, *_locked(PIP)]),
-        # Before torch, which then finds what it needs itself, except for a graphics card.
+        # Before torch: then torch's requirements are installed, except those for a graphics card.
         Step(title="Installing packages", command=[*pip, *_locked(ENGINE)]),
         Step(title="Installing torch", command=torch),
         *(_optional(package, [*pip, *_locked(name_of(package))]) for package in optional),
@@ -115,7 +116,7 @@ def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
 
 
 def optional_packages(*, formats: bool) -> list[str]:
-    """Packages that the engine can do without; some have no wheel for a platform."""
+    """Return the packages that the engine can do without; some lack wheels for a platform."""
     extras = _project()["optional-dependencies"]
     return [
         package
@@ -129,7 +130,7 @@ def _optional(package: str, command: list[str]) -> Step:
 
 
 def _locked(name: str) -> list[str]:
-    """Arguments of pip: versions and hashes of a file, and nothing else; nothing is compiled."""
+    """Return pip's arguments: only the versions and hashes of a file, and only wheels."""
     path = SOURCE / "tools" / "locked" / f"{name}.txt"
     return ["--require-hashes", "--no-deps", *ONLY_WHEELS, "--requirement", str(path)]
 

@@ -70,7 +70,7 @@ STAGE_WORDS = {
 
 
 def stage_in_words(stage: str) -> str:
-    """'whole scene' for `scene`."""
+    """Return a stage's name for the user, as 'whole scene' for `scene`."""
     if stage.startswith(run_files.OBJECT_STAGE):
         return f"box '{stage.removeprefix(run_files.OBJECT_STAGE)}'"
     if stage.startswith(BASELINES):
@@ -79,7 +79,7 @@ def stage_in_words(stage: str) -> str:
 
 
 def step_in_words(stage: str, step: int, total: int) -> str:
-    """'Step 3 of 20', or what the stage counts instead."""
+    """Return a stage's progress, as 'Step 3 of 20', or in the stage's own unit."""
     share = f"{step:,} of {total:,}"
     if stage == MAPPING:
         return f"{share} photos registered"
@@ -87,11 +87,11 @@ def step_in_words(stage: str, step: int, total: int) -> str:
 
 
 def warning_in_words(text: str) -> str:
-    """'whole scene: …' for a warning 'scene: …' of a stage; other warnings stay as they are."""
+    """Replace a stage's name in a warning 'scene: …' by 'whole scene: …'; keep other warnings."""
     stage, colon, rest = text.partition(": ")
     return f"{stage_in_words(stage)}{colon}{rest}"
 
 
 def log_file(folder: Path) -> Path:
-    """The engine's log file."""
+    """Return the engine's log file in a run folder."""
     return folder / LOG

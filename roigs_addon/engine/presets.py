@@ -22,11 +22,11 @@ JOINT_DEFAULTS = {"strategy": "joint", "method": "coverage"}
 
 
 def follow_preset(settings: Any, made_for: str) -> None:
-    """The paper's preset sets the paper's way; what the user chose stays.
+    """Change defaults when the preset changes to the paper's or back; the user's choices stay.
 
     Args:
-        settings: a scene's.
-        made_for: the default of the other presets.
+        settings: of a scene.
+        made_for: default of the other presets.
     """
     now_paper = settings.preset == PAPER
     if now_paper == settings.is_paper:

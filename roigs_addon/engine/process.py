@@ -23,7 +23,7 @@ from . import environments
 from .command import HIDDEN, Engine
 from .event_log import in_words, read_lines
 
-MAX_WAITING = 10_000  # events that nobody has taken: further ones are dropped, except the final one
+MAX_WAITING = 10_000  # events in the queue: further ones are dropped, except the final one
 KEPT_LINES = 200
 LOG_SECONDS = 10.0
 """Least time between two lines of progress in the log."""
@@ -37,8 +37,8 @@ class JobResult:
 
     Attributes:
         status: the process's exit status.
-        outputs: name -> path of what was made.
-        stopped: whether it stopped because somebody asked.
+        outputs: name -> path of each file made.
+        stopped: whether it stopped on request.
         message: the error; empty if there is none.
     """
 
@@ -54,7 +54,7 @@ class JobResult:
 
     @property
     def complete(self) -> bool:
-        """Whether it did all that was asked for, so that its outputs count."""
+        """Whether it finished all its work, so that its outputs are valid."""
         return not self.stopped and not self.failed
 
     @property
@@ -64,12 +64,12 @@ class JobResult:
 
 
 class EngineProcess:
-    """A running engine command. All methods are for one thread, the owner's."""
+    """A running engine command. Only the owner's thread may call its methods."""
 
     def __init__(
         self, engine: Engine, arguments: Sequence[str], *, log: Path | None = None
     ) -> None:
-        """Start it; `arguments` begin with the command, and `--events` is added.
+        """Start the command; `arguments` begin with its name, and `--events` is added.
 
         Raises:
             OSError: the Python could not be started.
@@ -105,11 +105,11 @@ class EngineProcess:
 
     @property
     def pid(self) -> int:
-        """The operating system's number of the process."""
+        """Return the process ID."""
         return int(self._process.pid)
 
     def events(self) -> list[events.Record]:
-        """Events since the last call, in order; the final event is held back."""
+        """Return the events since the last call, in order, without the final event."""
         arrived: list[events.Record] = []
         while True:
             try:
@@ -126,20 +126,20 @@ class EngineProcess:
         return self._process.poll() is None or any(r.is_alive() for r in self._readers)
 
     def stop(self) -> None:
-        """Ask it to stop, by closing its input; it writes a checkpoint and then ends.
+        """Ask it to stop by closing its input; it writes a checkpoint and then ends.
 
-        Nothing is written to the pipe: if the engine has already ended, some builds of Blender
-        would die of SIGPIPE.
+        Nothing is written to the pipe: if the engine has already ended, SIGPIPE would kill some
+        builds of Blender.
         """
         assert self._process.stdin is not None
         self._process.stdin.close()
 
     def kill(self) -> None:
-        """End it at once."""
+        """Kill the process."""
         self._process.kill()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait for its end; False if that took longer than `timeout` seconds."""
+        """Wait for its end; return False after `timeout` seconds."""
         try:
             self._process.wait(timeout)
         except subprocess.TimeoutExpired:
@@ -149,7 +149,7 @@ class EngineProcess:
         return True
 
     def result(self) -> JobResult:
-        """The result; call once `running` is False."""
+        """Return the result. Call this only once `running` is False."""
         self.events()
         self.stop()  # closes the pipe
         self._log.close()
@@ -163,7 +163,7 @@ class EngineProcess:
         return JobResult(status=status, message=self._unexplained(status))
 
     def _unexplained(self, status: int) -> str:
-        """The error if the engine ended without giving one."""
+        """Return an error message if the engine ended without one."""
         if status < 0:
             return f"The engine was ended from outside (signal {-status})."
         last = next((line for line in reversed(self._log.said) if line.strip()), "")
@@ -194,7 +194,7 @@ class EngineProcess:
 
 
 class _Log:
-    """The log of a process, if it has one, and the last lines that the engine wrote for people."""
+    """The log file of a process, if any, and the engine's last lines for the user."""
 
     def __init__(self, path: Path | None) -> None:
         self.said: deque[str] = deque(maxlen=KEPT_LINES)
@@ -204,7 +204,7 @@ class _Log:
             self._file = files.open_log(path)
 
     def take(self, event: events.Record) -> None:
-        """An event in words; of progress, a line now and then."""
+        """Write an event in words; of progress, only a line every `LOG_SECONDS`."""
         if event["event"] == "progress":
             now = time.monotonic()
             if now - self._shown < LOG_SECONDS:
@@ -213,12 +213,12 @@ class _Log:
         self.write(in_words(event))
 
     def note(self, line: str) -> None:
-        """One line for users."""
+        """Write and keep one line for the user."""
         self.said.append(line.rstrip("\n"))
         self.write(line.rstrip("\n"))
 
     def write(self, text: str) -> None:
-        """A line with the time of day."""
+        """Write a line with the time of day."""
         log = self._file
         if log is not None and text:
             try:
@@ -228,7 +228,7 @@ class _Log:
                 pass
 
     def close(self) -> None:
-        """No more lines."""
+        """Close the log file."""
         if self._file is not None:
             self._file.close()
             self._file = None

@@ -8,14 +8,14 @@ from pathlib import Path
 
 
 def find_program(name: str, folders: Iterable[str] = ()) -> Path | None:
-    """The program of this name, in the folders of PATH or in others.
+    """Return the program of this name in the folders of PATH or in others; None if not found.
 
-    `shutil.which` also looks in the working folder on Windows, and wherever PATH has a relative
-    entry. That may be the folder of a stranger's .blend.
+    Unlike `shutil.which`, this ignores the working folder on Windows, and relative entries of PATH.
+    They may be the folder of an untrusted .blend.
 
     Args:
         name: without `.exe`.
-        folders: more places to look in.
+        folders: more folders to search.
     """
     file = f"{name}.exe" if os.name == "nt" else name
     for folder in _full([*os.environ.get("PATH", "").split(os.pathsep), *folders]):
@@ -26,7 +26,7 @@ def find_program(name: str, folders: Iterable[str] = ()) -> Path | None:
 
 
 def windows_tool(name: str) -> str:
-    """A program of Windows itself."""
+    """Return the path of a program that is part of Windows."""
     windows = Path(os.environ.get("SYSTEMROOT", r"C:\Windows"))
     return str(windows / "System32" / f"{name}.exe")
 

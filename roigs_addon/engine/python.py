@@ -66,7 +66,7 @@ class Ability:
     fault: str = ""
 
     def lacks(self, packages: tuple[str, ...]) -> str:
-        """Why it cannot be used, as a phrase; empty if it can."""
+        """Return why this Python cannot be used, as a phrase; empty if it can."""
         if self.fault:
             return self.fault
         if self.version < OLDEST:
@@ -77,7 +77,7 @@ class Ability:
 
 @functools.lru_cache(maxsize=32)
 def ability(python: Path) -> Ability:
-    """Start a Python and ask it, once; call `ability.cache_clear()` after an installation."""
+    """Start a Python once to find its abilities; call `ability.cache_clear()` after installing."""
     if not python.is_absolute():
         return _faulty("it is not a full path; choose the program again")
     try:
@@ -108,7 +108,7 @@ def _faulty(fault: str) -> Ability:
 
 
 def own_python() -> Path:
-    """Blender's own Python, as a program."""
+    """Return Blender's own Python as a program."""
     own = Path(sys.executable)
     if "python" in own.name.lower():
         return own
@@ -118,14 +118,14 @@ def own_python() -> Path:
 
 
 def environment_python(environment: Path) -> Path:
-    """The Python of a virtual environment."""
+    """Return the Python of a virtual environment."""
     if os.name == "nt":
         return environment / "Scripts" / "python.exe"
     return environment / "bin" / "python"
 
 
 def complete_environments(folders: Iterable[Path]) -> list[Path]:
-    """The complete environments in some folders: folder by folder, the newest first."""
+    """Return the complete environments in some folders: folder by folder, the newest first."""
     return [path for folder in folders for path in _newest_first(folder)]
 
 
@@ -136,15 +136,15 @@ def _newest_first(folder: Path) -> list[Path]:
 
 
 def candidates(chosen: str, environments: Iterable[Path]) -> list[Path]:
-    """Pythons to try, in order of preference. If the user named one, no other is tried.
+    """Return Pythons to try, in order of preference; only one if the user named it.
 
     Args:
-        chosen: by the user, or empty.
-        environments: folders of those that 'Set Up the Engine' makes.
+        chosen: Python named by the user, or empty.
+        environments: folders of the environments made by 'Set Up the Engine'.
     """
     named = chosen or os.environ.get(VARIABLE, "")
     if named:
-        # Blender writes `//` for the folder of the open .blend, where a stranger's program may be.
+        # Blender writes `//` for the .blend's folder, where an untrusted program may be.
         return [Path(named.lstrip("/") if named.startswith("//") else named)]
     made = [environment_python(environment) for environment in complete_environments(environments)]
     return [*made, own_python()]
@@ -153,7 +153,7 @@ def candidates(chosen: str, environments: Iterable[Path]) -> list[Path]:
 def find(
     chosen: str, environments: Iterable[Path], packages: tuple[str, ...]
 ) -> tuple[Engine | None, str]:
-    """The first Python that has the packages, or why there is none.
+    """Find the first Python that has the packages, or explain why there is none.
 
     Returns:
         The engine, or None and a sentence for the user.

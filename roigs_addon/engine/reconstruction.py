@@ -17,13 +17,13 @@ REPORT = "reconstruction.md"
 
 @dataclass(frozen=True, kw_only=True)
 class ReconstructionStatus:
-    """The folder of a reconstruction at one moment.
+    """The state of a reconstruction's folder at one moment.
 
     Attributes:
-        done: whether the model is there.
+        done: whether the model exists.
         unfinished: whether a reconstruction was started and has not been finished.
         summary: the report's first sentence; empty without a report.
-        remarks: what else it says of all photos, a sentence each.
+        remarks: the report's further remarks on all photos, one sentence each.
         holder: process of an engine that works there now; 0 if there is none.
     """
 
@@ -35,7 +35,7 @@ class ReconstructionStatus:
 
 
 def read(folder: Path) -> ReconstructionStatus:
-    """Look into a folder; one that is missing or unreadable counts as empty."""
+    """Read the state of a folder; a missing or unreadable folder counts as empty."""
     work = folder / WORK
     try:
         state = files.read_json(work / STATE)
@@ -58,7 +58,7 @@ def read(folder: Path) -> ReconstructionStatus:
 
 
 def is_free(folder: Path) -> bool:
-    """Whether nothing but a reconstruction is in a folder, or nothing at all."""
+    """Whether a folder is missing or empty, or has a reconstruction."""
     try:
         return (folder / WORK).is_dir() or not next(iter(os.scandir(folder)), None)
     except FileNotFoundError:
@@ -68,7 +68,7 @@ def is_free(folder: Path) -> bool:
 
 
 def _told(report: Path) -> tuple[str, tuple[str, ...]]:
-    """Summary and remarks, which stand before the first table."""
+    """Return the report's summary and remarks, which come before its first table."""
     try:
         lines = files.read_bytes(report).decode("utf-8", "replace").splitlines()
     except OSError:

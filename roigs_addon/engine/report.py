@@ -8,11 +8,13 @@ from ..shared import EngineError, files, run_files, text
 
 
 def psnr(folder: Path, side: int | None = None) -> str:
-    """'27.4 dB at 640 px on 5 test photos', the mean of all boxes; empty if it was not measured.
+    """Return the mean PSNR of all boxes, as '27.4 dB at 640 px on 5 test photos'.
+
+    It is empty if none was measured.
 
     Args:
         folder: a run folder, or an earlier result.
-        side: longest side of the photos, if known: it decides what a PSNR is worth.
+        side: longest side of the photos, if known: PSNRs of different sizes cannot be compared.
     """
     try:
         report = files.read_json(folder / run_files.REPORT_DATA)

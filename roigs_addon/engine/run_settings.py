@@ -26,14 +26,14 @@ BOX_SETTINGS = ("method", "count")
 
 @dataclass(frozen=True, kw_only=True)
 class RunSettings:
-    """Settings that decide a result, except boxes and photo lists; None: not known.
+    """Settings that decide a result, except boxes and photo lists. None means unknown.
 
     Attributes:
         preset, strategy, method, count, seed, test_every: as the engine's options.
-        max_side, steps_factor, made_for: likewise.
-        steps: of the scene and the boxes; not compared.
-        recipe: whether a preset's settings are those of this version.
-        exclude: names of the photos that are left out.
+        max_side, steps_factor, made_for: as the engine's options.
+        steps: sum of the scene's and the boxes' steps; not compared.
+        recipe: whether the preset's settings are those of this version.
+        exclude: names of the excluded photos.
         scene, images: names of the folders. Their paths change when a project is moved.
     """
 
@@ -56,11 +56,11 @@ class RunSettings:
     def from_options(
         cls, values: Mapping[str, Any], config: Mapping[str, Any] | None = None
     ) -> RunSettings:
-        """The settings of an options file.
+        """Return the settings of an options file.
 
         Args:
             values: of the file.
-            config: of the manifest, for what the file leaves to the preset.
+            config: of the manifest, for settings that the file leaves to the preset.
         """
         config = config or {}
         selection = config.get("selection")
@@ -81,7 +81,7 @@ class RunSettings:
         )._with_recipe(config)
 
     def _with_recipe(self, config: Mapping[str, Any]) -> RunSettings:
-        """With what a manifest says of steps: whether they are this version's."""
+        """Add the manifest's steps, and whether they are those of this version."""
         scene, boxes = config.get("scene"), config.get("roi")
         if not isinstance(scene, dict) or not isinstance(boxes, dict):
             return self
@@ -93,7 +93,7 @@ class RunSettings:
         return replace(self, steps=steps, recipe=THIS if steps == usual else EARLIER)
 
     def of_this_version(self) -> RunSettings:
-        """The settings of a training to come: with what its preset is now."""
+        """Return the settings of a new training, with this version's preset."""
         name, factor, steps = str(self.preset), self.steps_factor or 1.0, None
         if name in PRESET_STEPS and not isinstance(factor, str) and 0 < factor < MOST_FACTOR:
             steps = sum(stage_steps(name, factor))
@@ -101,19 +101,19 @@ class RunSettings:
 
 
 def _of_stages(config: Mapping[str, Any]) -> dict[str, Any]:
-    """The manifest's settings of the stages."""
+    """Return the manifest's settings of the stages."""
     stage = config.get("roi")
     return {"made_for": stage.get("made_for")} if isinstance(stage, dict) else {}
 
 
 def _count(value: Any) -> int | None:
-    """A number of steps."""
+    """Return a valid number of steps, else None."""
     good = isinstance(value, int) and not isinstance(value, bool) and 0 < value < MOST_STEPS
     return value if good else None
 
 
 def _plain(name: str, value: Any) -> Any:
-    """The value of a setting; None if none of the kind can be: anybody may have written the file"""
+    """Return the value of a setting; None if it is invalid: the file is untrusted."""
     if name in TEXTS:
         return text.printable(value)[:LONGEST] if isinstance(value, str) else None
     if isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -124,7 +124,7 @@ def _plain(name: str, value: Any) -> Any:
 
 
 def read(folder: Path, config: Mapping[str, Any] | None = None) -> RunSettings:
-    """The settings of a run folder, or of an earlier result; unknown ones are None."""
+    """Read the settings of a run folder, or of an earlier result; unknown ones are None."""
     try:
         values = files.read_json(folder / run_files.SETTINGS)
     except EngineError:
@@ -133,7 +133,7 @@ def read(folder: Path, config: Mapping[str, Any] | None = None) -> RunSettings:
 
 
 def differing(before: RunSettings, now: RunSettings) -> list[str]:
-    """Names of the settings that differ, of those that both know; `recipe` if no other says why."""
+    """Return the names of known settings that differ; `recipe` only if no other differs."""
     pairs = {name: (getattr(before, name), getattr(now, name)) for name in IN_WORDS}
     names = [name for name, (a, b) in pairs.items() if a != b and None not in (a, b)]
     return [name for name in names if name != "recipe"] or names
@@ -163,12 +163,12 @@ IN_WORDS: dict[str, Callable[[Any], str]] = {
 
 
 def in_words(settings: RunSettings, names: list[str]) -> str:
-    """Some of the settings: 'Draft, 640 px'."""
+    """Describe some of the settings: 'Draft, 640 px'."""
     return ", ".join(IN_WORDS[name](getattr(settings, name)) for name in names)
 
 
 def title(settings: RunSettings) -> str:
-    """A short name of the result of these settings; empty if they are not known."""
+    """Return a short name for the result of these settings; empty if they are unknown."""
     names = [name for name in ("preset", "max_side") if getattr(settings, name) is not None]
     if settings.steps_factor not in (None, 1.0):
         names.append("steps_factor")
@@ -178,7 +178,7 @@ def title(settings: RunSettings) -> str:
 
 
 def work(settings: RunSettings) -> float | None:
-    """The work of a training, in pixels times steps; None if it is not known."""
+    """Return the work of a training, in pixels times steps; None if unknown."""
     steps = settings.steps or settings.of_this_version().steps
     if steps is None or settings.max_side is None:
         return None

@@ -17,17 +17,17 @@ TrainedBox = tuple[Any, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class RunStatus:
-    """A run folder at one moment.
+    """The state of a run folder at one moment.
 
     Attributes:
-        done: finished stages, in the order in which they were trained.
-        seconds: training time of each of them, as far as it is known.
-        left: the stage that was stopped midway; empty if there is none.
-        result: whether the result is there.
-        boxes: what was trained for: name -> box; None if that is not known.
-        settings: what was asked for.
-        lists: box -> its photos that the user chose, of those that were trained on.
-        photos: names of the photos that were trained on; None if that is not known.
+        done: finished stages, in the order of their training.
+        seconds: training time of each finished stage; 0 if unknown.
+        left: a stage that was stopped midway; empty if there is none.
+        result: whether the result exists.
+        boxes: the trained boxes by name; None if unknown.
+        settings: of the training.
+        lists: box -> its training photos that the user chose.
+        photos: names of the training photos; None if unknown.
         holder: process of an engine that works there now; 0 if there is none.
     """
 
@@ -48,7 +48,7 @@ class RunStatus:
 
 
 def read(folder: Path) -> RunStatus:
-    """Look into a folder; one that is missing or unreadable counts as an empty run."""
+    """Read the state of a folder; a missing or unreadable folder counts as an empty run."""
     try:
         return _read(folder)
     except OSError:
@@ -89,7 +89,7 @@ def _seconds(stage: Path) -> float:
 
 
 def _object(path: Path) -> dict[str, Any]:
-    """The object in a JSON file; empty if there is none."""
+    """Read the object in a JSON file; empty if there is none."""
     try:
         return _dict(files.read_json(path))
     except EngineError:
@@ -109,7 +109,7 @@ def _boxes(manifest: dict[str, Any]) -> dict[str, TrainedBox] | None:
 
 
 def _photos(manifest: dict[str, Any], split: dict[str, Any]) -> frozenset[str] | None:
-    """The photos of the manifest without those that results are measured on."""
+    """Return the manifest's photos without test and validation photos."""
     names = set(_dict(manifest.get("contents")))
     held_out = [split.get(key) for key in ("test", "validation")]
     for listed in held_out:

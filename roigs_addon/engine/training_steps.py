@@ -1,6 +1,6 @@
-"""Number of steps of a training, computed without the engine. No bpy.
+"""Computes the number of steps of a training without the engine. No bpy.
 
-The engine's presets decide (roigs_engine/run/presets.py); a test compares.
+The numbers are copies of the engine's (roigs_engine/run/presets.py); a test compares them.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ MOST_FACTOR = 1e6
 
 
 def _preset(name: str) -> tuple[int, int]:
-    """The steps of a preset; of the usual one, if a .blend names none of this version."""
+    """Return the steps of a preset; those of 'standard' if this version does not know it."""
     return PRESET_STEPS.get(name, PRESET_STEPS["standard"])
 
 
 def stage_steps(preset: str, factor: float) -> tuple[int, int]:
-    """The steps of the scene, and of the boxes, when a preset's are multiplied."""
+    """Return a preset's steps of the scene and of the boxes, multiplied by a factor."""
     usable = factor if 0 < factor < MOST_FACTOR else 1.0  # a .blend may have any number
     scene, roi = (max(1, round(steps * usable)) for steps in _preset(preset))
     return scene, roi
@@ -32,7 +32,7 @@ def stage_steps(preset: str, factor: float) -> tuple[int, int]:
 def training_steps(
     preset: str, strategy: str, factor: float, boxes: int, *, masks: bool = False
 ) -> int:
-    """The steps of all stages, at most; `masks`: whether there are masks of objects."""
+    """Return the largest number of steps of all stages; `masks`: there are object masks."""
     scene, roi = stage_steps(preset, factor)
     if strategy == "joint":
         more = round((1 + MORE_WHOLE_SHARE) * roi)

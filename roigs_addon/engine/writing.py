@@ -1,4 +1,4 @@
-"""Writes into folders of the user, by the engine's rules for files. No bpy."""
+"""Handles errors of writing into the user's folders, by the engine's rules for files. No bpy."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def writing(folder: Path, setting: str) -> Iterator[None]:
 
 
 def made_folder(root: Path, *names: str) -> Path:
-    """A folder in a run folder, created if it is missing.
+    """Return a folder in a run folder, created if it is missing.
 
     Raises:
         AddonError: it cannot be created, or is a link.

@@ -19,7 +19,7 @@ from . import (
 
 @persistent
 def forget(*_: object) -> None:
-    """Look at everything again."""
+    """Clear all caches."""
     run_facts.forget()
     reconstructions.forget()
     photo_names.forget()
@@ -29,7 +29,7 @@ def forget(*_: object) -> None:
 
 
 def register() -> None:
-    """Forget at the right times."""
+    """Clear the caches after each job and each load."""
     bpy.app.handlers.load_post.append(forget)
     current.on_end.append(forget)
 

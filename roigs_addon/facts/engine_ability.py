@@ -1,4 +1,4 @@
-"""Whether the engine can train here; a thread asks, because it takes up to seconds."""
+"""Finds whether the engine can train here, in a thread, because it may take seconds."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ RECHECK_SECONDS = 5.0
 
 
 class EngineCheck:
-    """Asks the engine's Python what it has.
+    """Checks the packages of the engine's Python.
 
     Attributes:
-        problem: why it cannot train; empty if it can, or as long as that is not known.
-        thread: the one that asks; None before the first question.
+        problem: why it cannot train; empty if it can, or if that is not known yet.
+        thread: runs the check; None before the first one.
     """
 
     def __init__(self) -> None:
-        """Nothing is known yet."""
+        """Start without any result."""
         self.problem = ""
         self.thread: threading.Thread | None = None
         self._asked: tuple[str, tuple[Path, ...]] | None = None
         self._at = 0.0
 
     def ask(self) -> str:
-        """The problem as far as it is known; asks again if the settings have changed."""
+        """Return the known problem; start a check if the settings have changed."""
         if self.busy():
             return self.problem
         question = settings.chosen_python(), settings.environments()
@@ -43,15 +43,15 @@ class EngineCheck:
         return self.problem
 
     def forget(self) -> None:
-        """Ask again next time: what was there may be gone."""
+        """Check again next time: an environment may have been removed."""
         self._asked = None
 
     def busy(self) -> bool:
-        """Whether an answer is on its way."""
+        """Whether a check is running."""
         return self.thread is not None and self.thread.is_alive()
 
     def _look(self, chosen: str, environments: tuple[Path, ...]) -> None:
-        if self.problem:  # what was missing may have been installed since
+        if self.problem:  # missing packages may have been installed since
             python.ability.cache_clear()
         _, self.problem = python.find(chosen, environments, python.FOR_TRAINING)
         self._at = time.monotonic()
@@ -61,12 +61,12 @@ _check = EngineCheck()
 
 
 def problem() -> str:
-    """Why the engine cannot train, as far as that is known."""
+    """Return why the engine cannot train; empty if it can, or if that is not known yet."""
     return _check.ask()
 
 
 def forget() -> None:
-    """Ask again; an environment was removed."""
+    """Check again: an environment was removed."""
     _check.forget()
 
 

@@ -1,4 +1,4 @@
-"""The build of torch for this computer's graphics card; a thread finds it once."""
+"""Finds the build of torch for this computer's graphics card, once, in a thread."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _thread: threading.Thread | None = None
 
 
 def choice(*, wait: bool = False) -> Choice | None:
-    """The build to install; None as long as the driver has not answered.
+    """Return the build to install; None until the driver has answered.
 
-    Args: `wait`: for the answer; in a script that is done in any case.
+    Args: `wait`: wait for the answer; scripts always wait.
     """
     global _thread
     if not _found and _thread is None:
@@ -35,7 +35,7 @@ def _look() -> None:
 
 
 def forget() -> None:
-    """Ask again: a driver may have been installed."""
+    """Query again next time: a driver may have been installed."""
     global _thread
     if _thread is None or not _thread.is_alive():
         _found.clear()

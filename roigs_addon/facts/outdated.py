@@ -1,4 +1,4 @@
-"""What Train would train: compares the run folder with the scene; cached."""
+"""Tells what **Train** would train, by comparing the run folder with the scene; cached."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from . import photo_names, run_facts
 
 
 def in_words(scene: bpy.types.Scene, status: RunStatus) -> str:
-    """Changes since the training, and what Train will do; empty if there are none."""
+    """Describe changes since the training, and what **Train** will do; empty without changes."""
     names, then, now = _settings(scene, status)
     parts = []
     if names == ["recipe"]:
@@ -41,7 +41,7 @@ def in_words(scene: bpy.types.Scene, status: RunStatus) -> str:
 
 
 def renamed(scene: bpy.types.Scene, status: RunStatus) -> dict[str, str]:
-    """Trained name -> name now, of the boxes that have another one."""
+    """Return trained name -> present name, for boxes that were renamed."""
     names = rois.trained_names(scene, status.boxes or {})
     return {old: new for new, old in names.items() if old != new}
 
@@ -55,9 +55,9 @@ def _is_known(scene: bpy.types.Scene, now: RunSettings) -> bool:
 def _settings(
     scene: bpy.types.Scene, status: RunStatus
 ) -> tuple[list[str], RunSettings, RunSettings]:
-    """Names of the settings that differ, the trained ones and those of now.
+    """Return the names of differing settings, the trained settings, and the present ones.
 
-    Photo sizes beyond that of the photos themselves are no difference.
+    Photo sizes above that of the photos themselves do not count as different.
     """
     then = status.settings
     now = options_files.settings_now(scene, photo_names.excluded(scene))
@@ -69,14 +69,14 @@ def _settings(
 
 
 def _largest(scene: bpy.types.Scene) -> int:
-    """Longest side of the scene's photos."""
+    """Return the longest side of the scene's photos."""
     photos = (lookup.photo_record(camera) for camera in lookup.of_kind(scene, "CAMERA"))
     sides = [max(p.intrinsics.width, p.intrinsics.height) for p in photos if p is not None]
     return max(sides, default=1 << 20)
 
 
 def _changed_lists(scene: bpy.types.Scene, status: RunStatus) -> Iterator[str]:
-    """Names of the trained boxes whose list of photos is another one now."""
+    """Yield the names of trained boxes whose list of photos has changed."""
     if status.photos is None:
         return
     names = rois.trained_names(scene, status.boxes or {})
@@ -88,7 +88,7 @@ def _changed_lists(scene: bpy.types.Scene, status: RunStatus) -> Iterator[str]:
 
 
 def _time(status: RunStatus, then: RunSettings, now: RunSettings, *, whole: bool) -> str:
-    """' (about 12 min)', from the time that the training took; empty if that is not known."""
+    """Return ' (about 12 min)', from the time of the last training; empty if unknown."""
     stages = status.seconds.items()
     seconds = sum(s for name, s in stages if whole or name != run_files.SCENE_STAGE)
     before, after = run_settings.work(then), run_settings.work(now)

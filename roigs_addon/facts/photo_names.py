@@ -1,4 +1,4 @@
-"""Number of photos in the scene, and their names in the panel."""
+"""Counts the scene's photos, and shortens their names for the panel."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def excluded(scene: bpy.types.Scene) -> list[str]:
 
 
 def short_name(scene: bpy.types.Scene, photo: str) -> str:
-    """The part of a photo's name that distinguishes it from the others: a sidebar is narrow."""
+    """Return the part of a photo's name that differs from the others: a sidebar is narrow."""
     return _short_names(scene).get(photo, photo)
 
 
@@ -56,9 +56,9 @@ def _key(scene: bpy.types.Scene) -> Key:
 
 
 def shortened(photos: list[str]) -> dict[str, str]:
-    """Photo -> its file name without suffix, with its folder if another photo is named alike.
+    """Return photo -> file name without suffix, with the folder if another photo has this name.
 
-    Names that are too long for a narrow sidebar lose what they have in common.
+    Names that are too long for a narrow sidebar lose their common parts.
     """
     paths = {photo: PurePosixPath(photo) for photo in photos}
     seen = Counter(path.stem for path in paths.values())
@@ -75,9 +75,9 @@ def shortened(photos: list[str]) -> dict[str, str]:
 
 
 def _distinct_parts(names: set[str]) -> dict[str, str]:
-    """Name -> what is left without the words that all start with, then those that all end with.
+    """Return name -> its part without common first words and, if still too long, common last words.
 
-    If that is too long, names are cut within a word: what they start with, or all but their end.
+    If that is too long, names are cut within a word: their common start, or all but their end.
     """
     if len(names) < 2:
         return {name: name for name in names}
@@ -102,7 +102,7 @@ def _common_start(names: list[str]) -> str:
 
 
 def _words(text: str) -> str:
-    """A text up to its last separator: without the word or number that may go on."""
+    """Return a text up to its last separator, without an incomplete word or number at its end."""
     return text.rstrip("".join(filter(str.isalnum, text)))
 
 
@@ -111,6 +111,6 @@ def _longest(parts: dict[str, str]) -> int:
 
 
 def forget() -> None:
-    """Look again at the next question."""
+    """Clear the cache."""
     _names.clear()
     _excluded.clear()

@@ -1,7 +1,7 @@
 """Thumbnails of photos for the panels.
 
-Blender reads a photo in a thread when its picture is first drawn, and keeps the picture in the
-thumbnail cache of the system. So a panel that shows one photo at a time never waits.
+Blender reads a photo in a thread when its thumbnail is first drawn, and keeps the thumbnail in the
+system's cache. So a panel that shows one photo at a time never waits.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _pictures: Any = None
 
 
 def icon(scene: bpy.types.Scene, photo: str) -> int:
-    """Blender's number of a photo's picture; 0 if the photo's file is not known."""
+    """Return Blender's icon number of a photo's thumbnail; 0 if its file is unknown."""
     global _pictures
     camera = next(iter(lookup.named_cameras(scene, {photo})), None)
     record = lookup.photo_record(camera) if camera else None
@@ -37,7 +37,7 @@ def icon(scene: bpy.types.Scene, photo: str) -> int:
 
 
 def forget() -> None:
-    """Free the pictures."""
+    """Free the thumbnails."""
     global _pictures
     if _pictures is not None:
         bpy.utils.previews.remove(_pictures)

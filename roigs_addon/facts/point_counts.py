@@ -1,6 +1,6 @@
-"""Live counts for the panel: points in a box, and photos that see it.
+"""Counts for the panel, while it is drawn: points in a box, and photos that see it.
 
-As for the engine, a photo sees a box if it observes one of the sparse points in it.
+As in the engine, a photo sees a box if it observes one of the sparse points in it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class _Model:
         self.counts: dict[Key, Counts] = {}
 
     def load(self, scene: bpy.types.Scene) -> None:
-        """Read the points, if another model is in the scene now."""
+        """Read the points if the scene has another model now."""
         cloud = lookup.points(scene)
         folder = scene_props(scene).model_cache
         key = (folder, len(mesh_of(cloud).vertices) if cloud else 0)
@@ -57,7 +57,7 @@ class _Model:
 
 
 def _observed(folder: Path, points: int) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The points that photos observe, and where those of each photo begin; raises ValueError."""
+    """Read the observed points, and the start of each photo's; raises OSError or ValueError."""
     rows = read_numbers(folder, "observed.npy")
     starts = read_numbers(folder, "observed_starts.npy")
     for numbers, most in ((rows, points - 1), (starts, len(rows))):
@@ -74,7 +74,7 @@ _model = _Model()
 
 
 def count(roi: bpy.types.Object, scene: bpy.types.Scene) -> Counts | None:
-    """(points in the box, photos that see it or None if unknown); None if it is not a box."""
+    """Return (points in the box, photos that see it or None if unknown); None if it is no box."""
     try:
         box = lookup.box(roi, scene)
     except AddonError:
@@ -84,7 +84,7 @@ def count(roi: bpy.types.Object, scene: bpy.types.Scene) -> Counts | None:
 
 
 def count_soon(roi: bpy.types.Object, scene: bpy.types.Scene) -> Counts | None:
-    """The same for a panel: for a large model the last count, until a thread has the new one."""
+    """Return `count` for a panel; for a large model the last one, until a thread has a new one."""
     try:
         box = lookup.box(roi, scene)
     except AddonError:
@@ -136,13 +136,13 @@ def _count(box: Box) -> Counts:
     observations, offsets = _model.observations, _model.offsets
     if observations is None or offsets is None or not len(observations):  # a model without tracks
         return points, None
-    # Points in the box before each observation: where a photo's range grows, it sees one.
+    # Number of observed points in the box before each observation: a photo sees one if it grows.
     before = np.concatenate([[0], np.cumsum(inside[observations])])
     return points, int((before[offsets[1:]] > before[offsets[:-1]]).sum())
 
 
 def forget() -> None:
-    """Read again at the next question."""
+    """Clear the counts and the model."""
     global _model
     _last.clear()
     _model = _Model()

@@ -1,4 +1,4 @@
-"""State of the scene's reconstruction, from its folder; cached."""
+"""Reads the state of the scene's reconstruction from its folder; cached."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _found: dict[tuple[str, str, str], tuple[float, Found]] = {}
 
 
 def of(scene: bpy.types.Scene) -> Found:
-    """The folder, what it says, and the photos' masks; for a scene that has photos."""
+    """Return the folder, its state, and the folder of masks; for a scene with photos."""
     props = scene_props(scene)
     key = props.photos, props.project, props.masks
     if is_old(_found.get(key)):
@@ -37,7 +37,7 @@ def of(scene: bpy.types.Scene) -> Found:
 
 
 def report(scene: bpy.types.Scene) -> Path | None:
-    """The report of the scene's reconstruction, if there is one."""
+    """Return the report of the scene's reconstruction; None if there is none."""
     if not scene_props(scene).photos:
         return None
     folder, status, _ = of(scene)
@@ -45,5 +45,5 @@ def report(scene: bpy.types.Scene) -> Path | None:
 
 
 def forget() -> None:
-    """Look again at the next question."""
+    """Clear the cache."""
     _found.clear()

@@ -1,4 +1,4 @@
-"""Contents of files, cached: the scene's run folder, the log, the files of its Gaussians."""
+"""Caches facts from files: the scene's run folder, its results, the files of its Gaussians."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ OWN_LEVELS = ("IMPORTED", "PREVIEW")
 
 @dataclass(frozen=True, kw_only=True)
 class ResultFacts:
-    """Facts about the run folder's own result.
+    """The last result of the run folder.
 
     Attributes:
         settings: of its training.
@@ -42,7 +42,7 @@ class ResultFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class Disk:
-    """Bytes of the run folder, and of what Clean Up would remove."""
+    """Bytes of the run folder, and of the files that **Clean Up** would remove."""
 
     total: int
     removable: int
@@ -57,7 +57,7 @@ _lost: dict[str, tuple[float, list[str]]] = {}
 
 
 def run(scene: bpy.types.Scene) -> RunStatus:
-    """The state of the scene's run folder."""
+    """Return the state of the scene's run folder."""
     folder = run_folders.run_folder(scene)
     if is_old(_runs.get(folder)):
         _runs.clear()
@@ -75,7 +75,7 @@ def earlier(scene: bpy.types.Scene) -> list[EarlierResult]:
 
 
 def result(scene: bpy.types.Scene) -> ResultFacts:
-    """Facts about the last result."""
+    """Return the facts about the last result."""
     folder = run_folders.run_folder(scene)
     if is_old(_results.get(folder)):
         _results.clear()
@@ -93,7 +93,7 @@ def disk(scene: bpy.types.Scene) -> Disk:
     folder = run_folders.run_folder(scene)
     if is_old(_disk.get(folder), DISK_SECONDS):
         _disk.clear()
-        # Only what is of a run: who made the .blend may have named any folder, such as `/`.
+        # Only files of a run: an untrusted .blend may name any folder, such as `/`.
         own = [path for path in files.matching(folder, "*") if _is_of_run(path.name)]
         total, removable = clean_up.disk_size(own), clean_up.removable(folder)
         found = Disk(total=total, removable=clean_up.disk_size(removable))
@@ -109,12 +109,12 @@ def is_file(path: Path) -> bool:
     """Whether a file exists."""
     if is_old(_files.get(path)):
         _files.clear()
-        _files[path] = time.monotonic(), os.path.isfile(path)  # False where it may not look
+        _files[path] = time.monotonic(), os.path.isfile(path)  # False without permission
     return _files[path][1]
 
 
 def lost_splats(scene: bpy.types.Scene) -> list[str]:
-    """Names of a result's Gaussians that are drawn from the .blend: no file holds them any more."""
+    """Return the names of a result's Gaussians whose files are lost: the .blend's are drawn."""
     if is_old(_lost.get(scene.name)):
         shown = ((item, object_props(item)) for item in lookup.splats(scene))
         own = [(i, p.ply) for i, p in shown if not p.parked and p.level not in OWN_LEVELS]
@@ -125,7 +125,7 @@ def lost_splats(scene: bpy.types.Scene) -> list[str]:
 
 
 def changed_boxes(scene: bpy.types.Scene, status: RunStatus) -> list[str]:
-    """Names of the boxes that have changed since they were trained, are new or were removed."""
+    """Return the names of boxes that changed since their training, are new or were removed."""
     trained, now = status.boxes or {}, [roi.name for roi in lookup.rois(scene)]
     same = rois.trained_names(scene, trained)
     gone = trained.keys() - set(now) - set(same.values())
@@ -136,12 +136,12 @@ def changed_boxes(scene: bpy.types.Scene, status: RunStatus) -> list[str]:
 
 
 def is_old(fact: tuple[float, object] | None, seconds: float = SECONDS) -> bool:
-    """Whether to look again; always in scripts, which need what is true now."""
+    """Whether a cached fact has expired; always in scripts, which need the present state."""
     return fact is None or bpy.app.background or time.monotonic() - fact[0] > seconds
 
 
 def forget() -> None:
-    """Look again at the next question."""
+    """Clear the caches."""
     _runs.clear()
     _earlier.clear()
     _results.clear()

@@ -1,4 +1,4 @@
-"""The training device and the reason for it, in the engine's words."""
+"""Finds the training device and the reason for it, in the engine's words."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ _logs: dict[Path, tuple[tuple[int, int], str]] = {}
 
 
 class DeviceCheck:
-    """Asks the engine in a thread: that may take a minute at the first use of a GPU.
+    """Asks the engine for its device in a thread: the first use of a GPU may take a minute.
 
     Attributes:
-        answer: what it said; empty if it was not asked, or could not answer.
-        device: what the preferences said when it was asked.
-        thread: the one that asks; None before the first question.
+        answer: of the engine; empty if it was not asked, or could not answer.
+        device: of the preferences when the engine was asked.
+        thread: waits for the answer; None before the first question.
     """
 
     def __init__(self) -> None:
-        """Nothing is known yet."""
+        """Start without an answer."""
         self.answer = self.device = ""
         self.thread: threading.Thread | None = None
 
     def ask(self) -> None:
-        """Begin to ask, unless that is under way."""
+        """Start to ask, unless this is under way."""
         if self.busy():
             return
         self.device = settings.get().device
@@ -50,7 +50,7 @@ class DeviceCheck:
         self.thread.start()
 
     def busy(self) -> bool:
-        """Whether an answer is on its way."""
+        """Whether the engine has not answered yet."""
         return self.thread is not None and self.thread.is_alive()
 
     def _look(self, chosen: str, environments: tuple[Path, ...]) -> None:
@@ -71,14 +71,14 @@ def ask() -> None:
 
 
 def asked() -> str:
-    """The engine's answer to `ask`; empty if another device was chosen since."""
+    """Return the engine's answer to `ask`; empty if another device was chosen since."""
     if _check.busy():
         return "…"
     return _check.answer if settings.get().device == _check.device else ""
 
 
 def in_words(device: str) -> str:
-    """'Trains on NVIDIA RTX 4070 (checked)', and what to do for a card that torch cannot use."""
+    """Describe a device: 'Trains on NVIDIA RTX 4070 (checked)'; with advice if torch lacks CUDA."""
     if device.startswith(device_check.FAILED):
         return device
     if device.startswith(WITHOUT_CUDA):
@@ -88,7 +88,7 @@ def in_words(device: str) -> str:
 
 
 def of_run(scene: bpy.types.Scene) -> str:
-    """The device of the running or the last training here; otherwise `asked`."""
+    """Return the device of the running or the last training here; otherwise `asked`."""
     if said := current.device():
         return said
     log = own_files.log_file(run_folders.run_folder(scene))
@@ -96,7 +96,7 @@ def of_run(scene: bpy.types.Scene) -> str:
 
 
 def _in_log(log: Path) -> str:
-    """The device in the log; it is read again when it has changed."""
+    """Return the device in the log, which is read again when it has changed."""
     try:
         state = log.stat()
         key = state.st_mtime_ns, state.st_size
@@ -109,7 +109,7 @@ def _in_log(log: Path) -> str:
 
 
 def forget() -> None:
-    """The engine may have changed: nothing is known of it."""
+    """Forget the answer: the engine may have changed."""
     _check.answer = ""
 
 

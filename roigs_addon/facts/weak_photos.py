@@ -1,4 +1,4 @@
-"""Photos with so few observed points that their cameras may be wrong."""
+"""Finds photos with so few observed points that their cameras may be wrong."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _found: dict[str, list[str]] = {}
 
 
 def used(scene: bpy.types.Scene) -> list[str]:
-    """Their names, the weakest first, without those that the user has excluded."""
+    """Return the names of weak photos, the weakest first, without excluded ones."""
     folder = scene_props(scene).model_cache
     if folder not in _found:
         _found.clear()
@@ -25,7 +25,7 @@ def used(scene: bpy.types.Scene) -> list[str]:
 
 
 def _weak(folder: Path) -> list[str]:
-    """Those of an exported model; none if it is not there, or knows nothing of observations."""
+    """Return the weak photos of an exported model; none if it is missing or has no observations."""
     try:
         starts = exported_model.read_numbers(folder, "observed_starts.npy")
         images = exported_model.read_record(folder)["images"]
@@ -37,5 +37,5 @@ def _weak(folder: Path) -> list[str]:
 
 
 def forget() -> None:
-    """Look again at the next question."""
+    """Clear the cache."""
     _found.clear()

@@ -1,1 +1,1 @@
-"""Cameras, poses and boxes in COLMAP's frame and in Blender's. Numpy only, no bpy."""
+"""Geometry of cameras, boxes and Gaussians, in COLMAP's and Blender's frames. No bpy."""

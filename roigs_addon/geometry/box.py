@@ -14,24 +14,24 @@ from .frames import Matrix, nearest_rotation
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Box:
-    """An oriented box in the COLMAP frame, as `rois.json` has it (docs/files.md)."""
+    """An oriented box in the COLMAP frame, as in `rois.json` (docs/files.md)."""
 
     world_to_box: Matrix
     half_extents: NDArray[np.float64]
 
     @classmethod
     def of(cls, record: rois.RoiRecord) -> Box:
-        """The box that a file describes."""
+        """Return the box of a file's record."""
         return cls(world_to_box=record.world_to_box, half_extents=record.half_extents)
 
     def record(self, name: str) -> rois.RoiRecord:
-        """The box as a file describes it."""
+        """Return the box as a file's record."""
         return rois.RoiRecord(
             name=name, world_to_box=self.world_to_box, half_extents=self.half_extents
         )
 
     def is_at(self, world_to_box: Any, half_extents: Any) -> bool:
-        """Whether the box has that place and size, but for rounding; values may be damaged."""
+        """Whether the box has this place and size up to rounding; values may be damaged."""
         size = float(np.max(self.half_extents))
         try:
             return bool(
@@ -53,7 +53,7 @@ class ShearedBoxError(ValueError):
 
 
 def box_from_matrix(empty: Matrix, root: Matrix, half_size: float) -> Box:
-    """The box of a cube empty.
+    """Return the box of a cube empty.
 
     Args:
         empty: the empty's `matrix_world`.

@@ -1,4 +1,4 @@
-"""Finds the Gaussians below a brush, and those of them in front. Numpy only, no bpy."""
+"""Finds the Gaussians under a brush, and the visible ones among them. Numpy only, no bpy."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from .picking import Sight
 
 Mask = NDArray[np.bool_]
 
-CELL = 8  # pixels: the picture is divided so to find what is in front
+CELL = 8  # pixels: side of the cells in which the front Gaussians are found
 OPAQUE = 0.5
 """Less light than this comes through: what is behind is hidden."""
-THICK = 3.0  # times a Gaussian's size: so far behind the front, it still belongs to it
+THICK = 3.0  # a Gaussian belongs to the front up to this many of its sizes behind it
 
 
 def below(
     places: NDArray[Any], seen: Mask, circles: Sequence[tuple[float, float]], radius: float
 ) -> Mask:
-    """(N,) which points lie below one of the circles.
+    """(N,) which points lie in one of the circles.
 
     Args:
         places: (N, 2) in pixels.
-        seen: (N,) whether they are in the view.
+        seen: (N,) which points are in the view.
         circles: centres, in pixels.
         radius: of all of them.
     """
@@ -41,7 +41,7 @@ def below(
 def in_front(
     points: NDArray[Any], sizes: NDArray[Any], opacities: NDArray[Any], sight: Sight
 ) -> Mask:
-    """(N,) which Gaussians are seen, because nearer ones let enough light through.
+    """(N,) which Gaussians are visible because nearer ones let enough light through.
 
     Args:
         points: (N, 3) in the world.

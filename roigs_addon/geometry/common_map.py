@@ -11,20 +11,20 @@ from .frames import Matrix
 
 Points = NDArray[np.float32]
 
-SAMPLE = 20_000  # points that the map is found by
+SAMPLE = 20_000  # about how many points the map is fitted to
 ROUNDS = 30
-ROUNDING = 1e-5  # of a point's distance from the origin, and of the usual one
+ROUNDING = 1e-5  # allowed error, as a share of a point's distance from the origin plus the median
 DIMENSIONS = 3
-FEWEST = 20  # points; of fewer, some always follow a map
-MOST = 0.5  # of the points follow a map that all are said to have gone through
+FEWEST = 20  # points; a map can always be found for some of fewer
+MOST = 0.5  # a map must fit more than this share of the points
 
 
 def common_map(before: NDArray[np.floating[Any]], now: Points) -> Matrix:
-    """(4, 4) the affine map from `before` to `now`, (N, 3) finite numbers each.
+    """(4, 4) affine map from most points of `before` to `now`, (N, 3) finite numbers each.
 
-    The identity if there is no such map, or too few points to tell.
+    The identity if there is no such map, or if there are too few points.
 
-    Points that were moved on their own do not matter while they are the minority.
+    A minority of points may have moved in other ways.
     """
     step = max(1, len(before) // SAMPLE)
     source, target = before[::step].astype(np.float64), now[::step].astype(np.float64)

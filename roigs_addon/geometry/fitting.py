@@ -12,25 +12,27 @@ Bounds = tuple[Vectors, Vectors]
 """Lower and upper corner."""
 
 FEWEST = 10
-CELLS = 24  # along the longest side, in which points are counted; fewer for few points
+CELLS = 24  # cells along the longest side in which points are counted; fewer for few points
 PER_CELL = 2.25  # points per cell, if they all lay on one face of the cube of cells
-SPARSE = 0.1  # of the usual number of points around a point: with fewer it is an outlier
-MARGIN = 0.02  # of the size, added at each side
-TELLING = 3  # points that a part must be expected to have, so that having none shows it is empty:
-# by Poisson's law, 95 % of such parts have some
-UNSURE = 0.05  # of the size: if a part so large may well have no points, they are too few to trust
-AROUND = 2.0  # the floor is looked for this far around the box, in half sides
-BELOW = 3.0  # and this far below its centre, in half its longest side
-STEP = 0.02  # resolution of the floor's height, likewise
+SPARSE = 0.1  # a point with less than this share of the median number of neighbours is an outlier
+MARGIN = 0.02  # added at each side, as a share of the size
+TELLING = 3  # a part with none of this many expected points counts as empty: by Poisson's law,
+# 95 % of parts with so many have some
+UNSURE = 0.05  # points are too few if a part of this share of the size may well have none
+AROUND = 2.0  # the floor is sought this far around the box, in half sides
+BELOW = 3.0  # and this far below its centre, in halves of its longest side
+STEP = 0.02  # resolution of the floor's height, in halves of its longest side
 
 
 def tight(points: Vectors, half_sides: Vectors | None = None) -> Bounds | None:
-    """The bounds of points (N, 3) without outliers, which have few others near; None if too few.
+    """Return the bounds of points (N, 3) without outliers, which have few neighbours.
+
+    None if there are too few points.
 
     Args:
         points: to fit to.
-        half_sides: of a box around the whole thing. Where the outermost points are far apart, as
-            on a smooth part, the thing may go on beyond them: there less of the box is cut off.
+        half_sides: of a box around the whole object. Where the outermost points are far apart, as
+            on a smooth part, the object may extend beyond them: there, less of the box is cut off.
     """
     if len(points) < FEWEST:
         return None
@@ -50,12 +52,12 @@ def tight(points: Vectors, half_sides: Vectors | None = None) -> Bounds | None:
 
 
 def is_unsure(points: Vectors) -> bool:
-    """Whether points (N, 3) are so few that a thing may be larger than they show."""
+    """Whether points (N, 3) are so few that the object may be larger than their bounds."""
     return len(points) * UNSURE < TELLING
 
 
 def _is_dense(points: Vectors) -> NDArray[np.bool_]:
-    """Whether the cell of each point and those around it have many points."""
+    """(N,) whether the cell of each point and the cells around it have many points."""
     low = points.min(axis=0)
     count = min(CELLS, max(2, int(np.sqrt(len(points) / PER_CELL))))
     side = max(float(np.ptp(points, axis=0).max()) / count, 1e-12)
@@ -64,13 +66,13 @@ def _is_dense(points: Vectors) -> NDArray[np.bool_]:
     np.add.at(counts, tuple(cells.T), 1)
     around = sum(counts[tuple((cells + shift).T)] for shift in product((-1, 0, 1), repeat=3))
     others = np.asarray(around) - 1
-    # Of few points, most may be on a textured part: the others are no outliers for that.
+    # If there are few points, most may lie on a textured part. The others are then no outliers.
     usual = 0.0 if is_unsure(points) else SPARSE * float(np.median(others))
     return np.asarray(others >= max(1.0, usual))
 
 
 def floor(points: Vectors, half_sides: Vectors, up: int, sign: int) -> float | None:
-    """Place of the floor along an axis of the box: there, most points around it are.
+    """Find the floor along an axis of the box: the height of most points around it.
 
     Args:
         points: (N, 3), also those outside the box.
@@ -79,7 +81,7 @@ def floor(points: Vectors, half_sides: Vectors, up: int, sign: int) -> float | N
         sign: 1 if it points up, else -1.
 
     Returns:
-        The coordinate along the axis; None if too few points are around the box, below its centre.
+        Coordinate along the axis; None if too few points are around the box and below its centre.
     """
     flat = [axis for axis in range(3) if axis != up]
     across = np.abs(points[:, flat]) / half_sides[flat]

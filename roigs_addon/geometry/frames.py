@@ -1,4 +1,4 @@
-"""The only conversion between COLMAP's frame and Blender's. No bpy.
+"""Converts between COLMAP's frame and Blender's; only this module does. No bpy.
 
 All matrices are float64 numpy arrays (4, 4) that act on columns (docs/conventions.md, section
 Blender).
@@ -22,7 +22,7 @@ SENSOR_WIDTH = 36.0
 
 @dataclass(frozen=True, kw_only=True)
 class Intrinsics:
-    """A pinhole camera in pixels, as COLMAP has it: pixel centres at +0.5."""
+    """A pinhole camera in pixels by COLMAP's convention: pixel centres at +0.5."""
 
     width: int
     height: int
@@ -39,8 +39,7 @@ class Lens:
     Attributes:
         lens: focal length in millimetres on a sensor of SENSOR_WIDTH.
         shift_x, shift_y: in widths of the image.
-        aspect_x, aspect_y: the scene's pixel aspect; the smaller one is 1, the least that Blender
-            accepts.
+        aspect_x, aspect_y: the scene's pixel aspect; the smaller one is 1, Blender's minimum.
     """
 
     lens: float
@@ -51,7 +50,7 @@ class Lens:
 
 
 def lens_from_intrinsics(k: Intrinsics) -> Lens:
-    """The camera `k` in Blender's terms."""
+    """Return the camera `k` in Blender's terms."""
     ratio = k.fx / k.fy
     return Lens(
         lens=k.fx * SENSOR_WIDTH / k.width,
@@ -63,7 +62,7 @@ def lens_from_intrinsics(k: Intrinsics) -> Lens:
 
 
 def intrinsics_from_lens(lens: Lens, width: int, height: int) -> Intrinsics:
-    """The inverse of `lens_from_intrinsics`, at a resolution of width x height pixels."""
+    """Invert `lens_from_intrinsics`, at a resolution of width x height pixels."""
     fx = lens.lens * width / SENSOR_WIDTH
     ratio = lens.aspect_y / lens.aspect_x
     return Intrinsics(
@@ -92,15 +91,15 @@ def clip_matrix(k: Intrinsics) -> Matrix:
 
 
 def camera_matrix(world_to_camera: Matrix) -> Matrix:
-    """A Blender camera's matrix in the COLMAP frame (that is, below the root) from its pose."""
+    """Return a Blender camera's matrix in the COLMAP frame (below the root) from its pose."""
     return np.linalg.inv(world_to_camera) @ FLIP
 
 
 def world_to_camera(matrix: Matrix, root: Matrix) -> Matrix:
-    """The pose in the COLMAP frame of a camera whose `matrix_world` is `matrix`.
+    """Return the pose in the COLMAP frame of a camera with the `matrix_world` `matrix`.
 
-    Scale is removed: a scaled root also scales its cameras' axes, which does not change what they
-    see.
+    Scale is removed: a scaled root also scales its cameras' axes, which does not change their
+    pictures.
     """
     local = np.linalg.inv(root) @ matrix @ FLIP
     rotation, position = nearest_rotation(local[:3, :3]), local[:3, 3]
@@ -111,7 +110,7 @@ def world_to_camera(matrix: Matrix, root: Matrix) -> Matrix:
 
 
 def nearest_rotation(matrix: Matrix) -> Matrix:
-    """The rotation nearest to a matrix; a mirrored axis is flipped back."""
+    """Return the rotation nearest to a matrix; a mirrored axis is flipped back."""
     u, _, v = np.linalg.svd(matrix)
     rotation: Matrix = u @ v
     if np.linalg.det(rotation) < 0:

@@ -1,7 +1,8 @@
-"""The textured mesh of a box, from the engine's glTF file. Numpy only, no bpy.
+"""Reads the textured mesh of a box from the engine's glTF file. Numpy only, no bpy.
 
-Blender's own importer may be switched off. It also turns axes and splits vertices at the seams of
-the texture, so meshes are not watertight. Here, each vertex is read once, bit for bit.
+Blender's own importer may be switched off. It also rotates axes and splits vertices at the seams of
+the texture, so meshes are not watertight. Here, equal vertices are merged, and positions stay
+exact.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class TexturedMesh:
     Attributes:
         vertices: (V, 3) float32, in the frame of the COLMAP model.
         corners: (F, 3) int32, the vertices of each triangle.
-        uv: (F, 3, 2) float32, where its corners are in the picture; v points up.
+        uv: (F, 3, 2) float32, places of its corners in the picture; v points up.
         picture: contents of an image file.
     """
 
@@ -49,7 +50,7 @@ def read_glb(path: Path) -> TexturedMesh:
     """Read the first mesh of a file.
 
     Raises:
-        OSError: it cannot be read, or is no file.
+        OSError: it cannot be read, or is not a file.
         ValueError: it is damaged, or not a mesh with a texture, in one line.
     """
     data = files.read_bytes(path, MOST_BYTES)

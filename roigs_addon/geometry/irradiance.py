@@ -1,7 +1,7 @@
 """Irradiance on surfaces, from a panorama. Numpy only, no bpy.
 
-A picture is equirectangular, as Blender's Environment Texture shows it: z up, its middle column
-looks along x, its left quarter along y.
+A picture is equirectangular, as in Blender's Environment Texture: z is up, its middle column looks
+along x, the column at a quarter of its width along y.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ AT_ONCE = 4096
 
 
 def flux(picture: Float32, rows: int = ROWS) -> Float32:
-    """The light (h, w, 3) from each of fewer, larger pixels of a picture (H, W, 3): times angle."""
+    """Reduce a picture (H, W, 3) to (h, w, 3): light times solid angle of larger pixels."""
     height, width = picture.shape[:2]
     step = max(1, height // rows)
     weighted = picture * directions(height, width)[1][..., None]
@@ -28,7 +28,7 @@ def flux(picture: Float32, rows: int = ROWS) -> Float32:
 
 
 def directions(height: int, width: int) -> tuple[Float32, Float32]:
-    """Direction of each pixel's centre (H, W, 3), and its solid angle (H, 1)."""
+    """Return the direction of each pixel's centre (H, W, 3), and its solid angle (H, 1)."""
     up = np.pi * (0.5 - (np.arange(height) + 0.5) / height)
     turn = 2 * np.pi * (0.5 - (np.arange(width) + 0.5) / width)
     flat, high = np.cos(up)[:, None], np.sin(up)[:, None]
@@ -38,7 +38,7 @@ def directions(height: int, width: int) -> tuple[Float32, Float32]:
 
 
 def on_normals(picture: Float32, normals: Float32) -> Float32:
-    """Colours (N, 3) of a white matt surface with each normal: irradiance over pi.
+    """(N, 3) colours of a white matt surface with each normal: irradiance divided by pi.
 
     Args:
         picture: (H, W, 3) linear light.
@@ -52,7 +52,7 @@ def on_normals(picture: Float32, normals: Float32) -> Float32:
 
 
 def hemisphere(count: int) -> Float32:
-    """Directions (count, 3) around z, as dense as a matt surface is sensitive to them."""
+    """Directions (count, 3) around z with cosine-weighted density, as for a matt surface."""
     k = np.arange(count) + 0.5
     radius, turn = np.sqrt(k / count), np.pi * (1 + np.sqrt(5)) * k
     parts = radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1 - k / count)

@@ -1,4 +1,4 @@
-"""A thumbnail of a coloured object, from points on its surface. Numpy only, no bpy."""
+"""Draws a thumbnail of a coloured object from points on its surface. Numpy only, no bpy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MARGIN = 0.06
 
 
 def points_on(corners: Float32, count: int, seed: int = 0) -> tuple[NDArray[np.int64], Float32]:
-    """Points spread evenly over triangles (T, 3, 3).
+    """Sample points uniformly on triangles (T, 3, 3).
 
     Returns the triangle of each point (N,), and the weights of its corners (N, 3).
     """
@@ -31,11 +31,11 @@ def points_on(corners: Float32, count: int, seed: int = 0) -> tuple[NDArray[np.i
 
 
 def picture(places: Float32, colours: Float32, side: int) -> Float32:
-    """(side, side, 4) of points; its first row is the upper one, and what is empty is clear.
+    """(side, side, 4) picture of points, top row first; empty pixels are transparent.
 
     Args:
         places: (N, 3), z up.
-        colours: (N, 3), as the picture has them.
+        colours: (N, 3), in the picture's colour space.
         side: pixels.
     """
     found = np.zeros((side, side, 4), np.float32)

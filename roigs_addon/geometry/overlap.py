@@ -1,4 +1,4 @@
-"""How much two clouds of points overlap. No bpy."""
+"""Measures the overlap of two clouds of points. No bpy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ STRAYS = 0.02
 
 
 def overlap(a: Points, b: Points) -> float:
-    """Intersection over union of the clouds' bounds; (N, 3) finite numbers each."""
+    """Return intersection over union of the clouds' bounds; (N, 3) finite numbers each."""
     if not len(a) or not len(b):
         return 0.0
     (low_a, high_a), (low_b, high_b) = (

@@ -1,8 +1,8 @@
 """Rays of Cycles' panoramic cameras. No bpy.
 
-All take places in the picture, (H, 1) and (1, W) from 0 to 1, from its left and its lower edge. All
-return their directions, (H, W, 3) float32, in OpenCV's camera axes (x right, y down, z forward). A
-direction is 0 if the picture shows nothing there.
+All functions take places in the picture, u (1, W) from its left edge and v (H, 1) from its lower
+edge, both from 0 to 1. They return the places' directions, (H, W, 3) float32, in OpenCV's camera
+axes (x right, y down, z forward). A direction is 0 where the picture is empty.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Places = NDArray[np.float64]
 def equirectangular(
     u: Places, v: Places, longitudes: tuple[float, float], latitudes: tuple[float, float]
 ) -> Rays:
-    """Ranges in radians; 0 is forward."""
+    """Return the rays of an equirectangular panorama; ranges in radians, 0 is forward."""
     longitude = longitudes[0] + (longitudes[1] - longitudes[0]) * u
     latitude = latitudes[0] + (latitudes[1] - latitudes[0]) * v
     level = np.cos(latitude)
@@ -27,14 +27,14 @@ def equirectangular(
 
 
 def equidistant(u: Places, v: Places, angle: float) -> Rays:
-    """A fisheye whose angles grow evenly up to half of `angle` at the picture's edges."""
+    """Return the rays of a fisheye whose angles grow linearly to `angle` / 2 at the edges."""
     x, y = 2 * u - 1, 2 * v - 1
     radius = np.hypot(x, y)
     return _fisheye(x, y, radius, radius * angle / 2, radius <= 1)
 
 
 def equisolid(u: Places, v: Places, angle: float, lens: float, sensor: tuple[float, float]) -> Rays:
-    """A fisheye that keeps areas; its lens and the sensor's sides are in millimetres."""
+    """Return the rays of an equal-area fisheye; its lens and the sensor's sides are in mm."""
     x, y = (u - 0.5) * sensor[0], (v - 0.5) * sensor[1]
     radius = np.hypot(x, y)
     away = 2 * np.arcsin(np.clip(radius / (2 * lens), 0, 1))
@@ -42,7 +42,7 @@ def equisolid(u: Places, v: Places, angle: float, lens: float, sensor: tuple[flo
 
 
 def _fisheye(x: Places, y: Places, radius: Any, away: Any, seen: Any) -> Rays:
-    """Rays at angles `away` from forward, in the directions x, y, where (H, W) `seen` is true."""
+    """Return rays at angles `away` from forward, towards x, y; 0 where (H, W) `seen` is false."""
     share = np.sin(away) / np.maximum(radius, 1e-12)
     rays = _rays(x * share, -y * share, np.cos(away))
     rays[~seen] = 0

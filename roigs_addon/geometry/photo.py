@@ -1,4 +1,4 @@
-"""The record of a photo, stored on its camera object, with COLMAP's exact values. No bpy.
+"""The record of a photo on its camera object, with COLMAP's exact values. No bpy.
 
 Blender stores matrices as 32-bit floats, and a lens and a shift instead of pixels. The record keeps
 the original numbers, so that the engine gets them back exactly.
@@ -23,7 +23,7 @@ FAR = 1e15
 
 
 def _is_pose(matrix: Matrix) -> bool:
-    """Whether it is a rotation, about, and a translation; False for NaN."""
+    """Whether a matrix is roughly a rotation, with a translation; False for NaN."""
     if matrix.shape != (4, 4) or not (np.abs(matrix) < FAR).all():
         return False
     turns = (np.abs(matrix[:3, :3]) < 2).all() and np.linalg.det(matrix[:3, :3]) > 0.5
@@ -39,10 +39,10 @@ class Photo:
         path: of the file; empty if it is missing.
         intrinsics: in pixels.
         world_to_camera: rows of the pose in the COLMAP frame, OpenCV axes.
-        lens: the camera of a photo with distortion, in the words of `cameras.txt` and at the
+        lens: the camera of a photo with distortion, in the format of `cameras.txt` and at the
             size of the file; else empty.
-        turn: the EXIF orientation by which training turns the photo; 1: not.
-        as_stored: whether the file shows what training sees.
+        turn: EXIF orientation by which training turns the photo; 1 for none.
+        as_stored: whether training uses the file's pixels unchanged.
     """
 
     name: str
@@ -60,18 +60,18 @@ class Photo:
 
     @property
     def lens_size(self) -> tuple[int, int] | None:
-        """Width and height of a photo with distortion as it is stored, after `turn`; else None."""
+        """Return width and height of a stored photo with distortion, after `turn`; else None."""
         try:
             width, height = map(int, self.lens.split()[1:3])
-        except ValueError:  # no lens, or words of somebody else's
+        except ValueError:  # no lens, or an invalid one
             return None
         return (width, height) if min(width, height) > 0 else None
 
     @classmethod
     def from_dict(cls, record: dict[str, Any]) -> Photo:
-        """From one image of the engine's `scene.json`, or from what `to_json` wrote.
+        """Parse an image of the engine's `scene.json`, or a record from `to_json`.
 
-        ValueError, KeyError, TypeError or OverflowError: it is none, or not at numbers.
+        ValueError, KeyError, TypeError or OverflowError: the record is invalid.
         """
         found = cls(
             name=str(record["name"]),
@@ -93,7 +93,7 @@ class Photo:
         )
         if not _is_pose(found.pose):
             raise ValueError("a pose of numbers is missing")
-        found.name.encode()  # raises: Blender takes no names that are no text
+        found.name.encode()  # raises for names that Blender does not accept
         known = found.intrinsics
         if not np.isfinite((known.fx, known.fy, known.cx, known.cy)).all():
             raise ValueError("numbers of the camera are missing")
@@ -103,15 +103,15 @@ class Photo:
         return found
 
     def to_json(self) -> str:
-        """One line of text that `from_json` reads back exactly."""
+        """Return one line of text that `from_json` reads back exactly."""
         record = asdict(self)
         record |= record.pop("intrinsics")
         return json.dumps(record, ensure_ascii=False)
 
     @classmethod
-    @lru_cache(maxsize=1 << 14)  # panels and views ask for all photos, again and again
+    @lru_cache(maxsize=1 << 14)  # panels and views read all photos repeatedly
     def from_json(cls, text: str) -> Photo | None:
-        """The photo of a record, or None if the record is not valid."""
+        """Parse a record; None if it is not valid."""
         try:
             return cls.from_dict(texts.parse_json(text.encode()))
         except (ValueError, KeyError, TypeError, OverflowError):

@@ -1,4 +1,4 @@
-"""Maps places in the 3D view to the photo that fills a camera's frame. No bpy."""
+"""Maps places in the 3D view to pixels of the photo in a camera's frame, and back. No bpy."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Places = NDArray[np.float64]
 def on_photo(
     place: tuple[float, float], frame: Frame, size: tuple[int, int]
 ) -> tuple[float, float]:
-    """Pixels of the photo, from its upper left corner, of a place in the region."""
+    """Convert a place in the region to pixels of the photo, from its upper left corner."""
     left, bottom, right, top = frame
     x = (place[0] - left) / max(right - left, 1e-6) * size[0]
     y = (top - place[1]) / max(top - bottom, 1e-6) * size[1]
@@ -24,7 +24,7 @@ def on_photo(
 
 
 def in_region(points: Sequence[Sequence[float]], frame: Frame, size: tuple[int, int]) -> Places:
-    """(N, 2) places in the region of pixels of the photo, (N, 2)."""
+    """Convert pixels of the photo, (N, 2), to places in the region, (N, 2)."""
     left, bottom, right, top = frame
     x, y = np.asarray(points, dtype=float).reshape(-1, 2).T
     across = left + x / size[0] * (right - left)
@@ -32,15 +32,15 @@ def in_region(points: Sequence[Sequence[float]], frame: Frame, size: tuple[int, 
 
 
 def unit(frame: Frame, size: tuple[int, int]) -> float:
-    """Pixels of the photo in a pixel of the region."""
+    """Return the number of photo pixels per pixel of the region."""
     return size[0] / max(frame[2] - frame[0], 1e-6)
 
 
 def start(pressed: Place, before: Place | None, after: Place) -> Place:
-    """Start of a stroke: where the mouse was pressed, or `before`, the last move before that.
+    """Return the start of a stroke: `pressed`, or `before`, the last move before the press.
 
-    A Blender that is busy drawing gives a press the place where the mouse is by then, but each move
-    its own. So the one that is nearer to the first move after the press is right.
+    If Blender is busy drawing, a press gets the mouse's place of a later time, but moves keep their
+    own. So the place nearer to `after`, the first move after the press, is right.
     """
     if before is None:
         return pressed
@@ -48,7 +48,7 @@ def start(pressed: Place, before: Place | None, after: Place) -> Place:
 
 
 def thinned(points: Sequence[tuple[float, float]], least: float) -> list[tuple[float, float]]:
-    """The points of a stroke that are `least` apart; the first and the last one stay."""
+    """Thin out a stroke to points at least `least` apart; its first and last points stay."""
     kept = list(points[:1])
     for point in points[1:]:
         if np.hypot(point[0] - kept[-1][0], point[1] - kept[-1][1]) >= least:

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from .frames import Matrix
 
-REACHES = (4.0, 14.0)  # pixels from the mouse; the larger one if nothing is within the smaller
-SLACK = 4.0  # times that, in depth: as far behind the nearest point, another is still in front
+REACHES = (4.0, 14.0)  # pixels from the mouse; the larger one if no point is within the smaller
+SLACK = 4.0  # a point counts as in front up to this many reaches behind the nearest one
 
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """The view to pick in.
+    """A view of the 3D viewport.
 
     Attributes:
         view: (4, 4) world -> camera, OpenGL's axes.
@@ -34,11 +34,11 @@ class Sight:
         return bool(self.projection[3, 3] == 0)
 
     def depths(self, points: NDArray[Any]) -> NDArray[np.float64]:
-        """(N,) along the axis of sight."""
+        """(N,) depths along the viewing axis."""
         return np.asarray(-(points @ self.view[2, :3] + self.view[2, 3]), float)
 
     def pixels(self, points: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """(N, 2) from the lower left corner, and (N,) whether they are between the clip planes."""
+        """(N, 2) pixels from the lower left corner, and (N,) which are between the clip planes."""
         matrix = self.projection @ self.view
         with np.errstate(all="ignore"):  # points at the eye
             weights = points @ matrix[3, :3] + matrix[3, 3]
@@ -50,14 +50,14 @@ class Sight:
             return placed, np.asarray(np.abs(clip[2]) <= weights)
 
     def pixels_per_unit(self, depths: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(N,) how large something of size 1 is seen at these depths."""
+        """(N,) pixels that a length of 1 covers at these depths."""
         focal = self.projection[0, 0] * self.size[0] / 2
         with np.errstate(all="ignore"):
             return np.asarray(focal / depths if self.perspective else np.full(len(depths), focal))
 
 
 def under(points: NDArray[Any], sight: Sight, at: tuple[float, float]) -> int | None:
-    """The point that a click means: of those in front near the mouse, the nearest to it.
+    """Return the clicked point: of points in front near the mouse, the nearest to the mouse.
 
     Args:
         points: (N, 3) in the world.

@@ -1,6 +1,6 @@
 """Places a scene: floor at z = 0, size, origin. Numpy only, no bpy.
 
-Each function returns a (4, 4) matrix that is applied to the world.
+`levelling`, `scaling` and `centring` return a (4, 4) matrix that is applied to the world.
 """
 
 from __future__ import annotations
@@ -15,25 +15,24 @@ from .frames import Matrix
 
 Vector = NDArray[np.float64]
 
-ON_A_LINE = 0.01  # width of points, in their length: less is no plane
-MOST, TRIES = 2000, 300  # points and planes through three of them, in the search for a plane
-INSIDE = 2.5  # standard errors of a point from its plane
-LEVEL = 0.05  # of the cameras' distance from each other: as far from a plane they are beside it
-ASKEW = 20.0  # degrees: of a floor from level; cameras tell that to 5, ramps have 15, stairs 30
-ON_FLOOR = 0.1  # of a box's height: its bottom is that near to the floor
+ON_A_LINE = 0.01  # points narrower than this share of their length define no plane
+MOST, TRIES = 2000, 300  # points, and planes through three of them, in the search for a plane
+INSIDE = 2.5  # standard errors from a plane up to which a point belongs to it
+LEVEL = 0.05  # cameras nearer to a plane than this share of their extent are beside it
+ASKEW = 20.0  # degrees of a floor from level; cameras measure it to 5, ramps have 15, stairs 30
+ON_FLOOR = 0.1  # a box nearer to the floor than this share of its height stands on it
 
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A plane: a point in the middle of those it was laid through, and its normal."""
+    """A plane: the mean of the points it was fitted to, and its normal."""
 
     point: Vector
     normal: Vector
 
 
 def plane_through(points: Vector) -> Plane | None:
-    """The plane through most of (N, 3) points; None if they are fewer than 3, on one line, or \
-nowhere."""
+    """Fit a plane to most of (N, 3) points; None if they are fewer than 3, on a line, or NaN."""
     if len(points) < 3 or not np.isfinite(points).all():
         return None
     if len(points) > 3:
@@ -46,7 +45,7 @@ nowhere."""
 
 
 def _near_one_plane(points: Vector) -> NDArray[np.bool_]:
-    """Points near the plane that has half of them nearest (least median of squares)."""
+    """(N,) which points are near the plane with the least median distance from the points."""
     random = np.random.default_rng(0)
     some = points[random.permutation(len(points))[:MOST]]
     threes = some[random.integers(0, len(some), (TRIES, 3))]
@@ -65,12 +64,12 @@ def _near_one_plane(points: Vector) -> NDArray[np.bool_]:
 
 
 def levelling(plane: Plane, eyes: Vector, *, flip: bool = False) -> Matrix:
-    """Turns a plane level and moves it to z = 0; the middle of its points keeps its x and y.
+    """Return the motion that levels a plane at z = 0; the middle of its points keeps x and y.
 
     Args:
         plane: the floor.
         eyes: (V, 3) of cameras, which are above it; if they are beside it, the world's up decides.
-        flip: turns it over.
+        flip: turn it over.
     """
     normal = plane.normal
     heights = (eyes - plane.point) @ normal
@@ -87,7 +86,10 @@ def levelling(plane: Plane, eyes: Vector, *, flip: bool = False) -> Matrix:
 
 
 def scaling(first: Vector, second: Vector, length: float) -> Matrix | None:
-    """Makes two points so far apart; the origin stays. None if they are one point, or nowhere."""
+    """Return the scaling about the origin that gives two points this distance.
+
+    None if they are one point, or not finite.
+    """
     apart = float(np.linalg.norm(second - first))
     if not 0 < apart < np.inf:
         return None
@@ -96,16 +98,16 @@ def scaling(first: Vector, second: Vector, length: float) -> Matrix | None:
 
 
 def turn_of(matrix: Matrix) -> float:
-    """By how many degrees a rotation turns."""
+    """Return the angle of a rotation in degrees."""
     return float(np.degrees(np.arccos(np.clip((np.trace(matrix[:3, :3]) - 1) / 2, -1, 1))))
 
 
 def askew(matrix: Matrix, poses: Matrix) -> float:
-    """Angle between the world's z axis and the cameras' up after a rotation, in degrees.
+    """Return the angle between the z axis and the cameras' up after a rotation, in degrees.
 
     Args:
         matrix: the rotation.
-        poses: (V, 4, 4) world_to_camera before it. If they tell nothing: 0.
+        poses: (V, 4, 4) world_to_camera before it. If they define no up, the angle is 0.
     """
     up = gravity.up_direction(poses)[0]
     if not up.any():
@@ -114,13 +116,13 @@ def askew(matrix: Matrix, poses: Matrix) -> float:
 
 
 def centring(corners: Vector, *, keep_height: bool = False) -> Matrix:
-    """Moves the footprint of a box, (8, 3) corners, to the origin.
+    """Return the shift that moves the footprint of a box, (8, 3) corners, to the origin.
 
-    A bottom that is near z = 0 already stands on a floor there, which stays.
+    A box whose bottom is near z = 0 already stands on a floor there, so its height stays.
 
     Args:
         corners: of the box, in the world.
-        keep_height: a floor at z = 0 stays in any case: the box may stand on a table.
+        keep_height: always keep the height of a floor at z = 0: the box may stand on a table.
     """
     low, high = corners.min(axis=0), corners.max(axis=0)
     matrix = np.eye(4)

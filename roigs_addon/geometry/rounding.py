@@ -1,4 +1,4 @@
-"""Rounding of positions in Blender, which uses 32-bit numbers. Numpy only, no bpy."""
+"""Warns of rounded positions in Blender, which uses 32-bit numbers. Numpy only, no bpy."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ ENOUGH = 100_000
 
 
 def rounding(points: NDArray[np.float32] | NDArray[np.float64]) -> str:
-    """Rounding of positions (N, 3) far from the origin in Blender, as a clause; empty: unseen.
+    """Describe Blender's rounding of positions (N, 3) far from the origin; empty if invisible.
 
-    A 32-bit number has 24 digits, so at a distance d, steps are up to d / 2^23: half a metre in map
-    coordinates of 5,000 km.
+    A 32-bit number has 24 binary digits, so at a distance d, steps are up to d / 2^23: half a metre
+    in map coordinates of 5,000 km.
     """
     if len(points) < 2:
         return ""

@@ -29,8 +29,8 @@ class SplatCloud:
         scales: (N, 3) standard deviations.
         opacities: (N,) 0 to 1.
         sh: (N, K, 3) SH coefficients; a colour is max(0, 0.5 + sum of sh * basis), sRGB.
-        target: what they are made for: they look right only where they are drawn as trained.
-        photo_focal: focal length of the photos that they were trained on, pixels; None: unknown.
+        target: renderer that they are made for. Others draw them differently.
+        photo_focal: focal length of the training photos, pixels; None if unknown.
     """
 
     means: Float32
@@ -54,7 +54,7 @@ def read_splats(path: str | Path) -> SplatCloud:
     """Read a PLY of Gaussians, without those that cannot be drawn (`drawable`).
 
     Raises:
-        ValueError: the file cannot be read, see `splat_ply.read_ply`; one line that says why.
+        ValueError: the file cannot be read, see `splat_ply.read_ply`; its text is one line.
     """
     try:
         stored = drawable.usable(splat_ply.read_ply(path))
@@ -76,7 +76,7 @@ def read_splats(path: str | Path) -> SplatCloud:
 def write_splats(path: Path, cloud: SplatCloud, *, durable: bool = True) -> None:
     """Write a PLY of Gaussians; raises EngineError or OSError if that fails.
 
-    `durable`: wait until the disk has it.
+    `durable`: wait until it is on the disk.
     """
     opacities = np.clip(cloud.opacities.astype(np.float64), 1e-6, 1 - 1e-6)
     logits = np.log(opacities / (1 - opacities))

@@ -1,4 +1,4 @@
-"""Finds the support of a captured object: a thin plate of it is in the box. Numpy only, no bpy."""
+"""Finds the support of a captured object, if the box has a thin plate of it. Numpy only, no bpy."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BELOW = 0.05
 
 
 def top_of(corners: NDArray[np.float32]) -> float | None:
-    """The height at which a mesh is cut, so that the plate below its object is gone; None: none is.
+    """Return the height at which a cut removes the plate below an object; None without a plate.
 
     Args:
         corners: (T, 3, 3) of triangles, z up.

@@ -1,1 +1,1 @@
-"""The one engine job at a time: its command, its progress, the use of its results."""
+"""Runs one engine job at a time: its command, its progress, its results."""

@@ -18,7 +18,7 @@ NAME = "adapted.ply"
 
 
 def spec(scene: bpy.types.Scene, made_for: str) -> JobSpec:
-    """The job that adapts it; what it makes is kept beside the earlier results, and shown.
+    """Return the job that adapts it. The adapted result is stored with the earlier ones, and shown.
 
     Raises:
         AddonError: there is no model or no result, or the run folder cannot be written to.

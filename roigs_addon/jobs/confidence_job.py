@@ -21,12 +21,12 @@ NAME = "roigs-confidence"
 
 
 def spec(context: bpy.types.Context, take: Callable[[Known], str]) -> JobSpec:
-    """The job that finds what the photos of the scene's run know of what is visible.
+    """Return the job that measures how well the run's photos cover visible Gaussians.
 
     Args:
-        context: its scene, and which objects are asked about.
-        take: gets the objects, and for each point the columns of `confidence.COLUMNS`, NaN where
-            nothing is drawn; returns a line.
+        context: gives the scene and the objects.
+        take: gets each object with its points' columns `confidence.COLUMNS`, NaN for points that
+            are not drawn; returns a line for the user.
 
     Raises:
         AddonError: there are no Gaussians, or files cannot be written.

@@ -49,7 +49,7 @@ def state() -> JobState:
 
 
 def warnings(title: str) -> list[str]:
-    """Warnings of the job of this title; a training's stay until the next one starts."""
+    """Return the warnings of the job with this title; a training's stay until the next one."""
     found = (one.state for one in (job, _training) if one is not None)
     return next((state.warnings for state in found if state.title == title), [])
 
@@ -60,7 +60,7 @@ def device() -> str:
 
 
 def warn(text: str) -> None:
-    """Warn of what the job that ends has brought in: in its panel, and in a terminal."""
+    """Warn about the results of the ending job, in its panel and in a terminal."""
     if job is not None:
         job.warn(text)
 
@@ -76,7 +76,7 @@ def outcome() -> str:
 
 
 def start(engine: Engine, spec: JobSpec) -> Job:
-    """Start a job; in a window, also the timer that follows it.
+    """Start a job; in a window, also the timer that polls it.
 
     Raises:
         AddonError: a job is running already, or this one could not be started.
@@ -95,8 +95,8 @@ def start(engine: Engine, spec: JobSpec) -> Job:
 def wait(job: Job) -> JobResult:
     """Follow a job to its end; in background mode, with its progress on standard error.
 
-    There, Ctrl-C and SIGTERM stop the engine, which writes a checkpoint, and the result is that of
-    a stopped job. A second signal ends the engine at once and raises KeyboardInterrupt.
+    In background mode, Ctrl-C and SIGTERM stop the engine. It writes a checkpoint, and the result
+    is that of a stopped job. A second signal ends the engine at once and raises KeyboardInterrupt.
     """
     if not bpy.app.background:
         while job.poll():
@@ -141,7 +141,7 @@ def _poll() -> bool:
     running = job.poll(rendering=is_rendering())
     if not running:
         redraw()
-    elif job.news:  # the 3D views beside the sidebar are slow to draw, and have not changed
+    elif job.news:  # 3D views are slow to draw and have not changed, so only redraw sidebars
         redraw_sidebars()
     job.news = False
     return running
@@ -153,7 +153,7 @@ timer = Timer(_poll, POLL_SECONDS, persistent=True)
 
 @persistent
 def _after_load(*_: object) -> None:
-    """A loaded file has ended the operator that listened to Esc, and ended jobs are of another."""
+    """Forget ended jobs, which belong to another file. Loading has also ended the Esc operator."""
     global job, _training
     if job is not None:
         job.hears_esc = False
@@ -164,7 +164,7 @@ def _after_load(*_: object) -> None:
 
 
 def register() -> None:
-    """Add the handler; the timer lives as long as a job."""
+    """Add the handler. The timer only runs during a job."""
     bpy.app.handlers.load_post.append(_after_load)
 
 

@@ -22,7 +22,7 @@ _known: dict[tuple[object, ...], str] = {}
 
 
 def spec(scene: bpy.types.Scene) -> JobSpec:
-    """The job that estimates the time of a training of all boxes.
+    """Return the job that estimates the time of a training of all boxes.
 
     Raises:
         AddonError: something is missing, or the run folder cannot be written to.
@@ -44,17 +44,20 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
 
 
 def known(scene: bpy.types.Scene) -> str:
-    """'about 4 minutes on this machine (2 threads)'; empty if it was not estimated like this."""
+    """Return, say, 'about 4 minutes on this machine (2 threads)'; empty without an estimate.
+
+    An estimate counts only for the settings and boxes that it was made for.
+    """
     return _known.get(_key(scene), "")
 
 
 def forget() -> None:
-    """For tests, and where the add-on is unregistered."""
+    """Forget the estimate, for tests and when the add-on is unregistered."""
     _known.clear()
 
 
 def _key(scene: bpy.types.Scene) -> tuple[object, ...]:
-    """Everything that the time depends on."""
+    """Return a key of everything that the time depends on."""
     props = scene_props(scene)
     settings = (props.colmap, props.preset, props.strategy, props.steps_factor, props.max_side)
     return (

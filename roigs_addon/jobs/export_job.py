@@ -38,12 +38,12 @@ def spec(
     selected: bool,
     visible: bool,
 ) -> JobSpec:
-    """The job that writes the Gaussians, edited, moved and turned as they are now.
+    """Return the job that writes the Gaussians with their present edits and places.
 
     Args:
-        context: its scene, and which objects are selected.
+        context: gives the scene and the selected objects.
         path: of the file.
-        up: axis that points up in the file, as `convert` has it; empty: the format's own.
+        up: axis that points up in the file, as for `convert`; empty for the format's own.
         sh_degree: highest degree of view-dependent colour.
         selected, visible: only objects that are selected, or that the viewport does not hide.
 
@@ -53,7 +53,7 @@ def spec(
     """
     scene = scene_of(context)
     items, why = _wanted(context, scene, selected=selected, visible=visible)
-    leave_edit_mode(items)  # Blender keeps what was done in it to itself until then
+    leave_edit_mode(items)  # until then, Blender does not give access to the edits
     depsgraph = context.evaluated_depsgraph_get()
     chosen = set(context.selected_objects if selected else scene.objects)
     more = [each for each in instances.instances(depsgraph) if each.instancer in chosen]
@@ -96,7 +96,7 @@ def _models(
     depsgraph: bpy.types.Depsgraph,
     path: Path,
 ) -> list[Model]:
-    """Those to export to a file.
+    """Return the models to export to a file.
 
     Raises:
         AddonError: an edit cannot be written, or they are made for different renderers.
@@ -108,7 +108,7 @@ def _models(
     drawn = [item for item, _, _ in standing(items, depsgraph)]
     for item in (*drawn, *(each.item for each in more)):
         if ply := edits.file_of(item):
-            with suppress(EngineError):  # of a file that is missing, the engine says so
+            with suppress(EngineError):  # the engine reports a missing file
                 kinds.setdefault(splat_ply.target_of(ply), item.name)
     lights = {target.linear_light for target in kinds}
     if len(lights if path.suffix.lower() in PLAIN else kinds) > 1:
@@ -120,7 +120,7 @@ def _models(
 def _wanted(
     context: bpy.types.Context, scene: bpy.types.Scene, *, selected: bool, visible: bool
 ) -> tuple[list[bpy.types.Object], str]:
-    """The objects to export, and why there are none."""
+    """Return the objects to export, and the reason if there are none."""
     items, why = shown(scene), "renders show no Gaussians"
     if selected:
         items = [item for item in items if item in context.selected_objects]

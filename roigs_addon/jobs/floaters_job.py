@@ -29,11 +29,11 @@ NAME = "roigs-floaters"
 
 
 def spec(context: bpy.types.Context, take: Callable[[Found], str]) -> JobSpec:
-    """The job that finds floaters among what is visible.
+    """Return the job that finds floaters among visible Gaussians.
 
     Args:
-        context: its scene, and which objects are to be cleaned up.
-        take: gets the objects to clean up and which of their points float; returns a line.
+        context: gives the scene and the objects to clean up.
+        take: gets these objects with masks of their floaters; returns a line for the user.
 
     Raises:
         AddonError: there is no model, there are no Gaussians, or files cannot be written.

@@ -1,6 +1,6 @@
 """Importing Gaussians: the engine converts a file of any format to a PLY in the run folder.
 
-There it stays with the scene, even if the imported file is moved or deleted.
+It stays there with the scene, even if the imported file is moved or deleted.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ ONLY_IMPORTED = (".gltf", ".usd", "meta.json")
 
 LOG = "import.log"
 TOO_FAR = "{} {}. Move it to the origin before you import it (docs/reliability.md says how)."
-MOST_LETTERS = 80  # of a name, which gets a number and an ending
+MOST_LETTERS = 80  # of a name, before its number and ending
 
 
 def spec(context: bpy.types.Context, source: Path, up: str) -> JobSpec:
-    """The job that imports a file.
+    """Return the job that imports a file.
 
     Args:
         context: its scene gets the object.
         source: the file.
-        up: axis that points up in it, as `convert` has it; empty: as the file says, else the
-            format's own; `colmap`: it is in the frame of the scene's COLMAP model.
+        up: axis that points up in it, as for `convert`. Empty: as the file says, else the format's
+            own. `colmap`: the file is in the frame of the scene's COLMAP model.
 
     Raises:
         AddonError: there is no such file or no model, or the run folder cannot be written to.
@@ -65,7 +65,7 @@ def spec(context: bpy.types.Context, source: Path, up: str) -> JobSpec:
         lost = rounding(clouds.positions(item) + np.array(item.location))
         if lost:
             current.warn(TOO_FAR.format(name, lost))
-        if bpy.context.scene == now and bpy.context.mode == "OBJECT":  # what is edited stays so
+        if bpy.context.scene == now and bpy.context.mode == "OBJECT":  # edits stay active
             select_only(bpy.context, item)
         view_layer_of(bpy.context).update()
         world = lookup.matrix_world(item)
@@ -81,13 +81,13 @@ def spec(context: bpy.types.Context, source: Path, up: str) -> JobSpec:
 
 
 def has_model(scene: bpy.types.Scene) -> bool:
-    """Whether a COLMAP model's frame is there."""
+    """Whether the scene has the root of a COLMAP model."""
     root = scene_props(scene).root
     return root is not None and root.name in scene.objects
 
 
 def _name(source: Path) -> str:
-    """The file's name without its ending, as Blender can show it."""
+    """Return the file's name without its ending, encoded so that Blender can show it."""
     if source.name.lower() in ONLY_IMPORTED:
         source = source.parent
     name = source.name
@@ -97,7 +97,7 @@ def _name(source: Path) -> str:
 
 
 def free_file(folder: Path, name: str) -> Path:
-    """A PLY that does not exist: objects may show the earlier ones of that name."""
+    """Return the path of a PLY that does not exist: objects may show earlier ones of that name."""
     number, path = 1, folder / f"{name}.ply"
     while os.path.lexists(path):
         number += 1

@@ -1,4 +1,4 @@
-"""Importing a COLMAP model: the engine exports it to the cache; objects are built from this."""
+"""Importing a COLMAP model: the engine exports it to the cache, then objects are built."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LOG = "engine.log"
 
 
 def spec(scene: bpy.types.Scene, chosen: str, images: str, *, same_frame: bool = False) -> JobSpec:
-    """The job that imports a model.
+    """Return the job that imports a model.
 
     Args:
         scene: to import into.
@@ -59,23 +59,23 @@ def spec(scene: bpy.types.Scene, chosen: str, images: str, *, same_frame: bool =
 
 
 def project_name(folder: Path) -> str:
-    """The name of a COLMAP project: that of its folder."""
+    """Return the name of a COLMAP project's folder."""
     return project_folder(folder).name
 
 
 def project_folder(folder: Path) -> Path:
-    """The folder of a COLMAP project, of which `sparse`, `sparse/0` or `images` may be given."""
+    """Return a COLMAP project's folder; `folder` may be its `sparse`, `sparse/0` or `images`."""
     return projects.top_folder(folder)
 
 
 def export_folder(colmap: Path) -> Path:
-    """The folder of the cache for a model's exported files; each path has its own."""
+    """Return the cache folder of a model's exported files; each model path has its own."""
     key = hashlib.sha256(str(colmap.resolve()).encode()).hexdigest()[:16]
     return settings.models_folder() / key
 
 
 def made_export_folder(colmap: Path) -> Path:
-    """The export folder, created if it is missing.
+    """Return the export folder, created if it is missing.
 
     Raises:
         AddonError: the cache cannot be written to.
@@ -87,7 +87,7 @@ def made_export_folder(colmap: Path) -> Path:
 
 
 def _hide_relationship_lines() -> None:
-    """In the 3D views: lines from a thousand cameras to the root would cover everything."""
+    """Hide them in 3D views: lines from a thousand cameras to the root would cover everything."""
     for area in blender.areas("VIEW_3D"):
         view = area.spaces.active
         if isinstance(view, bpy.types.SpaceView3D):

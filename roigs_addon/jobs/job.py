@@ -1,4 +1,4 @@
-"""A running job: the engine's events update its state, and its end imports results. No bpy."""
+"""A running job: the engine's events update its state; at its end, it takes results. No bpy."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ class Job:
     """A running engine command with its state; another command may follow it in the same job.
 
     Attributes:
-        spec: what runs.
+        spec: of the running command.
         process: the engine.
-        state: what the panel shows.
-        result: how it ended; None while it runs.
+        state: for the panel.
+        result: of the job; None while it runs.
         stopping: whether it was asked to stop.
-        hears_esc: whether an operator is there that stops it at Esc. None is after the file
-            browser, or after a file was loaded, which ends the operator and not the job.
-        news: whether anything has changed since the panel was last drawn; whoever has it drawn
-            clears this.
-        messages: for people, that nobody has taken yet.
+        hears_esc: whether an operator runs that stops it at Esc. There is none after the file
+            browser, or after a file was loaded: that ends the operator but not the job.
+        news: whether anything has changed since the panel was last drawn. Code that redraws the
+            panel clears it.
+        messages: for the user, not shown yet.
     """
 
     def __init__(
         self, engine: Engine, spec: JobSpec, *, on_end: Callable[[Job], None] = nothing
     ) -> None:
-        """Start it; `on_end` is called when it has ended and its results are in.
+        """Start the command; `on_end` is called when it has ended and its results are taken.
 
         Raises:
             AddonError: the engine's Python could not be started.
@@ -56,15 +56,15 @@ class Job:
 
     @property
     def finished(self) -> bool:
-        """Whether it has ended and its results are in."""
+        """Whether the job has ended and its results are taken."""
         return self.result is not None
 
     def poll(self, *, rendering: bool = False) -> bool:
-        """Take what has arrived; False once the job has ended and its results are in.
+        """Take new events; return False once the job has ended and its results are taken.
 
         Args:
-            rendering: Blender renders beside this call, and would crash if its data changed.
-                Previews and results then wait for a later call; a failure does not.
+            rendering: Blender is rendering, and would crash if its data changed. Previews and
+                results then wait for a later call; a failure does not.
         """
         running = self.process.running()
         for event in self.process.events():
@@ -76,8 +76,8 @@ class Job:
             if result is not None and self.state.message != WAITING:
                 self.state.message, self.news = WAITING, True
             return True
-        # While it stops, the engine writes a last preview and a checkpoint: drawing the preview
-        # now would delay that.
+        # While it stops, the engine writes a last preview and a checkpoint. Drawing the preview
+        # now would delay this.
         if self._preview is not None and not (rendering or (running and self.stopping)):
             _guarded(partial(self.spec.on_preview, self._preview))
             self._preview = None
@@ -92,13 +92,13 @@ class Job:
         self.process.stop()
 
     def warn(self, text: str) -> None:
-        """Warn of the results, before whatever the engine has warned of."""
+        """Add a warning about the results, before the engine's warnings."""
         self.state.warnings.insert(0, text)
         self.messages.append(text)
         self.news = True
 
     def end_by_force(self, seconds: float) -> None:
-        """End the engine at once, and wait for that."""
+        """End the engine at once, and wait for its end."""
         self.process.kill()
         self.process.wait(seconds)
 
@@ -115,7 +115,7 @@ class Job:
 
     def _finish(self, result: JobResult) -> None:
         if self.stopping and self.spec.then and not result.failed:
-            result = replace(result, stopped=True)  # of the whole job, though not of this command
+            result = replace(result, stopped=True)  # the job was stopped, though not this command
         self.result = result
         if result.complete:
             self.state.message = ""
@@ -128,7 +128,7 @@ class Job:
         self._end(result)
 
     def _go_on(self, outputs: Mapping[str, str]) -> None:
-        """Start the command that follows; if there is none, take the results."""
+        """Start the next command of the job; if there is none, take the results."""
         following = self.spec.then(outputs) if self.spec.then else None
         if following is None:
             said = self.spec.on_done()
@@ -161,7 +161,7 @@ class Job:
 
 
 def _started(engine: Engine, spec: JobSpec) -> EngineProcess:
-    """The engine at work on it."""
+    """Start the engine process of a job."""
     if spec.log is not None and files.is_link(spec.log.parent):
         raise AddonError(f"{spec.log.parent} is a link; nothing is written through links.")
     try:
@@ -185,7 +185,7 @@ def _is_file_in(folder: Path | None, path: Path) -> bool:
 
 
 def _guarded(callback: Callable[[], None]) -> str:
-    """Call it; returns the error for the panel. An exception would end the timer silently."""
+    """Call it; return its error for the panel. An exception would end the timer silently."""
     try:
         callback()
     except AddonError as error:

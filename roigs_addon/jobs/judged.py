@@ -1,4 +1,4 @@
-"""Writes visible Gaussians to files for the engine, and copies its answers to the points."""
+"""Writes visible Gaussians to files for the engine, and maps its answers to the points."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ FOLDER = "temporary folder in Blender's preferences"
 
 @dataclass(frozen=True)
 class Judged:
-    """The visible Gaussians of a scene, as they are when they are written.
+    """The visible Gaussians of a scene, as they were written.
 
     Attributes:
-        listed: a list of models that names their files.
-        out: where the engine puts its answer, a NumPy file with a row for each Gaussian.
-        looked_at: number and state of each mesh, in the order of the list.
-        wanted: numbers of the meshes that are asked about; the others only hide them.
+        listed: file with the list of models, which names their files.
+        out: path of the engine's answer, a NumPy file with a row for each Gaussian.
+        looked_at: `session_uid` and state of each mesh, in the order of the list.
+        wanted: `session_uid` of the meshes that need an answer; the others only hide these.
     """
 
     listed: Path
@@ -39,7 +39,7 @@ class Judged:
 
     @staticmethod
     def write(context: bpy.types.Context, name: str) -> Judged:
-        """Write them to Blender's temporary folder, under this name.
+        """Write the Gaussians to Blender's temporary folder, with this prefix.
 
         AddonError: there are no Gaussians, or they cannot be written.
         """
@@ -58,14 +58,14 @@ class Judged:
     def rows(
         self, scene: bpy.types.Scene, otherwise: float, again: str
     ) -> dict[bpy.types.Object, NDArray[Any]]:
-        """Object -> the answer for each of its points; of those that share them, the first.
+        """Return object -> the answer for each of its points; one object if several share them.
 
         Args:
             scene: of the Gaussians, as it is now.
-            otherwise: of points that are not drawn.
-            again: what to do if they have changed meanwhile.
+            otherwise: value of points that are not drawn.
+            again: advice for the error if the Gaussians have changed meanwhile.
 
-        AddonError: they have, or the answer cannot be read.
+        AddonError: they have changed, or the answer cannot be read.
         """
         try:
             every = np.load(self.out, allow_pickle=False)
@@ -97,7 +97,7 @@ def _uid(item: bpy.types.Object) -> int:
 def _written(
     item: bpy.types.Object, scene: bpy.types.Scene, folder: Path, name: str
 ) -> tuple[tuple[int, str], dict[str, Any]]:
-    """The mesh and its state, and its Gaussians in a file with their place in the COLMAP frame."""
+    """Write an object's Gaussians; return its mesh and state, and the model in the COLMAP frame."""
     mesh = mesh_of(item)
     found = cloud_of(mesh)
     if found is None:

@@ -1,4 +1,4 @@
-"""The engine's last message of a kind, from its log. No bpy."""
+"""Finds the engine's last message of a kind in its log. No bpy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..shared import EngineError, files
 
 
 def last_said(log: Path, words: re.Pattern[str]) -> str:
-    """The first group of the last line that is these words; empty if there is none.
+    """Return the first group of the last line that matches; empty if none matches.
 
     Raises:
         AddonError: the log cannot be read.

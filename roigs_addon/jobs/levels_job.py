@@ -18,7 +18,7 @@ NONE_KEPT = "No level looked good enough: the 3D view and renders use the whole 
 
 
 def spec(scene: bpy.types.Scene) -> JobSpec:
-    """The job that makes them of the last result, which is then shown.
+    """Return the job that makes levels of the last result, which is then shown.
 
     Raises:
         AddonError: the run folder cannot be written to.
@@ -44,7 +44,7 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
 
 
 def _some_kept(folder: Path) -> bool:
-    """Whether a result has a level beside itself; the panel reports a damaged list."""
+    """Whether a result has any level besides itself; the panel reports a damaged list."""
     try:
         return any(len(ladder.levels) > 1 for ladder in levels.read_ladders(folder).values())
     except EngineError:

@@ -24,7 +24,7 @@ DRAW_FIRST = "Draw strokes on a photo first: on the object, and around it."
 
 
 def spec(scene: bpy.types.Scene, roi: bpy.types.Object, *, anew: bool = False) -> JobSpec:
-    """The job that makes the masks of a box: those with changed strokes, or all if `anew`.
+    """Return the job that makes a box's masks: those with changed strokes, or all if `anew`.
 
     Raises:
         AddonError: there is no model, there are no strokes, or files cannot be written.
@@ -71,7 +71,7 @@ def spec(scene: bpy.types.Scene, roi: bpy.types.Object, *, anew: bool = False) -
 
 
 def _photos(scene: bpy.types.Scene, roi: bpy.types.Object) -> list[str]:
-    """The box's photos without excluded ones; if there are none, the engine selects."""
+    """Return the box's photos without excluded ones; if empty, the engine selects photos."""
     unused, there = set(exclusions.excluded(scene)), lookup.cameras(scene)
     names = [item.name for item in object_props(roi).selection]
     return [name for name in names if name not in unused and name in there]

@@ -1,4 +1,4 @@
-"""Options files for the engine, from the scene's properties and the user's settings."""
+"""Writes options files for the engine, from the scene's properties and the user's settings."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ OF_A_LIST = ("roi", "names")
 
 
 def _refuse_others(path: Path, *keys: str) -> None:
-    """Raise AddonError for a file with none of these keys: it is not of the add-on."""
+    """Raise AddonError for a file without these keys: the add-on did not write it."""
     if others.is_other(path, keys):
         raise AddonError(
             f"{path} was not written by this add-on. Move it, or choose another Run Folder."
@@ -31,7 +31,7 @@ def _refuse_others(path: Path, *keys: str) -> None:
 
 
 def common_options(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> dict[str, Any]:
-    """The options of selection and training, as an options file has them (docs/files.md).
+    """Return the options of selection and training for an options file (docs/files.md).
 
     Raises:
         AddonError: there is no model, or there are no boxes.
@@ -64,14 +64,14 @@ def _training_settings(scene: bpy.types.Scene) -> dict[str, Any]:
     props = scene_props(scene)
     return {
         "preset": props.preset,
-        "steps_factor": float(f"{props.steps_factor:.5g}"),  # Blender's is a 32-bit number
+        "steps_factor": float(f"{props.steps_factor:.5g}"),  # rounds Blender's 32-bit number
         "strategy": props.strategy,
         "made_for": props.made_for,
     }
 
 
 def settings_now(scene: bpy.types.Scene, exclude: list[str]) -> RunSettings:
-    """Settings of a training if it started now; `exclude` are the excluded photos."""
+    """Return the settings of a training started now; `exclude` has the excluded photos."""
     values = _selection_settings(scene) | _training_settings(scene)
     return RunSettings.from_options(values | {"exclude": exclude}).of_this_version()
 
@@ -89,10 +89,10 @@ def excluded(scene: bpy.types.Scene) -> list[str]:
 
 
 def colmap_folder(scene: bpy.types.Scene) -> Path:
-    """The folder that was imported.
+    """Return the imported COLMAP folder.
 
     Raises:
-        AddonError: there is none, or it is gone.
+        AddonError: there is none, or it no longer exists.
     """
     folder = scene_props(scene).colmap
     if not folder:
@@ -105,13 +105,13 @@ def colmap_folder(scene: bpy.types.Scene) -> Path:
 
 
 def machine_options() -> list[str]:
-    """The user's settings of device and threads, for a command without an options file."""
+    """Return the user's device and threads, for a command without an options file."""
     chosen = settings.get()
     return ["--device", chosen.device, *threads_option()]
 
 
 def threads_option() -> list[str]:
-    """The user's setting of threads; nothing if all are used."""
+    """Return the user's number of threads as an option; empty if all are used."""
     threads = settings.get().threads
     return ["--threads", str(threads)] if threads else []
 
@@ -121,16 +121,16 @@ MOVED = {"Give its folder with --scene.": "Import its COLMAP project again in st
 
 
 def moved_scene(scene: bpy.types.Scene, folder: Path) -> list[str]:
-    """The COLMAP project of a run folder, if it was moved after the training."""
+    """Return the option with the present COLMAP project if it was moved after the training."""
     trained, now = files.read_record(folder / run_files.SETTINGS).get("scene"), scene_props(scene)
     moved = isinstance(trained, str) and not Path(trained).exists()
     return [f"--scene={now.colmap}"] if moved and now.colmap else []
 
 
 def write_select_options(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> Path:
-    """Write what `select` needs; returns the path of the options file."""
+    """Write the options file of `select`; return its path."""
     values = common_options(scene, boxes)
-    if folder := masks.in_run(run_folders.run_folder(scene)):  # training knows them by itself
+    if folder := masks.in_run(run_folders.run_folder(scene)):  # training finds them itself
         values["object_masks"] = str(folder)
     if not values["test_every"]:
         del values["test_every"]
@@ -140,10 +140,12 @@ def write_select_options(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) 
 def write_suggest_options(
     scene: bpy.types.Scene, boxes: list[bpy.types.Object], *, model: Path | None
 ) -> Path:
-    """Write what `suggest` needs; returns the path of the options file.
+    """Write the options file of `suggest`; return its path.
 
     Args:
-        model: draws the pictures; None: photos and points do.
+        scene: with the settings.
+        boxes: the boxes.
+        model: for drawing the previews; None to use photos and points.
     """
     known = common_options(scene, boxes)
     unused = ("method", "count", "seed", "test_every")
@@ -159,7 +161,7 @@ def write_suggest_options(
 def write_train_options(
     scene: bpy.types.Scene, boxes: list[bpy.types.Object], preview_seconds: float
 ) -> Path:
-    """Write what `train` and, with test photos, `run` needs; returns the options file's path."""
+    """Write the options file of `train`, or of `run` with test photos; return its path."""
     values = (
         common_options(scene, boxes)
         | _training_settings(scene)
@@ -169,7 +171,7 @@ def write_train_options(
             "update": True,
         }
     )
-    if settings.cluster():  # whose machines have other numbers of cores
+    if settings.cluster():  # its machines have other numbers of cores
         values.pop("threads", None)
     if values["test_every"]:
         values["compare"] = []
@@ -191,7 +193,7 @@ def _write(
 
 
 def own_folder(scene: bpy.types.Scene) -> Path:
-    """The add-on's own folder in the scene's run folder, created if it is missing.
+    """Return the add-on's own folder in the scene's run folder, created if it is missing.
 
     Raises:
         AddonError: it cannot be created, or is a link.
@@ -202,7 +204,7 @@ def own_folder(scene: bpy.types.Scene) -> Path:
 def usable_lists(
     scene: bpy.types.Scene, boxes: list[bpy.types.Object]
 ) -> dict[bpy.types.Object, list[str]]:
-    """The photos of each box that has some in its list, without excluded ones."""
+    """Return box -> photos in its list without excluded ones, for boxes with such photos."""
     unused = set(exclusions.excluded(scene))
     lists = {box: [item.name for item in object_props(box).selection] for box in boxes}
     usable = {box: [n for n in names if n not in unused] for box, names in lists.items()}
@@ -210,7 +212,7 @@ def usable_lists(
 
 
 def _write_selections(scene: bpy.types.Scene, lists: dict[bpy.types.Object, list[str]]) -> Path:
-    """Write the photos of the boxes with lists; the engine selects for the other boxes."""
+    """Write these boxes' lists of photos; the engine selects for the other boxes."""
     folder = made_folder(own_folder(scene), own_files.MANUAL_SELECTION)
     with writing(folder, "Run Folder"):
         for old in folder.glob("*.json"):

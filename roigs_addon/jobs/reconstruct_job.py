@@ -1,4 +1,4 @@
-"""Reconstructing: the engine makes a COLMAP project from photos; then it is imported."""
+"""Reconstructing: the engine makes a COLMAP project from photos, then it is imported."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ WORDS = {"--out": FOLDER, "--run-dir": FOLDER, "--masks": "Masks"}
 
 
 def spec(scene: bpy.types.Scene) -> JobSpec:
-    """The job that reconstructs the scene's photos and imports the model.
+    """Return the job that reconstructs the scene's photos and imports the model.
 
     Raises:
         AddonError: there is no folder of photos, or the cache cannot be written to.
@@ -37,11 +37,11 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
     if not props.photos:
         raise AddonError(NO_PHOTOS)
     for path in (props.photos, props.project, props.masks):
-        stored(path)  # raises, which panels must not
+        stored(path)  # may raise, so panels do not call it
     photos, project = photos_folder(props.photos), project_folder(scene)
     masks = masks_folder(scene)
     log = import_job.made_export_folder(project) / import_job.LOG
-    # The file keeps both, so that Continue finds them.
+    # The .blend stores both, so that Continue finds them.
     _keep(scene, photos, project)
     find = run_folders.finder(scene)
 
@@ -70,7 +70,7 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
 
 
 def _keep(scene: bpy.types.Scene, photos: Path, project: Path) -> None:
-    """Store both; the same photos again must not clear what belongs to them."""
+    """Store both folders, and keep the masks: setting photos clears settings of earlier ones."""
     props = scene_props(scene)
     if props.photos != str(photos):
         masks = props.masks
@@ -79,10 +79,10 @@ def _keep(scene: bpy.types.Scene, photos: Path, project: Path) -> None:
 
 
 def photos_folder(chosen: str) -> Path:
-    """The folder that was chosen; of a photo, its folder. A video stays.
+    """Return the chosen folder, the folder of a chosen photo, or a chosen video itself.
 
     Raises:
-        AddonError: there is no such folder, or the .blend that it is beside was never saved.
+        AddonError: there is no such folder, or its path is relative to a .blend never saved.
     """
     folder = absolute(chosen)
     if os.path.isfile(folder):
@@ -100,13 +100,13 @@ def is_video(path: Path) -> bool:
 
 
 def project_folder(scene: bpy.types.Scene) -> Path:
-    """The folder of the scene's reconstruction, or the one that it would get."""
+    """Return the folder of the scene's reconstruction, or the one that it would get."""
     props = scene_props(scene)
     return full_path(props.project) if props.project else proposed(full_path(props.photos))
 
 
 def masks_folder(scene: bpy.types.Scene) -> Path | None:
-    """The folder of the photos' masks: the scene's, or the one beside the photos, if any."""
+    """Return the folder of the photos' masks: the scene's, or one beside the photos, if any."""
     props = scene_props(scene)
     if props.masks:
         return full_path(props.masks)
@@ -115,10 +115,10 @@ def masks_folder(scene: bpy.types.Scene) -> Path | None:
 
 
 def proposed(photos: Path) -> Path:
-    """A folder beside the photos or the video that holds a reconstruction or nothing.
+    """Return a folder beside the photos or the video that is free or has a reconstruction.
 
-    It is named after the photos; after the folder above if theirs is called `images`, by which a
-    COLMAP project would be known.
+    It is named after the photos' folder. If that is called `images`, as in COLMAP projects, it is
+    named after the folder above.
     """
     named = photos.parent if photos.name.lower().startswith("images") else photos
     name = f"{(named.stem if is_video(named) else named.name) or 'photos'}_colmap"

@@ -1,4 +1,4 @@
-"""Refining cameras: the engine writes a better model; then it is imported."""
+"""Refining cameras: the engine writes a better model, then it is imported."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FOUND = "The cameras were refined before, in {folder}. That model was imported."
 
 
 def spec(scene: bpy.types.Scene) -> JobSpec:
-    """The job that refines the cameras of the scene's model and imports the refined model.
+    """Return the job that refines the cameras of the scene's model and imports the refined model.
 
     If there is a refined model already, the job only imports it.
 
@@ -60,7 +60,7 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
 
 
 def packages(scene: bpy.types.Scene) -> tuple[str, ...]:
-    """Packages that the engine's Python needs: few if there is a refined model already."""
+    """Return the packages that the engine needs; only a few if a refined model exists."""
     out = projects.refined_folder(Path(scene_props(scene).colmap))
     return FOR_READING if projects.is_refined_model(out) else FOR_REFINING
 

@@ -1,4 +1,4 @@
-"""Relighting: the engine draws the captured light; it is divided out, and lamps light the rest."""
+"""Relighting: the engine draws the captured light, the texture is divided by it, lamps light it."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ GONE = "The mesh '{}' is gone. Make its surface again."
 
 
 def spec(scene: bpy.types.Scene, item: bpy.types.Object) -> JobSpec:
-    """The job that relights a box's mesh.
+    """Return the job that relights a box's mesh.
 
-    The light is that of the last result without the box: nothing of the object hides it.
+    The light is drawn from the last result without the box, so the object hides none of it.
 
     Raises:
         AddonError: there is no result, or the run folder cannot be written to.
@@ -47,7 +47,7 @@ def spec(scene: bpy.types.Scene, item: bpy.types.Object) -> JobSpec:
     with writing(picture.parent, "Run Folder"):
         for file in (picture, run_files.mirrored(picture)):
             file.unlink(missing_ok=True)
-        upright = {"ply": str(result), "matrix": root.tolist()}  # as levelled in Blender: z is up
+        upright = {"ply": str(result), "matrix": root.tolist()}  # levelled as in Blender: z is up
         files.write_json(models, {"models": [upright]})
     place = root @ np.array((*captured_light.middle_of(item), 1.0))
 
@@ -77,7 +77,7 @@ def spec(scene: bpy.types.Scene, item: bpy.types.Object) -> JobSpec:
 
 
 def light(scene: bpy.types.Scene, item: bpy.types.Object, picture: Path, turn: Matrix) -> None:
-    """Relight a mesh, and show it in the place of the Gaussians.
+    """Relight a mesh, and show it instead of the Gaussians.
 
     Raises:
         AddonError: the picture cannot be read, or the mesh has no texture.
@@ -88,7 +88,7 @@ def light(scene: bpy.types.Scene, item: bpy.types.Object, picture: Path, turn: M
 
 
 def _pixels(path: Path) -> NDArray[np.float32]:
-    """(H, W, 3) linear light of a file."""
+    """(H, W, 3) linear light of an image file."""
     image = load_image(path)
     if image is None:
         raise AddonError(f"{path} cannot be read. Click Relight again.")

@@ -1,4 +1,4 @@
-"""The run folder of each scene: kept through saving, loading and undo.
+"""Finds each scene's run folder, and keeps its path through saving, loading and undo.
 
 The first job that writes into the folder stores its path in the scene's settings. While a file is
 open the path is absolute, so it stays right after Save As and undo. In the saved file it is
@@ -33,7 +33,7 @@ _saving: dict[int, tuple[Path, bool]] = {}
 
 
 def run_folder(scene: bpy.types.Scene) -> Path:
-    """The scene's run folder, or the one that it would get."""
+    """Return the scene's run folder, or the one that it would get."""
     chosen: str = scene_props(scene).run_dir
     return full_path(chosen) if chosen else _proposed(scene)
 
@@ -41,11 +41,12 @@ def run_folder(scene: bpy.types.Scene) -> Path:
 def settle(scene: bpy.types.Scene) -> Path:
     """Create the scene's run folder, and store its path in the scene.
 
-    If nothing was trained before the file was first saved, the folder beside the file takes over
-    what the one in the user's folder has: selections, masks, imported Gaussians.
+    Before a file is first saved, its run folder is in the user's folder. If nothing was trained
+    there, its selections, masks and imported Gaussians are copied to a folder beside the saved
+    file.
 
     Raises:
-        AddonError: another scene uses it too, it cannot be created, or it is no full path.
+        AddonError: another scene uses it too, it cannot be created, or it is not a full path.
     """
     folder = run_folder(scene)
     for other in bpy.data.scenes:
@@ -75,7 +76,7 @@ def _is_left_behind(folder: Path) -> bool:
 
 
 def _copy(scene: bpy.types.Scene, before: Path, folder: Path) -> None:
-    """Copy a folder, which another file may use too, and refer to the copy."""
+    """Copy a folder, and make objects refer to the copy. Another file may use the original."""
     shutil.copytree(before, folder, symlinks=True)
     for item in lookup.splats(scene):
         own = Path(object_props(item).ply)
@@ -84,7 +85,7 @@ def _copy(scene: bpy.types.Scene, before: Path, folder: Path) -> None:
 
 
 def finder(scene: bpy.types.Scene) -> Callable[[], bpy.types.Scene | None]:
-    """A function that finds the scene when a job ends.
+    """Return a function that finds the scene when a job ends.
 
     Undo and loading a file invalidate Python's reference to it. A file that was loaded meanwhile
     contains the scene if it trains the same model in the same folder.
@@ -93,7 +94,7 @@ def finder(scene: bpy.types.Scene) -> Callable[[], bpy.types.Scene | None]:
     folder = run_folder(scene) if scene_props(scene).run_dir or bpy.data.filepath else None
 
     def find() -> bpy.types.Scene | None:
-        for now in bpy.data.scenes:  # undo keeps the number; no other file has it
+        for now in bpy.data.scenes:  # undo keeps the uid; no other file has it
             if now.session_uid == uid:
                 return now
         same_model = (s for s in bpy.data.scenes if scene_props(s).colmap == colmap)
@@ -103,7 +104,7 @@ def finder(scene: bpy.types.Scene) -> Callable[[], bpy.types.Scene | None]:
 
 
 def _proposed(scene: bpy.types.Scene) -> Path:
-    """A folder beside the .blend, or one in the user's folder that does not exist yet."""
+    """Return a folder beside the .blend; without a file, a new one in the user's folder."""
     taken = {run_folder(other) for other in bpy.data.scenes if scene_props(other).run_dir}
     if bpy.data.filepath:
         # A folder there is this scene's: the file was not saved after its training.
@@ -116,7 +117,7 @@ def _proposed(scene: bpy.types.Scene) -> Path:
 
 
 def _beside_blend(scene: bpy.types.Scene) -> Iterator[Path]:
-    """Named after the file; from its second scene without a folder on, after the scene as well."""
+    """Yield folders named after the file, and also the scene if another scene comes first."""
     blend = Path(bpy.data.filepath)
     without = (s for s in bpy.data.scenes if s == scene or not scene_props(s).run_dir)
     if next(s for s in without if scene_props(s).colmap or s == scene) == scene:
@@ -135,7 +136,7 @@ def _plain(text: str) -> str:
 
 @persistent
 def _before_save(path: str, *_: object) -> None:
-    """Make the paths right for the place of the file; Blender does not adapt those of add-ons."""
+    """Adapt the paths to the file's new place; Blender does not adapt those of add-ons."""
     parent = Path(path).parent
     for scene in _chosen(path):
         folder, relative = run_folder(scene), scene_props(scene).run_dir.startswith("//")
@@ -146,7 +147,7 @@ def _before_save(path: str, *_: object) -> None:
 
 @persistent
 def _after_save(*_: object) -> None:
-    """Back to paths for the open file, which is still the old one if a copy was saved."""
+    """Restore paths for the open file, which is still the old one if a copy was saved."""
     parent = Path(bpy.data.filepath).parent
     for scene in bpy.data.scenes:
         if scene.session_uid in _saving:
@@ -175,13 +176,13 @@ def _after_undo(*_: object) -> None:
 
 
 def _chosen(blend: str) -> list[bpy.types.Scene]:
-    """The file's own scenes that have a folder; none without a file."""
+    """Return the file's own scenes that have a run folder; none without a file."""
     scenes = [s for s in bpy.data.scenes if scene_props(s).run_dir and s.library is None]
     return scenes if blend else []
 
 
 def _moves_with(parent: Path, folder: Path) -> bool:
-    """Whether it is below the file, but not in the user's folder, which may be below it too."""
+    """Whether a folder is below the .blend's one, and not in the user's folder."""
     kept = settings.unsaved_folder()
     return folder.is_relative_to(parent) and not folder.is_relative_to(kept)
 
@@ -209,6 +210,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Remove them."""
+    """Remove the handlers."""
     _settled.clear()
     _leave()

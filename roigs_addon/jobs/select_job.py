@@ -1,4 +1,4 @@
-"""Selecting photos: the engine selects into the run folder; the boxes read its lists."""
+"""Selecting photos: the engine writes lists into the run folder, and the boxes read them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GAUSSIAN_PROCESS = ("gp6", "gp9")
 
 
 def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> JobSpec:
-    """The job that selects the photos of some boxes.
+    """Return the job that selects the photos of some boxes.
 
     Raises:
         AddonError: something is missing, or the run folder cannot be written to.
@@ -40,6 +40,6 @@ def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> JobSpec:
 
 
 def packages(scene: bpy.types.Scene) -> tuple[str, ...]:
-    """Packages that the engine's Python needs for the scene's method."""
+    """Return the packages that the engine's Python needs for the scene's method."""
     needs_gp = scene_props(scene).method in GAUSSIAN_PROCESS
     return FOR_GAUSSIAN_PROCESS if needs_gp else FOR_READING

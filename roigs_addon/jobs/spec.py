@@ -1,4 +1,4 @@
-"""Description of a job: its command and its use. No bpy."""
+"""Description of a job: its command, and the use of its results. No bpy."""
 
 from __future__ import annotations
 
@@ -29,39 +29,38 @@ RESUMED = {
 
 
 def how_to_resume(title: str) -> str:
-    """A sentence to follow another one; empty for jobs that begin again."""
+    """Return a sentence on how to resume a job, to append; empty for jobs that start over."""
     return f" Click '{RESUMED[title]}' to resume." if title in RESUMED else ""
 
 
 def nothing(*_: object) -> None:
-    """The default of callbacks."""
+    """Do nothing; the default of callbacks."""
 
 
 def always() -> bool:
-    """The default of `is_so`."""
+    """Return True; the default of `is_so`."""
     return True
 
 
 @dataclass(frozen=True, kw_only=True)
 class JobSpec:
-    """An engine command, and what to do with what it makes.
+    """An engine command, and the use of its results.
 
     Attributes:
-        title: what the panel calls it.
+        title: name of the job in the panel.
         arguments: the engine's command line, beginning with the command.
-        log: where the engine's text goes.
+        log: file of the engine's log.
         folder: of the run; previews outside it are ignored.
         on_preview: called with the path of each preview.
-        on_done: called after a job that was finished, not stopped; may raise AddonError. The line
-            that it returns replaces `done_text`.
-        on_stop: called after a job that was stopped or failed, to take what is finished.
-        changes: whether `on_done` changes the scene: then an undo takes that back.
-        then: called with the engine's outputs (name -> path) after a command that was finished, not
-            stopped; returns the command with which the job goes on, or None if there is none; may
-            raise AddonError.
-        done_text: the message to the user then; empty where the window shows it anyway.
-        is_so: whether the scene still is as `done_text` says: a panel asks, also after an undo.
-        words: option of the command -> the panel's name of it, for the engine's errors.
+        on_done: called after a job that finished and was not stopped; may raise AddonError. If it
+            returns a line, it replaces `done_text`.
+        on_stop: called after a job that was stopped or failed, to take finished results.
+        changes: whether the callback at the end changes the scene. If so, it gets an undo step.
+        then: called with the engine's outputs (name -> path) after a command that finished and was
+            not stopped. Returns the job's next command, or None; may raise AddonError.
+        done_text: message to the user after the job; empty where the window shows the result.
+        is_so: whether `done_text` still holds; a panel asks this, for example after an undo.
+        words: option of the command -> its name in the panel, for the engine's errors.
     """
 
     title: str

@@ -1,4 +1,4 @@
-"""Making the stage for the user's objects: a panorama, and a mesh of the background.
+"""Preparing the scene for the user's objects: a panorama, and a mesh of the background.
 
 A job makes the missing files, one command after the other. Then it adds everything to the scene at
 once, so that one undo reverts all.
@@ -37,10 +37,10 @@ class Wanted:
     """The wanted light and meshes of a scene.
 
     Attributes:
-        light: where the picture is taken, in the world; None: no light.
-        radius: of the object there, in units of the world; 0: there is none.
+        light: place of the panorama, in the world; None for no light.
+        radius: of the object there, in units of the world; 0 if there is none.
         shadows: whether captured surfaces catch shadows, and are reflected.
-        then: called when all is there.
+        then: called when everything is in the scene.
     """
 
     light: Vector | None = None
@@ -50,13 +50,13 @@ class Wanted:
 
 
 def background_mesh(folder: Path) -> Path | None:
-    """The mesh of what is outside the boxes of a run folder; None if there is none yet."""
+    """Return a run folder's mesh of the scene outside the boxes; None if there is none yet."""
     path = folder / BACKGROUND_MESH
     return path if path.is_file() else None
 
 
 def spec(scene: bpy.types.Scene, wanted: Wanted) -> JobSpec:
-    """The job that makes it; the light's picture comes last.
+    """Return the job that makes the missing files; the panorama comes last.
 
     Raises:
         AddonError: no Gaussians are shown, or the run folder cannot be written to.
@@ -84,18 +84,18 @@ def spec(scene: bpy.types.Scene, wanted: Wanted) -> JobSpec:
 
 
 def is_needed(scene: bpy.types.Scene, wanted: Wanted) -> bool:
-    """Whether the engine has to make anything for it."""
+    """Whether the engine has to make a file for this."""
     return wanted.light is not None or _lacks_mesh(run_folders.run_folder(scene), wanted)
 
 
 def _lacks_mesh(folder: Path, wanted: Wanted) -> bool:
-    """Whether the background's mesh is to be made; of Gaussians without a run there is none."""
+    """Whether the background's mesh must be made. Gaussians without a run have none."""
     trained = (folder / run_files.RESULT).is_file()
     return wanted.shadows and trained and background_mesh(folder) is None
 
 
 def _panorama(scene: bpy.types.Scene, wanted: Wanted, folder: Path, picture: Path) -> list[str]:
-    """The command that draws what renders show of the Gaussians, in the frame of the COLMAP model.
+    """Return the command that draws the rendered Gaussians as a panorama, in the COLMAP frame.
 
     Gaussians in the place of the user's object are left out.
     """
@@ -120,11 +120,11 @@ def _panorama(scene: bpy.types.Scene, wanted: Wanted, folder: Path, picture: Pat
 
 
 def keep_standing() -> None:
-    """After a stop: an object that was put on a surface stays there, as a step of undo."""
+    """Do nothing: after a stop, an object that was put on a surface stays, with an undo step."""
 
 
 def _chain(parts: list[list[str]], folder: Path, show: Callable[[], str | None]) -> JobSpec:
-    """One job of several commands; after the last one, `show` is called."""
+    """Return one job of several commands; after the last one, it calls `show`."""
     arguments = [*parts[0], *options_files.machine_options()]
     spec = JobSpec(
         title=STAGING,
@@ -145,7 +145,7 @@ def _chain(parts: list[list[str]], folder: Path, show: Callable[[], str | None])
 
 
 def apply(scene: bpy.types.Scene, folder: Path, wanted: Wanted, picture: Path | None) -> str:
-    """Give the scene what is wanted and made. Returns what was done, in words.
+    """Add the wanted light and proxies to the scene; return what was done, in words.
 
     Raises:
         AddonError: a file is damaged.
@@ -169,7 +169,7 @@ def apply(scene: bpy.types.Scene, folder: Path, wanted: Wanted, picture: Path | 
 
 
 def read_picture(path: Path) -> bpy.types.Image:
-    """The picture, contained in the .blend.
+    """Load a picture and pack it into the .blend.
 
     Raises:
         AddonError: it cannot be read.

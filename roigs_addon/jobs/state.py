@@ -10,24 +10,24 @@ from ..shared import events, text
 STOPPING = "Stopping …"
 STOPPED = "Stopped."
 WAITING = "The engine has finished. Its results load after the render."
-MOST_WARNINGS = 4  # that a panel has room for; all are in the log
+MOST_WARNINGS = 4  # a panel has no room for more; all are in the log
 
 
 @dataclass(kw_only=True)
 class JobState:
-    """The state of a job for the panel; one that never started has no title.
+    """The state of a job for the panel. Without any job, the title is empty.
 
     Attributes:
         title: of the job.
-        log: where the engine's text goes.
-        stage, step, total: where it is; `stage` is empty before the first and after the last one.
-        loss, psnr, gaussians: as the engine last said; 0 if it did not.
-        seconds_left, run_seconds_left: likewise, of the stage and of all stages.
+        log: file of the engine's log.
+        stage, step, total: progress; `stage` is empty before the first and after the last stage.
+        loss, psnr, gaussians: last values from the engine; 0 without one.
+        seconds_left, run_seconds_left: remaining time of the stage and of all stages; 0 if unknown.
         message: for the user, replaced by the next one.
-        device: which one trains, and why; empty before the engine has said so.
+        device: the training device, and the reason; empty before the engine reports it.
         warnings: for the user, the first few; they stay after the job.
         error: why the job failed; empty if it did not.
-        outcome: what came of it, for the user; empty where the window shows it anyway.
+        outcome: result of the job, for the user; empty where the window shows it.
     """
 
     title: str = ""
@@ -47,7 +47,7 @@ class JobState:
     warnings: list[str] = field(default_factory=list)
 
     def take(self, event: events.Record) -> None:
-        """Follow an event of the engine."""
+        """Update the state with an event of the engine."""
         match event["event"]:
             case "stagestarted":
                 self.stage, self.total = event.get("stage", ""), event.get("total", 0)
@@ -71,7 +71,7 @@ class JobState:
             self.warnings.append(text)
 
     def in_words(self) -> str:
-        """One line: where the job is."""
+        """Return the progress of the job in one line."""
         if not self.stage:
             return self.title
         share = f" {self.step:,} / {self.total:,}" if self.total else ""
@@ -81,7 +81,7 @@ class JobState:
         return f"{self.stage}{share}{quality}{size}{left and f', {left}'}"
 
     def time_left(self) -> str:
-        """'about 2 minutes left', of all stages or of this one; nothing if that is not known."""
+        """Return 'about 2 minutes left', for all stages or for this one; empty if unknown."""
         if self.run_seconds_left > 0:
             return f"about {text.duration(self.run_seconds_left)} left"
         left = self.seconds_left

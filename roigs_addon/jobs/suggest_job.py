@@ -1,6 +1,6 @@
-"""Checking photos and suggesting new ones: one command of the engine finds both.
+"""Checking photos and suggesting new ones: one command of the engine does both.
 
-A check gives the boxes their facts; a suggestion also puts cameras at the places for new photos.
+A check stores its results in the boxes; a suggestion also adds cameras for new photos.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LIST, PAGE = "suggestions.json", "suggestions.html"
 
 
 def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object], *, show: bool) -> JobSpec:
-    """The job that checks the photos of some boxes and, with `show`, shows suggestions.
+    """Return the job that checks the photos of some boxes and, with `show`, shows suggestions.
 
     Raises:
         AddonError: something is missing, or the run folder cannot be written to.
@@ -49,15 +49,15 @@ def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object], *, show: bool) -
 
 
 def in_words(count: int) -> str:
-    """What was done."""
+    """Describe the result: '3 photos suggested, the best first'."""
     return f"{text.counted(count, 'photo')} suggested, the best first"
 
 
 def kept(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> Path | None:
-    """The engine's list, if the last check asked the same of the same boxes; else None.
+    """Return the engine's list if the last check had the same request and boxes, else None.
 
     Raises:
-        AddonError: as `spec`.
+        AddonError: as `spec` does.
     """
     if not all(map(checked.of_box, boxes)):
         return None
@@ -67,27 +67,27 @@ def kept(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> Path | None:
 
 
 def packages(scene: bpy.types.Scene) -> tuple[str, ...]:
-    """Packages that the engine's Python needs; a model, if there is one, draws the pictures."""
+    """Return the packages that the engine needs; with a model, it draws the previews."""
     return FOR_TRAINING if _model(scene) else FOR_SUGGESTING
 
 
 def page(scene: bpy.types.Scene) -> Path | None:
-    """The page with the suggestions, to print or for the phone; None: it is not there.
+    """Return the page with the suggestions, to print or for the phone; None if it does not exist.
 
-    A link in its place is not followed: the system opens what it is given as whatever it is.
+    A link in its place is not followed: the system would open its target, whatever it is.
     """
     page = run_folders.run_folder(scene) / own_files.OWN / own_files.SUGGESTED / PAGE
     return page if os.path.isfile(page) and not files.is_link(page) else None
 
 
 def _request(options: Path) -> str:
-    """Digest of what the engine is asked: options, and boxes with their names and places."""
+    """Return a digest of the request: options, and boxes with their names and places."""
     asked = files.sha256(options), files.sha256(options.parent / own_files.ROIS)
     return text.json_digest(asked)
 
 
 def _model(scene: bpy.types.Scene) -> Path | None:
-    """The result of the scene's training; None: there is none."""
+    """Return the result of the scene's training; None if there is none."""
     if not scene_props(scene).run_dir:
         return None
     result = run_folders.run_folder(scene) / run_files.RESULT

@@ -23,9 +23,9 @@ GLB = ".glb"
 
 
 def box_at_hand(context: bpy.types.Context) -> tuple[str, bool]:
-    """The box that a person works on: that of the active Gaussians or mesh, else the active one.
+    """Find the user's current box: that of the active Gaussians or mesh, else the active box.
 
-    Returns its name, empty if there is none, and whether it is that in the run folder.
+    Returns its name, empty if there is none, and whether this is its name in the run folder.
     """
     item, roi = view_layer_of(context).objects.active, lookup.active_roi(context)
     props = object_props(item) if item is not None else None
@@ -35,18 +35,18 @@ def box_at_hand(context: bpy.types.Context) -> tuple[str, bool]:
 
 
 def trained_name(scene: bpy.types.Scene, roi: str) -> str:
-    """The name of a box in the run folder: it may have been renamed since its training."""
+    """Return the name of a box in the run folder: it may have been renamed since its training."""
     status = run_status.read(run_folders.run_folder(scene))
     return rois.trained_names(scene, status.boxes or {}).get(roi, roi)
 
 
 def spec(scene: bpy.types.Scene, boxes: Sequence[str], *, replace_edits: bool) -> JobSpec:
-    """The job that makes the meshes of boxes of the last result, which is then shown.
+    """Return the job that makes meshes of the last result's boxes, and shows them.
 
     Args:
         scene: of the result.
-        boxes: their names in the run folder; empty: all.
-        replace_edits: also meshes that the user has edited.
+        boxes: their names in the run folder; empty for all.
+        replace_edits: also replace meshes that the user has edited.
 
     Raises:
         AddonError: the run folder cannot be written to, or a mesh was edited.
@@ -64,7 +64,7 @@ def spec(scene: bpy.types.Scene, boxes: Sequence[str], *, replace_edits: bool) -
         now = find()
         if now is None:
             return None
-        if not replace_edits:  # meanwhile
+        if not replace_edits:  # they may have been edited meanwhile
             _refuse_edited(now, list(made), "Click the button again to replace it.")
         compared.show_last(now, folder)
         for name, path in made.items():
@@ -107,7 +107,7 @@ def _options(scene: bpy.types.Scene, folder: Path, boxes: Sequence[str]) -> list
 
 
 def _made(folder: Path) -> dict[Path, int]:
-    """Meshes in a run folder -> when their record was written, which is done last."""
+    """Return the meshes in a run folder -> time of their record, which is written last."""
     found = {}
     for path in (folder / run_files.FINE).glob(f"*{GLB}"):
         with suppress(OSError):

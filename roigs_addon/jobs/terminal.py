@@ -14,17 +14,17 @@ LOG_SECONDS = 5.0
 
 
 class Terminal:
-    """One line that changes in a terminal; in a log, a new line every few seconds."""
+    """Shows progress: one changing line in a terminal; in a log, a line every few seconds."""
 
     def __init__(self, stream: TextIO, *, every: float = LOG_SECONDS) -> None:
-        """Write to `stream`; `every`: least number of seconds between two lines of a log."""
+        """Write to `stream`; `every` is the least number of seconds between lines of a log."""
         self._stream, self._every = stream, every
         self._alive = stream.isatty()
         self._last, self._topic, self._width = "", "", 0
         self._next = 0.0
 
     def show(self, text: str, topic: str = "") -> None:
-        """Show the progress; in a log only now and then, but a new topic at once."""
+        """Show the progress; in a log only every few seconds, but a new topic at once."""
         if text == self._last:
             return
         if self._alive:
@@ -70,5 +70,5 @@ def stopping(stop: Callable[[], None]) -> Iterator[None]:
         yield
     finally:
         for number, handler in before.items():
-            # None stands for a handler of Blender's own, which Python cannot put back.
+            # None stands for a handler of Blender's own, which Python cannot restore.
             signal.signal(number, signal.SIG_DFL if handler is None else handler)

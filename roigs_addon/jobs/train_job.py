@@ -1,4 +1,4 @@
-"""Training: the engine trains in the scene's run folder; the Gaussians are imported."""
+"""Training: the engine trains in the scene's run folder, then the Gaussians are imported."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WORDS = {
 
 
 def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> JobSpec:
-    """The job that trains the scene and refines some boxes; with test photos it also measures.
+    """Return the job that trains the scene and refines some boxes; with test photos, it measures.
 
     Raises:
         AddonError: something is missing, or the run folder cannot be written to.
@@ -59,9 +59,9 @@ def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> JobSpec:
 
 
 def boxes_to_resume(scene: bpy.types.Scene, status: RunStatus) -> list[bpy.types.Object]:
-    """The boxes of the training that was stopped; all boxes if one of those is gone.
+    """Return the boxes of the stopped training; all boxes if one of those is gone.
 
-    With other boxes the engine would train these again.
+    With other boxes, the engine would train these again.
     """
     every = lookup.rois(scene)
     if not status.unfinished or not status.boxes:

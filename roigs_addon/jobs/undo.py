@@ -1,7 +1,7 @@
-"""Undo steps for changes outside an operator, for which Blender creates none.
+"""Makes undo steps for changes outside an operator, for which Blender makes none.
 
-Without them the change would become part of the next operator's step, and undoing that operator
-would undo the change as well.
+Without them, the change would become part of the next operator's step. Undoing that operator would
+undo the change as well.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ _active: dict[str, str] = {}  # scene -> its active camera, by name
 def follow(scene: bpy.types.Scene, *_: object) -> None:
     """Set resolution and aspect when another photo's camera has become the active one.
 
-    Settings of a loaded file stay, and so do those that the user makes afterwards.
+    A loaded file keeps its settings, and later changes by the user stay.
     """
     camera = scene.camera
     name = camera.name if camera else ""
@@ -30,7 +30,7 @@ def follow(scene: bpy.types.Scene, *_: object) -> None:
 
 @persistent
 def forget(*_: object) -> None:
-    """For another file: its cameras are not compared with those of the previous one."""
+    """Forget the active cameras before another file is loaded."""
     _active.clear()
 
 
@@ -41,7 +41,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Remove them."""
+    """Remove the handlers."""
     bpy.app.handlers.load_pre.remove(forget)
     bpy.app.handlers.depsgraph_update_post.remove(follow)
     forget()

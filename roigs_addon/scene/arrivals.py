@@ -1,7 +1,6 @@
-"""Shows Gaussians in renders that came by Append, Link or a script, not by Load Results.
+"""Shows Gaussians that came by Append, Link or a script, not by Load Results, in renders too.
 
-This is done once per scene, because a user may have removed the node from the compositor on
-purpose.
+A scene gets the compositor node only once, because a user may have removed it on purpose.
 """
 
 from __future__ import annotations
@@ -20,8 +19,9 @@ are compared."""
 
 
 def let_in(scene: bpy.types.Scene) -> None:
-    """Show the Gaussians of a scene as this Blender can, and merge those into its renders that
-    the engine draws, if that was never done. Photos are then seen beside them.
+    """Show a scene's Gaussians in the way this Blender supports, and update background photos.
+
+    If the engine draws them in renders, the scene gets its compositor node, unless it once had it.
     """
     for item in lookup.splats(scene):
         display.refresh(item)
@@ -33,7 +33,7 @@ def let_in(scene: bpy.types.Scene) -> None:
 
 @persistent
 def _on_change(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
-    """After every change, so a scene is searched only if its objects are more or fewer."""
+    """Runs after every change; searches a scene only if its number of objects changed."""
     if not _in_main_thread():
         return
     if native_splats.exist():
@@ -52,7 +52,7 @@ def _on_change(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
 
 @persistent
 def _on_step(*_: object) -> None:
-    """After undo, redo and loading a file, and before a script's render."""
+    """Runs after undo, redo and loading a file, and before a script's render."""
     if _in_main_thread():
         _counted.clear()
         for scene in bpy.data.scenes:
@@ -60,7 +60,7 @@ def _on_step(*_: object) -> None:
 
 
 def _in_main_thread() -> bool:
-    """In a render's thread, nodes that a window may be drawing must stay."""
+    """Whether nodes may change: in a render's thread, a window may be drawing them."""
     return threading.current_thread() is threading.main_thread()
 
 
@@ -79,6 +79,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Follow none."""
+    """Stop following changes."""
     _leave()
     _counted.clear()

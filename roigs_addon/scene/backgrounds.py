@@ -1,8 +1,8 @@
-"""The photos behind cameras' views, as training sees them.
+"""Shows photos behind the cameras' views, as training sees them.
 
-Most are the user's files. For a photo with lens distortion, a colour profile or a rotation, and for
-files that Blender reads differently, the engine makes a picture once, in a separate process. Until
-it is finished, the file itself is shown.
+Most are shown from the user's files. For a photo with lens distortion, a colour profile or a
+rotation, and for files that Blender reads differently, the engine makes a picture once, in a
+separate process. Until it is finished, the file itself is shown.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ END_SECONDS = 5.0
 
 @dataclass(frozen=True)
 class _Making:
-    """A picture that the engine makes."""
+    """A picture that the engine is making."""
 
     photo: Photo
     picture: Path
@@ -57,8 +57,8 @@ _failed: set[Path] = set()
 def show(data: bpy.types.Camera, photo: Photo) -> None:
     """Show a photo behind the camera's view, unless another picture is there.
 
-    A photo that cannot be read is not shown: the camera is useful without it. In background mode,
-    where Blender calls no timers, the engine is waited for.
+    An unreadable photo is not shown: the camera is useful without it. In background mode, where
+    Blender calls no timers, this waits for the engine.
     """
     global _wanted
     if not photo.path:
@@ -111,9 +111,9 @@ def in_background() -> bool:
 
 
 def _picture(photo: Photo) -> Path | None:
-    """The file of a photo's picture, made or not; None: the photo's own file is shown.
+    """Return the path of a photo's picture, made or not; None if its own file is shown.
 
-    Its name tells all that decides it: a photo that has changed gets another.
+    The name is a hash of all that decides the picture, so a changed photo gets another picture.
     """
     if photo.as_stored:
         return None
@@ -162,7 +162,7 @@ def _path(image: bpy.types.Image | None) -> Path:
 
 
 def _step(*, wait: bool = False) -> bool:
-    """Go on with the pictures; False: there is nothing to do. `wait`: for the engine."""
+    """Start or finish a picture; return False if none is left. `wait` waits for the engine."""
     global _making, _wanted
     if _making is None:
         if _wanted is None:
@@ -213,7 +213,7 @@ def _give_up(picture: Path, reason: str) -> None:
 
 
 def _remove_oldest(folder: Path) -> None:
-    """Keep the newest of our pictures; all others stay: the user may have named a folder of his."""
+    """Delete the oldest of our pictures. Other files stay: the folder may be the user's own."""
     with suppress(OSError):
         ours = [file for file in folder.iterdir() if _OURS.fullmatch(file.name)]
         pictures = sorted(ours, key=lambda file: file.lstat().st_mtime)
@@ -235,7 +235,7 @@ _timer = Timer(_step, POLL_SECONDS, persistent=True)
 
 
 def register() -> None:
-    """Nothing is made until a photo is looked through."""
+    """Do nothing: pictures are made when a photo is viewed."""
 
 
 def unregister() -> None:

@@ -1,7 +1,7 @@
 """Depth of field and motion blur of a frame: the engine averages several sharp pictures.
 
-Each is seen from another point of the camera's aperture, at another moment of the shutter's time,
-and with the surfaces of that moment. So Gaussians and meshes blur alike.
+Each picture has its own point of the camera's aperture, its own moment of the shutter time, and the
+surfaces of that moment. So Gaussians and meshes blur alike.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ NOT_MOVED = (
 
 @dataclass(frozen=True, kw_only=True)
 class Moment:
-    """A moment of a frame: what the engine is asked for, but for the file of its answer."""
+    """A moment of a frame: the engine's request without the path of its output."""
 
     request: dict[str, Any]
     surfaces: NDArray[np.float32]  # (T, 3, 3) in the world
@@ -38,7 +38,7 @@ class Moment:
 
 
 def moment(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Moment | None:
-    """The content of a frame at the depsgraph's moment; None: no Gaussians.
+    """Return the frame's content at the depsgraph's time; None without Gaussians.
 
     Raises:
         AddonError: as `frame_request`.
@@ -51,16 +51,16 @@ def moment(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Moment | N
 
 
 def moments(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> list[Moment]:
-    """The sharp pictures of a blurred frame; nothing if one is enough.
+    """Return the moments whose sharp pictures are averaged; empty if one plain picture is enough.
 
-    It steps through the scene's time, and comes back.
+    This steps through the scene's time, and restores it.
 
     Args:
-        scene: that is rendered.
-        depsgraph: of the render, at the frame.
+        scene: the rendered scene.
+        depsgraph: the render's, at the frame.
 
     Raises:
-        AddonError: as `moment`.
+        AddonError: as `moment` does.
     """
     found: list[Moment | None] = []
     if _is_panoramic(scene):
@@ -75,7 +75,7 @@ def moments(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> list[Mome
 def remark(
     scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, moments: Sequence[Moment]
 ) -> str:
-    """A warning about a frame averaged from moments, in one line; or nothing."""
+    """Return a one-line warning about a frame averaged from moments; empty if there is none."""
     if _is_panoramic(scene):
         return "Gaussians have no motion blur in panoramas." if _moves(scene) else ""
     if _moves(scene) and not _may_step(scene):
@@ -93,7 +93,7 @@ def remark(
 
 
 def _is_needed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether one sharp picture cannot be compared with Blender's depth."""
+    """Whether a plain picture cannot be compared with Blender's depth, even without motion."""
     camera = scene.camera
     if camera is None or camera.type != "CAMERA":
         return False
@@ -102,7 +102,7 @@ def _is_needed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
 
 
 def _hides(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether an opaque picture of Blender's has the world's background where a catcher is."""
+    """Whether Blender's opaque picture shows the world's background in place of a catcher."""
     return surfaces.have_catcher(depsgraph) and not shadow_pass.multiplies(scene)
 
 
@@ -117,12 +117,12 @@ def _moves(scene: bpy.types.Scene) -> bool:
 
 
 def _may_step(scene: bpy.types.Scene) -> bool:
-    """Whether other moments of the scene can be looked at while it renders."""
+    """Whether the scene's time can be changed during a render."""
     return bpy.app.background or scene.render.use_lock_interface
 
 
 def _in_shutter(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> list[Moment | None]:
-    """The moments of the shutter's time, if anything moves in it."""
+    """Return the moments within the shutter time; empty if nothing moves."""
     first, *between, last = _times(scene)
     with _time_kept(scene, depsgraph):
         ends = [_at(scene, depsgraph, time) for time in (first, last)]
@@ -132,11 +132,11 @@ def _in_shutter(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> list[
 
 
 def request(moments: Sequence[Moment], out: Path, *, transparent: bool) -> dict[str, Any]:
-    """The engine's request (docs/files.md) for the mean of moments and of their apertures.
+    """Return the engine's request (docs/files.md) to average moments and points of apertures.
 
     Args:
         moments: at least one.
-        out: where the engine's files go, and beside it those of the surfaces.
+        out: path of the engine's files; the surfaces' files are written beside it.
         transparent: whether Blender's film is.
     """
     files, last = [], np.zeros((0, 3, 3), np.float32)
@@ -166,7 +166,7 @@ def request(moments: Sequence[Moment], out: Path, *, transparent: bool) -> dict[
 
 
 def _aperture(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Aperture | None:
-    """The opening of a camera; None: all is sharp."""
+    """Return a camera's aperture; None without depth of field."""
     item = camera.evaluated_get(depsgraph)
     data = camera_of(item)
     dof = data.dof
@@ -196,7 +196,7 @@ def _times(scene: bpy.types.Scene) -> list[float]:
 
 
 def _position(scene: Any) -> str:
-    """The shutter's position; Cycles had the setting before all engines had it."""
+    """Return the shutter's position; in older Blenders only Cycles has the setting."""
     of_cycles = getattr(scene, "cycles", None)
     old = getattr(of_cycles, "motion_blur_position", "CENTER")
     return str(getattr(scene.render, "motion_blur_position", old))
@@ -220,7 +220,7 @@ def _alike(ends: Sequence[Moment | None]) -> bool:
 
 @contextmanager
 def _time_kept(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Iterator[None]:
-    """Come back to the frame, with all that the renderer is to know of as changed."""
+    """Restore the frame at the end, and tag again what the renderer must see as changed."""
     time, changed = scene.frame_float, [each.id for each in depsgraph.updates]
     originals = [each.original for each in changed if each is not None]
     try:

@@ -26,11 +26,11 @@ FLATTEST = 1e-3
 
 @dataclass(frozen=True)
 class Shape:
-    """A box at one moment: Blender's `matrix_world` follows changes only later.
+    """Snapshot of a box. Blender updates `matrix_world` only later.
 
     Attributes:
         half: half its sides in the world.
-        sides: the same below its parent.
+        sides: the same in its parent's frame.
         location, scale, delta_scale: the object's own.
         basis: rotation and scale below the parent, after constraints.
     """
@@ -44,7 +44,7 @@ class Shape:
 
     @classmethod
     def of(cls, roi: bpy.types.Object) -> Shape:
-        """The box as it is."""
+        """Take a snapshot of a box."""
         sides = np.linalg.norm(lookup.matrix_world(roi)[:3, :3], axis=0)
         basis = roi.matrix_basis
         if roi.constraints:
@@ -59,7 +59,7 @@ class Shape:
         )
 
     def restore(self, roi: bpy.types.Object) -> None:
-        """Give the box back what it had, to the last digit."""
+        """Restore the box exactly."""
         roi.location, roi.scale, roi.delta_scale = self.location, self.scale, self.delta_scale
 
 
@@ -92,7 +92,7 @@ def move_face(
         roi: gets the new bounds.
         shape: the box before.
         face: its axis and side.
-        distance: less than 0: inwards.
+        distance: negative moves it inwards.
         both: the opposite face moves too, and the centre stays.
     """
     axis, sign = face

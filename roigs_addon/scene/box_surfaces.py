@@ -1,4 +1,4 @@
-"""The mesh of a box as an object: instead of its Gaussians, or beside them.
+"""Shows a box's mesh as an object, instead of its Gaussians or beside them.
 
 A recreated mesh keeps its object, with place, modifiers and material. Only its data and the picture
 in its material are replaced.
@@ -44,7 +44,7 @@ _edited: dict[int, bool] = {}
 
 
 def surfaces(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The mesh of each box that has one; copies are the user's own."""
+    """Return the mesh of each box that has one. Copies belong to the user and are left out."""
     found: dict[str, bpy.types.Object] = {}
     for item in lookup.of_kind(scene, "SURFACE"):
         found.setdefault(object_props(item).roi, item)
@@ -57,7 +57,7 @@ def surface_of(scene: bpy.types.Scene, roi: str) -> bpy.types.Object | None:
 
 
 def pair_of(scene: bpy.types.Scene, roi: str) -> detail.Pair | None:
-    """The objects of a box's Gaussians, not of copies; None if there are none."""
+    """Return the pair of a box's Gaussian objects, not of copies; None if there is none."""
     for pair in detail.pairs(scene):
         item = pair.fine or pair.coarse
         if item is not None and object_props(item).roi == roi:
@@ -66,15 +66,15 @@ def pair_of(scene: bpy.types.Scene, roi: str) -> detail.Pair | None:
 
 
 def gaussians_of(scene: bpy.types.Scene, roi: str) -> bpy.types.Object | None:
-    """The object of a box's Gaussians that is not switched off; None if there is none."""
+    """Return the Gaussian object of a box that is not switched off; None if there is none."""
     pair = pair_of(scene, roi)
     return pair.shown if pair is not None else None
 
 
 def load(scene: bpy.types.Scene, folder: Path) -> list[str]:
-    """Bring in the meshes that a run folder has of its result; new ones are hidden at first.
+    """Load the meshes of a run folder's result; new ones start hidden.
 
-    Returns what was left as it is, and why, in words.
+    Returns a message for each mesh that was left as it is.
     """
     left = []
     for (level, roi), ply in splats.result_files(folder).items():
@@ -111,10 +111,12 @@ def record_file(path: Path) -> Path:
 
 
 def show(scene: bpy.types.Scene, roi: str, path: Path, *, seen: bool = True) -> bpy.types.Object:
-    """Show the mesh of a file as that of a box: in its object, or in a new one.
+    """Show a mesh file as the mesh of a box, in the box's mesh object or in a new one.
 
     Args:
-        scene, roi, path: where, of which box, and the file.
+        scene: gets a new object.
+        roi: name of the box.
+        path: the mesh file.
         seen: whether it replaces the Gaussians at once; else a new object is hidden.
 
     Raises:
@@ -152,7 +154,7 @@ def show(scene: bpy.types.Scene, roi: str, path: Path, *, seen: bool = True) -> 
 
 
 def way_of(scene: bpy.types.Scene, item: bpy.types.Object) -> str:
-    """The one of `WAYS` in the viewport; empty: neither mesh nor Gaussians."""
+    """Return which of `WAYS` the viewport shows; empty if it shows neither."""
     gaussians = gaussians_of(scene, object_props(item).roi)
     seen = gaussians is not None and not gaussians.hide_viewport
     if item.hide_viewport:
@@ -171,7 +173,7 @@ def set_way(scene: bpy.types.Scene, item: bpy.types.Object, way: str) -> None:
 
 
 def alone(scene: bpy.types.Scene) -> bool:
-    """Whether all but a mesh is hidden, see `show_alone`."""
+    """Whether one mesh is shown alone, see `show_alone`."""
     return any(object_props(item).beside for item in _shown_kinds(scene))
 
 
@@ -185,7 +187,7 @@ def show_alone(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
 
 
 def foot(item: bpy.types.Object) -> Vector:
-    """The middle of the bottom of what holds an object, in the world."""
+    """Return the centre of an object's bounding box, lowered to its lowest corner, in the world."""
     corners = [item.matrix_world @ Vector(corner) for corner in item.bound_box]
     middle: Vector = sum(corners, Vector()) / len(corners)
     middle.z = min(corner.z for corner in corners)
@@ -193,7 +195,7 @@ def foot(item: bpy.types.Object) -> Vector:
 
 
 def shift(item: bpy.types.Object, by: Vector) -> None:
-    """Move all vertices of a mesh in its own frame, which moves its origin: that is no edit."""
+    """Move all vertices of a mesh in its own frame. This moves its origin and is not an edit."""
     mesh, known = mesh_of(item), not is_edited(item)
     mesh.transform(BlenderMatrix.Translation(by))
     mesh[FRAME] = (np.array(BlenderMatrix.Translation(by)) @ imported_frame(mesh)).ravel().tolist()
@@ -203,7 +205,7 @@ def shift(item: bpy.types.Object, by: Vector) -> None:
 
 
 def show_all(scene: bpy.types.Scene) -> None:
-    """Show again what a mesh that is shown alone has hidden."""
+    """Show again what `show_alone` has hidden."""
     for item in _shown_kinds(scene):
         visibility.unpark(item, "beside")
 
@@ -213,7 +215,7 @@ def _shown_kinds(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def is_of_other_result(scene: bpy.types.Scene, item: bpy.types.Object) -> bool:
-    """Whether the Gaussians of the box are not those that a mesh was made of."""
+    """Whether a mesh was made from other Gaussians than the box has now."""
     pair = pair_of(scene, object_props(item).roi)
     if pair is None or pair.fine is None:
         return False
@@ -222,7 +224,7 @@ def is_of_other_result(scene: bpy.types.Scene, item: bpy.types.Object) -> bool:
 
 
 def edited(scene: bpy.types.Scene, rois: Sequence[str] = ()) -> list[str]:
-    """Names of these boxes' meshes, or of all, that were changed since they were made."""
+    """Return the names of edited meshes, of these boxes or of all."""
     found = (i for i in surfaces(scene) if not rois or object_props(i).roi in rois)
     return [item.name for item in found if is_edited(item)]
 
@@ -243,8 +245,10 @@ def _is_painted(image: bpy.types.Image) -> bool:
 
 
 def record(item: bpy.types.Object) -> dict[str, Any]:
-    """What the engine says of a mesh, as far as it is of the right kind; lengths in units of the
-    COLMAP model: `size` of its sides, `volume`, the share `filled`, and whether it is `watertight`.
+    """Return the engine's figures of a mesh; those of a wrong type are left out.
+
+    They are the `size` of its sides, `volume`, the share `filled`, and whether it is `watertight`.
+    Lengths are in units of the COLMAP model.
     """
     try:
         found = text.parse_json(object_props(item).surface.encode())
@@ -265,7 +269,7 @@ def _is_number(value: Any) -> bool:
 def _new(
     scene: bpy.types.Scene, roi: str, read: TexturedMesh, gaussians: bpy.types.Object | None
 ) -> bpy.types.Object:
-    """A new object in the place of the Gaussians, with their origin; else with its own middle."""
+    """Create an object with the Gaussians' place and origin; without them, centre its origin."""
     name = splats.mesh_name(roi)
     if gaussians is None:
         frame = np.eye(4)
@@ -301,7 +305,7 @@ def _data(name: str, read: TexturedMesh, frame: Matrix) -> bpy.types.Mesh:
 
 
 def _frame(mesh: bpy.types.Mesh) -> Matrix:
-    """(4, 4) from the COLMAP frame to a mesh's own, with what **Object ▸ Apply** did to it."""
+    """(4, 4) from the COLMAP frame to a mesh's own, including **Object ▸ Apply**."""
     frame, imported = imported_frame(mesh), values(mesh, PLACE)
     if imported is None:
         return frame
@@ -310,7 +314,7 @@ def _frame(mesh: bpy.types.Mesh) -> Matrix:
 
 
 def _state(mesh: bpy.types.Mesh) -> str:
-    """Text that changes when vertices, faces or their places in the picture do."""
+    """Return a text that changes when vertices, faces or UV coordinates do."""
     corners = np.empty(len(mesh.loops), np.int32)
     mesh.loops.foreach_get("vertex_index", corners)
     found = zlib.crc32(corners.data, zlib.crc32(clouds.positions_of(mesh).data))
@@ -330,7 +334,7 @@ def _picture(roi: str, data: bytes) -> bpy.types.Image:
 
 
 def _material(name: str, image: bpy.types.Image) -> bpy.types.Material:
-    """A matt material with a picture, that scene's lights light."""
+    """Create a matt material with a picture, lit by the scene's lights."""
     material = textured_meshes.blank_material(name)
     nodes, link = material.node_tree.nodes, material.node_tree.links.new
     picture, matt = nodes.new("ShaderNodeTexImage"), nodes.new("ShaderNodeBsdfPrincipled")
@@ -378,7 +382,7 @@ def _take_materials(fresh: bpy.types.Mesh, old: bpy.types.Mesh, roi: str, data: 
 
 @persistent
 def _on_change(_: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
-    """After every change."""
+    """Drop changed meshes from the cache."""
     for update in graph.updates if _edited else ():
         changed = update.id if update.is_updated_geometry else None
         if isinstance(changed, bpy.types.Mesh) and changed.original is not None:
@@ -399,6 +403,6 @@ register, _leave = following(
 
 
 def unregister() -> None:
-    """Follow no changes."""
+    """Stop following changes."""
     _leave()
     _forget()

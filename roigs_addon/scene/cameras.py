@@ -26,8 +26,8 @@ def new_camera(photo: Photo, size: float) -> bpy.types.Object:
     """A camera object below the root, in the COLMAP frame; not linked to any collection yet.
 
     Args:
-        photo: what it shows.
-        size: of its drawing in the viewport.
+        photo: the camera's photo.
+        size: display size in the viewport.
     """
     data = bpy.data.cameras.new(photo.name)
     lens = frames.lens_from_intrinsics(photo.intrinsics)
@@ -44,13 +44,13 @@ def new_camera(photo: Photo, size: float) -> bpy.types.Object:
 
 
 def fit_clips(scene: bpy.types.Scene, scale: float) -> None:
-    """Have all photos' cameras clip as at a root of that scale; Blender scales all but that."""
+    """Set all photo cameras' clip ranges for a scale of the root; Blender does not scale them."""
     for item in (*lookup.of_kind(scene, "CAMERA"), *lookup.of_kind(scene, "SHOT")):
         _fit_clip(camera_of(item), scale)
 
 
 def _fit_clip(data: bpy.types.Camera, scale: float) -> None:
-    """Unless the user has set the range: it is then of no scale."""
+    """Set a clip range for a scale, unless the user has changed it."""
     start, _ = _clips(data.display_size, data.clip_end / _clips(data.display_size, 1.0)[1])
     if abs(data.clip_start - start) <= 1e-3 * start:
         data.clip_start, data.clip_end = _clips(data.display_size, scale)
@@ -92,10 +92,10 @@ def _free_others(scene: bpy.types.Scene, shown: bpy.types.Camera) -> None:
 
 
 def photo_of(item: bpy.types.Object, root: bpy.types.Object | None) -> Photo | None:
-    """The photo of a camera object as COLMAP would have it now.
+    """Return a camera object's photo with its present pose in the COLMAP frame.
 
-    Unless the camera was moved against its root, that is the record to the last digit. A camera
-    that was moved has Blender's 32-bit precision.
+    If the camera was not moved against its root, this is exactly the stored record. A moved camera
+    has Blender's 32-bit precision.
     """
     photo = lookup.photo_record(item)
     if photo is None:
@@ -121,9 +121,9 @@ def render_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
 def intrinsics_of(
     data: bpy.types.Camera, render: bpy.types.RenderSettings, width: int, height: int
 ) -> Intrinsics:
-    """The pinhole camera in pixels of any Blender camera but a panoramic one, of any sensor fit.
+    """Return a Blender camera's pinhole intrinsics in pixels, for any sensor fit; no panoramas.
 
-    An orthographic one is a pinhole camera `ORTHO_BACK` of its scales behind it.
+    An orthographic camera becomes a pinhole camera `ORTHO_BACK` times its scale behind it.
     """
     aspect_x, aspect_y = render.pixel_aspect_x, render.pixel_aspect_y
     wide = width * aspect_x >= height * aspect_y

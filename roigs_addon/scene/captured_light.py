@@ -43,7 +43,7 @@ def places_of(mesh: bpy.types.Mesh) -> Float32:
 
 
 def middle_of(item: bpy.types.Object) -> tuple[float, float, float]:
-    """The middle of where an object was captured, in the COLMAP frame."""
+    """Return the centre of an object's captured vertices, in the COLMAP frame."""
     places = places_of(mesh_of(item))
     x, y, z = ((places.max(axis=0) + places.min(axis=0)) / 2).tolist()
     return x, y, z
@@ -72,7 +72,7 @@ def store(mesh: bpy.types.Mesh, picture: Float32, turn: Matrix, own: Float32) ->
 
 
 def is_stored(mesh: bpy.types.Mesh) -> bool:
-    """Whether a mesh has the attribute; one that was made again has not."""
+    """Whether a mesh has the attribute. A recreated mesh does not."""
     return ATTRIBUTE in mesh.attributes
 
 
@@ -95,7 +95,7 @@ def _normals(places: Float32, triangles: NDArray[np.int32]) -> Float32:
 
 
 def _open(places: Float32, triangles: NDArray[np.int32], normals: Float32) -> Float32:
-    """(V,) share of the surroundings that the object itself does not hide, as light counts."""
+    """(V,) cosine-weighted share of the surroundings that the object itself does not hide."""
     count = len(places)
     chosen = np.random.default_rng(SEED).permutation(count)[:SAMPLES]
     tree: Any = BVHTree.FromPolygons(places.tolist(), triangles.tolist(), all_triangles=True)

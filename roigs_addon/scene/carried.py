@@ -1,4 +1,4 @@
-"""The Gaussians saved in a .blend: with or without their view-dependent colour.
+"""Saves Gaussians in a .blend with or without their view-dependent colour.
 
 That colour is two thirds of the size. If the user leaves it out, it is removed from the meshes
 while the file is saved, but only if the PLY can restore it: the file exists, and the points are
@@ -25,7 +25,7 @@ _taken: dict[int, dict[str, Float32]] = {}
 
 
 def bring_back(scene: bpy.types.Scene) -> None:
-    """Give meshes the view-dependent colour again that was left out, from their PLYs."""
+    """Restore view-dependent colour that was left out, from the meshes' PLYs."""
     for item, mesh in _of(scene):
         if not mesh.get(LEFT_OUT) or not edits.is_held(item, object_props(item).ply):
             continue
@@ -95,5 +95,5 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Follow it no more."""
+    """Stop following it."""
     _leave()

@@ -1,7 +1,7 @@
-"""Checked photos: what the photos of each box show, and which of them may be bad.
+"""The check of each box's photos: what they cover, and which of them may be bad.
 
-The engine finds this together with its suggestions. Each box keeps its own part, so undo and the
-.blend do, too.
+The engine computes it together with its suggestions. Each box stores its own part, so undo and the
+.blend include it.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ Fault = tuple[str, str, str]
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """What the photos of a box show.
+    """The check of one box's photos.
 
     Attributes:
-        place: of the box then, see `rois.place_key`.
+        place: the box's place at the check, see `rois.place_key`.
         made: digest of the request and of the engine's answer.
-        of: number of photos in the scene then.
+        of: number of photos in the scene at the check.
         pixels: along its longest side.
         exposure_spread: stops between the darkest photo and the brightest; 0: not measured.
-        known: what the photos cover, 0 to 1.
+        known: share that the photos cover, 0 to 1.
         later: the same with the suggested photos.
         suggested: number of these.
         without_photos: sides that no photo looks at, see `NORMALS`.
@@ -83,17 +83,18 @@ class Checked:
 
 
 def places_of(boxes: list[bpy.types.Object], scene: bpy.types.Scene) -> dict[str, str]:
-    """Name -> place of each box, for `take`; raises AddonError if it is not a box."""
+    """Name -> place of each box, for `take`; raises AddonError if one is not a box."""
     return {box.name: rois.place_key(box, scene) for box in boxes}
 
 
 def take(scene: bpy.types.Scene, places: Mapping[str, str], listed: Path, request: str) -> None:
-    """Give each box what the engine's list of suggestions says of it.
+    """Store in each box its part of the engine's list of suggestions.
 
     Args:
-        places: of the boxes when the engine was asked; others are left alone.
-        listed: the list.
-        request: digest of what the engine was asked.
+        scene: with the boxes.
+        places: of the boxes at the time of the request; other boxes are left alone.
+        listed: the list's file.
+        request: digest of the request to the engine.
 
     Raises:
         AddonError: the list cannot be read.
@@ -115,7 +116,7 @@ def take(scene: bpy.types.Scene, places: Mapping[str, str], listed: Path, reques
 
 
 def of_box(roi: bpy.types.Object) -> Checked | None:
-    """What the photos of a box show; None: they were not checked."""
+    """Return the check of a box's photos; None if they were not checked."""
     return _parsed(object_props(roi).checked)
 
 
@@ -129,7 +130,7 @@ def is_stale(roi: bpy.types.Object, scene: bpy.types.Scene) -> bool:
 
 
 def is_fresh(scene: bpy.types.Scene, listed: Path, request: str) -> bool:
-    """Whether the list of suggestions is what all boxes have of the same request."""
+    """Whether all boxes store this list of suggestions, made for this request."""
     try:
         made = _made(request, files.read_bytes(listed))
     except OSError:
@@ -139,13 +140,13 @@ def is_fresh(scene: bpy.types.Scene, listed: Path, request: str) -> bool:
 
 
 def faults_of(roi: bpy.types.Object) -> tuple[Fault, ...]:
-    """The photos of a box to look at."""
+    """Return the doubtful photos of a box."""
     found = of_box(roi)
     return () if found is None else found.faults
 
 
 def sides_without_photos(roi: bpy.types.Object, scene: bpy.types.Scene) -> list[str]:
-    """In words: 'above', 'below', or with Blender's names of the box's axes."""
+    """Name these sides: 'above', 'below', or by Blender's names of the box's axes."""
     found = of_box(roi)
     if found is None or not found.without_photos:
         return []
@@ -161,7 +162,7 @@ def sides_without_photos(roi: bpy.types.Object, scene: bpy.types.Scene) -> list[
 
 
 def _in_words(normal: Matrix, own: Matrix) -> str:
-    """A normal in the world; `own` (3, 3): the box's axes there, as columns."""
+    """Name a side by its normal in the world; the columns of `own` (3, 3) are the box's axes."""
     rise = normal[2] / max(float(np.linalg.norm(normal)), 1e-300)
     if abs(rise) >= STEEP:
         return "above" if rise > 0 else "below"
@@ -171,7 +172,7 @@ def _in_words(normal: Matrix, own: Matrix) -> str:
 
 
 def _from_engine(box: dict[str, Any], cameras: list[dict[str, Any]], made: str) -> dict[str, Any]:
-    """A box of the engine's list as a record, without its place and the number of all photos."""
+    """Convert a box of the engine's list to a record; place and photo count are set later."""
     values = [float(camera["known"]) for camera in cameras if camera["box"] == box["name"]]
     record = {
         "place": "",

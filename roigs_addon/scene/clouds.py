@@ -66,7 +66,7 @@ def positions_of(mesh: bpy.types.Mesh) -> NDArray[np.float32]:
 def show_as_points(
     item: bpy.types.Object, material: bpy.types.Material, radius: float | str
 ) -> None:
-    """Add the modifier: points of a radius, or of the radius that an attribute holds."""
+    """Add the modifier that shows points. `radius` is a number or the name of an attribute."""
     group = _points_group(f"{item.name} points", material, radius)
     add_nodes_modifier(item, POINTS, group)
 

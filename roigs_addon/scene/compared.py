@@ -13,7 +13,7 @@ from .renamed_boxes import renamed
 
 
 def shown_result(scene: bpy.types.Scene) -> Path | None:
-    """The folder of the result whose background the scene has; None if it has none."""
+    """Return the folder of the shown result, from its background's file; None if there is none."""
     files = (object_props(i).ply for i in lookup.splats(scene) if object_props(i).level == "RESULT")
     return next((Path(file).parent for file in files), None)
 
@@ -34,8 +34,8 @@ def show_last(scene: bpy.types.Scene, folder: Path) -> None:
 def switch(scene: bpy.types.Scene, folder: Path) -> None:
     """Show the result of a run folder, or an earlier one.
 
-    Objects that it does not have, such as edited copies, are parked: hidden until a result is shown
-    that has it.
+    Objects that this result lacks, such as edited copies, are parked: they are hidden until a
+    result that has them is shown.
 
     Raises:
         AddonError: a file is missing or damaged.

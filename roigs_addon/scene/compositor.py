@@ -30,7 +30,7 @@ PASSES = ("Object Index", "IndexOB")
 
 
 def link(scene: bpy.types.Scene) -> None:
-    """Merge Gaussians into the scene's renders; does nothing twice, nor for Blender's own."""
+    """Merge Gaussians into the scene's renders, once; Blender's own splats are not merged."""
     if not display.in_layer(scene):
         return
     tree = _made_tree(scene)
@@ -53,13 +53,13 @@ def before(scene: Any) -> dict[str, Any] | None:
 
 
 def unlink(scene: Any, before: dict[str, Any]) -> None:
-    """Take the Gaussians out of renders again, where `link` has put them in.
+    """Undo `link`: take the Gaussians out of renders.
 
-    Nodes that the user has added since stay, and then a compositor that was added, too.
+    Nodes that the user has added since stay. If there are any, an added compositor stays too.
 
     Args:
         scene: whose compositor it is.
-        before: what `before` gave. Parts of it may be missing: a .blend may hold anything.
+        before: result of `before`. Parts of it may be missing: a .blend may hold anything.
     """
     for tree in trees(scene):
         for node in [n for n in tree.nodes if _is_ours(n)]:
@@ -96,7 +96,7 @@ def _remove_group(tree: Any, node: Any) -> None:
 
 
 def _switch_off(scene: Any, *, made: bool) -> None:
-    """Do without the compositor, as before; one that was `made` for the group is deleted."""
+    """Switch the compositor off, or delete it if it was `made` for the group."""
     if hasattr(scene, "compositor_effects") or hasattr(scene, "compositing_node_group"):
         for tree in trees(scene) if made else []:
             if any(node.type not in (*ENDS, "R_LAYERS") for node in tree.nodes):
@@ -119,7 +119,7 @@ def was_linked(scene: Any) -> bool:
 
 
 def find(scene: bpy.types.Scene) -> Any | None:
-    """The group in the scene's compositor, if it is there."""
+    """Return the group in the scene's compositor; None if it is not there."""
     for node in (node for tree in trees(scene, used=True) for node in tree.nodes):
         group = getattr(node, "node_tree", None)
         if group is not None and group.get(MARK):
@@ -137,7 +137,7 @@ def lacking(scene: bpy.types.Scene) -> str:
 
 
 def uses_mattes(scene: bpy.types.Scene) -> bool:
-    """Whether something is linked to an output that tells objects apart: the engine then draws."""
+    """Whether an output that tells objects apart is linked. Only then the engine draws mattes."""
     return any(
         socket.is_linked
         for _, node in nodes(scene)
@@ -166,7 +166,7 @@ def empty_mattes(scene: bpy.types.Scene, known: Collection[int]) -> str:
 
 
 def connect_indices(scene: bpy.types.Scene) -> None:
-    """Give the group Blender's pass of object indices, if it is rendered and would be used.
+    """Link Blender's object-index pass to the group, if it is rendered and would be used.
 
     In some Blenders a render layer's node has the output only as long as the pass is on.
     """
@@ -181,7 +181,7 @@ def connect_indices(scene: bpy.types.Scene) -> None:
 
 
 def nodes(scene: bpy.types.Scene) -> list[tuple[Any, Any]]:
-    """The nodes of the scene's compositor that merge, with their tree."""
+    """Return the group's nodes in the scene's compositor, each with its tree."""
     group = find(scene)
     return [
         (tree, node)
@@ -212,7 +212,7 @@ def _images(scene: bpy.types.Scene) -> list[Any]:
     """The images of the group."""
     group = find(scene)
     found = [node.image for node in group.nodes if node.type == "IMAGE"] if group else []
-    # Others are of somebody who has changed the group.
+    # Other images come from a user who has changed the group.
     return [i for i in found if i is not None and i.get(MARK) in FILES]
 
 
@@ -231,7 +231,7 @@ def trees(scene: Any, *, used: bool = False) -> list[Any]:
 
 
 def _made_tree(scene: Any) -> Any:
-    """The scene's compositor, the first of several; a new one that shows the render layer."""
+    """Return the scene's first compositor, or a new one that shows the render layer."""
     for found in trees(scene, used=True):
         return found
     tree: Any

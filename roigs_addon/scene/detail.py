@@ -1,8 +1,9 @@
-"""Result or First Pass: two objects of a box, refined and from the whole-scene model.
+"""Switches a box between its two objects: refined, or from the whole-scene model.
 
-The other one is switched off, by properties that Alt-H does not change. A copy gets its own second
-object when it needs one. The refined object has levels of detail if they were made (`ladders`).
-They are chosen automatically, or the object is always drawn whole.
+The user sees them as **Result** and **First Pass**. The hidden one is switched off by properties
+that Alt-H does not change. A copy gets its own second object when it needs one. The refined object
+has levels of detail if they were made (`ladders`). They are chosen automatically, or the object is
+always drawn whole.
 """
 
 from __future__ import annotations
@@ -25,23 +26,23 @@ FINE, COARSE = "ROI", "SCENE"
 
 @dataclass(frozen=True, kw_only=True)
 class Pair:
-    """The two objects that stand for a box in one place; None: not made, or deleted."""
+    """The two objects of a box in one place; None if one was not made, or was deleted."""
 
     fine: bpy.types.Object | None
     coarse: bpy.types.Object | None
 
     @property
     def shown(self) -> bpy.types.Object | None:
-        """The one that is not switched off."""
+        """Return the object that is not switched off; None if there is none."""
         found = (item for item in (self.fine, self.coarse) if item and not object_props(item).off)
         return next(found, None)
 
 
 def pairs(scene: bpy.types.Scene) -> list[Pair]:
-    """The boxes' objects, copies after their originals."""
+    """Return the pairs of all boxes, copies after their originals."""
     groups: dict[tuple[str, str], dict[str, list[bpy.types.Object]]] = {}
     for item, props in _of_boxes(scene):
-        if not props.parked:  # in another result
+        if not props.parked:  # parked objects belong to another result
             group = groups.setdefault((props.roi, props.pair), {FINE: [], COARSE: []})
             group[props.level].append(item)
     return [
@@ -52,11 +53,12 @@ def pairs(scene: bpy.types.Scene) -> list[Pair]:
 
 
 def set_detail(scene: bpy.types.Scene, pair: Pair, fine: bool, *, auto: bool | None = None) -> None:
-    """Show a box refined, or as the whole-scene model has it, where it is shown now.
+    """Show a box's refined object, or its whole-scene one, in the place of the other.
 
     Args:
-        scene, pair: what.
-        fine: refined.
+        scene: with the objects.
+        pair: the objects.
+        fine: whether to show the refined one.
         auto: whether its level of detail is then chosen automatically; None: as before.
 
     Raises:
@@ -76,7 +78,7 @@ def set_detail(scene: bpy.types.Scene, pair: Pair, fine: bool, *, auto: bool | N
         target.hide_render = seen is not None and seen.hide_render
         if seen is not None:
             _stand(target, seen)
-            target.pass_index = seen.pass_index  # masks go on with it
+            target.pass_index = seen.pass_index  # so mattes by this index keep working
     if seen is not None:
         switch_off(seen)
 
@@ -84,7 +86,7 @@ def set_detail(scene: bpy.types.Scene, pair: Pair, fine: bool, *, auto: bool | N
 def set_auto(scene: bpy.types.Scene, item: bpy.types.Object, auto: bool) -> None:
     """Choose an object's level of detail automatically, or draw all of it.
 
-    Without levels there is nothing to choose: levels that are made later are used.
+    Without levels, this stays automatic, so that levels made later are used.
     """
     object_props(item).whole = not auto and ladders.of(item, scene) is not None
 
@@ -108,7 +110,7 @@ def _of_boxes(scene: bpy.types.Scene) -> Iterator[tuple[bpy.types.Object, RoigsO
 
 
 def _made(scene: bpy.types.Scene, item: bpy.types.Object, level: str) -> bpy.types.Object:
-    """A second object for a copy, which becomes a pair of its own."""
+    """Create the second object of a copy; the two become a pair of their own."""
     own = object_props(item)
     same = [(other, props) for other, props in _of_boxes(scene) if props.roi == own.roi]
     source = next((o for o, props in same if props.level == level and not props.parked), None)

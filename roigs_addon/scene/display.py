@@ -1,9 +1,8 @@
-"""Display of an object's Gaussians: as Blender's own splats, by the add-on, or as points.
+"""Decides how an object's Gaussians are shown: Blender's own splats, by the add-on, or as points.
 
-Only this module decides it. In each display, an object is the same mesh of points with attributes,
-so all edits of these work. From Blender 5.3 on, a modifier converts them to Blender's own splats.
-Before, and for the exact look, a modifier hides the points, and the add-on draws the Gaussians of
-the object's file.
+In each display, an object is the same mesh of points with attributes, so all edits of these work.
+From Blender 5.3 on, a modifier converts them to Blender's own splats. Before, and for the exact
+look, a modifier hides the points, and the add-on draws the Gaussians of the object's file.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ SOCKETS = (
 def is_native(item: bpy.types.Object, *, viewport: bool = False) -> bool:
     """Whether Blender shows an object as its own splats, in renders or in the viewport.
 
-    There, the add-on draws objects in edit mode, in which Blender shows only their points.
+    In edit mode, Blender shows only points. So the add-on draws such objects in the viewport.
     """
     if viewport and item.mode == "EDIT":
         return False
@@ -63,7 +62,7 @@ def show_as(item: bpy.types.Object, way: str) -> None:
 
 
 def refresh(item: bpy.types.Object) -> None:
-    """Bring an object's modifiers to how it is shown: the file may be of another Blender."""
+    """Set an object's modifiers for its display: another Blender may have saved the file."""
     points, hide = (item.modifiers.get(name) for name in (clouds.POINTS, MODIFIER))
     if not isinstance(hide, bpy.types.NodesModifier) or not item.is_editable:
         return
@@ -82,7 +81,7 @@ def refresh(item: bpy.types.Object) -> None:
 
 
 def follow(item: bpy.types.Object) -> None:
-    """Turn and stretch Blender's splats as all points of an object were, by Apply for example."""
+    """Give Blender's splats the map that all points of an object went through, as by Apply."""
     modifier = item.modifiers.get(MODIFIER)
     if isinstance(modifier, bpy.types.NodesModifier) and item.is_editable and is_native(item):
         _apply(item, modifier)
@@ -106,7 +105,7 @@ def _switch(modifier: bpy.types.Modifier, *, on: bool) -> None:
 
 
 def _drive(item: bpy.types.Object, modifier: bpy.types.NodesModifier) -> None:
-    """Have the group's inputs follow the object's look, which may be animated."""
+    """Drive the group's inputs by the object's look, which may be animated."""
     ids = _inputs(modifier)
     drivers = item.animation_data.drivers if item.animation_data is not None else ()
     known = {(curve.data_path, curve.array_index) for curve in drivers}
@@ -116,7 +115,7 @@ def _drive(item: bpy.types.Object, modifier: bpy.types.NodesModifier) -> None:
             continue
         curve: Any = item.driver_add(path, *([index] if name == TINT else []))
         driver = curve.driver
-        driver.type = "SUM"  # no script: it runs in files of strangers, too
+        driver.type = "SUM"  # no script, so it also runs in untrusted files
         target = driver.variables.new().targets[0]
         target.id = item
         target.data_path = f"roigs.tint[{index}]" if name == TINT else "roigs.exposure"
@@ -129,7 +128,7 @@ def _inputs(modifier: bpy.types.NodesModifier) -> dict[str, str]:
 
 
 def _let_go(item: bpy.types.Object) -> None:
-    """Remove these drivers: without the group, Blender would warn of them."""
+    """Remove the drivers of the group's inputs. Without the group, Blender would warn of them."""
     if item.animation_data is not None:
         for curve in [c for c in item.animation_data.drivers if c.data_path.startswith(INPUTS)]:
             item.animation_data.drivers.remove(curve)
@@ -147,10 +146,10 @@ def _nothing_group() -> bpy.types.NodeTree:
 
 
 def _splats_group() -> bpy.types.NodeTree:
-    """A geometry-nodes group that makes Blender's splats of a mesh's points, with a look.
+    """Return the geometry-nodes group that turns points into Blender's splats, with a look.
 
-    Colours are 0.5 + SH. To multiply them by gains, all coefficients are, and the rest is added to
-    the first. Without gains no attribute is written, so Blender does not copy any.
+    Colours are 0.5 + SH. To apply gains, all coefficients are multiplied, and the first one gets
+    0.5 (gain - 1) / `SH_C0` more. Without gains no attribute is written, so Blender copies none.
     """
     if (known := known_group(SPLATS, TREE, SOCKETS)) is not None:
         found: bpy.types.NodeTree = known
@@ -195,7 +194,7 @@ def _splats_group() -> bpy.types.NodeTree:
     link(parts.outputs["Alpha"], whole.inputs["Alpha"])
     looks = _store(group, looks, BASE, "FLOAT_COLOR", whole.outputs[0], read.outputs["Exists"])
     plain = _unless_equal(group, gains, (1.0, 1.0, 1.0), looks, splats.outputs[0])
-    instance = new("GeometryNodeGeometryToInstance")  # of which shapes and SH are turned, too
+    instance = new("GeometryNodeGeometryToInstance")  # a transform then turns shapes and SH, too
     link(plain, instance.inputs[0])
     turned = _transformed(group, instance.outputs[0], applied)
     for name, axis in zip(APPLIED, np.eye(3).tolist(), strict=True):
@@ -228,7 +227,7 @@ def _transformed(group: Any, geometry: Any, matrix: Any) -> Any:
 def _unless_equal(
     group: Any, vector: Any, usual: Sequence[float], changed: Any, unchanged: Any
 ) -> Any:
-    """The geometry `changed`, which is made only if a vector is not as usual."""
+    """Return the geometry `changed` if a vector differs from `usual`, else `unchanged`."""
     same, chosen = (group.nodes.new(n) for n in ("FunctionNodeCompare", "GeometryNodeSwitch"))
     same.data_type, same.mode, same.operation = "VECTOR", "ELEMENT", "EQUAL"
     group.links.new(vector, _enabled(same.inputs)[0])
@@ -241,12 +240,12 @@ def _unless_equal(
 
 
 def _enabled(sockets: Any) -> list[Any]:
-    """The sockets that a node has as it is set."""
+    """Return a node's sockets that its settings enable."""
     return [socket for socket in sockets if socket.enabled]
 
 
 def _vector_math(group: Any, operation: str, *values: Any, scale: Any = None) -> Any:
-    """The output of a node; `values` are sockets or numbers."""
+    """Add a vector-math node and return its output; `values` are sockets or numbers."""
     node = group.nodes.new("ShaderNodeVectorMath")
     node.operation = operation
     if scale is not None:
@@ -267,7 +266,7 @@ def _attribute(group: Any, name: str, kind: str) -> Any:
 
 
 def _store(group: Any, geometry: Any, name: str, kind: str, value: Any, there: Any) -> Any:
-    """Geometry with an attribute written, if it was there."""
+    """Return geometry with an attribute overwritten where it exists."""
     node = group.nodes.new("GeometryNodeStoreNamedAttribute")
     node.data_type, node.domain = kind, "POINT"
     node.inputs["Name"].default_value = name

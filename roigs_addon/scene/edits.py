@@ -91,7 +91,7 @@ _mixed: dict[int, str] = {}
 
 
 def mark_imported(mesh: bpy.types.Mesh, path: Path | None = None) -> None:
-    """Remember the points as they are now: they are what the file holds.
+    """Mark the points as they are now as unedited, as the file holds them.
 
     Args:
         mesh: of the points.
@@ -103,7 +103,7 @@ def mark_imported(mesh: bpy.types.Mesh, path: Path | None = None) -> None:
 
 
 def file_of(item: bpy.types.Object) -> str:
-    """The PLY of what an object shows: its own, or one of its points; empty if nothing is left."""
+    """Return the PLY that an object shows: its own, or its written points; empty without points."""
     own: str = object_props(item).ply
     mesh = item.data
     if not own or not isinstance(mesh, bpy.types.Mesh) or mesh.get(MARK) is None:
@@ -116,7 +116,7 @@ def file_of(item: bpy.types.Object) -> str:
 
 
 def is_held(item: bpy.types.Object, path: str) -> bool:
-    """Whether a file is there and holds what was imported into an object."""
+    """Whether a file exists and holds the points imported into an object."""
     if not os.path.isfile(path):
         return False
     source = item.data.get(SOURCE) if item.data is not None else None
@@ -124,13 +124,13 @@ def is_held(item: bpy.types.Object, path: str) -> bool:
 
 
 def _fingerprint(path: str) -> str:
-    """Tells a file's contents from others; empty if it cannot be read."""
+    """Return a fingerprint of a file: size and checksum of its start; empty if unreadable."""
     try:
         state = os.stat(path)
         key = path, state.st_mtime_ns, state.st_size
         if key not in _fingerprints:
             with open(path, "rb", opener=files.regular) as file:
-                head = file.read(HEAD) or b""  # a file of the system's may have none now
+                head = file.read(HEAD) or b""  # a system file may return None
             _fingerprints[key] = f"{state.st_size}-{zlib.crc32(head):08x}"
     except OSError:
         return ""
@@ -147,12 +147,12 @@ def frame_of(item: bpy.types.Object) -> Matrix:
 
 
 def whole_frame(mesh: bpy.types.Mesh) -> Matrix:
-    """(4, 4) from the frame of a mesh's file to its own, with what all points went through."""
+    """(4, 4) from the frame of a mesh's file to its own, including the common map of its points."""
     return applied_map(mesh) if _differs(mesh) else imported_frame(mesh)
 
 
 def drawn_frame(item: bpy.types.Object) -> Matrix:
-    """As `frame_of`, for an object whose points are drawn: no file is written. Fast."""
+    """Return what `frame_of` does, for an object whose points are drawn. Fast: writes no file."""
     mesh = item.data
     if not isinstance(mesh, bpy.types.Mesh):
         return np.eye(4)
@@ -163,14 +163,14 @@ def drawn_frame(item: bpy.types.Object) -> Matrix:
 
 
 def place(mesh: bpy.types.Mesh, frame: Matrix) -> None:
-    """Move a new mesh from its file's frame to another one: that is no edit."""
+    """Move a new mesh from its file's frame to another one. This is not an edit."""
     mesh[FILE] = mesh[MARK]
     move_to_frame(mesh, frame)
     mark_imported(mesh)
 
 
 def shift(item: bpy.types.Object, by: Vector) -> None:
-    """Move all points of an object in its own frame, which moves its origin: that is no edit."""
+    """Move all points of an object in its own frame. This moves its origin and is not an edit."""
     mesh, edited = mesh_of(item), is_edited(item)
     move = BlenderMatrix.Translation(by)
     mesh.transform(move)
@@ -181,19 +181,22 @@ def shift(item: bpy.types.Object, by: Vector) -> None:
 
 
 def problem(items: Iterable[bpy.types.Object]) -> str:
-    """Why edits of these objects are not drawn, in one line; empty if they are."""
+    """Return why edits of these objects are not drawn, in one line; empty if they are drawn."""
     data = (item.data for item in items)
     return next((_problems[d.session_uid] for d in data if d and d.session_uid in _problems), "")
 
 
 def remark(items: Iterable[bpy.types.Object]) -> str:
-    """A warning about the look of these objects after an edit, in one line; or nothing."""
+    """Return a one-line warning about the look of these objects after an edit, or nothing."""
     data = (item.data for item in items)
     return next((_mixed[d.session_uid] for d in data if d and d.session_uid in _mixed), "")
 
 
 def _look(mesh: bpy.types.Mesh, uid: int, *, held: bool) -> None:
-    """Bring the file of a mesh's points up to date; if no file holds them, they need one."""
+    """Update the file of a mesh's points in `_files`, with problems and warnings.
+
+    If the mesh's own file does not hold its points (`held`), they are written.
+    """
     if uid in _changed:
         _files.pop((uid, not held), None)
     _changed.discard(uid)
@@ -210,7 +213,7 @@ def _look(mesh: bpy.types.Mesh, uid: int, *, held: bool) -> None:
 
 
 def is_edited(item: bpy.types.Object) -> bool:
-    """Whether an object's points are no longer those that were imported."""
+    """Whether an object's points differ from the imported ones."""
     mesh = item.data
     return isinstance(mesh, bpy.types.Mesh) and _differs(mesh)
 
@@ -220,13 +223,13 @@ def _differs(mesh: bpy.types.Mesh) -> bool:
 
 
 def put_aside(item: bpy.types.Object) -> None:
-    """Keep an object's points, if they were edited, while it shows those of another result."""
+    """Store an object's edited points while it shows another result."""
     if is_edited(item):
         object_props(item).aside.add().mesh = mesh_of(item)
 
 
 def take_back(item: bpy.types.Object) -> None:
-    """Give an object its edits of the result that it shows now, if any were put aside."""
+    """Restore an object's edits of the result that it shows now, if any were put aside."""
     fresh, edited = item.data, _take_aside(item)
     if edited is not None:
         item.data = edited
@@ -235,16 +238,16 @@ def take_back(item: bpy.types.Object) -> None:
 
 
 def drop_aside(item: bpy.types.Object) -> None:
-    """Forget the edits of the result that an object shows now."""
+    """Delete the edits of the result that an object shows now."""
     edited = _take_aside(item)
     if edited is not None and not edited.users:
         bpy.data.batch_remove([edited])
 
 
 def _take_aside(item: bpy.types.Object) -> bpy.types.Mesh | None:
-    """Remove what was put aside of the result that an object shows now, and return it.
+    """Remove and return the edits put aside for the result that an object shows now.
 
-    Edits belong to the points that they were made of, wherever their file is by now.
+    Edits are found by their original points, so their file may have moved.
     """
     aside, mark = object_props(item).aside, _points_of(item.data)
     found = None
@@ -257,24 +260,24 @@ def _take_aside(item: bpy.types.Object) -> bpy.types.Mesh | None:
 
 
 def _points_of(data: bpy.types.ID | None) -> object:
-    """A key that distinguishes the points of two files, wherever they were placed."""
+    """Return a key that tells the points of two files apart, wherever they were placed."""
     return data.get(FILE, data.get(MARK)) if data is not None else None
 
 
 def look_again(item: bpy.types.Object) -> None:
-    """Notice edits by scripts, of which Blender may not have told."""
+    """Notice edits by scripts, which Blender may not have reported."""
     if item.data is not None:
         _tell(item.data)
 
 
 def _tell(data: bpy.types.ID) -> None:
-    """A mesh may have been edited."""
+    """Record that a mesh may have been edited."""
     _changed.add(data.session_uid)
     _maps.pop(data.session_uid, None)
 
 
 def _file(mesh: bpy.types.Mesh, uid: int, *, held: bool) -> str | None:
-    """The file of a mesh's points, written if it is not there, as `_files` has it.
+    """Return the file of a mesh's points, written if needed; a value of `_files`.
 
     Raises:
         AddonError: it cannot be written, or the points are no Gaussians any more.
@@ -285,7 +288,7 @@ def _file(mesh: bpy.types.Mesh, uid: int, *, held: bool) -> str | None:
         if held:
             _written.pop(uid, None)
             return None
-    # The same name for all edits of a mesh: while it is read again, its last state is drawn.
+    # All edits of a mesh use one name: while it is read again, its last state is drawn.
     path = Path(bpy.app.tempdir) / f"{PREFIX}{uid}.ply"
     if state == _written.get(uid) and path.is_file():
         return str(path)
@@ -307,7 +310,7 @@ def _file(mesh: bpy.types.Mesh, uid: int, *, held: bool) -> str | None:
 
 
 def state_of(mesh: bpy.types.Mesh) -> str:
-    """Text that changes when points are deleted, hidden, moved or changed."""
+    """Return a text that changes when points are deleted, hidden, moved or changed."""
     found = zlib.crc32(clouds.positions_of(mesh).data)
     found = zlib.crc32(hidden(mesh).data, found)
     for name in SHAPE:
@@ -319,7 +322,7 @@ def state_of(mesh: bpy.types.Mesh) -> str:
 
 @persistent
 def _on_change(_: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
-    """After every change."""
+    """Record meshes that Blender reports as changed."""
     for update in graph.updates if _files or _maps else ():
         changed = update.id if update.is_updated_geometry else None
         if isinstance(changed, bpy.types.Mesh) and changed.original is not None:
@@ -359,6 +362,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Follow none."""
+    """Stop following changes."""
     _leave()
     _forget()

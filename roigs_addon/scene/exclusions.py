@@ -25,7 +25,7 @@ def is_excluded(scene: bpy.types.Scene, photo: str) -> bool:
 
 
 def exclude(scene: bpy.types.Scene, photos: Iterable[str]) -> None:
-    """Use these photos no more; boxes keep them in their lists."""
+    """Exclude these photos; boxes keep them in their lists."""
     for photo in photos:
         if not is_excluded(scene, photo):
             scene_props(scene).excluded.add().name = photo

@@ -24,7 +24,7 @@ LEAST = 1e-4
 def boxes(
     items: Sequence[bpy.types.Object], depsgraph: bpy.types.Depsgraph
 ) -> list[dict[str, Any]]:
-    """Boxes in the world, as `rois.json` has them; none for one object alone."""
+    """Return boxes in the world, in the form of `rois.json`; none for a single object."""
     found: dict[str, dict[str, Any]] = {}
     for item, moved, matrix in standing(items, depsgraph) if len(items) > 1 else ():
         mesh = mesh_of(item)
@@ -40,9 +40,9 @@ def boxes(
 
 
 def photos(scene: bpy.types.Scene, items: Sequence[bpy.types.Object]) -> list[list[list[float]]]:
-    """World to camera of each photo, where its camera stands now; none without the background.
+    """Return world to camera of each photo's camera as it stands now; none without the background.
 
-    From where all photos look, an object alone would be small or out of the picture.
+    Seen from the photos, an object without the background could be small or out of the picture.
     """
     if not any(object_props(item).level == "RESULT" for item in items):
         return []
@@ -52,7 +52,7 @@ def photos(scene: bpy.types.Scene, items: Sequence[bpy.types.Object]) -> list[li
 
 
 def _name(item: bpy.types.Object) -> str:
-    """As in the panel: the box's, unless it is a copy or was renamed."""
+    """Return an object's name as in the panel: its box's, unless it is a copy or was renamed."""
     props = object_props(item)
     own = item.name != splats.object_name(props.level, props.roi)
     name = item.name if own else props.roi

@@ -11,7 +11,7 @@ from .visibility import SEEN, disable, eye_is_shut, open_eye, wait
 
 
 def take_over(scene: bpy.types.Scene) -> None:
-    """Hide it as this version does. Objects that the user has hidden with H stay hidden."""
+    """Hide such objects in this version's way. Objects that the user hid with H stay hidden."""
     items = lookup.splats(scene)
     training = any(object_props(item).level == "PREVIEW" for item in items)
     for item in (item for item in items if eye_is_shut(scene, item)):
@@ -33,7 +33,7 @@ def take_over(scene: bpy.types.Scene) -> None:
 
 
 def _was_parked(item: bpy.types.Object) -> bool:
-    """Park an object in the new way; whether it was seen before it was parked."""
+    """Park an object in the new way; return whether it was visible before it was parked."""
     props = object_props(item)
     words = props.parked.split()
     if "view" not in words:
@@ -47,7 +47,7 @@ def _was_parked(item: bpy.types.Object) -> bool:
 
 
 def _other_is_shown(scene: bpy.types.Scene, item: bpy.types.Object) -> bool:
-    """Whether another object stands for the box, as Result and First pass left it."""
+    """Whether the other object of the box is shown, as earlier versions switched them."""
     own = object_props(item)
     if own.level not in (detail.FINE, detail.COARSE):
         return False
@@ -65,10 +65,10 @@ def _after_load(*_: object) -> None:
 
 
 def register() -> None:
-    """Look at each file that is loaded."""
+    """Check each loaded file."""
     bpy.app.handlers.load_post.append(_after_load)
 
 
 def unregister() -> None:
-    """Look at none."""
+    """Stop checking files."""
     bpy.app.handlers.load_post.remove(_after_load)

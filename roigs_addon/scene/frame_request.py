@@ -22,17 +22,15 @@ Model = dict[str, Any]
 def frame_request(
     scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, out: str
 ) -> dict[str, Any] | None:
-    """The engine's request for a frame (docs/files.md); None: it shows no Gaussians.
+    """Return the engine's request for a frame (docs/files.md); None if it shows no Gaussians.
 
     Args:
-        scene: that is rendered.
-        depsgraph: of the frame. Only there, not in the scene, animated objects are where the frame
-            has them.
-        out: where the engine's files go.
+        scene: the rendered scene.
+        depsgraph: of the frame. Only it has animated objects in their places of this frame.
+        out: path of the engine's files.
 
     Raises:
-        AddonError: the camera is of a kind that the engine cannot render, or something stands
-            nowhere.
+        AddonError: the engine cannot render this kind of camera, or an object has no valid place.
     """
     own = (item for item in shown(scene) if not display.is_native(item))
     more = (i for i in instances.instances(depsgraph) if not display.is_native(i.item))
@@ -57,7 +55,7 @@ def frame_request(
     pose = frames.world_to_camera(matrix, np.eye(4))
     if data.type == "ORTHO":
         pose[2, 3] += cameras.ORTHO_BACK * data.ortho_scale
-    # Of the whole picture: a region of it looks the same.
+    # For the whole picture, so that a region of it looks the same.
     to_clip, focal = frames.clip_matrix(lens) @ pose, max(lens.fx, lens.fy)
     models = []
     for item, model in whole:
@@ -74,7 +72,7 @@ def frame_request(
 
 
 def rays(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> panorama.Rays | None:
-    """(H, W, 3) directions of a panorama's pixels in the camera's frame; None for others."""
+    """(H, W, 3) directions of a panorama's pixels in the camera's frame; None for other cameras."""
     if scene.camera is None or scene.camera.type != "CAMERA":
         return None
     data = camera_of(scene.camera.evaluated_get(depsgraph))
@@ -88,17 +86,17 @@ def models_of(
     more: Iterable[instances.Instance],
     depsgraph: bpy.types.Depsgraph,
 ) -> list[Model]:
-    """The objects that are not hidden in renders, with their edits, looks and where they stand.
+    """Return the objects not hidden in renders, with their edits, looks and places.
 
     They are whole, not at a level of detail.
 
     Args:
         items: the objects.
         more: their instances.
-        depsgraph: where they stand.
+        depsgraph: has their places.
 
     Raises:
-        AddonError: one of them stands nowhere.
+        AddonError: one of them has no valid place.
     """
     return [model for _, model in (*_models(items, depsgraph), *_more(more))]
 
@@ -135,10 +133,10 @@ def _model(
 def standing(
     items: Iterable[bpy.types.Object], depsgraph: bpy.types.Depsgraph
 ) -> Iterator[tuple[bpy.types.Object, bpy.types.Object, frames.Matrix]]:
-    """Those that are not hidden in renders: each, its evaluated one, and where it stands.
+    """Yield each object not hidden in renders, its evaluated object, and its matrix in the world.
 
     Raises:
-        AddonError: one of them stands nowhere.
+        AddonError: one of them has no valid place.
     """
     for item in items:
         moved = item.evaluated_get(depsgraph)
@@ -150,7 +148,10 @@ def standing(
 
 
 def picture(render: bpy.types.RenderSettings) -> tuple[int, int, int, int]:
-    """Left, top, width and height of the picture in the frame, pixels: a region, if cropped."""
+    """Return left, top, width and height of the picture in the frame, in pixels.
+
+    It is the render region if the render is cropped to it.
+    """
     width, height = cameras.render_size(render)
     if not (render.use_border and render.use_crop_to_border):
         return 0, 0, width, height
@@ -160,7 +161,7 @@ def picture(render: bpy.types.RenderSettings) -> tuple[int, int, int, int]:
 
 
 def shown(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The objects that a render shows as Gaussians, unless an object itself is hidden."""
+    """Return the objects in rendered collections that are drawn as Gaussians."""
     layers = [layer for layer in scene.view_layers if layer.use]
     seen = {item for layer in layers for item in _of(layer.layer_collection)}
     return [item for item in lookup.splats(scene) if item in seen and instances.is_drawn(item)]

@@ -1,4 +1,4 @@
-"""The heat map: colours Gaussians by the number of directions that photos show them from.
+"""The heat map: colours Gaussians by the number of directions from which photos see them.
 
 The confidence is in attributes of the points (`confidence.COLUMNS`): it is saved, and follows the
 points through edits. The colours are a file in Blender's temporary folder, drawn in place of the
@@ -41,7 +41,7 @@ _native: set[str] = set()
 
 
 def keep(item: bpy.types.Object, known: NDArray[np.float32]) -> None:
-    """Write what photos know of an object's points (N, 3) to its attributes."""
+    """Write the confidence of an object's points (N, 3) to its attributes."""
     mesh = mesh_of(item)
     for name, column in zip(confidence.COLUMNS, known.T, strict=True):
         if (before := mesh.attributes.get(name)) is not None:
@@ -50,7 +50,10 @@ def keep(item: bpy.types.Object, known: NDArray[np.float32]) -> None:
 
 
 def directions(item: bpy.types.Object) -> NDArray[np.float32] | None:
-    """(N,) directions from which photos know each point, NaN: not known; None: nobody asked."""
+    """(N,) number of directions from which photos see each point, NaN if unknown.
+
+    None if the object has no confidence values.
+    """
     if not isinstance(item.data, bpy.types.Mesh):
         return None
     found = values(item.data, confidence.COLUMNS[DIRECTIONS])
@@ -58,7 +61,7 @@ def directions(item: bpy.types.Object) -> NDArray[np.float32] | None:
 
 
 def show(items: Iterable[bpy.types.Object]) -> None:
-    """Show these objects as a heat map, those that photos were asked about.
+    """Show those of these objects as a heat map that have confidence values.
 
     AddonError: there are none, or the colours cannot be written.
     """
@@ -106,12 +109,12 @@ def hide() -> None:
 
 
 def most() -> float | None:
-    """Directions of the brightest colour; None: no heat map is shown."""
+    """Return the number of directions of the brightest colour; None without a heat map."""
     return _most[0] if _most and _shown else None
 
 
 def shown(item: bpy.types.Object) -> tuple[str, Matrix] | None:
-    """The file of an object's heat map and its frame, if it is shown."""
+    """Return the file of an object's heat map and the file's frame; None if it is not shown."""
     mesh = item.data
     if not isinstance(mesh, bpy.types.Mesh) or mesh.session_uid not in _shown:
         return None
@@ -125,9 +128,9 @@ def shown(item: bpy.types.Object) -> tuple[str, Matrix] | None:
 
 
 def few(item: bpy.types.Object, fewer: int) -> NDArray[np.bool_]:
-    """(N,) points that photos know from fewer directions.
+    """(N,) whether photos see each point from fewer directions than `fewer`.
 
-    AddonError: photos were not asked about the object.
+    AddonError: the object has no confidence values.
     """
     found = directions(item)
     if found is None:
@@ -136,14 +139,14 @@ def few(item: bpy.types.Object, fewer: int) -> NDArray[np.bool_]:
 
 
 def asked(items: Iterable[bpy.types.Object]) -> bool:
-    """Whether photos were asked about any of these objects."""
+    """Whether any of these objects has confidence values."""
     name = confidence.COLUMNS[DIRECTIONS]
     return any(isinstance(i.data, bpy.types.Mesh) and name in i.data.attributes for i in items)
 
 
 @persistent
 def _on_change(_: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
-    """After every change: points that may have been edited get their colours again."""
+    """After every change, mark points that may have been edited to get their colours again."""
     for update in graph.updates if _shown else ():
         changed = update.id if update.is_updated_geometry else None
         mesh = changed.original if isinstance(changed, bpy.types.Mesh) else None
@@ -177,6 +180,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Follow none."""
+    """Stop following changes."""
     _leave()
     _after_load()

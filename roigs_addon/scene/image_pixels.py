@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 
 def pixels_of(image: bpy.types.Image) -> NDArray[np.float32]:
-    """(H, W, channels) of an image, its lower row first; empty if it cannot be read."""
+    """(H, W, channels) pixels of an image, bottom row first; empty if it cannot be read."""
     width, height = image.size
     flat = np.empty(width * height * image.channels, np.float32)
     values: Any = image.pixels

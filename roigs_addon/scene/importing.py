@@ -1,4 +1,4 @@
-"""Builds Blender objects of a COLMAP model from the files of the engine's `export`."""
+"""Builds a COLMAP model's Blender objects from the files of the engine's `export`."""
 
 from __future__ import annotations
 
@@ -44,17 +44,17 @@ def import_folder(
 ) -> str:
     """Import an exported model into the scene, replacing an earlier import.
 
-    The root stays, and so do the boxes below it. If it is the same model, wherever it was read
-    from, the root also keeps its place and size, and the scene its active photo.
+    The root stays, and so do the boxes below it. If it is the same model, read from any folder,
+    the root also keeps its place and size. The scene keeps its active photo.
 
     Args:
         scene: gets a collection with root, cameras and points.
-        folder: what `export --out` wrote.
+        folder: written by `export --out`.
         name: of the collection.
-        same_frame: it is the earlier model with other cameras, so the root keeps its place.
+        same_frame: the model is the earlier one with other cameras, so the root keeps its place.
 
     Returns:
-        What the user should know of the import's precision; usually nothing.
+        A warning about the import's precision; usually empty.
 
     Raises:
         AddonError: the folder does not contain an exported model.
@@ -104,7 +104,7 @@ def import_folder(
 def deleted_photos(scene: bpy.types.Scene) -> list[str]:
     """Names of the imported photos whose cameras the user has deleted.
 
-    None if the cache was emptied: what was imported is not known any more.
+    The list is empty if the cache was emptied: the imported photos are then unknown.
     """
     try:
         record = exported_model.read_record(Path(scene_props(scene).model_cache))
@@ -116,7 +116,7 @@ def deleted_photos(scene: bpy.types.Scene) -> list[str]:
 
 
 def restore_cameras(scene: bpy.types.Scene, names: set[str]) -> None:
-    """Make the cameras of these photos again that the user has deleted, as they were imported.
+    """Recreate those of these photos' cameras that the user has deleted, as they were imported.
 
     Raises:
         AddonError: the root is deleted, too.
@@ -158,9 +158,9 @@ def _extent(record: dict[str, Any]) -> float:
 def _root(
     scene: bpy.types.Scene, name: str, record: dict[str, Any], *, same_frame: bool
 ) -> bpy.types.Object:
-    """The scene's root, created if there is none, and placed again for another model.
+    """Return the scene's root: create it if there is none, place it again for another model.
 
-    It is placed as the file beside the model says, else upright.
+    Its place comes from the file beside the model; without that file, it is made upright.
     """
     root: bpy.types.Object | None = scene_props(scene).root
     fresh = root is None or root.name not in scene.objects
@@ -180,7 +180,7 @@ def _root(
 
 
 def skipped_in_words(skipped: dict[str, Any]) -> str:
-    """'3 photos left out: missing on disk', or nothing; from scene.json (docs/files.md)."""
+    """Describe the skipped photos of scene.json, as '3 photos left out: missing on disk'."""
     said = []
     for reason, entry in skipped.items():
         count = int(entry["count"])
@@ -208,9 +208,9 @@ def _remove_earlier(scene: bpy.types.Scene) -> None:
 
 
 def _same_frame(before: list[Photo | None], photos: list[Photo]) -> bool:
-    """Whether most photos are where they were in the previous model, if there was one.
+    """Whether most photos have their poses of the previous model, or there was none.
 
-    Only then does the root's place still make sense. Folders do not tell: projects are moved, and a
+    Only then is the root's place still valid. Folders cannot decide this: projects are moved, and a
     folder may contain another reconstruction later.
     """
     poses = {photo.name: photo.pose for photo in before if photo}

@@ -18,11 +18,11 @@ from ..properties import object_props
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Instance:
-    """A Gaussian object in one more place.
+    """A Gaussian object in an additional place.
 
     Attributes:
         item: the object.
-        instancer: the object that has it instanced.
+        instancer: the object that instances it.
         matrix: (4, 4) from the object's frame to the world.
     """
 
@@ -36,7 +36,7 @@ _known: dict[int, list[Instance]] = {}
 
 
 def instances(depsgraph: bpy.types.Depsgraph) -> list[Instance]:
-    """Those that an evaluated scene shows as Gaussians.
+    """Return the instances that an evaluated scene shows as Gaussians.
 
     Blender lists an object of several kinds of geometry more than once.
     """
@@ -44,7 +44,7 @@ def instances(depsgraph: bpy.types.Depsgraph) -> list[Instance]:
     for each in depsgraph.object_instances:
         if not each.is_instance or each.object is None or each.parent is None:
             continue
-        if each.object.type != "MESH":  # Blender's own splats of it are instanced, too
+        if each.object.type != "MESH":  # an object's own Blender splats are listed, too
             continue
         item, instancer = each.object.original, each.parent.original
         if item is None or instancer in (None, item) or not is_drawn(item):
@@ -57,7 +57,7 @@ def instances(depsgraph: bpy.types.Depsgraph) -> list[Instance]:
 
 
 def in_view(layer: bpy.types.ViewLayer) -> list[Instance]:
-    """Those of a view layer as it was evaluated last."""
+    """Return the instances of a view layer at its last evaluation."""
     key = layer.as_pointer()
     if key not in _known:
         depsgraph = layer.depsgraph if any(map(_may_instance, layer.objects)) else None
@@ -102,6 +102,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Follow none."""
+    """Stop following changes."""
     _leave()
     _known.clear()

@@ -1,4 +1,4 @@
-"""Levels of detail: the files of an object, and the one for a view.
+"""Levels of detail: the files of an object, and which of them a view shows.
 
 They are listed in `levels.json`, in the run folder of the object's own file. They represent the
 unedited file, so edited Gaussians are drawn in full.
@@ -33,9 +33,9 @@ class Detail:
     """The levels of an object.
 
     Attributes:
-        ladder: of its part.
+        ladder: the ladder of its part of the scene.
         files: of the levels, the object's own one first.
-        quality: as `levels.shown_levels` has it; None: the object is always drawn whole.
+        quality: for `levels.shown_levels`; None if the object is always drawn whole.
     """
 
     ladder: levels.Ladder
@@ -43,16 +43,16 @@ class Detail:
     quality: float | None
 
     def shown(self, matrix: Matrix, to_clip: Matrix, focal: float) -> dict[int, float]:
-        """The numbers of the levels that a view shows, with their densities.
+        """Return the levels that a view shows: number -> density.
 
         Args:
             matrix: (4, 4) from the files' frame to the world.
             to_clip: (4, 4) from the world to clip space.
-            focal: pixels that a unit of the world covers where a point's w is 1.
+            focal: pixels per unit of the world where a point's w is 1.
         """
         if self.quality is None or not np.isfinite(matrix).all():
             return {0: 1.0}
-        scale = float(np.linalg.norm(matrix[:3, :3], 2))  # of a stretched object, the longest axis
+        scale = float(np.linalg.norm(matrix[:3, :3], 2))  # the longest axis of a stretched object
         rate = levels.rate_in_view(self.ladder.probes, to_clip @ matrix, focal * scale)
         drawn = levels.shown_levels(self.ladder, rate, self.quality)
         numbers = {level.ply: number for number, level in enumerate(self.ladder.levels)}
@@ -61,7 +61,7 @@ class Detail:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _List:
-    """A `levels.json`: when it was written, the ladders by their first files, what is wrong."""
+    """A `levels.json`: its time and size, the ladders by their first files, a problem if any."""
 
     key: tuple[int, int]
     ladders: dict[str, levels.Ladder]
@@ -78,8 +78,8 @@ def of(
 
     Args:
         item: the object.
-        scene: in which it is shown; None: without levels.
-        whole: do not choose among them.
+        scene: in which it is shown; None gives no levels.
+        whole: draw it whole, choose no level.
     """
     props = object_props(item)
     listed = _list_of(item) if scene is not None else None
@@ -91,7 +91,7 @@ def of(
     ladder = found.ladders.get(os.path.normpath(props.ply))
     if ladder is None or len(ladder.levels) == 1 or _modified(props.ply) > found.key[0]:
         return None
-    # In edit mode, what is edited is what is seen.
+    # In edit mode, the user sees all edited points.
     settings, whole = scene_props(scene), whole or props.whole or item.mode != "OBJECT"
     return Detail(
         ladder=ladder,
@@ -106,7 +106,7 @@ def there_are_some(scene: bpy.types.Scene) -> bool:
 
 
 def problem(scene: bpy.types.Scene) -> str:
-    """Why levels of objects that are shown are not used, in one line; empty if they are."""
+    """Return why levels of shown objects are not used, in one line; empty if they are used."""
     for item in lookup.splats(scene):
         props = object_props(item)
         listed = None if props.parked else _list_of(item)

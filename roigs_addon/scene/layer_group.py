@@ -26,7 +26,7 @@ SOCKETS = (
         WANTED,
         "INPUT",
         "Int" if bpy.app.version >= (4, 5) else "Float",
-    ),  # before, none has whole ones
+    ),  # before 4.5, none has integer sockets
     ("Image", "OUTPUT", "Color"),
     ("Depth", "OUTPUT", "Float"),
     ("Gaussians", "OUTPUT", "Float"),
@@ -43,16 +43,16 @@ FAR = 1e11
 
 
 def new_group() -> Any:
-    """A new group: picture and passes in; what is seen, Gaussians or not, out.
+    """Create the group: Blender's picture and passes in; picture and passes with Gaussians out.
 
-    A negative depth of the engine's means that Gaussians behind Blender's surfaces are already left
-    out.
+    A negative depth from the engine means that Gaussians behind Blender's surfaces are already
+    left out.
     """
     group: Any = bpy.data.node_groups.new(NAME, "CompositorNodeTree")
     group[MARK] = True
     for name, way, kind in SOCKETS:
         socket = group.interface.new_socket(name, in_out=way, socket_type=f"NodeSocket{kind}")
-        socket.hide_value = name == INDEX  # of Blender's pass
+        socket.hide_value = name == INDEX  # it comes from Blender's pass
         if name == WANTED:
             socket.min_value, socket.max_value, socket.default_value = 0, MOST_INDEX, 1
     start, end = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
@@ -89,7 +89,7 @@ def new_group() -> Any:
 
 
 def _left(group: Any, start: Any, nearer: Any) -> Any:
-    """The share of the Gaussians that Blender's picture does not hide: all if they are nearer."""
+    """Return the share of the Gaussians not hidden by Blender's picture: all if they are nearer."""
     alpha = group.nodes.new("CompositorNodeSeparateColor")
     group.links.new(start.outputs["Image"], alpha.inputs[0])
     clear = _math_node(group, "SUBTRACT", 1.0, alpha.outputs["Alpha"])
@@ -113,7 +113,7 @@ def _parts(group: Any, image: Any) -> list[Any]:
 
 
 def _place(columns: Iterable[Iterable[Any]]) -> None:
-    """Lay nodes out in columns, from the left; long ones in several."""
+    """Lay nodes out in columns from the left; long columns are split."""
     x = 0
     for column in columns:
         for number, node in enumerate(column):
@@ -121,11 +121,11 @@ def _place(columns: Iterable[Iterable[Any]]) -> None:
         x += 1 + max(0, len(list(column)) - 1) // 8
 
 
-# Blender 5 has the shader nodes in the compositor, in the place of its own.
+# In Blender 5, shader nodes replace the compositor's own ones.
 
 
 def _math_node(group: Any, operation: str, *operands: Any) -> Any:
-    """The result of a new node; its operands are numbers, or outputs of others."""
+    """Add a math node and return its output; operands are numbers or outputs of other nodes."""
     node = either(group, "ShaderNodeMath", "CompositorNodeMath")
     node.operation = operation
     for socket, operand in zip(node.inputs, operands, strict=False):
@@ -137,7 +137,10 @@ def _math_node(group: Any, operation: str, *operands: Any) -> Any:
 
 
 def _choice_node(group: Any) -> tuple[Any, tuple[Any, Any, Any], Any]:
-    """A node that takes one of two colours; its factor, the colours for 0 and 1, its output."""
+    """Add a node that chooses between two colours.
+
+    Returns the node, its inputs (factor, colour for 0, colour for 1), and its output.
+    """
     node = either(group, "ShaderNodeMix", "CompositorNodeMixRGB")
     if node.bl_idname == "ShaderNodeMix":
         node.data_type = "RGBA"
@@ -152,12 +155,12 @@ def _colours(over: Any) -> tuple[Any, Any]:
 
 
 def either(group: Any, new: str, old: str) -> Any:
-    """A node of the kind that this Blender has."""
+    """Add a node of the old type if this Blender has it, else of the new one."""
     return group.nodes.new(old if hasattr(bpy.types, old) else new)
 
 
 def _image_node(group: Any, kind: str) -> Any:
-    """A node with the files of a kind, one for each frame."""
+    """Add a node that shows the files of a kind, one for each frame."""
     image: Any = bpy.data.images.new(f"{NAME} {kind}", 1, 1)
     image.source = "SEQUENCE"
     image[MARK] = kind

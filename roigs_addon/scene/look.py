@@ -29,7 +29,7 @@ def of_stops(stops: float) -> float:
 
 
 def gains(item: bpy.types.Object) -> Gains:
-    """The gains of an object; of an evaluated one, those of the frame."""
+    """Return an object's gains; an evaluated object gives those of its frame."""
     props = object_props(item)
     brightness = 2.0**props.exposure
     red, green, blue = (brightness * share for share in props.tint)

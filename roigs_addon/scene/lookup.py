@@ -40,7 +40,7 @@ def of_kind(scene: bpy.types.Scene, kind: str) -> Iterator[bpy.types.Object]:
 
 
 def photo_record(item: bpy.types.Object) -> Photo | None:
-    """The photo that a camera object stands for, as it was imported."""
+    """Return the photo of a camera object, as it was imported."""
     return Photo.from_json(object_props(item).photo)
 
 
@@ -50,7 +50,7 @@ def rois(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def active_roi(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The box that is active in the panel's list; by default the first one."""
+    """Return the active box of the panel's list; the first one by default."""
     scene = scene_of(context)
     boxes, active = rois(scene), scene_props(scene).active_roi
     return active if active in boxes else next(iter(boxes), None)
@@ -67,7 +67,7 @@ def cameras(scene: bpy.types.Scene) -> dict[str, bpy.types.Object]:
 
 
 def camera_at_hand(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The photo's camera that is the active object, else the one that the scene looks through."""
+    """Return the active object if it is a photo's camera, else the scene's camera if it is one."""
     items = context.active_object, scene_of(context).camera
     return next((i for i in items if i is not None and is_photo_camera(i)), None)
 
@@ -83,9 +83,10 @@ def is_suggested(item: bpy.types.Object) -> bool:
 
 
 def named_cameras(scene: bpy.types.Scene, photos: set[str]) -> list[bpy.types.Object]:
-    """The camera objects of some photos, found fast if they are still named after their photos.
+    """Return the camera objects of some photos, fast if they are still named after their photos.
 
-    Others have long names, are in a copied scene, or were renamed.
+    Cameras have other names if the photo's name is long, the scene was copied, or they were
+    renamed.
     """
     objects = scene.objects
     found = [objects[n] for n in photos if n in objects and _shows(objects[n], n)]
@@ -96,7 +97,7 @@ def named_cameras(scene: bpy.types.Scene, photos: set[str]) -> list[bpy.types.Ob
 
 
 def _shows(item: bpy.types.Object, name: str) -> bool:
-    """Whether an object is the camera of the photo of that name."""
+    """Whether an object is the camera of the photo with this name."""
     photo = photo_record(item) if is_photo_camera(item) else None
     return photo is not None and photo.name == name
 
@@ -117,12 +118,12 @@ def matrix_world(item: bpy.types.Object | None) -> Matrix:
 
 
 def stands(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Matrix:
-    """The transform of an object in a depsgraph.
+    """Return the transform of an object in a depsgraph.
 
-    In a viewport's, Blender does not move what is hidden there, which a render may show.
+    In a viewport's depsgraph, Blender does not move hidden objects, but a render may show them.
 
     Raises:
-        AddonError: too far away, or not at numbers.
+        AddonError: the object is too far away, or its matrix has NaN.
     """
     hidden = depsgraph.mode != "RENDER" and not item.visible_get(view_layer=depsgraph.view_layer)
     matrix = _unseen(item, depsgraph) if hidden else matrix_world(item.evaluated_get(depsgraph))
@@ -132,7 +133,7 @@ def stands(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Matrix:
 
 
 def _unseen(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Matrix:
-    """The transform of a hidden object: its own, and its parent's place."""
+    """Return the transform of a hidden object from its own basis and its parent's transform."""
     if item.constraints or (item.parent is not None and item.parent_type != "OBJECT"):
         return matrix_world(item.evaluated_get(depsgraph))
     basis: Matrix = np.array(item.matrix_basis, dtype=np.float64)
@@ -143,10 +144,10 @@ def _unseen(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Matrix:
 
 
 def inverse(matrix: Matrix, name: str) -> Matrix:
-    """The inverse of where an object stands.
+    """Return the inverse of an object's matrix.
 
     Raises:
-        AddonError: it stands nowhere, or has no size, as in a .blend that is damaged.
+        AddonError: the matrix has no finite inverse, as in a damaged .blend.
     """
     with suppress(np.linalg.LinAlgError):
         found: Matrix = np.linalg.inv(matrix)
@@ -156,21 +157,21 @@ def inverse(matrix: Matrix, name: str) -> Matrix:
 
 
 def from_world(scene: bpy.types.Scene) -> Matrix:
-    """(4, 4) from the world to the COLMAP frame; AddonError: the root stands nowhere."""
+    """(4, 4) from the world to the COLMAP frame; AddonError: the root has no valid place."""
     root = scene_props(scene).root
     return inverse(matrix_world(root), root.name if root is not None else "COLMAP")
 
 
 def root_scale(scene: bpy.types.Scene) -> float:
-    """Scale of the model in the world relative to the COLMAP frame."""
+    """Return the scale from the COLMAP frame to the world."""
     return transforms.scale_of(matrix_world(scene_props(scene).root)) or 1.0
 
 
 def _with_root(item: bpy.types.Object, root: bpy.types.Object | None) -> tuple[Matrix, Matrix]:
-    """Matrices of an object and of the root, in a frame that both share.
+    """Return the matrices of an object and of the root in a common frame.
 
-    For a child of the root this is the root's own frame. Its numbers stay the same to the last
-    digit wherever the root is moved; those of `matrix_world` do not.
+    For a child of the root, this is the root's own frame: there, the numbers stay exactly the same
+    when the root is moved. Those of `matrix_world` do not.
     """
     child = root is not None and item.parent == root and item.parent_type == "OBJECT"
     if child and not item.constraints:

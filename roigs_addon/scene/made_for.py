@@ -11,10 +11,10 @@ from .splat_attributes import marked_target
 
 
 def mismatch(scene: bpy.types.Scene) -> tuple[targets.Target, targets.Target] | None:
-    """The result's target, and the renderer in use or set; None if they are the same.
+    """Return the result's target and the renderer in use or set; None if they are the same.
 
-    Blender draws its own splats as its render engine does; the add-on draws objects as they are
-    made for.
+    Blender draws its own splats with its render engine; the add-on draws objects for their own
+    target.
     """
     blenders = (i for i in scene.objects if native_splats.are_in(i) or _is_native(i))
     data = next((item.data for item in blenders if item.visible_get()), None)
@@ -35,9 +35,9 @@ def _is_native(item: bpy.types.Object) -> bool:
 
 
 def in_other_light(scene: bpy.types.Scene) -> tuple[str, targets.Target] | None:
-    """An object that is drawn in another light than it is made for, and what that is.
+    """Return an object drawn in another light than it was made for, and its target; None if none.
 
-    Gaussians that are seen together are drawn in the light of most of them.
+    Gaussians that are seen together are drawn in the light of the majority.
     """
     found: dict[bool, list[tuple[int, str, targets.Target]]] = {False: [], True: []}
     for item in lookup.splats(scene):

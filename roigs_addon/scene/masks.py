@@ -20,9 +20,9 @@ FOLDER = "masks"
 
 
 def folder(scene: bpy.types.Scene, run: Path) -> Path:
-    """The folder that masks are made in: beside the photos, or in the run folder.
+    """Return the folder in which masks are made: beside the photos, or in the run folder.
 
-    It is used if the other cannot be written, and from then on, as long as it has masks.
+    The run folder is used if the other cannot be written, and from then on while it has masks.
 
     Args:
         scene: with a model.
@@ -37,7 +37,7 @@ def folder(scene: bpy.types.Scene, run: Path) -> Path:
 
 
 def in_run(run: Path) -> Path | None:
-    """The folder of masks in the run folder; None: there are none."""
+    """Return the folder of masks in the run folder; None if it has no masks."""
     there = run / run_files.OBJECT_MASKS
     try:
         return there if any(there.iterdir()) else None
@@ -46,13 +46,13 @@ def in_run(run: Path) -> Path | None:
 
 
 def folders(scene: bpy.types.Scene, run: Path) -> list[Path]:
-    """The folders that can have masks."""
+    """Return the folders that can have masks."""
     beside = _beside_photos(scene)
     return [*([] if beside is None else [beside]), run / run_files.OBJECT_MASKS]
 
 
 def of_box(root: Path, roi: bpy.types.Object) -> Path:
-    """The folder of a box's masks; AddonError: its name cannot name a file."""
+    """Return the folder of a box's masks; AddonError: the box's name is no valid file name."""
     return mask_record.box_folders(root, rois.file_name(roi))[0]
 
 
@@ -64,7 +64,7 @@ def are_there(scene: bpy.types.Scene, run: Path) -> bool:
 
 
 def file(scene: bpy.types.Scene, run: Path, roi: bpy.types.Object, photo: str) -> Path | None:
-    """The mask of a photo that training uses; None: there is none."""
+    """Return the mask of a photo that training uses; None if there is none."""
     if not rois.has_file_name(roi):
         return None
     *beside, in_run = [of_box(root, roi) for root in folders(scene, run)]
@@ -81,7 +81,7 @@ def photos(scene: bpy.types.Scene, run: Path, roi: bpy.types.Object) -> list[str
 
 
 def photo_at_hand(context: bpy.types.Context) -> Photo | None:
-    """The photo whose camera the scene looks through."""
+    """Return the photo of the scene's camera; None if it is not a photo's camera."""
     scene = context.scene
     camera = scene.camera if scene is not None else None
     if camera is None or not lookup.is_photo_camera(camera):
@@ -90,7 +90,7 @@ def photo_at_hand(context: bpy.types.Context) -> Photo | None:
 
 
 def size_of(photo: Photo) -> tuple[int, int]:
-    """Width and height of a photo's file; of its camera, if an old .blend does not name it."""
+    """Return width and height of a photo's file; of its camera, if an old .blend lacks the size."""
     if photo.lens_size is not None:
         return photo.lens_size
     for image in bpy.data.images:
@@ -100,12 +100,12 @@ def size_of(photo: Photo) -> tuple[int, int]:
 
 
 def _beside_photos(scene: bpy.types.Scene) -> Path | None:
-    """The folder `masks` beside the photos; None: no photo is known."""
+    """Return the folder `masks` beside the photos; None if no photo's path is known."""
     at_hand = [scene.camera] if scene.camera and lookup.is_photo_camera(scene.camera) else []
     for camera in at_hand or lookup.cameras(scene).values():
         photo = lookup.photo_record(camera)
         if photo is not None and photo.path:
-            above = len(Path(photo.name).parts)  # the photos' folder is so many levels up
+            above = len(Path(photo.name).parts)  # number of levels up to the photos' folder
             parents = Path(photo.path).parents
             if len(parents) > above:
                 return parents[above] / FOLDER

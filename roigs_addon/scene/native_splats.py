@@ -1,7 +1,7 @@
 """Blender's own Gaussian splats (5.3 and later): conversion from the add-on's objects, and back.
 
-Blender's PLY importer makes a point cloud object of a 3DGS PLY, with the attributes of
-docs/conventions.md, its values in the file's own frame; a change of axes goes into the object's
+Blender's PLY importer turns a 3DGS PLY into a point cloud object with the attributes of
+docs/conventions.md. Values stay in the file's own frame; a change of axes goes into the object's
 matrix. The importer's result is checked; any other object is removed. Blender draws all splats in
 its own way. Their target is only stored, for converting back.
 """
@@ -50,13 +50,13 @@ def exist() -> bool:
 
 
 def are_in(item: bpy.types.Object) -> bool:
-    """Whether an object is of Blender's own splats."""
+    """Whether an object consists of Blender's own splats."""
     attributes = {attribute.name for attribute in getattr(item.data, "attributes", ())}
     return item.type == "POINTCLOUD" and attributes >= {POSITION, *SHAPE}
 
 
 def of(item: bpy.types.Object) -> bpy.types.Object:
-    """A new object of Blender's own splats that looks like an object of Gaussians.
+    """Create an object of Blender's own splats from an object of Gaussians.
 
     Raises:
         AddonError: the object has no Gaussians, its edits cannot be written, or Blender refused.
@@ -87,7 +87,7 @@ def of(item: bpy.types.Object) -> bpy.types.Object:
 
 
 def cloud_in(item: bpy.types.Object) -> SplatCloud:
-    """The Gaussians of an object of Blender's own splats, in the object's frame."""
+    """Return the Gaussians of an object of Blender's own splats, in the object's frame."""
     data: Any = item.data
     columns = [values(data, name) for name in (POSITION, *SHAPE)]
     means, scales, quats, radiance = columns
@@ -105,7 +105,7 @@ def cloud_in(item: bpy.types.Object) -> SplatCloud:
 
 
 def _shaded(cloud: SplatCloud, gains: look.Gains) -> SplatCloud:
-    """With its colours, 0.5 + SH, multiplied by gains."""
+    """Return the cloud with its colours, 0.5 + SH, multiplied by gains."""
     factors = np.array(gains, np.float32)
     sh = cloud.sh * factors
     sh[:, 0] += 0.5 * (factors - 1) / SH_C0
@@ -113,10 +113,10 @@ def _shaded(cloud: SplatCloud, gains: look.Gains) -> SplatCloud:
 
 
 def _imported(path: Path) -> bpy.types.Object | None:
-    """The PLY as an object at the origin; None if Blender makes anything else of it."""
+    """Import a PLY as an object at the origin; None if Blender makes anything else of it."""
     with _undisturbed():
         before = set(bpy.data.objects)
-        # No such operator, an error that it reports, or unknown options.
+        # The operator may be missing, report an error, or lack these options.
         with suppress(AttributeError, RuntimeError, TypeError):
             importer: Any = bpy.ops.wm
             importer.ply_import(filepath=str(path), **UNCHANGED)
@@ -131,7 +131,7 @@ def _imported(path: Path) -> bpy.types.Object | None:
 
 @contextmanager
 def _undisturbed() -> Iterator[None]:
-    """A context for the importer, after which the user's selection is as before."""
+    """Give the importer a context, and restore the user's selection afterwards."""
     with bpy.context.temp_override(
         window=bpy.context.window or next(iter(blender.windows()), None)
     ):

@@ -1,4 +1,4 @@
-"""Groups of nodes that the add-on makes once for a .blend, and finds again."""
+"""Finds the node groups that the add-on makes once for a .blend."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ Socket = tuple[str, str, str]
 
 
 def known_group(name: str, tree: str, sockets: tuple[Socket, ...]) -> Any | None:
-    """The group that was made under a name; None: there is none.
+    """Return the group that was made under a name; None if there is none.
 
-    Who made a .blend may have given the name to another group, so it counts by what it is: Blender
-    then numbers the name of ours.
+    In a user's .blend, another group may have the name, and Blender then numbers ours. So type and
+    sockets decide.
 
     Args:
         name: of the group.
         tree: its type, such as `GeometryNodeTree`.
-        sockets: that it was given.
+        sockets: those that it was given.
     """
     wanted = sorted((each, way, f"NodeSocket{kind}") for each, way, kind in sockets)
     groups: Any = bpy.data.node_groups

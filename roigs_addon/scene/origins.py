@@ -1,6 +1,6 @@
-"""The origin of a new object of Gaussians: its centre, to rotate, scale and frame it.
+"""Puts the origin of a new object of Gaussians at its centre, to rotate, scale and frame it.
 
-Objects of results that were loaded before keep the origin that they have.
+Objects of results that were loaded before keep their origin.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def _move(item: bpy.types.Object, place: Matrix) -> None:
 
 
 def _centre(scene: bpy.types.Scene, item: bpy.types.Object, roi: str) -> Matrix:
-    """The centre of the scene's box, else of the points without strays."""
+    """Return the centre of the scene's box, else of the points without outliers."""
     points = clouds.positions(item)
     found = next((box for box in lookup.rois(scene) if box.name == roi), None)
     if found is not None:
@@ -54,6 +54,6 @@ def _centre(scene: bpy.types.Scene, item: bpy.types.Object, roi: str) -> Matrix:
 
 
 def _middle(points: NDArray[np.float32]) -> Matrix:
-    """The middle of points without strays."""
+    """Return the middle of points without outliers."""
     low, high = np.quantile(points, (0.02, 0.98), axis=0)
     return np.asarray((low + high) / 2, np.float64)

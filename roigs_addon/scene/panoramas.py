@@ -14,7 +14,7 @@ KINDS = {"EQUIRECTANGULAR", "FISHEYE_EQUIDISTANT", "FISHEYE_EQUISOLID"}
 
 
 def is_drawn(data: bpy.types.Camera, scene: bpy.types.Scene) -> bool:
-    """Whether it is a panoramic camera, which only Cycles has, and the engine can draw for it."""
+    """Whether the engine can draw for a panoramic camera, which only Cycles has."""
     kind = _setting(data, "panorama_type") if data.type == "PANO" else ""
     return str(scene.render.engine) == "CYCLES" and kind in KINDS
 
@@ -47,7 +47,7 @@ def rays(
 
 
 def density(data: bpy.types.Camera, render: bpy.types.RenderSettings) -> float:
-    """Pixels in a radian, about where there are most."""
+    """Return pixels per radian, roughly the largest in the picture."""
     width, height = render_size(render)
     kind = _setting(data, "panorama_type")
     if kind == "EQUIRECTANGULAR":
@@ -63,7 +63,7 @@ def density(data: bpy.types.Camera, render: bpy.types.RenderSettings) -> float:
 
 
 def _sensor(data: bpy.types.Camera, width: int, height: int) -> tuple[float, float]:
-    """Width and height of the sensor's part that a picture shows, millimetres."""
+    """Return width and height of the part of the sensor that a picture shows, in mm."""
     fit = data.sensor_fit
     if fit == "VERTICAL" or (fit == "AUTO" and width < height):
         size = data.sensor_height if fit == "VERTICAL" else data.sensor_width
@@ -72,5 +72,5 @@ def _sensor(data: bpy.types.Camera, width: int, height: int) -> tuple[float, flo
 
 
 def _setting(data: Any, name: str) -> Any:
-    """A setting of the camera; before Blender 4.5, Cycles had them."""
+    """Return a setting of the camera; before Blender 4.5, Cycles' settings have it."""
     return getattr(data, name) if hasattr(data, name) else getattr(data.cycles, name)

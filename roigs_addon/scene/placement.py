@@ -1,4 +1,4 @@
-"""Moves a whole scene by its root, and writes the file beside the model.
+"""Moves a whole scene by its root, and writes its placement to a file beside the model.
 
 The file follows undo and redo: the undo of a step restores its earlier content.
 """
@@ -51,7 +51,7 @@ def root_of(scene: bpy.types.Scene) -> bpy.types.Object:
     root: bpy.types.Object | None = scene_props(scene).root
     if root is None or root.name not in scene.objects:
         raise AddonError("There is no scene to place. Reconstruct photos or import cameras first.")
-    view_layer_of(bpy.context).update()  # after an undo, as for F9, `matrix_world` is of before
+    view_layer_of(bpy.context).update()  # after an undo, as for F9, `matrix_world` is outdated
     flaw = _flaw(lookup.matrix_world(root))
     if flaw:
         raise AddonError(f"'{root.name}' cannot be placed: {flaw}. Clear its transformation first.")
@@ -61,18 +61,18 @@ def root_of(scene: bpy.types.Scene) -> bpy.types.Object:
 
 
 def _flaw(matrix: Matrix) -> str:
-    """Why a scene cannot stand there; empty if it can."""
+    """Return why a root cannot have this matrix; empty if it can."""
     if not (np.abs(matrix) < lookup.FAR).all():  # catches NaN too
         return "it is too far away or too large"
     return transforms.similarity_flaw(matrix)
 
 
 def move(scene: bpy.types.Scene, matrix: Matrix) -> None:
-    """Apply a similarity (4, 4) to the world of the model; what is not of it stays.
+    """Apply a similarity (4, 4) in the world to the model's objects; other objects stay.
 
     Raises:
-        AddonError: there is no model, the root is stretched or mirrored or does not stay where it
-            is put, or it would be nowhere.
+        AddonError: there is no model, the root is stretched or mirrored, does not stay where it is
+            put, or would have no valid place.
     """
     root, path = root_of(scene), _file(scene)
     if flaw := _flaw(matrix @ lookup.matrix_world(root)):
@@ -92,7 +92,7 @@ def move(scene: bpy.types.Scene, matrix: Matrix) -> None:
 
 
 def _move_cursor(scene: bpy.types.Scene, matrix: Matrix) -> None:
-    """Take the 3D cursor along, unless nobody has moved it from the world's origin."""
+    """Move the 3D cursor along, unless it is at the world's origin."""
     if scene.cursor.location.length > 0:
         scene.cursor.matrix = BlenderMatrix((matrix @ np.array(scene.cursor.matrix)).tolist())
 
@@ -104,7 +104,7 @@ def _put(places: dict[bpy.types.Object, Matrix]) -> None:
 
 
 def _stays(scene: bpy.types.Scene, root: bpy.types.Object, wanted: Matrix) -> bool:
-    """Whether the root is where it was put, also when the frame is shown again."""
+    """Whether the root is where it was put, even after the frame is evaluated again."""
     if root.animation_data is not None:
         scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
     found = lookup.matrix_world(root)
@@ -120,7 +120,7 @@ def _ancestors(item: bpy.types.Object) -> list[bpy.types.Object]:
 
 
 def keep(scene: bpy.types.Scene) -> Path:
-    """Write where the model stands beside it, for other .blend files and the engine.
+    """Write the model's placement beside it, for other .blend files and the engine.
 
     Returns:
         The file.
@@ -154,13 +154,13 @@ def keep(scene: bpy.types.Scene) -> Path:
 
 
 def place_as_kept(scene: bpy.types.Scene, root: bpy.types.Object, matrix: Matrix) -> None:
-    """Put a new root where a placement of the file says."""
+    """Put a new root at the placement from the file."""
     root.matrix_world = BlenderMatrix((np.linalg.inv(_metres(scene)) @ matrix).tolist())
     scene_props(scene).placement_key = _key(scene, root)
 
 
 def is_kept(scene: bpy.types.Scene) -> bool:
-    """Whether the root stands where the file says, as far as this .blend knows."""
+    """Whether the root stands at the file's placement, as far as this .blend knows."""
     props = scene_props(scene)
     return props.root is not None and props.placement_key == _key(scene, props.root)
 
@@ -171,26 +171,26 @@ def _file(scene: bpy.types.Scene) -> Path | None:
 
 
 def _text(path: Path) -> str:
-    """The text of a file; empty if there is none; OSError or ValueError if it is not text."""
+    """Return the text of a file, empty if there is none; OSError or ValueError if unreadable."""
     return files.read_bytes(path).decode("utf-8", "replace") if os.path.lexists(path) else ""
 
 
 def _metres(scene: bpy.types.Scene) -> Matrix:
-    """From Blender's units to metres."""
+    """(4, 4) scaling from Blender's units to metres."""
     units = scene.unit_settings
     factor = 1.0 if units.system == "NONE" else units.scale_length
     return np.diag([factor, factor, factor, 1.0])
 
 
 def _key(scene: bpy.types.Scene, root: bpy.types.Object) -> str:
-    """Text that changes when the root is moved; with fewer digits than Blender's precision."""
+    """Return a text that changes when the root is moved, with fewer digits than Blender has."""
     numbers = (_metres(scene) @ lookup.matrix_world(root))[:3].ravel()
     size = float(np.abs(numbers).max())
     return " ".join(f"{number / size:.5f}" for number in numbers) + f" {size:.5g}"
 
 
 def _follow_root(scene: bpy.types.Scene, path: Path | None, moved: Matrix) -> None:
-    """Have the 3D views show the same as before, and the photos' cameras clip the same."""
+    """Move the 3D views and fit the cameras' clip ranges, so that both show the same as before."""
     cameras.fit_clips(scene, lookup.root_scale(scene))
     move_views(scene, moved)
     if path is not None:
@@ -199,7 +199,7 @@ def _follow_root(scene: bpy.types.Scene, path: Path | None, moved: Matrix) -> No
 
 @persistent
 def _after_undo(scene: bpy.types.Scene, *_: object) -> None:
-    """Give the file of a scene the text that belongs to the step that is shown now."""
+    """Write the text of the current undo step to the scene's file."""
     path = _file(scene) if isinstance(scene, bpy.types.Scene) else None
     if path is None or path not in _written or _scenes[path] != scene.session_uid:
         return
@@ -215,14 +215,14 @@ def _after_undo(scene: bpy.types.Scene, *_: object) -> None:
         _written[path] = wanted
     before = _roots.get(path)
     if before is not None:
-        view_layer_of(bpy.context).update()  # `matrix_world` may still be that of before
+        view_layer_of(bpy.context).update()  # `matrix_world` may be outdated
         now = lookup.matrix_world(scene_props(scene).root)
         _follow_root(scene, path, now @ np.linalg.inv(before))
 
 
 @persistent
 def _forget(*_: object) -> None:
-    """The steps of another .blend say nothing of the files that this one has written."""
+    """Forget all files: undo steps of another .blend do not belong to them."""
     for known in (_written, _own, _found, _scenes, _roots):
         known.clear()
 
@@ -238,6 +238,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Follow none."""
+    """Stop following them."""
     _leave()
     _forget()

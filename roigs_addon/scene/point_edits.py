@@ -1,4 +1,4 @@
-"""Selects and deletes points of Gaussian objects. A selection is that of edit mode."""
+"""Selects and deletes points of Gaussian objects. The selection is edit mode's."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ NONE = "There are no Gaussians to clean up. Show or select some."
 
 
 def targets(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """The Gaussian objects to clean up: the selected ones; if none is, all that are visible.
+    """Return the Gaussian objects to clean up: the selected ones, or all visible if none is.
 
-    Of objects that share their points, one.
+    Of objects that share their points, it returns only one.
     """
     return distinct(chosen_or_visible(context))
 
 
 def chosen_or_visible(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """The visible Gaussian objects that are selected; if none is, all of them."""
+    """Return the visible Gaussian objects that are selected, or all visible if none is."""
     seen = visible(context)
     return [i for i in seen if i.select_get(view_layer=context.view_layer)] or seen
 
 
 def distinct(items: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
-    """Objects without those that share their points with an earlier one."""
+    """Return objects without those that share their points with an earlier one."""
     first: dict[int, bpy.types.Object] = {}
     for item in items:
         first.setdefault(mesh_of(item).session_uid, item)
@@ -50,7 +50,7 @@ def visible(context: bpy.types.Context) -> list[bpy.types.Object]:
 
 
 def checked_targets(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """Those objects; raises AddonError if there are none."""
+    """Return `targets`; raises AddonError if there are none."""
     items = targets(context)
     if not items:
         raise AddonError(NONE)
@@ -70,7 +70,7 @@ def places(item: bpy.types.Object) -> NDArray[np.float64]:
 
 
 def scales(item: bpy.types.Object) -> NDArray[np.float64]:
-    """(N, 3) standard deviations, as large as in the world."""
+    """(N, 3) standard deviations, in units of the world."""
     found = values(mesh_of(item), "scale")
     if found is None:
         raise AddonError(f"'{item.name}' is no longer an object of Gaussians. Import it again.")
@@ -78,7 +78,7 @@ def scales(item: bpy.types.Object) -> NDArray[np.float64]:
 
 
 def opacities(item: bpy.types.Object) -> NDArray[np.float32]:
-    """(N,) 0 to 1."""
+    """(N,) opacities, 0 to 1."""
     found = values(mesh_of(item), "radiance:base")
     if found is None:
         raise AddonError(f"'{item.name}' is no longer an object of Gaussians. Import it again.")
@@ -86,20 +86,20 @@ def opacities(item: bpy.types.Object) -> NDArray[np.float32]:
 
 
 def inside(item: bpy.types.Object, box: bpy.types.Object, scene: bpy.types.Scene) -> Mask:
-    """(N,) which points are in a box; raises AddonError if it is none."""
+    """(N,) which points are in a box; raises AddonError if the object is not a box."""
     root = lookup.from_world(scene)
     placed = places(item) @ root[:3, :3].T + root[:3, 3]
     return lookup.box(box, scene).contains(placed.astype(np.float32))
 
 
 def choose(item: bpy.types.Object, mask: Mask, *, extend: bool = False) -> int:
-    """Select points, and no others unless `extend`; returns how many are selected then."""
+    """Select points, and no others unless `extend`; returns the number of selected points."""
     mesh = mesh_of(item)
     mask = mask & ~hidden(mesh)
     if extend:
         mask |= chosen(item)
     mesh.vertices.foreach_set("select", mask)
-    for edges in (mesh.edges, mesh.polygons):  # of what was joined with it
+    for edges in (mesh.edges, mesh.polygons):  # of joined meshes
         edges.foreach_set("select", np.zeros(len(edges), bool))
     mesh.update()
     return int(mask.sum())

@@ -1,10 +1,10 @@
-"""Proxies: meshes that stand for captured surfaces in renders, where the user's objects meet them.
+"""Proxies: meshes that represent captured surfaces in renders, for the user's own objects.
 
-To the camera, a proxy is a shadow catcher of Cycles: it shows nothing itself. For all other rays,
-it is a surface that emits the light in the photos, and hides the world behind it. So no light is
-counted twice. Near objects emit their own light, with the right parallax. Beyond `REACH`, proxies
-let the world's light through. The world's picture shows these objects as seen from its own place,
-including lamps. Mirrors and glass, which see a picture without lamps, see proxies at any distance.
+For camera rays, a proxy is an invisible shadow catcher of Cycles. For all other rays, it emits the
+light in the photos and hides the world behind it, so no light is counted twice. Near surfaces emit
+their own light, with the right parallax. Beyond `REACH`, proxies let the world's light through: its
+picture shows far surfaces, including lamps, as seen from the picture's place. Mirrors and glass see
+a picture without lamps, so they see proxies at any distance.
 """
 
 from __future__ import annotations
@@ -60,18 +60,18 @@ def of_scene(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def lacking(scene: bpy.types.Scene) -> list[str]:
-    """Names of the boxes with Gaussians in renders and without a mesh to make a proxy of."""
+    """Return the names of boxes that have Gaussians but no mesh for a proxy."""
     names = {object_props(i).roi for i in lookup.splats(scene) if object_props(i).roi}
     made = {object_props(item).roi for item in box_surfaces.surfaces(scene)}
     return sorted(names - made)
 
 
 def bring(scene: bpy.types.Scene, background: Path | None) -> list[bpy.types.Object]:
-    """Make the proxies of all meshes that there are; older ones are replaced.
+    """Make proxies of all meshes in the scene; older proxies are replaced.
 
     Args:
-        scene: that they stand in.
-        background: the mesh of what is outside the boxes; None: there is none.
+        scene: gets the proxies.
+        background: file with the mesh outside the boxes; None if there is none.
 
     Raises:
         AddonError: the file is damaged.
@@ -95,10 +95,10 @@ def bring(scene: bpy.types.Scene, background: Path | None) -> list[bpy.types.Obj
 
 
 def settle(scene: bpy.types.Scene) -> None:
-    """Have renders leave out the proxies that they cannot use.
+    """Hide proxies in renders that cannot use them.
 
-    These are boxes that they show as a mesh, which is lit itself, and with another engine than
-    Cycles all: it knows no shadow catchers, and would show them.
+    A box that renders show as a mesh needs no proxy, because the mesh is lit itself. Render engines
+    other than Cycles have no shadow catchers and would show all proxies.
     """
     for item in of_scene(scene):
         source, there = item.parent, scene.render.engine == shadow_pass.CYCLES
@@ -112,13 +112,13 @@ def settle(scene: bpy.types.Scene) -> None:
 
 
 def _ways(scene: bpy.types.Scene) -> tuple[bool, bool]:
-    """Whether proxies catch and reflect: as before, else both."""
+    """Return whether proxies catch and reflect: as set before; both if there are no proxies yet."""
     group = stage_props(scene)
     return (group.catches, group.reflects) if of_scene(scene) else (True, True)
 
 
 def _of_box(scene: bpy.types.Scene, source: bpy.types.Object) -> bpy.types.Object:
-    """A proxy with the mesh of a box, wherever that is moved."""
+    """Create a proxy from the mesh of a box; it moves with the mesh's object."""
     name = f"{object_props(source).roi} Proxy"
     item = bpy.data.objects.new(name, mesh_of(source))
     item.parent = source
@@ -129,7 +129,7 @@ def _of_box(scene: bpy.types.Scene, source: bpy.types.Object) -> bpy.types.Objec
 
 
 def _read(path: Path) -> tuple[bpy.types.Mesh, bytes]:
-    """The engine's mesh in the COLMAP frame, and its picture."""
+    """Read the engine's mesh in the COLMAP frame, and its picture."""
     try:
         read, digest = read_glb(path), files.sha256(path)
     except (OSError, ValueError) as error:
@@ -140,7 +140,7 @@ def _read(path: Path) -> tuple[bpy.types.Mesh, bytes]:
 
 
 def _of_mesh(scene: bpy.types.Scene, mesh: bpy.types.Mesh, picture: bytes) -> bpy.types.Object:
-    """A proxy of the mesh of the background."""
+    """Create a proxy from the mesh of the background."""
     mesh.name = f"{BACKGROUND} Proxy"
     item = bpy.data.objects.new(mesh.name, mesh)
     item.parent = scene_props(scene).root
@@ -152,9 +152,9 @@ def _of_mesh(scene: bpy.types.Scene, mesh: bpy.types.Mesh, picture: bytes) -> bp
 
 
 def _part(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
-    """Give a proxy a second object for what is far: only cameras, mirrors and glass see that.
+    """Give a proxy a second object for its far part, which only cameras, mirrors and glass see.
 
-    Rays that meet nothing of it are several times as fast as those that it lets through.
+    Other rays then do not meet it. This is several times as fast as letting them through.
     """
     far = bpy.data.objects.new(f"{item.name} {PARTS[1]}", item.data)
     far.parent, far[FAR] = item, True
@@ -171,13 +171,13 @@ def _part(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
 
 
 def _sort(item: bpy.types.Object, middle: NDArray[np.float64], reach: float) -> None:
-    """Choose the parts of a proxy that has two; faces that touch a sphere are near."""
+    """Divide a proxy into its two parts; faces that touch the sphere `reach` are near."""
     mesh = mesh_of(item)
     places = np.empty((len(mesh.vertices), 3), np.float32)
     corners = np.empty((len(mesh.polygons), 3), np.int32)
     mesh.vertices.foreach_get("co", places.ravel())
     mesh.loops.foreach_get("vertex_index", corners.ravel())
-    matrix = lookup.matrix_world(item.parent)  # its own, which is as old as the last redraw
+    matrix = lookup.matrix_world(item.parent)  # the item's own may be outdated until a redraw
     triangles = (places @ matrix[:3, :3].T + matrix[:3, 3])[corners]
     away = np.linalg.norm(triangles - middle, axis=-1).min(axis=1)
     sides = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=-1).max(axis=1)
@@ -189,9 +189,9 @@ def _sort(item: bpy.types.Object, middle: NDArray[np.float64], reach: float) -> 
 
 
 def plane(scene: bpy.types.Scene, at: Vector, normal: Vector, size: float) -> bpy.types.Object:
-    """A square proxy where there is no mesh; it shines as the world does from there.
+    """Add a square proxy where there is no mesh; it shines as the world does from there.
 
-    One that is there already in the same plane gives way, and the new one covers both.
+    It replaces an earlier one in the same plane, and covers both areas.
     """
     stage.keep(scene, "proxies", "")
     catches, reflects = _ways(scene)
@@ -210,7 +210,7 @@ def plane(scene: bpy.types.Scene, at: Vector, normal: Vector, size: float) -> bp
 
 
 def drop_planes(scene: bpy.types.Scene, at: Vector, normal: Vector, size: float) -> float:
-    """Remove planes where another surface catches now. Returns the side of a square over all."""
+    """Remove planes that a new one replaces; return the side of a square that covers all."""
     for item in [i for i in of_scene(scene) if object_props(i).level == "IMPORTED"]:
         middle, side = item.matrix_world.translation, max(item.dimensions.to_tuple())
         away, up = at - middle, item.matrix_world.col[2].to_3d().normalized()
@@ -221,7 +221,7 @@ def drop_planes(scene: bpy.types.Scene, at: Vector, normal: Vector, size: float)
 
 
 def _standing(at: Vector, normal: Vector) -> Any:
-    """The matrix of something whose z axis is a normal."""
+    """Return the matrix of a place whose z axis is a normal."""
     matrix = normal.to_track_quat("Z", "Y").to_matrix().to_4x4()
     matrix.translation = at
     return matrix
@@ -232,7 +232,7 @@ def _link(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
 
 
 def _dress(scene: bpy.types.Scene, item: bpy.types.Object, picture: bpy.types.Image | None) -> None:
-    """Make an object a proxy: its kind, its visibility, its material."""
+    """Make an object a proxy: set its kind, visibility and material."""
     object_props(item).kind = "PROXY"
     item.is_shadow_catcher = True
     item.hide_viewport = item.hide_select = True
@@ -264,9 +264,9 @@ def set_reach(scene: bpy.types.Scene, radius: float) -> None:
 
 
 def usual_radius(scene: bpy.types.Scene) -> float:
-    """Radius of the smallest box, as a typical object's; 1 if there is no box.
+    """Return the radius of the smallest box, as a typical object's; 1 without boxes and meshes.
 
-    A file that shows the results of a run without its boxes may have their meshes.
+    Without boxes, it uses their meshes: a file may show a run's results without the boxes.
     """
     boxes = [max(map(abs, box.matrix_world.to_scale().to_tuple())) for box in lookup.rois(scene)]
     meshes = [max(item.dimensions.to_tuple()) / 2 for item in box_surfaces.surfaces(scene)]
@@ -281,7 +281,7 @@ def use_light(scene: bpy.types.Scene, image: bpy.types.Image) -> None:
 
 
 def _trees(scene: bpy.types.Scene) -> Iterator[Any]:
-    """The nodes of each proxy's materials."""
+    """Yield the nodes of each proxy's materials."""
     for item in of_scene(scene):
         material: Any
         for material in [slot.material for slot in item.material_slots if slot.material]:
@@ -291,7 +291,7 @@ def _trees(scene: bpy.types.Scene) -> Iterator[Any]:
 def _material(
     name: str, picture: bpy.types.Image | None, here: bpy.types.Object
 ) -> bpy.types.Material:
-    """The material of a proxy."""
+    """Create the material of a proxy."""
     material = textured_meshes.blank_material(name)
     nodes, link = material.node_tree.nodes, material.node_tree.links.new
     surface, output = nodes.new("ShaderNodeGroup"), nodes.new("ShaderNodeOutputMaterial")
@@ -308,7 +308,7 @@ def _material(
     link(place.outputs["Object"], away.inputs[0])
     link(away.outputs["Value"], surface.inputs["Distance"])
     link(surface.outputs[0], output.inputs["Surface"])
-    # Large and dim: rays find them. As lamps, each triangle would cost time in every frame.
+    # Proxies are large and dim, so rays find them. As lamps, each triangle would cost time.
     of_cycles = getattr(material, "cycles", None)
     if of_cycles is not None:
         of_cycles.emission_sampling = "NONE"
@@ -318,9 +318,10 @@ def _material(
 
 
 def _group() -> Any:
-    """Catches for the camera; shines for other rays, or lets them through beyond its reach.
+    """Return the node group of a proxy's surface.
 
-    Mirrors and glass see it at any distance: the picture that they see has no lamps to let through.
+    It catches for camera rays. For other rays it shines, or lets them through beyond its reach.
+    Mirrors and glass see it at any distance, because the picture that they see has no lamps.
     """
     if (known := known_group(GROUP, "ShaderNodeTree", SOCKETS)) is not None:
         return known

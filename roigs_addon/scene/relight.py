@@ -1,12 +1,12 @@
-"""A captured object under other light: its mesh, and its texture divided by the captured light.
+"""Relights a captured object: its mesh, with the texture divided by the captured light.
 
-A photo's colour is the colour of the surface times the light that fell on it. The mesh knows the
-light at each vertex (`captured_light`), so the texture divided by it is the surface's own colour,
-which lamps, worlds and shadows then light like anything else. Light that the object's own material
-mirrors, and shadows of single lamps, stay in the texture.
+A photo's colour is the colour of the surface times the light that fell on it. The mesh stores the
+light at each vertex (`captured_light`). The texture divided by it is the surface's own colour, so
+lamps, worlds and shadows affect it like any other object. Reflections in the object's own material
+and shadows of single lamps stay in the texture.
 
 The new material is in the object's slots. The mesh keeps its own material, which `remove` restores.
-The .blend has everything that it needs, so it also works without the add-on.
+The .blend has everything that the material needs, so it also works without the add-on.
 """
 
 from __future__ import annotations
@@ -43,15 +43,15 @@ def is_on(item: bpy.types.Object) -> bool:
 
 
 def is_lacking(item: bpy.types.Object) -> bool:
-    """Whether a relit object's mesh does not know its captured light: it was made again since."""
+    """Whether a relit object's mesh lacks its captured light, because it was made again."""
     return is_on(item) and not captured_light.is_stored(mesh_of(item))
 
 
 def apply(item: bpy.types.Object, picture: NDArray[np.float32], turn: Matrix) -> None:
-    """Have lamps and world light an object.
+    """Let lamps and world light an object.
 
     Args:
-        item: of a mesh with a texture.
+        item: a mesh object with a texture.
         picture: (H, W, 3) linear light all around it, where it was captured.
         turn: (3, 3) from the axes of the COLMAP frame to the picture's.
 
@@ -72,7 +72,7 @@ def apply(item: bpy.types.Object, picture: NDArray[np.float32], turn: Matrix) ->
 
 
 def add_slider(item: bpy.types.Object, value: float = 1.0) -> None:
-    """Give an object the slider."""
+    """Give an object the property `SLIDER`."""
     item[SLIDER] = value
     described: Any = item.id_properties_ui
     ends = {"min": 0.0, "max": 1.0, "soft_min": 0.0, "soft_max": 1.0}
@@ -80,7 +80,7 @@ def add_slider(item: bpy.types.Object, value: float = 1.0) -> None:
 
 
 def remove(item: bpy.types.Object) -> None:
-    """Give an object the material of its mesh again."""
+    """Restore the material of an object's mesh."""
     for slot in item.material_slots:
         if slot.link == "OBJECT":
             made = slot.material
@@ -93,20 +93,20 @@ def remove(item: bpy.types.Object) -> None:
 
 
 def image_of(mesh: bpy.types.Mesh) -> bpy.types.Image | None:
-    """The picture of a mesh's own material."""
+    """Return the picture of a mesh's own material; None if there is none."""
     nodes = (node for each in mesh.materials for node in textured_meshes.image_nodes(each))
     return next((node.image for node in nodes), None)
 
 
 def _mean(image: bpy.types.Image) -> NDArray[np.float32]:
-    """(3,) mean colour of what a picture shows, in linear light."""
+    """(3,) mean colour of a picture's pixels that are not black, in linear light."""
     values = pixels_of(image)[..., :3].reshape(-1, 3)
     used = values[values.any(axis=1)]  # the rest of the texture is black
     return clouds.to_linear(used).mean(axis=0) if len(used) else np.zeros(3, np.float32)
 
 
 def _material(name: str, image: bpy.types.Image) -> bpy.types.Material:
-    """Shines as captured, or is lit; the slider mixes them."""
+    """Create the material: emission as captured, mixed with a lit surface by the slider."""
     material = textured_meshes.blank_material(name)
     nodes, link = material.node_tree.nodes, material.node_tree.links.new
     new = nodes.new

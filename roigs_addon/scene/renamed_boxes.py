@@ -1,6 +1,6 @@
-"""Recognises boxes with other names in another result by the place of their Gaussians.
+"""Matches renamed boxes in another result by the place of their Gaussians.
 
-Files of an earlier result keep the names they had in training. They have no places.
+Files of an earlier result keep the names that they had in training, and do not store the boxes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SAME = 0.5
 def renamed(
     scene: bpy.types.Scene, fresh: Mapping[tuple[str, str], bpy.types.Object]
 ) -> dict[str, str]:
-    """Name now -> name in another result, of the boxes that differ in nothing else.
+    """Return the present name -> the name in another result, for boxes that only differ in it.
 
     Args:
         scene: with the Gaussians that are shown.
@@ -45,7 +45,7 @@ def renamed(
 
 
 def _imported(item: bpy.types.Object) -> Points:
-    """(N, 3) where an object's points were imported, whatever was done to them since."""
+    """(N, 3) an object's points as they were imported, before all edits."""
     mesh = item.data
     places = values(mesh, PLACE) if isinstance(mesh, bpy.types.Mesh) else None
     return np.zeros((0, 3), np.float32) if places is None else places

@@ -29,21 +29,21 @@ Place = tuple[Vector, Vector]
 """Centre and half sides of a box."""
 
 COLOUR = (1.0, 0.55, 0.1, 1.0)
-EVEN = 1e-4  # relative difference of scales that counts as none
+EVEN = 1e-4  # scales that differ relatively by less count as equal
 
 
 def new_roi(
     scene: bpy.types.Scene, centre: Vector, half_sides: Vector, *, for_script: bool = False
 ) -> bpy.types.Object:
-    """A new box, upright in the world: its rotation is zero there.
+    """Create a box that is upright in the world: its rotation is zero there.
 
-    Below a root that is scaled unevenly, it has the root's axes and goes around the upright one:
-    otherwise it would be slanted in the COLMAP frame.
+    Below an unevenly scaled root, it has the root's axes and encloses the upright box. Otherwise it
+    would be slanted in the COLMAP frame.
 
     Args:
         scene: to add it to.
         centre, half_sides: in the world.
-        for_script: the sides are in `scale`, where a script may set others.
+        for_script: keep the sides in `scale`, where a script may set others.
     """
     _remove_deleted()
     root = scene_props(scene).root
@@ -63,7 +63,7 @@ def new_roi(
 
 
 def add_boxes(scene: bpy.types.Scene, boxes: dict[str, Box]) -> list[bpy.types.Object]:
-    """New boxes in the COLMAP frame, below the root, wherever the root is.
+    """Create boxes in the COLMAP frame, below the root, wherever the root is.
 
     Raises:
         AddonError: one of the names is taken; then none is added.
@@ -83,13 +83,13 @@ def add_boxes(scene: bpy.types.Scene, boxes: dict[str, Box]) -> list[bpy.types.O
 
 
 def _remove_deleted() -> None:
-    """Remove boxes that the user deleted: `active_roi` keeps one in the file, with its name."""
+    """Remove boxes that the user deleted. `active_roi` may keep one in the file, with its name."""
     boxes = (o for o in bpy.data.objects if object_props(o).kind == "ROI" and not o.library)
     bpy.data.batch_remove([box for box in boxes if not box.users_collection])
 
 
 def _check_names(names: list[str]) -> None:
-    """Ask Blender, which adds numbers to names that are taken and shortens long ones."""
+    """Raise AddonError if Blender would change a name: it numbers taken and shortens long ones."""
     items = [bpy.data.objects.new(name, None) for name in names]
     given = [item.name for item in items]
     bpy.data.batch_remove(items)
@@ -118,7 +118,7 @@ def _new_empty(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
 
 
 def _scale_evenly(item: bpy.types.Object) -> None:
-    """Move a box's sides to where its properties keep them."""
+    """Move a box's sides from `scale` to the property `half_sides`."""
     props = object_props(item)
     props.half_sides = props.half_sides
 
@@ -140,7 +140,7 @@ def _even(matrix: Matrix) -> bool:
 
 
 def _along(root: Matrix, centre: Vector, half_sides: Vector) -> Matrix:
-    """A box with the root's axes around a world-aligned box."""
+    """Return the matrix of a box with the root's axes that encloses a world-aligned box."""
     rotation = root.to_quaternion().to_matrix()
     turned = np.abs(np.array(rotation)).T @ np.array(half_sides)
     return Matrix.LocRotScale(centre, rotation.to_quaternion(), Vector(turned.tolist()))
@@ -155,7 +155,7 @@ def _free_name(scene: bpy.types.Scene) -> str:
 
 
 def default_size(scene: bpy.types.Scene) -> float:
-    """Half the side of a box that is added at the cursor: a tenth of the cameras' extent."""
+    """Return half the side of a box added at the cursor: a tenth of the cameras' extent."""
     centres = [lookup.matrix_world(camera)[:3, 3] for camera in lookup.of_kind(scene, "CAMERA")]
     if len(centres) < 2:
         return 1.0
@@ -164,9 +164,9 @@ def default_size(scene: bpy.types.Scene) -> float:
 
 
 def where_photos_look(scene: bpy.types.Scene) -> Place | None:
-    """The world-aligned box around what most photos show, apart from what is in a box already.
+    """Return the world-aligned box around the subject of most photos, outside existing boxes.
 
-    None if that cannot be told, as without sparse points.
+    None if it cannot be found, as without sparse points.
     """
     cloud = lookup.points(scene)
     if cloud is None:
@@ -182,19 +182,19 @@ def where_photos_look(scene: bpy.types.Scene) -> Place | None:
 
 
 def around_objects(items: list[bpy.types.Object]) -> Place | None:
-    """The world-aligned box around objects; None if they are all in one point."""
+    """Return the world-aligned box around objects; None if they are all in one point."""
     corners = [item.matrix_world @ Vector(corner) for item in items for corner in item.bound_box]
     return _around(np.array(corners)) if corners else None
 
 
 def around_selected_vertices(item: bpy.types.Object) -> Place | None:
-    """The world-aligned box around the selected vertices of a mesh, such as the sparse points."""
+    """Return the world-aligned box around a mesh's selected vertices, such as sparse points."""
     points = selected_vertices(item)
     return _around(points) if len(points) else None
 
 
 def selected_vertices(item: bpy.types.Object) -> NDArray[Any]:
-    """(N, 3) of a mesh in the world."""
+    """(N, 3) selected vertices of a mesh, in the world."""
     mesh = mesh_of(item)
     chosen = np.zeros(len(mesh.vertices), bool)
     mesh.vertices.foreach_get("select", chosen)
@@ -215,9 +215,9 @@ def _around(points: NDArray[Any], margin: float = 0.05) -> Place | None:
 
 
 def place_key(roi: bpy.types.Object, scene: bpy.types.Scene) -> str:
-    """Text that changes when the box is moved against its root.
+    """Return a text that changes when the box is moved against its root.
 
-    It has two decimals less than Blender's precision.
+    It has two digits less than Blender's precision.
 
     Raises:
         AddonError: it is not a box.
@@ -228,13 +228,13 @@ def place_key(roi: bpy.types.Object, scene: bpy.types.Scene) -> str:
 
 
 def trained_names(scene: bpy.types.Scene, trained: Mapping[str, tuple[Any, Any]]) -> dict[str, str]:
-    """Name -> name in training, of the boxes that are where they were trained, as large as then.
+    """Return name -> name in training, for boxes whose place and size are those of the training.
 
     The names differ if a box was renamed since.
 
     Args:
         scene: with the boxes.
-        trained: name -> world_to_box and half_extents, as a run folder has them.
+        trained: name -> world_to_box and half_extents, from a run folder.
     """
     boxes = lookup.rois(scene)
     gone = trained.keys() - {roi.name for roi in boxes}
@@ -250,10 +250,10 @@ def trained_names(scene: bpy.types.Scene, trained: Mapping[str, tuple[Any, Any]]
 
 
 def file_name(roi: bpy.types.Object) -> str:
-    """The box's name, which also names its files; a .blend may come from anybody.
+    """Return the box's name, which also names its files, after a check: .blends are untrusted.
 
     Raises:
-        AddonError: it cannot name a file.
+        AddonError: it is no valid file name.
     """
     try:
         return roi_format.check_roi_name(roi.name)
@@ -262,7 +262,7 @@ def file_name(roi: bpy.types.Object) -> str:
 
 
 def has_file_name(roi: bpy.types.Object) -> bool:
-    """Whether the box's name can name a file: panels and views ask of any name."""
+    """Whether the box's name is a valid file name; for panels and views."""
     try:
         file_name(roi)
     except AddonError:
@@ -273,10 +273,10 @@ def has_file_name(roi: bpy.types.Object) -> bool:
 def write(folder: Path, boxes: list[bpy.types.Object], scene: bpy.types.Scene) -> Path:
     """Write `rois.json` for the engine; returns its path.
 
-    The boxes are in an order that their names have no part in: a box may be renamed.
+    The order of the boxes does not depend on their names: a box may be renamed.
 
     Raises:
-        AddonError: one is not a box, its name cannot name a file, or two have the same name.
+        AddonError: one is not a box, its name is no valid file name, or two have the same name.
     """
     path = folder / ROIS
     taken = name_format.first_taken(roi.name for roi in boxes)
@@ -303,7 +303,7 @@ def read(path: Path) -> dict[str, Box]:
 
 
 def between(name: str, low: Sequence[float], high: Sequence[float]) -> Box:
-    """The box between two corners, along the axes of the COLMAP frame.
+    """Return the box between two corners, aligned with the COLMAP frame.
 
     Raises:
         AddonError: it has no volume.

@@ -14,7 +14,7 @@ OBJECT, BACKGROUND = scribbles.OBJECT, scribbles.BACKGROUND
 
 
 def strokes(roi: bpy.types.Object, photo: str) -> list[dict[str, Any]]:
-    """The strokes on a photo, as a file of scribbles has them; oldest first."""
+    """Return the strokes on a photo in the form of a scribbles file, oldest first."""
     item = object_props(roi).scribbles.get(photo)
     try:
         found = text.parse_json(item.strokes.encode()) if item is not None else []
@@ -38,7 +38,7 @@ def add_stroke(
 
 
 def clear(roi: bpy.types.Object, photo: str) -> int:
-    """Remove the strokes on a photo; returns how many there were."""
+    """Remove the strokes on a photo; returns their number."""
     count, held = len(strokes(roi, photo)), object_props(roi).scribbles
     at = held.find(photo)
     if at >= 0:
@@ -52,7 +52,7 @@ def photos(roi: bpy.types.Object) -> list[str]:
 
 
 def document(roi: bpy.types.Object) -> dict[str, Any]:
-    """A file of scribbles with those of one box."""
+    """Return the content of a scribbles file with one box's strokes."""
     records = [
         {"box": roi.name, "photo": photo, "strokes": strokes(roi, photo)} for photo in photos(roi)
     ]

@@ -51,7 +51,7 @@ def is_stale(roi: bpy.types.Object, scene: bpy.types.Scene) -> bool:
 
 
 def add_photos(roi: bpy.types.Object, names: Iterable[str]) -> None:
-    """Add photos to a box's list, unless they are in it."""
+    """Add photos to a box's list that are not in it yet."""
     selection = object_props(roi).selection
     present = {item.name for item in selection}
     for name in names:
@@ -93,7 +93,7 @@ def _collections(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
 
 
 def _collection(scene: bpy.types.Scene, roi: str) -> bpy.types.Collection:
-    """The collection of a box's photos, made if there is none."""
+    """Return the collection of a box's photos, created if there is none."""
     for collection in _collections(scene):
         if collection[CHOSEN_FOR] == roi:
             return collection

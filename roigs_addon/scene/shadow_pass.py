@@ -1,4 +1,4 @@
-"""Cycles' pass of shadows on catchers, and the node that multiplies the Gaussians by it.
+"""Cycles' shadow-catcher pass, and the node that multiplies the Gaussians by it.
 
 The pass is the ratio of the light that a catcher receives with and without the objects. It is
 coloured, above 1 in the light of the user's lamps, and 1 without a catcher. While it is rendered,
@@ -39,7 +39,7 @@ def is_on(layer: bpy.types.ViewLayer) -> bool:
 
 
 def switch(layer: bpy.types.ViewLayer, *, on: bool) -> None:
-    """Render the pass, or do not; nothing without Cycles."""
+    """Switch the pass on or off; do nothing without Cycles."""
     of_cycles: Any = getattr(layer, "cycles", None)
     if of_cycles is not None and of_cycles.use_pass_shadow_catcher != on:
         of_cycles.use_pass_shadow_catcher = on
@@ -52,10 +52,10 @@ def multiplies(scene: bpy.types.Scene) -> bool:
 
 
 def connect(scene: bpy.types.Scene) -> None:
-    """Render the pass, and multiply the Gaussians by it. Does nothing twice.
+    """Render the pass, and multiply the Gaussians by it. Repeated calls change nothing more.
 
-    Other render engines do not have the pass: to them, the Gaussians stay as they are, and a link
-    to it would make them black. `connect` again when the engine is another one.
+    Other render engines do not have the pass, and a link to it would make the Gaussians black. So
+    there it is not linked. Call `connect` again when the render engine changes.
     """
     group: Any = compositor.find(scene)
     for tree, node in compositor.nodes(scene):
@@ -78,7 +78,7 @@ def connect(scene: bpy.types.Scene) -> None:
 
 
 def disconnect(scene: bpy.types.Scene) -> None:
-    """Multiply no longer; the view layers' passes stay."""
+    """Stop multiplying; the view layers' passes stay."""
     group: Any = compositor.find(scene)
     if group is None or NODE not in group.nodes:
         return
@@ -99,17 +99,17 @@ def disconnect(scene: bpy.types.Scene) -> None:
 
 
 def _layers(scene: bpy.types.Scene, tree: Any, node: Any) -> Any | None:
-    """The render layer whose picture a node merges; what lies between does not matter."""
+    """Return the render layer whose picture a node merges, even through other nodes."""
     found = [n for n in tree.nodes if n.type == "R_LAYERS" and n.scene in (scene, None)]
-    links = [link for socket in node.inputs[1:2] for link in socket.links]  # of its depth
+    links = [link for socket in node.inputs[1:2] for link in socket.links]  # its depth input
     straight = [link.from_node for link in links if link.from_node in found]
     return next(iter(straight or found), None)
 
 
 def _insert(group: Any) -> bool:
-    """Multiply the Gaussians' colours by an input, right where they are read.
+    """Multiply the Gaussians' colours by an input, right after they are read.
 
-    False: the group has no nodes for that; somebody has changed it.
+    Returns False if a user has changed the group and it lacks the nodes for this.
     """
     colour = next((node for node in group.nodes if _shows_colour(node)), None)
     start = next((node for node in group.nodes if node.type == "GROUP_INPUT"), None)
@@ -138,7 +138,7 @@ def _start(group: Any) -> Any:
 
 
 def _bring_nearer(group: Any, by: float) -> None:
-    """Have Gaussians lie over Blender's surfaces only where they are nearer by that much."""
+    """Draw Gaussians over Blender's surfaces only where they are nearer by at least `by`."""
     contact = group.nodes.get(CONTACT)
     if contact is None:
         contact = _contact(group)
@@ -147,9 +147,9 @@ def _bring_nearer(group: Any, by: float) -> None:
 
 
 def _contact(group: Any) -> Any | None:
-    """New nodes between Blender's depth and its comparison; the last one subtracts a distance.
+    """Add nodes between Blender's depth and its comparison; return the one that subtracts.
 
-    None: somebody has changed the group.
+    None if a user has changed the group.
     """
     found = [n for n in group.nodes if getattr(n, "operation", "") == "LESS_THAN"]
     picture, depth = (_start(group).outputs.get(name) for name in ("Image", "Depth"))
@@ -191,7 +191,7 @@ def _shows_colour(node: Any) -> bool:
 
 
 def _colours(product: Any) -> tuple[int, int]:
-    """Rows of the node's colour inputs."""
+    """Return the indices of the node's colour inputs."""
     found = [
         i for i, socket in enumerate(product.inputs) if socket.enabled and socket.type == "RGBA"
     ]

@@ -63,7 +63,7 @@ def imported_frame(mesh: bpy.types.Mesh) -> Matrix:
         frame = np.array(stored, np.float64).reshape(4, 4)
     except (ValueError, TypeError):
         return np.eye(4)
-    # What a .blend says may be anything; a map that cannot be turned back is none of ours.
+    # A .blend may hold anything; a map without an inverse is not ours.
     usable = (np.abs(frame) < FAR).all() and np.linalg.matrix_rank(frame[:3, :3]) == 3
     return frame if usable and (frame[3] == (0, 0, 0, 1)).all() else np.eye(4)
 
@@ -100,11 +100,10 @@ def add_attributes(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
 
 
 def cloud_of(mesh: bpy.types.Mesh) -> tuple[SplatCloud, Matrix] | None:
-    """The Gaussians of a mesh in their file's frame, and the map (4, 4) that all went through.
+    """Return a mesh's Gaussians in their file's frame, and the common map (4, 4) of all points.
 
-    Without points that are hidden in edit mode or have no size. Those without a size were added to
-    the mesh, as by joining with another one. What most of them are made for decides on the
-    target.
+    Points that are hidden in edit mode or have no size are left out. Points without a size were
+    added to the mesh, as by joining. The target is that of most points.
 
     None if an attribute is missing, as after joining into another mesh or applying a modifier.
     """
@@ -137,7 +136,7 @@ def applied_map(mesh: bpy.types.Mesh) -> Matrix:
 
 
 def mark_target(data: Points, target: targets.Target) -> None:
-    """All points of a mesh or point cloud are Gaussians that are made for a target."""
+    """Mark all points of a mesh or point cloud as Gaussians made for a target."""
     for name in MADE_FOR:
         if getattr(target, name) and name not in data.attributes:
             attribute: Any = data.attributes.new(name, "BOOLEAN", "POINT")
@@ -145,25 +144,25 @@ def mark_target(data: Points, target: targets.Target) -> None:
 
 
 def mark_photo_focal(data: Points, photo_focal: float | None) -> None:
-    """Note the focal length of the photos; None: it is unknown."""
+    """Store the focal length of the photos; None if it is unknown."""
     if photo_focal is not None:
         data[PHOTO_FOCAL] = photo_focal
 
 
 def photo_focal_of(data: Points) -> float | None:
-    """The noted one, if it can be one: a .blend may hold anything."""
+    """Return the stored focal length if it is valid: a .blend may hold anything."""
     stored: Any = data.get(PHOTO_FOCAL)
     return splat_ply.usable_focal(stored) if isinstance(stored, float) else None
 
 
 def marked_target(data: Points) -> targets.Target:
-    """Target of points of one kind, by the names of their attributes alone: fast."""
+    """Return the target from the names of the attributes alone. Fast; for points of one target."""
     smooth, linear = (name in data.attributes for name in MADE_FOR)
     return targets.target_with(antialiased=smooth, linear_light=linear)
 
 
 def targets_of(data: Points, there: NDArray[np.bool_] | None = None) -> list[targets.Target]:
-    """Targets of the points that are `there`: that of most points first."""
+    """Return the targets of the points in the mask `there`, that of most points first."""
     smooth, linear = (_flags(data, name) for name in MADE_FOR)
     kinds = 2 * linear + smooth if there is None else (2 * linear + smooth)[there]
     counts = np.bincount(kinds, minlength=4)
@@ -175,7 +174,7 @@ def targets_of(data: Points, there: NDArray[np.bool_] | None = None) -> list[tar
 
 
 def _flags(data: Points, name: str) -> NDArray[np.int64]:
-    """(N,) 1 where a boolean attribute is true, 0 where it is not, or where there is none."""
+    """(N,) 1 where a boolean attribute is true; 0 elsewhere, and without the attribute."""
     attribute: Any = data.attributes.get(name)
     points = data.vertices if isinstance(data, bpy.types.Mesh) else data.points
     found = np.zeros(len(points), np.bool_)
@@ -185,7 +184,7 @@ def _flags(data: Points, name: str) -> NDArray[np.int64]:
 
 
 def sh_of(data: Points) -> Float32:
-    """(N, K, 3) SH coefficients of points that have `SHAPE`, of whole degrees only."""
+    """(N, K, 3) SH coefficients of points that have `SHAPE`; only complete degrees."""
     radiance = values(data, "radiance:base")
     assert radiance is not None
     sh = [radiance[:, :3]]
@@ -205,7 +204,7 @@ def drawn(mesh: bpy.types.Mesh) -> NDArray[np.bool_]:
 
 
 def values(data: Points, name: str) -> Float32 | None:
-    """(N, numbers) of a point attribute; None if there is none of that name, or of another kind."""
+    """(N, numbers) values of a point attribute; None if it is missing or of another type."""
     attribute: Any = data.attributes.get(name)
     if attribute is None or attribute.domain != "POINT" or attribute.data_type not in WIDTHS:
         return None

@@ -49,9 +49,9 @@ MATERIAL = "ROI-GS Gaussians"
 
 
 def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]:
-    """Import a run's Gaussians: the background, and each box, as the result and as the first pass.
+    """Import a run's Gaussians: the background, and each box's result and first pass.
 
-    Objects of an earlier result are replaced, and copies of them follow. Those of a box that this
+    Objects of an earlier result and their copies get the new data. Objects of a box that this
     result does not have are removed: its background contains what they showed.
 
     Raises:
@@ -79,10 +79,11 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]
 def show_imported(
     scene: bpy.types.Scene, path: Path, name: str, *, in_model: bool
 ) -> bpy.types.Object:
-    """An object of a file that no training of this scene made.
+    """Create an object from a file that no training of this scene made.
 
     Args:
-        scene, path: where, and the file.
+        scene: gets the object.
+        path: the file.
         name: of the object.
         in_model: the file is in the COLMAP frame; else in Blender's world.
 
@@ -127,7 +128,7 @@ def rename_boxes(scene: bpy.types.Scene, renamed: Mapping[str, str]) -> None:
 
 
 def take_names(scene: bpy.types.Scene, files: Mapping[Part, Path]) -> None:
-    """Gaussians of a file of a result belong to that file's box.
+    """Give Gaussians from these files the names of the files' boxes.
 
     A training that failed at once has not renamed the files of renamed boxes.
     """
@@ -138,14 +139,14 @@ def take_names(scene: bpy.types.Scene, files: Mapping[Part, Path]) -> None:
 
 
 def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
-    """Show the model that is being trained; results, not imports, are hidden meanwhile."""
+    """Show the model in training. Meanwhile, results are hidden, but not imports."""
     item = next(iter(_of(scene, "PREVIEW", "")), None)
     if item is None:
         item = _new_object(
             scene, "ROI-GS Preview", clouds.new_points("Preview", np.zeros((0, 3), np.float32))
         )
         object_props(item).level = "PREVIEW"
-        display.show_as(item, "EXACT")  # its file is all that it has
+        display.show_as(item, "EXACT")  # it has only its file, no points
         for other in (*lookup.splats(scene), *lookup.of_kind(scene, "SURFACE")):
             if other != item and object_props(other).level != "IMPORTED":
                 visibility.wait(other)
@@ -155,9 +156,9 @@ def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
 
 
 def follow(scene: bpy.types.Scene, folder: Path) -> int:
-    """Find files of Gaussians again: in a run folder that was moved, or among earlier results.
+    """Find missing files of Gaussians in a moved run folder, or among earlier results.
 
-    A new training moves those of the last result there. Returns how many objects have found theirs.
+    A new training moves the last result there. Returns the number of objects whose file was found.
     """
     shown = [i for i in lookup.splats(scene) if object_props(i).ply and i.library is None]
     lost = [item for item in shown if not edits.is_held(item, object_props(item).ply)]
@@ -165,7 +166,7 @@ def follow(scene: bpy.types.Scene, folder: Path) -> int:
     found = 0
     for item in lost:
         props = object_props(item)
-        own = PureWindowsPath(props.ply)  # its parts, as any system writes them
+        own = PureWindowsPath(props.ply)  # splits paths of any system
         part = own.parts[-BELOW.get(props.level, len(own.parts)) :]
         places = [result.joinpath(*part) for result in results]
         if (box := result_files(folder).get((props.level, props.roi))) is not None:
@@ -178,7 +179,7 @@ def follow(scene: bpy.types.Scene, folder: Path) -> int:
 
 
 def show_as(scene: bpy.types.Scene, way: str) -> None:
-    """Show all Gaussians in one of the ways of `properties.SHOWN_AS`; a preview is as it is."""
+    """Show all Gaussians in one of the ways of `properties.SHOWN_AS`; a preview stays as it is."""
     for item in lookup.splats(scene):
         if object_props(item).level != "PREVIEW":
             display.show_as(item, way)
@@ -186,7 +187,7 @@ def show_as(scene: bpy.types.Scene, way: str) -> None:
 
 
 def remove_preview(scene: bpy.types.Scene) -> None:
-    """Remove the model that was being trained; what was hidden for it is shown again, refined."""
+    """Remove the preview of the training; show again the objects hidden for it, boxes refined."""
     for item in (*lookup.splats(scene), *lookup.of_kind(scene, "SURFACE")):
         visibility.resume(item)
         visibility.unpark(item)
@@ -203,9 +204,9 @@ def _hide_sparse(scene: bpy.types.Scene) -> None:
 
 
 def _of(scene: bpy.types.Scene, level: str, roi: str) -> list[bpy.types.Object]:
-    """The object of a part, and copies of it.
+    """Return the object of a part, and its copies.
 
-    Copies that were edited are objects of their own, as parts that were separated are.
+    Edited copies and separated parts are left out: they are objects of their own.
     """
     kinds = ((item, object_props(item)) for item in lookup.splats(scene))
     found = [item for item, props in kinds if props.level == level and props.roi == roi]
@@ -214,17 +215,17 @@ def _of(scene: bpy.types.Scene, level: str, roi: str) -> list[bpy.types.Object]:
 
 
 def object_name(level: str, roi: str) -> str:
-    """The first name of an object of Gaussians."""
+    """Return the initial name of an object of Gaussians."""
     return {"SCENE": f"{roi} first pass", "ROI": f"{roi} Gaussians"}.get(level, "Background")
 
 
 def mesh_name(roi: str) -> str:
-    """The first name of the mesh of a box's surface."""
+    """Return the initial name of the mesh of a box's surface."""
     return f"{roi} Mesh"
 
 
 def read_files(files: Mapping[Part, Path]) -> dict[Part, bpy.types.Object]:
-    """New objects of files, all or none: no part of one result is shown beside another result's.
+    """Create objects from files, all or none, so that parts of two results are never mixed.
 
     Raises:
         AddonError: a file is missing or damaged.
@@ -244,15 +245,17 @@ def read_files(files: Mapping[Part, Path]) -> dict[Part, bpy.types.Object]:
 def show(
     scene: bpy.types.Scene, part: Part, path: Path, fresh: bpy.types.Object
 ) -> list[bpy.types.Object]:
-    """Show a file as this part of the result, in the objects that there are already, or in `fresh`.
+    """Show a file as this part of the result, in the part's existing objects or in `fresh`.
 
     Args:
-        scene, part, path: where, and what.
-        fresh: a new object of the file.
+        scene: with the objects.
+        part: of the result.
+        path: the file.
+        fresh: a new object made from the file.
     """
     (level, roi), name = part, object_name(*part)
     shown = _of(scene, level, roi)
-    if shown:  # they keep their names, places and whatever the user did with them
+    if shown:  # they keep their names, places and the user's other changes
         _give_data(shown, fresh)
     else:
         origins.centre_on_box(scene, fresh, roi)
@@ -266,9 +269,9 @@ def show(
 
 
 def _give_data(items: list[bpy.types.Object], source: bpy.types.Object) -> None:
-    """Give objects the data of `source`, which is removed; those that share data share the new.
+    """Give objects the data of `source`, which is removed; objects with common data keep sharing.
 
-    It stands where the old data would: that has an origin, and Object > Apply may have moved it.
+    The new data gets the frame of the old: its origin, and changes by Object > Apply.
     """
     given: dict[Any, Any] = {}
     fresh: Any = source.data
@@ -284,7 +287,7 @@ def _give_data(items: list[bpy.types.Object], source: bpy.types.Object) -> None:
 
 
 def _points(name: str, path: Path) -> bpy.types.Object:
-    """A mesh of points with all of the Gaussians' attributes."""
+    """Read a file into a mesh of points with all of the Gaussians' attributes."""
     try:
         cloud = read_splats(path)
     except (OSError, ValueError) as error:

@@ -1,7 +1,7 @@
-"""Prepares a scene for the user's own objects: light, proxies, passes; and undoes it.
+"""Prepares a scene for the user's own objects with light, proxies and passes, and undoes it.
 
-All of it is in a separate collection and a separate world. All other settings are saved in the
-.blend before they change, so that `remove` restores them.
+Additions are in a separate collection and a separate world. Other settings are saved in the .blend
+before they change, so that `remove` restores them.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def is_set(scene: bpy.types.Scene) -> bool:
 
 
 def collection_of(scene: bpy.types.Scene) -> bpy.types.Collection:
-    """The collection of all that is added; created if there is none."""
+    """Return the collection of all additions, created if there is none."""
     stage = stage_props(scene)
     if stage.collection is None:
         stage.collection = bpy.data.collections.new(COLLECTION)
@@ -53,7 +53,7 @@ def collection_of(scene: bpy.types.Scene) -> bpy.types.Collection:
 
 
 def empty_of(scene: bpy.types.Scene, which: str) -> bpy.types.Object:
-    """The empty that turns the light (`turn`), or that is where its picture was taken (`here`)."""
+    """Return the empty that turns the light (`turn`), or marks its picture's place (`here`)."""
     stage = stage_props(scene)
     item: bpy.types.Object | None = getattr(stage, which)
     if item is None:
@@ -67,12 +67,12 @@ def empty_of(scene: bpy.types.Scene, which: str) -> bpy.types.Object:
 
 
 def follow(scene: bpy.types.Scene, frame: bpy.types.Object | None, at: Vector) -> None:
-    """Have the light turn with an object, and remember where its picture was taken.
+    """Let the light turn with an object, and mark where its picture was taken.
 
     Args:
-        scene: that is lit.
-        frame: whose frame the picture has; None: the world's.
-        at: in the world. The place moves with the frame.
+        scene: the lit scene.
+        frame: the object in whose frame the picture is; None for the world.
+        at: place of the picture, in the world. It moves with the frame.
     """
     turn, here = empty_of(scene, "turn"), empty_of(scene, "here")
     turn.constraints.clear()
@@ -84,7 +84,7 @@ def follow(scene: bpy.types.Scene, frame: bpy.types.Object | None, at: Vector) -
 
 
 def keep(scene: bpy.types.Scene, name: str, value: Any) -> None:
-    """Remember how a setting was, unless that is known already."""
+    """Save the earlier value of a setting, unless it is saved already."""
     stage = stage_props(scene)
     known = _before(scene)
     if name not in known:
@@ -111,8 +111,8 @@ def clear_film(scene: bpy.types.Scene) -> None:
 def free_lamps(scene: bpy.types.Scene) -> None:
     """Let the user's lamps light captured surfaces, too.
 
-    To Blender, a lamp is part of what was captured, unless its **Shadow Catcher** is off. A lamp is
-    changed only once, so that the user may change it back.
+    Blender treats a lamp as part of the captured scene unless its **Shadow Catcher** is off. A lamp
+    is changed only once, so that the user may change it back.
     """
     item: Any
     for item in scene.objects:
@@ -122,10 +122,10 @@ def free_lamps(scene: bpy.types.Scene) -> None:
 
 
 def show_exactly(scene: bpy.types.Scene) -> None:
-    """Have the engine draw what Blender shows as its own splats (5.3).
+    """Let the engine draw objects that Blender shows as its own splats (5.3).
 
     Blender's splats take no shadow. A catcher in front of them would hide them, one behind them
-    would catch nothing. They would also shine on what proxies light already.
+    would catch nothing. They would also light objects that proxies light already.
     """
     for item in lookup.splats(scene):
         if display.is_native(item) and item.is_editable:
@@ -151,7 +151,7 @@ def multiply(scene: bpy.types.Scene) -> None:
 
 
 def remove(scene: bpy.types.Scene) -> None:
-    """Take all back: what was added is gone, and settings are as they were."""
+    """Remove all additions and restore all settings."""
     stage, before = stage_props(scene), _before(scene)
     shadow_pass.disconnect(scene)
     if isinstance(before.get(COMPOSITOR), dict):
@@ -192,14 +192,14 @@ def _remove_world(scene: bpy.types.Scene) -> None:
 
 
 def remove_world(own: bpy.types.World) -> None:
-    """Delete a world of ours, with the picture that only it uses."""
+    """Delete a world of ours, and its pictures that nothing else uses."""
     images = {node.image for node in _nodes_of(own) if node.type == "TEX_ENVIRONMENT"} - {None}
     bpy.data.worlds.remove(own)
     bpy.data.batch_remove([image for image in images if not image.users])
 
 
 def _nodes_of(owner: Any) -> list[Any]:
-    """The nodes of a world or material; a stranger's may have none."""
+    """Return the nodes of a world or material; a user's own may have none."""
     tree = owner.node_tree
     return list(tree.nodes) if tree is not None else []
 

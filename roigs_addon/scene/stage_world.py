@@ -1,4 +1,4 @@
-"""A world with the captured scene's light around a point, invisible to the camera.
+"""A world with the captured light around a point, invisible to the camera.
 
 It is a copy of the user's world. The camera still sees the user's world; all other rays hit the
 picture.
@@ -22,7 +22,7 @@ PHOTO_WHITE = (1.0, 1.0, 1.0)
 
 
 def light(scene: bpy.types.Scene) -> bpy.types.World | None:
-    """The world that shines, while it is the scene's; None if there is none."""
+    """Return our world if it is the scene's world now; None if not."""
     own = stage_props(scene).world
     return own if own is not None and scene.world == own else None
 
@@ -40,7 +40,7 @@ def picture(scene: bpy.types.Scene) -> bpy.types.Image | None:
 
 
 def value(world: Any, name: str) -> Any | None:
-    """The socket with a value for the user, which may be animated; None if its node is gone."""
+    """Return the socket with a value for the user, which may be animated; None without its node."""
     node = world.node_tree.nodes.get(name) if world.node_tree is not None else None
     return node.outputs[0] if node is not None else None
 
@@ -55,11 +55,11 @@ def shine(
     """Let the world emit a picture; an earlier one is replaced.
 
     Args:
-        scene: that is lit.
+        scene: the lit scene.
         image: equirectangular, in linear light, as an Environment Texture shows it.
-        frame: whose frame the picture has; None: the world's.
-        at: in the world, where it was taken.
-        mirror: what mirrors and glass see; None: the picture.
+        frame: the object in whose frame the picture is; None for the world.
+        at: place of the picture, in the world.
+        mirror: the picture that mirrors and glass see; None for `image`.
     """
     group = stage_props(scene)
     old, kept = group.world, {}
@@ -81,8 +81,8 @@ def shine(
 
 
 def _copied(users: bpy.types.World | None) -> Any:
-    """A world with nodes that looks like the user's: its copy, or a black one."""
-    always = bpy.app.version >= (5, 0, 0)  # a world is its nodes, and the switch is going away
+    """Return a world with nodes that looks like the user's: a copy, or a world of its colour."""
+    always = bpy.app.version >= (5, 0, 0)  # worlds always use nodes, and the switch is deprecated
     if users is not None and users.node_tree is not None and (always or users.use_nodes):
         own: Any = users.copy()
         own.name = NAME
@@ -101,9 +101,9 @@ def _copied(users: bpy.types.World | None) -> Any:
 
 
 def _sample(own: Any, image: bpy.types.Image) -> None:
-    """Have Cycles look for bright places in as many directions as the picture has pixels.
+    """Set Cycles' importance map to the width of the picture.
 
-    By itself it takes several times as many, which costs seconds a frame.
+    By default, Cycles makes a map several times as large, which costs seconds a frame.
     """
     of_cycles: Any = getattr(own, "cycles", None)
     if of_cycles is not None and image.size[0] > 0:
@@ -133,7 +133,7 @@ def _build(own: Any, images: Pictures, turn: Any, kept: dict[str, float]) -> Non
 
 
 def _shine(own: Any, images: Pictures, turn: Any, kept: dict[str, float]) -> Any:
-    """The shader of the light; rays from mirrors and through glass meet the other picture."""
+    """Add the light's shader; rays from mirrors and through glass meet the other picture."""
     nodes, link = own.node_tree.nodes, own.node_tree.links.new
     place = nodes.new("ShaderNodeTexCoord")
     place.object, place.location = turn, (-220 * PICTURE_NODES, -300)
@@ -164,9 +164,9 @@ PICTURE_NODES = 7
 
 
 def _of_picture(own: Any, way: Any, image: bpy.types.Image, values: list[Any], row: int) -> Any:
-    """The shader of a picture: what is brighter than the photos' white has its own factor.
+    """Add a picture's shader; light brighter than the photos' white has its own factor.
 
-    Each picture has one, not only a colour: Cycles skips shaders that a ray does not need.
+    Each picture has its own shader, because Cycles skips shaders that a ray does not need.
     """
     nodes, link = own.node_tree.nodes, own.node_tree.links.new
     picture = nodes.new("ShaderNodeTexEnvironment")
@@ -194,7 +194,7 @@ def _of_picture(own: Any, way: Any, image: bpy.types.Image, values: list[Any], r
 
 
 def _value(own: Any, name: str, kept: dict[str, float]) -> Any:
-    """A node with a number for the user."""
+    """Add a node with a number for the user, or find it, and return its output."""
     node = own.node_tree.nodes.get(name) or own.node_tree.nodes.new("ShaderNodeValue")
     node.name = node.label = name
     node.location = -220 * PICTURE_NODES, -500 if name == STRENGTH else -650

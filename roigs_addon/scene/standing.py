@@ -41,7 +41,7 @@ class Spot:
 
     Attributes:
         point: in the world.
-        normal: of length 1, to the side that was looked at.
+        normal: of length 1, on the viewed side.
         on_mesh: whether it is on a mesh, which catches shadows there.
     """
 
@@ -53,14 +53,14 @@ class Spot:
 def find(
     scene: bpy.types.Scene, eye: Vector, point: Vector, radius: float, found: Sequence[Points]
 ) -> Spot:
-    """The place on a captured surface that a click means.
+    """Return the place on a captured surface that was clicked.
 
     Args:
         scene: of the surface.
-        eye: from where it was looked at.
-        point: what was clicked: a Gaussian, or a place on a mesh.
-        radius: of what is to stand there.
-        found: (N, 3) of the Gaussians in the world.
+        eye: the viewpoint.
+        point: the clicked Gaussian, or place on a mesh.
+        radius: of the object that will stand there.
+        found: (N, 3) positions of the Gaussians in the world.
 
     Raises:
         AddonError: there is no surface.
@@ -74,7 +74,7 @@ def find(
 
 
 def _trees(scene: bpy.types.Scene) -> Iterator[BVHTree]:
-    """The meshes of captured surfaces in the world, whether they are shown or not."""
+    """Yield the meshes of captured surfaces in the world, shown or not."""
     items = [i for i in proxies.of_scene(scene) if object_props(i).level != "IMPORTED"]
     known = {object_props(item).roi for item in items}
     items += [i for i in box_surfaces.surfaces(scene) if object_props(i).roi not in known]
@@ -90,7 +90,7 @@ def _trees(scene: bpy.types.Scene) -> Iterator[BVHTree]:
 
 
 def _felt(trees: Sequence[BVHTree], eye: Vector, along: Vector) -> tuple[Vector, Vector] | None:
-    """The first place on a mesh in a direction, and its normal."""
+    """Return the first place on a mesh in a direction, and its normal; None if there is none."""
     there: list[Any] = [tree.ray_cast(eye, along) for tree in trees]
     hits = [(away, place, normal) for place, normal, _, away in there if place is not None]
     return min(hits, key=lambda hit: float(hit[0]))[1:] if hits else None
@@ -99,7 +99,7 @@ def _felt(trees: Sequence[BVHTree], eye: Vector, along: Vector) -> tuple[Vector,
 def _on_mesh(
     trees: Sequence[BVHTree], hit: tuple[Vector, Vector], along: Vector, radius: float
 ) -> Spot:
-    """The plane through what is felt around a place; the mesh's own, if that is little."""
+    """Return the plane through probed places around a hit; the mesh's own plane if few."""
     point, normal = hit[0], _towards(hit[1], along)
     side = normal.orthogonal().normalized()
     felt = [point]
@@ -117,7 +117,7 @@ def _on_mesh(
 
 
 def _on_gaussians(eye: Vector, point: Vector, radius: float, found: Sequence[Points]) -> Spot:
-    """The plane through the Gaussians around a point."""
+    """Return the plane through the Gaussians around a point."""
     points = np.concatenate([np.empty((0, 3)), *found])
     away = np.linalg.norm(points - np.array(point), axis=1)
     if len(points) < FEWEST:
@@ -133,41 +133,42 @@ def _on_gaussians(eye: Vector, point: Vector, radius: float, found: Sequence[Poi
 
 
 def _seen_on(point: Vector, along: Vector, middle: Vector, normal: Vector) -> Vector:
-    """The point of the plane through `middle`, seen in the direction of a point near it.
+    """Return where the ray to a point meets the plane through `middle`.
 
-    Looked at along the plane, small errors of it would move that far: the foot of the point.
+    At a grazing angle, small errors of the plane would move it far. There, it is the point's
+    projection onto the plane.
     """
     away, slope = (middle - point) @ normal, along @ normal
     return point + (away / slope * along if abs(slope) > GRAZING else away * normal)
 
 
 def _towards(normal: Vector, along: Vector) -> Vector:
-    """A normal on the side that a direction comes from."""
+    """Return the unit normal that points against a viewing direction."""
     return (-normal if normal @ along > 0 else normal).normalized()
 
 
 def _levelled(normal: Vector) -> Vector:
-    """Straight up, if it nearly is."""
+    """Return straight up if a normal is nearly so, else the normal."""
     up = Vector(UP)
     return up if normal.angle(up) < np.radians(LEVEL) else normal
 
 
 def radius_of(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> float:
-    """Half the largest side of an object with its children, in the world."""
+    """Return half the largest side of an object with its children, in the world."""
     points = _points(item, depsgraph)
     return float(np.ptp(points, axis=0).max()) / 2 if len(points) else 0.0
 
 
 def put(item: bpy.types.Object, spot: Spot, depsgraph: bpy.types.Depsgraph) -> Vector:
-    """Put an object on a spot: turned to its normal, the lowest point on the surface.
+    """Put an object on a spot: turned to its normal, with its lowest point on the surface.
 
     Args:
-        item: whose children go with it.
-        spot: where to.
-        depsgraph: that knows where it is now.
+        item: the object; its children move with it.
+        spot: its new place.
+        depsgraph: has its present place.
 
     Returns:
-        Its middle, in the world.
+        Its new middle, in the world.
     """
     before = Vector(object_props(item).stands_on)
     turn = np.eye(4)

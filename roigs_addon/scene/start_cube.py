@@ -19,7 +19,7 @@ def untouched(scene: bpy.types.Scene) -> bpy.types.Object | None:
 
 
 def hide(scene: bpy.types.Scene) -> None:
-    """Hide it in views and renders; it stays in the outliner."""
+    """Hide the start file's cube in views and renders; it stays in the outliner."""
     item = untouched(scene)
     if item is not None:
         disable(item)

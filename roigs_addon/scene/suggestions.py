@@ -1,7 +1,7 @@
-"""Suggested photos: numbered cameras at the places for the next photos.
+"""Shows suggested photos as numbered cameras at the places for the next photos.
 
-They are in a separate collection, with a line from each to its box. The preview is the background
-of its camera, like the photo of an imported camera.
+They are in a separate collection, with a line from each to its box. A preview is the background of
+each camera, like the photo of an imported camera.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ CAMERA_SIZE = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class Suggestion:
-    """The data of a suggested photo.
+    """Record of a suggested photo.
 
     Attributes:
-        number: of its box, from 1, the best first.
-        gain: how much lower the error is expected to be with it, dB.
-        known: what is known then, 0 to 1.
+        number: rank within its box, from 1, the best first.
+        gain: expected reduction of the error, dB.
+        known: share of the box that photos cover with it, 0 to 1.
     """
 
     box: str
@@ -49,7 +49,7 @@ class Suggestion:
     @classmethod
     @lru_cache(maxsize=1 << 10)
     def from_json(cls, line: str) -> Suggestion | None:
-        """From an object's property; None: it is no suggestion."""
+        """Parse an object's property; None if it holds no suggestion."""
         try:
             return cls.from_dict(text.parse_json(line.encode()))
         except (ValueError, KeyError, TypeError, OverflowError):
@@ -57,7 +57,7 @@ class Suggestion:
 
     @classmethod
     def from_dict(cls, record: dict[str, Any]) -> Suggestion:
-        """From a camera of the engine's `suggestions.json`."""
+        """Parse a camera of the engine's `suggestions.json`."""
         return cls(
             box=str(record["box"]),
             number=int(record["number"]),
@@ -68,7 +68,7 @@ class Suggestion:
 
 
 def show(scene: bpy.types.Scene, listed: Path) -> int:
-    """Show the suggestions in a list of the engine's, in place of earlier ones; how many.
+    """Show the suggestions of the engine's list, in place of earlier ones; return their number.
 
     Raises:
         AddonError: the list cannot be read, or the model's root is deleted.
@@ -104,18 +104,18 @@ def show(scene: bpy.types.Scene, listed: Path) -> int:
 
 
 def of_box(scene: bpy.types.Scene, roi: bpy.types.Object) -> list[bpy.types.Object]:
-    """The cameras that are suggested for a box, the best first."""
+    """Return the suggested cameras of a box, the best first."""
     found = [(known.number, item) for item, known in _all(scene) if known.box == roi.name]
     return [item for _, item in sorted(found, key=lambda pair: pair[0])]
 
 
 def are_there(scene: bpy.types.Scene) -> bool:
-    """Whether any photo is suggested."""
+    """Whether the scene has suggested photos."""
     return bool(_collections(scene))
 
 
 def known_of(item: bpy.types.Object) -> Suggestion | None:
-    """The data of a suggested photo; None: the object is none."""
+    """Return the record of a suggested photo; None if the object is not one."""
     return Suggestion.from_json(object_props(item).suggestion)
 
 
@@ -146,12 +146,12 @@ def _collections(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
 
 
 def _photo(record: dict[str, Any], folder: Path) -> Photo:
-    """The camera's record; its photo is what it should show."""
+    """Return a suggested camera as a photo; its file is the preview."""
     return Photo.from_dict(record | {"path": str(folder / record["picture"])})
 
 
 def _size(scene: bpy.types.Scene) -> float:
-    """Of the cameras' drawings: as of the photos."""
+    """Return the display size of cameras: that of the photos' cameras."""
     photo = next(lookup.of_kind(scene, "CAMERA"), None)
     return camera_of(photo).display_size if photo is not None else CAMERA_SIZE
 
@@ -159,7 +159,7 @@ def _size(scene: bpy.types.Scene) -> float:
 def _lines(
     root: bpy.types.Object, roi: bpy.types.Object, photos: Sequence[Photo]
 ) -> bpy.types.Object:
-    """A line from each photo's place to the middle of the box, in the COLMAP frame."""
+    """Create lines from each photo's place to the middle of the box, in the COLMAP frame."""
     eyes = [-photo.pose[:3, :3].T @ photo.pose[:3, 3] for photo in photos]
     inverse = lookup.inverse(lookup.matrix_world(root), root.name)
     middle = (inverse @ lookup.matrix_world(roi))[:3, 3]

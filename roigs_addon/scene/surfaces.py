@@ -1,4 +1,4 @@
-"""Triangles of the surfaces in a render; the engine hides Gaussians behind them."""
+"""Collects the triangles of a render's surfaces; the engine hides Gaussians behind them."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
 
 
 def triangles(depsgraph: bpy.types.Depsgraph) -> NDArray[np.float32]:
-    """(T, 3, 3) corners of all surfaces in the world, instances too; not of shadow catchers.
+    """(T, 3, 3) corners of all surfaces in the world, with instances, without shadow catchers.
 
     Args:
-        depsgraph: of a render, or of a viewport, whose own hiding counts then.
+        depsgraph: of a render, or of a viewport; objects hidden there are left out.
     """
     known: dict[str, NDArray[np.float64]] = {}
     parts = [np.zeros((0, 3, 3))]
@@ -56,6 +56,6 @@ def _of(item: bpy.types.Object) -> NDArray[np.float64]:
 
 
 def have_catcher(depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether a mesh that is a shadow catcher is rendered. A new lamp is marked so, too."""
+    """Whether a shadow catcher is rendered, other than a lamp: new lamps are marked so, too."""
     shown = (item for item in depsgraph.objects if item.type != "LIGHT" and not item.hide_render)
     return any(item.is_shadow_catcher for item in shown)

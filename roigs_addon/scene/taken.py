@@ -1,8 +1,8 @@
-"""A captured object as an asset: a collection with its mesh and its Gaussians.
+"""Makes a captured object an asset: a collection with its mesh and its Gaussians.
 
 Both are copies without a parent. They stand on the collection's origin, which is also their own.
-The mesh's texture, the light that it was captured in and the Gaussians' attributes are in the
-.blend. The support of the object is cut off, if the box contains a plate of it.
+The .blend contains the mesh's texture, its captured light and the Gaussians' attributes. If the box
+contains a plate of the object's support, it is cut off.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ EMPTY = "'{}' has no faces. Make its surface again."
 
 
 def names() -> list[str]:
-    """The assets of this file that were taken."""
+    """Return the names of this file's assets made here."""
     return sorted(each.name for each in bpy.data.collections if each.get(MARK) and each.asset_data)
 
 
 def take(scene: bpy.types.Scene, item: bpy.types.Object) -> bpy.types.Collection:
-    """Make an asset of a box's mesh and of its Gaussians, which stay as they are.
+    """Make an asset from copies of a box's mesh and Gaussians.
 
     Raises:
         AddonError: the mesh is empty.
@@ -70,14 +70,14 @@ def take(scene: bpy.types.Scene, item: bpy.types.Object) -> bpy.types.Collection
 
 
 def _foot(item: bpy.types.Object) -> Vector:
-    """The middle of a mesh's bottom in the world; Blender does not know yet what was cut off."""
+    """Return the middle of a mesh's bottom in the world; `bound_box` still includes a cut part."""
     places = _corners(item).reshape(-1, 3)
     low, high = places.min(axis=0), places.max(axis=0)
     return Vector((*((low + high) / 2)[:2].tolist(), float(low[2])))
 
 
 def _copied(item: bpy.types.Object, collection: bpy.types.Collection) -> bpy.types.Object:
-    """An object's copy with data of its own, in its place in the world, of no parent."""
+    """Copy an object with its data, in its place in the world, without a parent."""
     world = Matrix(lookup.matrix_world(item).tolist())
     copy = item.copy()
     copy.data = mesh_of(item).copy()
@@ -100,7 +100,7 @@ def _copied(item: bpy.types.Object, collection: bpy.types.Collection) -> bpy.typ
 
 
 def _follow_itself(copy: bpy.types.Object, item: bpy.types.Object) -> None:
-    """Have a copy's drivers read the copy, and not the object that it was made of."""
+    """Let a copy's drivers read the copy, not the original."""
     drivers: Any = copy.animation_data.drivers if copy.animation_data is not None else ()
     for curve in drivers:
         for variable in curve.driver.variables:
@@ -133,7 +133,7 @@ def _corners(item: bpy.types.Object) -> NDArray[np.float32]:
 
 
 def _cut(item: bpy.types.Object, top: float) -> None:
-    """Remove a mesh's faces below a height in the world, and what the plate leaves above it."""
+    """Remove a mesh's vertices below a height in the world, and remains of the plate above it."""
     mesh, world = mesh_of(item), item.matrix_world
     edited = bmesh.new()
     try:
@@ -149,7 +149,7 @@ def _cut(item: bpy.types.Object, top: float) -> None:
 
 
 def _crumbs(edited: bmesh.types.BMesh, heights: list[float], top: float) -> list[Any]:
-    """Vertices of the pieces that end just above a cut: waves of the plate that was cut off."""
+    """Return the vertices of pieces that end just above a cut: waves of the removed plate."""
     vertices: Any = edited.verts
     vertices.index_update()
     end = top + CRUMB * (max(heights, default=top) - top)
@@ -182,7 +182,7 @@ def _mark_as_asset(collection: bpy.types.Collection, item: bpy.types.Object) -> 
 
 
 def _preview(item: bpy.types.Object) -> NDArray[np.float32]:
-    """(SIDE, SIDE, 4) an object's mesh in the colours of its texture, from the upper row."""
+    """(SIDE, SIDE, 4) picture of an object's mesh with its texture, top row first."""
     mesh, corners = mesh_of(item), _corners(item)
     faces, weights = little_picture.points_on(corners, POINTS)
     places = (corners[faces] * weights[..., None]).sum(axis=1)
@@ -199,7 +199,7 @@ def _preview(item: bpy.types.Object) -> NDArray[np.float32]:
 
 
 def _looked_up(image: bpy.types.Image, at: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(N, 3) a picture's pixels at places (N, 2) from its lower left corner, from 0 to 1."""
+    """(N, 3) a picture's pixels at places (N, 2) in 0 to 1, from its lower left corner."""
     pixels = pixels_of(image)
     height, width = pixels.shape[:2]
     x, y = (np.clip(at[:, k] * n, 0, n - 1).astype(int) for k, n in enumerate((width, height)))

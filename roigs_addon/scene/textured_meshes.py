@@ -28,7 +28,7 @@ def new_mesh(name: str, read: TexturedMesh) -> bpy.types.Mesh:
 
 
 def packed_picture(name: str, data: bytes) -> bpy.types.Image:
-    """A picture that the .blend contains, from the contents of an image file."""
+    """Create a picture packed into the .blend, from the bytes of an image file."""
     image = bpy.data.images.new(name, 1, 1)
     image.pack(data=data, data_len=len(data))
     image.source = "FILE"
@@ -36,7 +36,7 @@ def packed_picture(name: str, data: bytes) -> bpy.types.Image:
 
 
 def blank_material(name: str) -> Any:
-    """A new material with a node tree that is empty."""
+    """Create a material with an empty node tree."""
     material: Any = bpy.data.materials.new(name)
     if material.node_tree is None:  # before Blender 5
         material.use_nodes = True

@@ -1,4 +1,4 @@
-"""Hides objects for a while, and shows them again as the user had them.
+"""Hides objects temporarily, and restores the user's visibility.
 
 This uses the property **Disable in Viewports**. The eye in the outliner belongs to the user, and
 Alt-H shows objects that it hides.
@@ -17,7 +17,7 @@ SEEN = ("screen", "render")
 
 
 def park(item: bpy.types.Object, why: str = "parked") -> None:
-    """Hide an object that is not in the result, or that is `beside` a mesh that is shown alone."""
+    """Hide an object that the result lacks, or one that is `beside` a mesh shown alone."""
     props = object_props(item)
     if not getattr(props, why):
         seen = (not item.hide_viewport, not item.hide_render)
@@ -27,7 +27,7 @@ def park(item: bpy.types.Object, why: str = "parked") -> None:
 
 
 def unpark(item: bpy.types.Object, why: str = "parked") -> None:
-    """Show it again as it was."""
+    """Restore a parked object's visibility."""
     props = object_props(item)
     if getattr(props, why):
         seen = getattr(props, why).split()
@@ -42,7 +42,7 @@ def wait(item: bpy.types.Object) -> None:
 
 
 def resume(item: bpy.types.Object) -> None:
-    """Show it again."""
+    """Show an object again that `wait` has hidden."""
     if object_props(item).waits:
         object_props(item).waits = item.hide_viewport = False
 
@@ -58,7 +58,7 @@ def eye_is_shut(scene: bpy.types.Scene, item: bpy.types.Object) -> bool:
 
 
 def open_eye(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
-    """Show it in all of the scene's view layers."""
+    """Open an object's eye in all of the scene's view layers."""
     for layer in scene.view_layers:
         with suppress(RuntimeError):  # not in this layer
             item.hide_set(False, view_layer=layer)

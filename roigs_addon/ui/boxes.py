@@ -58,7 +58,7 @@ def _describe(layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.type
         return
     points, photos = found
     if not points:
-        if lookup.points(scene) is not None:  # else step 1 says what is missing
+        if lookup.points(scene) is not None:  # else step 1 reports the problem
             show.wrong(layout, "Empty: no sparse points inside. Move or enlarge it")
         return
     seen = "" if photos is None else f", seen in {text.counted(photos, 'photo')}"
@@ -79,7 +79,7 @@ class PlacePanel(SidebarPanel):
         return lookup.active_roi(context) is not None
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Its centre, half its sides, its rotation."""
+        """Show its centre, half its sides, and its rotation."""
         layout, roi = layout_of(self), lookup.active_roi(context)
         if roi is None:
             return

@@ -1,4 +1,4 @@
-"""Step 3, Cameras: what the photos of the active box show, and which of them may be bad."""
+"""Step 3, Cameras: how well the photos cover the active box, and which of them may be bad."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class CamerasPanel(SidebarPanel):
     bl_label = "3. Cameras"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The button, and what was found for the active box."""
+        """Show the button, and the check of the active box."""
         layout, scene, roi = layout_of(self), scene_of(context), lookup.active_roi(context)
         layout.operator(CheckPhotos.bl_idname, icon="VIEWZOOM")
         exclusions.counted(layout, scene)
@@ -43,7 +43,7 @@ class CamerasPanel(SidebarPanel):
 
 
 def _draw_check(layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.types.Scene) -> None:
-    """What the photos show of a box, and those to look at."""
+    """Show how well the photos cover a box, and the doubtful ones."""
     found = checked.of_box(roi)
     if found is None:
         show.todo(layout, f"{roi.name}: photos not checked yet")

@@ -38,7 +38,7 @@ class CleanUpPanel(SidebarPanel):
         return bool(point_edits.targets(context))
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The tools, then what is selected."""
+        """Show the tools, then the number of selected Gaussians."""
         layout, items = layout_of(self), point_edits.targets(context)
         chosen = [item for item in items if item.select_get()]
         names = ", ".join(item.name for item in chosen) or "all visible Gaussians"
@@ -64,7 +64,7 @@ class CleanUpPanel(SidebarPanel):
 
 
 def _confidence(layout: bpy.types.UILayout, items: list[bpy.types.Object]) -> None:
-    """Buttons for the confidence of the Gaussians, and its colours."""
+    """Show the buttons for the confidence of the Gaussians, and the meaning of its colours."""
     row, most = layout.row(align=True), heat_map.most()
     row.operator(FindConfidence.bl_idname)
     if heat_map.asked(items):
@@ -77,7 +77,7 @@ def _confidence(layout: bpy.types.UILayout, items: list[bpy.types.Object]) -> No
 def _pair(
     column: bpy.types.UILayout, label: str, operator: str
 ) -> list[bpy.types.OperatorProperties]:
-    """A tool as two buttons, one that selects and one that deletes."""
+    """Show a tool as two buttons, one that selects and one that deletes; return them."""
     row = column.split(factor=0.46, align=True)
     row.label(text=label)
     buttons = []

@@ -21,7 +21,7 @@ MOST_FAULTY = 8
 
 
 def counted(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
-    """'3 photos excluded', with the button that undoes it; nothing if there are none."""
+    """Show '3 photos excluded', with the button that includes them; nothing if there are none."""
     count = len(photo_names.excluded(scene))
     if not count:
         return
@@ -31,7 +31,7 @@ def counted(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
 
 
 def toggle(layout: bpy.types.UILayout, scene: bpy.types.Scene, photo: str) -> None:
-    """The button that excludes a photo, or includes it again."""
+    """Show the button that excludes a photo, or includes it again."""
     if exclusions.is_excluded(scene, photo):
         label = "Include Photo"
         layout.operator(IncludePhotos.bl_idname, text=label, icon="LOOP_BACK").photo = photo
@@ -41,7 +41,7 @@ def toggle(layout: bpy.types.UILayout, scene: bpy.types.Scene, photo: str) -> No
 
 
 def weak(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
-    """Photos with few points for their cameras, each with the button that excludes it."""
+    """Show photos with few points for their cameras, each with a button that excludes it."""
     names = weak_photos.used(scene)
     if not names:
         return
@@ -57,9 +57,11 @@ def weak(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
 def faulty(
     layout: bpy.types.UILayout, scene: bpy.types.Scene, faults: Sequence[tuple[str, str, str]]
 ) -> None:
-    """Photos with a reason to leave them out: one looks through each, and excludes it, by a click.
+    """Show doubtful photos, each with buttons to look through it and to exclude it.
 
     Args:
+        layout: to draw in.
+        scene: of the photos.
         faults: name, reason in a word or two, reason with its figure for the tooltip.
     """
     left = [fault for fault in faults if not exclusions.is_excluded(scene, fault[0])]
@@ -80,7 +82,7 @@ def faulty(
 
 
 def selected(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """The buttons for the cameras that are selected in the 3D view; nothing if none is."""
+    """Show the buttons for the cameras selected in the 3D view; nothing if none is."""
     if not any(lookup.is_photo_camera(item) for item in context.selected_objects):
         return
     row = layout.split(factor=0.62, align=True)

@@ -35,7 +35,7 @@ class SidebarPanel(bpy.types.Panel):
 
 
 def say(layout: bpy.types.UILayout, text: str, icon: IconItems) -> None:
-    """A text, wrapped to fit the sidebar."""
+    """Show a text, wrapped to fit the sidebar."""
     region = bpy.context.region
     scale = PIXELS_PER_LETTER * blender.interface_scale()
     letters = int(region.width / scale) - 5 if region else 40
@@ -43,9 +43,10 @@ def say(layout: bpy.types.UILayout, text: str, icon: IconItems) -> None:
 
 
 def wrapped(layout: bpy.types.UILayout, text: str, icon: IconItems, letters: int) -> None:
-    """A text in lines of so many letters, with an icon before the first one.
+    """Show a text in lines of so many letters, with an icon before the first one.
 
-    Names in it may be anybody's: they are shown without what is no letter, and not for ever.
+    It may contain untrusted names, so unprintable characters are removed, and its length is
+    limited.
     """
     column = layout.column(align=True)
     shown = text if len(text) <= LONGEST else f"{text[:LONGEST]}…"
@@ -55,27 +56,27 @@ def wrapped(layout: bpy.types.UILayout, text: str, icon: IconItems, letters: int
 
 
 def done(layout: bpy.types.UILayout, text: str) -> None:
-    """Something that is as it should be."""
+    """Show something that is done."""
     say(layout, text, "CHECKMARK")
 
 
 def todo(layout: bpy.types.UILayout, text: str) -> None:
-    """Something that the user has to do next."""
+    """Show something that the user has to do next."""
     say(layout, text, "RADIOBUT_OFF")
 
 
 def wrong(layout: bpy.types.UILayout, text: str) -> None:
-    """Something that is not as it should be."""
+    """Show a problem."""
     say(layout, text, "ERROR")
 
 
 def paused(layout: bpy.types.UILayout, text: str) -> None:
-    """Something that was stopped or waits."""
+    """Show something that was stopped or waits."""
     say(layout, text, "PAUSE")
 
 
 def setting_column(layout: bpy.types.UILayout) -> bpy.types.UILayout:
-    """A column of settings with their names on the left."""
+    """Return a column for settings with their names on the left."""
     column = layout.column(align=True)
     column.use_property_split = True
     column.use_property_decorate = False
@@ -85,18 +86,18 @@ def setting_column(layout: bpy.types.UILayout) -> bpy.types.UILayout:
 def or_number(
     layout: bpy.types.UILayout, owner: Any, heading: str, none: str, number: str, text: str = ""
 ) -> None:
-    """A check box that stands for 0, and the number where it is off; see `properties.zero`."""
+    """Show a check box that means 0, and the number if it is off; see `properties.zero`."""
     layout.column(heading=heading, align=True).prop(owner, none)
     if not getattr(owner, none):
         layout.prop(owner, number, text=text or "Number")
 
 
 def engine_problem(layout: bpy.types.UILayout, problem: str) -> None:
-    """Why the engine cannot train, and the button that leads to its set-up."""
+    """Show why the engine cannot train, and the button that opens its set-up."""
     box = layout.box()
     if settings.chosen_python():
         wrong(box, problem)
-    else:  # which Pythons lack what, the preferences tell
+    else:  # the preferences list the missing packages
         todo(box, "Training needs the engine: set it up once, in the preferences")
     button = box.operator("preferences.addon_show", text="Set Up the Engine", icon="PREFERENCES")
     button.module = settings.ADDON
@@ -119,15 +120,15 @@ def job(layout: bpy.types.UILayout, title: str) -> bool:
         layout.operator(train.ShowLog.bl_idname, icon="TEXT")
     elif outcome := current.outcome():
         done(layout, outcome)
-    elif current.stopped() and title != TRAINING:  # whose run folder says more
+    elif current.stopped() and title != TRAINING:  # for a training, the run folder says more
         paused(layout, state.message)
     return bool(state.error)
 
 
 def progress(layout: bpy.types.UILayout, state: JobState) -> None:
-    """A running job: bar, stop button, numbers."""
+    """Show a running job: bar, stop button, numbers."""
     share = state.step / state.total if state.total else 0.0
-    # Title and stage together are wider than the sidebar is at first.
+    # Title and stage together are wider than the sidebar's initial width.
     named = stage_in_words(state.stage) if state.stage else state.title
     percent = f" {share:.0%}" if state.total else " …"
     row = layout.row(align=True)
@@ -150,7 +151,7 @@ def progress(layout: bpy.types.UILayout, state: JobState) -> None:
 
 
 def draw_where(layout: bpy.types.UILayout) -> None:
-    """The user's choice of where to train, on the preferences page and in the sidebar."""
+    """Show the setting of where to train, on the preferences page and in the sidebar."""
     page = settings.page()
     if page is None:
         return

@@ -30,11 +30,11 @@ class LevelsPanel(SidebarPanel):
         return any(object_props(item).level in ladders.ABOVE for item in items)
 
     def draw_header(self, context: bpy.types.Context) -> None:
-        """On or off."""
+        """Show the switch for levels."""
         layout_of(self).prop(scene_props(scene_of(context)), "use_levels", text="")
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Quality, what is drawn now, and the button that makes the levels."""
+        """Show the quality, the number of drawn Gaussians, and the button that makes levels."""
         layout, scene = layout_of(self), scene_of(context)
         problem, some = ladders.problem(scene), ladders.there_are_some(scene)
         if some:

@@ -27,7 +27,7 @@ class LookPanel(SidebarPanel):
         return look.is_drawn(context)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Its exposure and tint, which can be keyframed."""
+        """Show its exposure and tint, which can be keyframed."""
         layout, item = layout_of(self), context.active_object
         assert item is not None
         layout.label(text=item.name)

@@ -32,7 +32,7 @@ class MasksPanel(SidebarPanel):
         return lookup.active_roi(context) is not None
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The photo, its strokes, the job, the masks."""
+        """Show the photo, the strokes, the buttons for masks, and the job."""
         layout, scene, roi = layout_of(self), scene_of(context), lookup.active_roi(context)
         if roi is None:
             return

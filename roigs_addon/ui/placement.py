@@ -28,7 +28,7 @@ class PlacementPanel(SidebarPanel):
         return not root_problem(context)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The tools, and whether other files know of it."""
+        """Show the tools, and whether the placement is saved for other files."""
         layout, scene = layout_of(self), scene_of(context)
         layout.operator(SetFloor.bl_idname, icon="GRID")
         row = layout.row(align=True)

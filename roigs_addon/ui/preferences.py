@@ -34,9 +34,10 @@ NEXT = "Next: open the sidebar of a 3D view (N), tab ROI-GS"
 
 
 def _full_path(name: str) -> Callable[[RoigsPreferences, bpy.types.Context], None]:
-    """Store a path in full when it is set, and update the sidebar.
+    """Return an update function that stores a path in full and updates the sidebar.
 
-    Blender would store `//` for the folder of the open .blend, which means another one in the next.
+    Blender would store `//` for the folder of the open .blend, which means another folder in the
+    next .blend.
     """
 
     def update(page: RoigsPreferences, _context: bpy.types.Context) -> None:
@@ -141,7 +142,7 @@ class RoigsPreferences(bpy.types.AddonPreferences):
 
 
 def _draw_engine(layout: bpy.types.UILayout, page: RoigsPreferences) -> None:
-    """The set-up of the engine, and its abilities."""
+    """Show the set-up of the engine, and its abilities."""
     made = install.current
     if made is not None and not made.finished:
         row = layout.row(align=True)
@@ -177,14 +178,14 @@ def _draw_engine(layout: bpy.types.UILayout, page: RoigsPreferences) -> None:
 
 
 def _draw_offline(layout: bpy.types.UILayout) -> None:
-    """Blender's own switch for the network, which a command line may have locked."""
+    """Show Blender's own switch for the network, unless the command line has locked it."""
     _lines(layout, OFFLINE, "ERROR")
     if not bpy.app.online_access_override:
         layout.prop(blender.preferences().system, "use_online_access")
 
 
 def _what_suits(choice: Choice | None) -> str:
-    """The build that Automatic installs, and the reason."""
+    """Describe the build that **Automatic** installs, and the reason."""
     if choice is None:
         return "Asking NVIDIA's driver …"
     what = "torch for the CPU" if choice.build is None else f"torch for CUDA ({choice.build.name})"
@@ -192,7 +193,7 @@ def _what_suits(choice: Choice | None) -> str:
 
 
 def _needed_space(page: RoigsPreferences, choice: Choice | None) -> str:
-    """Download and disk space of the set-up, in words."""
+    """Describe the download size and disk space of the set-up."""
     suits = choice is not None and choice.build is not None
     if page.build == "CUDA" or (page.build == "AUTO" and suits):
         size = f"{CUDA_DOWNLOAD_BYTES / 1e9:.1f}"
@@ -205,7 +206,7 @@ def _needed_space(page: RoigsPreferences, choice: Choice | None) -> str:
 
 
 def _lines(layout: bpy.types.UILayout, text: str, icon: IconItems) -> None:
-    """A text, wrapped to fit the page."""
+    """Show a text, wrapped to fit the page."""
     scale = PIXELS_PER_LETTER * blender.interface_scale()
     wrapped(layout, text, icon, max(int(region_of(bpy.context).width * 0.7 / scale), 30))
 

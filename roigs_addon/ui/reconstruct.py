@@ -27,12 +27,12 @@ class PhotosPanel(SidebarPanel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Not for a COLMAP model from elsewhere."""
+        """The scene must not have a COLMAP model from elsewhere."""
         props = scene_props(scene_of(context))
         return bool(props.photos) or not props.colmap
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Choose, reconstruct, and what was found."""
+        """Show the folders, the buttons, and the state of the reconstruction."""
         layout, scene = layout_of(self), scene_of(context)
         props = scene_props(scene)
         layout.operator(ChoosePhotos.bl_idname, icon="FILE_FOLDER")
@@ -63,7 +63,7 @@ class PhotosPanel(SidebarPanel):
 
 
 def _draw_status(layout: bpy.types.UILayout, status: ReconstructionStatus, *, weak: bool) -> None:
-    """The progress; weak photos, which step 1 names, are no success either."""
+    """Show the state. With weak photos, which step 1 lists, it is not shown as a success."""
     if status.holder:
         text = f"Another Blender or terminal is at work here (process {status.holder})"
         show.paused(layout, text)
@@ -90,7 +90,7 @@ class PhotosOptionsPanel(SidebarPanel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Size of the photos, pairs, cameras."""
+        """Show size of the photos, pairs and cameras."""
         column = show.setting_column(layout_of(self))
         column.enabled = not current.busy()
         for name in ("feature_side", "pairs", "shared_cameras"):

@@ -28,7 +28,7 @@ class RelightPanel(SidebarPanel):
         return bool(box_surfaces.surfaces(scene_of(context)))
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Each mesh with its slider, or the button that gives it one."""
+        """Show each mesh with its slider and buttons."""
         layout, scene = layout_of(self), scene_of(context)
         for item in box_surfaces.surfaces(scene):
             column = layout.column(align=True)

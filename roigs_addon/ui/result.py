@@ -59,11 +59,11 @@ class ResultPanel(SidebarPanel):
     bl_label = "5. Result"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Import, the objects, what is wrong with them, render."""
+        """Show the buttons, the objects, their problems, the results, and the render."""
         layout, scene = layout_of(self), scene_of(context)
         row = layout.row(align=True)
         row.operator(LoadResults.bl_idname, icon="FILE_REFRESH")
-        if run_facts.earlier(scene):  # above all that differs between the results
+        if run_facts.earlier(scene):  # above the parts that depend on the result
             row.operator(CompareResults.bl_idname, icon="ARROW_LEFTRIGHT")
         items = lookup.splats(scene)
         if not items:
@@ -100,7 +100,7 @@ class ResultPanel(SidebarPanel):
 
 
 def _draw_made_for(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
-    """Models drawn by another renderer than their target, with the button that adapts them."""
+    """Show models drawn by another renderer than their target, with the button that adapts them."""
     if found := made_for.mismatch(scene):
         was, wanted = found
         show.wrong(layout, f"Made for {was.title}, not for {wanted.title}")
@@ -115,11 +115,12 @@ def _draw_made_for(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
 def _draw_objects(
     layout: bpy.types.UILayout, scene: bpy.types.Scene, names: dict[str, str]
 ) -> None:
-    """The background, and the boxes with their copies.
+    """Show the background, and the boxes with their copies.
 
     Args:
-        layout, scene: where, and of what.
-        names: box -> its name now, if it was renamed.
+        layout: to draw in.
+        scene: with the objects.
+        names: box -> its present name, if it was renamed.
     """
     for item in lookup.splats(scene):
         props = object_props(item)
@@ -166,7 +167,7 @@ def _draw_pair(
 
 
 def _side_by_side(row: bpy.types.UILayout, count: int) -> bpy.types.UILayout:
-    """A place for buttons of one width; in a row, Blender leaves some out at some widths."""
+    """Return a layout for buttons of one width. In a row, Blender hides some at some widths."""
     return row.grid_flow(row_major=True, columns=count, even_columns=True, align=True)
 
 
@@ -184,13 +185,13 @@ def _detail_button(
 
 
 def _draw_name(row: bpy.types.UILayout, item: bpy.types.Object, name: str) -> None:
-    """The name as a button that selects the object."""
+    """Show the name as a button that selects the object."""
     button = row.operator(SelectGaussians.bl_idname, text=name, depress=item.select_get())
     button.name = item.name
 
 
 def _draw_ways(layout: bpy.types.UILayout, splats: Objects) -> None:
-    """The display of the Gaussians."""
+    """Show the choice of the Gaussians' display."""
     if not splats:
         return
     row, now = layout.row(align=True), object_props(splats[0]).shown_as
@@ -200,7 +201,7 @@ def _draw_ways(layout: bpy.types.UILayout, splats: Objects) -> None:
 
 
 def _draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
-    """The last result and those that it has replaced: settings, PSNR, day, size; disk use."""
+    """Show the last and the earlier results with settings, PSNR, date and size, and disk use."""
     results, shown = run_facts.earlier(scene), compared.shown_result(scene)
     last = run_facts.result(scene)
     if run_facts.run(scene).result and (results or last.psnr):
@@ -236,7 +237,7 @@ def _draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
 
 
 def _draw_render(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
-    """Blender's own render, and what keeps the Gaussians out of it or changes their colours."""
+    """Show Blender's render buttons, and problems of the Gaussians or their colours in renders."""
     if layer := display.in_layer(scene):
         problem = compositor.lacking(scene) or rendering.problem
         if problem:

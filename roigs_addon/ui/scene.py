@@ -28,7 +28,7 @@ class ScenePanel(SidebarPanel):
     bl_label = "1. Scene"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Import, refine, what was imported, and the photo to look through."""
+        """Show import, refinement, the imported model, and the photo to look through."""
         layout, scene = layout_of(self), scene_of(context)
         props = scene_props(scene)
         layout.operator(ImportColmap.bl_idname, text="Import Cameras (COLMAP)", icon="IMPORT")
@@ -68,7 +68,7 @@ class ScenePanel(SidebarPanel):
 
 
 def photo_at_hand(context: bpy.types.Context) -> str:
-    """The text of the button between the arrows: the photo that it looks through."""
+    """Return the text of the button between the arrows: the photo that it looks through."""
     photo = _photo(context)
     return photo_names.short_name(scene_of(context), photo.name) if photo else "Look Through"
 

@@ -53,7 +53,7 @@ class PhotoList(bpy.types.UIList):
         _active_data: object,
         _active_property: str,
     ) -> None:
-        """Name, the score as a bar, and a button that looks through the camera."""
+        """Show the name, the score as a bar, and a button that looks through the camera."""
         excluded = used.is_excluded(scene_of(context), item.name)
         split = layout.split(factor=0.36, align=True)
         split.active = not excluded
@@ -77,7 +77,7 @@ class SelectedPanel(SidebarPanel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        """What it is for, the method, the button, and the photos of the active box."""
+        """Show the purpose, the method, the button, and the photos of the active box."""
         layout, scene, roi = layout_of(self), scene_of(context), lookup.active_roi(context)
         props = scene_props(scene)
         show.say(layout, EFFECTS.get(props.strategy, EFFECTS["joint"]), "INFO")

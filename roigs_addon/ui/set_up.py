@@ -18,11 +18,11 @@ class SetUpPanel(SidebarPanel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """The engine cannot train yet."""
+        """The engine must have a problem."""
         return bool(engine_ability.problem())
 
     def draw(self, context: bpy.types.Context) -> None:
-        """One line and the button."""
+        """Show the problem and the button."""
         show.engine_problem(layout_of(self), engine_ability.problem())
 
 

@@ -26,12 +26,12 @@ class StagePanel(SidebarPanel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """There must be Gaussians."""
+        """There must be Gaussians, or a stage to remove."""
         scene = scene_of(context)
         return bool(lookup.splats(scene) or stage.is_set(scene))
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The buttons, and the settings of what is there."""
+        """Show the buttons, and the settings of existing light and proxies."""
         layout, scene = layout_of(self), scene_of(context)
         group = stage_props(scene)
         layout.operator(StandHere.bl_idname, icon="TRACKER")

@@ -36,7 +36,7 @@ class SuggestionsPanel(SidebarPanel):
         return lookup.active_roi(context) is not None
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The button, the job, and the suggestions of the active box."""
+        """Show the buttons, the job, and the suggestions of the active box."""
         layout, scene, roi = layout_of(self), scene_of(context), lookup.active_roi(context)
         if roi is None:
             return

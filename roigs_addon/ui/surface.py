@@ -37,7 +37,7 @@ class SurfacePanel(SidebarPanel):
         return bool(run_facts.run(scene).result or box_surfaces.surfaces(scene))
 
     def draw(self, context: bpy.types.Context) -> None:
-        """A row and a line for each mesh, the settings, the button."""
+        """Show each mesh's buttons and facts, the settings, and the buttons that make meshes."""
         layout, scene = layout_of(self), scene_of(context)
         items = box_surfaces.surfaces(scene)
         for item in items:
@@ -66,7 +66,7 @@ class SurfacePanel(SidebarPanel):
 
 
 def _draw_making(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Settings and buttons; meshes that were edited are named before they are replaced."""
+    """Show settings and buttons; name edited meshes before they are replaced."""
     scene, (name, _) = scene_of(context), surface_job.box_at_hand(context)
     column = show.setting_column(layout)
     column.prop(scene_props(scene), "faces")
@@ -93,9 +93,9 @@ def _is_grey(context: bpy.types.Context, items: list[bpy.types.Object]) -> bool:
 
 
 def facts(scene: bpy.types.Scene, item: bpy.types.Object) -> str:
-    """Faces, size in the scene's units, volume if it is watertight, and the share that was filled.
+    """Describe faces, size in the scene's units, volume if closed, and the share of filled holes.
 
-    Of a mesh that was edited, the faces and the size along its own axes.
+    An edited mesh has only its faces and the size along its own axes.
     """
     said = [f"{len(mesh_of(item).polygons):,} faces"]
     if box_surfaces.is_edited(item):
@@ -117,7 +117,7 @@ def _large(scene: bpy.types.Scene, sides: Any) -> str:
 
 
 def _in_units(scene: bpy.types.Scene, kind: Any, value: float) -> str:
-    """A length or a volume as Blender writes them in this scene."""
+    """Format a length or a volume in the scene's units."""
     settings = scene.unit_settings
     power = {"LENGTH": 1, "VOLUME": 3}[kind]
     value *= settings.scale_length**power if settings.system != "NONE" else 1

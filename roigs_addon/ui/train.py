@@ -25,7 +25,7 @@ class TrainPanel(SidebarPanel):
     bl_label = "4. Train"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The settings that matter most, and the training."""
+        """Show the most important settings, the buttons, and the state of the training."""
         layout, scene = layout_of(self), scene_of(context)
         column = show.setting_column(layout)
         for name in ("preset", "max_side", "made_for"):
@@ -50,7 +50,7 @@ class TrainPanel(SidebarPanel):
 
 
 def _draw_length(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
-    """Number of steps for all boxes, and their time, if it was estimated."""
+    """Show the number of steps for all boxes, and their time if it was estimated."""
     props = scene_props(scene)
     boxes = max(1, len(lookup.rois(scene)))
     cut_out = masks.are_there(scene, run_folders.run_folder(scene))
@@ -68,7 +68,7 @@ def _draw_status(layout: bpy.types.UILayout, scene: bpy.types.Scene, status: Run
     stages = ", ".join(dict.fromkeys(map(stage_in_words, status.done)))
     changes = "" if status.holder else outdated.in_words(scene, status)
     resumes = "" if changes else ". Continue resumes"
-    if status.holder and not current.busy():  # else it is the engine of this Blender
+    if status.holder and not current.busy():  # else this Blender's engine holds the folder
         text = f"Another Blender or terminal is training here (process {status.holder})"
         show.paused(layout, text)
     elif status.left:
@@ -95,7 +95,7 @@ class TrainSettingsPanel(SidebarPanel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Steps, strategy, test photos, seed, run folder."""
+        """Show steps, strategy, test photos, seed and run folder."""
         layout, scene = layout_of(self), scene_of(context)
         column = show.setting_column(layout)
         props = scene_props(scene)

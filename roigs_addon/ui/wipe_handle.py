@@ -26,10 +26,10 @@ class WipeHandle(bpy.types.Gizmo):
     _before: float
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Nothing: the line has its arrows."""
+        """Draw nothing: the line already has arrows."""
 
     def test_select(self, context: bpy.types.Context, location: Any) -> int:
-        """0 where the mouse is near the line, in pixels of the region; else -1."""
+        """Return 0 if the mouse, in pixels of the region, is near the line, else -1."""
         frame = photo_wipe.frame_of(context)
         if frame is None or not frame[1] <= location[1] <= frame[3]:
             return -1
@@ -73,7 +73,7 @@ class WipeHandles(bpy.types.GizmoGroup):
         return photo_wipe.frame_of(context) is not None
 
     def setup(self, context: bpy.types.Context) -> None:
-        """Make it."""
+        """Create the handle."""
         self.gizmos.new(WipeHandle.bl_idname).use_draw_modal = True
 
 

@@ -5,8 +5,8 @@
 | `sorting` | back-to-front order |
 | `packing` | several clouds as one set of texel arrays |
 | `objects` | the objects to draw |
-| `placed` | those on the GPU: their order and display |
-| `levels_in_view` | their levels of detail |
+| `placed` | the objects on the GPU: their order and display |
+| `levels_in_view` | the objects' levels of detail |
 | `view` | the viewpoint; the camera's picture in it |
 | `shaders` | the GPU programs, from `shaders/` |
 | `targets` | images on the GPU: the splats' own, and the scene's depth |
@@ -21,8 +21,8 @@
 | `photo_overlay` | a photo with strokes and a mask, over the view through its camera |
 | `marks` | boxes, chosen and excluded cameras as coloured lines |
 
-`sorting`, `packing` and `pace` need no Blender. Nothing of `gpu` is built before the first image is
-drawn.
+`sorting`, `packing` and `pace` need no Blender. Nothing is created on the GPU before the first
+image is drawn.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def register() -> None:
     """Start drawing; does nothing in background mode."""
     from . import chosen, draw, marks, photo_overlay, photo_wipe, points
 
-    points.register()  # before those that look at its depth
+    points.register()  # first, because the others read its depth
     draw.register()
     chosen.register()
     marks.register()
@@ -41,7 +41,7 @@ def register() -> None:
 
 
 def problems() -> dict[str, str]:
-    """Path -> why it cannot be drawn; path "" for what concerns all of them."""
+    """Return path -> why it cannot be drawn; path "" is for problems of all objects."""
     import bpy
 
     from ..scene import edits

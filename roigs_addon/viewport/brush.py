@@ -1,4 +1,4 @@
-"""The erase brush in the 3D view: its circle, and the Gaussians below its stroke."""
+"""Draws the erase brush in the 3D view: its circle, and the Gaussians under its stroke."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ _below: NDArray[np.float32] = np.empty((0, 2), np.float32)
 
 
 def show(region: bpy.types.Region, centre: tuple[float, float], radius: float) -> None:
-    """Show the circle there."""
+    """Show the circle in a region; centre and radius in pixels."""
     global _at
     _at = region.as_pointer(), *centre, radius
     _handler.start()
 
 
 def mark(places: NDArray[Any]) -> None:
-    """Mark what lies below the stroke, (N, 2) in pixels of that region."""
+    """Mark points under the stroke, (N, 2) in pixels of the region."""
     global _below
     _below = np.asarray(places[:: 1 + len(places) // MOST], np.float32)
 
 
 def hide() -> None:
-    """Show nothing."""
+    """Hide the circle and the marks."""
     global _at
     _at = None
     mark(np.empty((0, 2)))

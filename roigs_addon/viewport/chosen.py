@@ -40,7 +40,7 @@ def are_shown(item: bpy.types.Object) -> bool:
 
 
 def problem() -> str:
-    """Why they cannot be drawn, in one line; empty if they can."""
+    """Return why the points cannot be drawn, in one line; empty if they can."""
     return _handler.failure
 
 
@@ -67,7 +67,7 @@ def _draw(context: bpy.types.Context) -> None:
 
 
 def point_shader() -> gpu.types.GPUShader:
-    """One for wide points; before Blender 4.5 the usual one draws them."""
+    """Return the shader for wide points; before Blender 4.5, the usual one draws them."""
     try:
         return gpu.shader.from_builtin("POINT_UNIFORM_COLOR")
     except ValueError:
@@ -87,7 +87,7 @@ _handler = ViewHandler(_draw, "Chosen Gaussians cannot be marked here")
 
 @persistent
 def _on_change(_: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
-    """After every change: points that were edited are uploaded again."""
+    """After every change, drop the GPU copies of edited points."""
     for update in graph.updates if _batches else ():
         if update.is_updated_geometry and isinstance(update.id, bpy.types.Mesh):
             original = update.id.original

@@ -25,7 +25,7 @@ _painter: Painter | None = None
 
 
 def painter() -> Painter:
-    """The only one, made when it is first needed."""
+    """Return the only painter, created at the first call."""
     global _painter
     if _painter is None:
         _painter = Painter()
@@ -33,13 +33,13 @@ def painter() -> Painter:
 
 
 def problems() -> dict[str, str]:
-    """Path -> why it cannot be drawn, in one line; path "" for what concerns all of them."""
+    """Return path -> why it cannot be drawn, in one line; path "" is for all objects."""
     own = {"": _handler.failure} if _handler.failure else {}
     return {**own, **(_painter.problems if _painter else {})}
 
 
 def counts(area: bpy.types.Area | None) -> tuple[int, int] | None:
-    """Numbers of Gaussians in a 3D view, drawn and without levels of detail."""
+    """Return the numbers of Gaussians in a 3D view: drawn, and without levels of detail."""
     if _painter is None or area is None:
         return None
     keys = (region.as_pointer() for region in area.regions if region.type == "WINDOW")

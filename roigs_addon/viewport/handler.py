@@ -10,9 +10,9 @@ import bpy
 
 
 class ViewHandler:
-    """Has a function draw in every 3D viewport.
+    """Calls a function to draw in every 3D viewport.
 
-    An error, such as that of a shader, would repeat at every redraw, so drawing stops after it.
+    After an error, drawing stops: an error in a shader, for example, would repeat at every redraw.
 
     Attributes:
         failure: why drawing has stopped, in one line; empty if it has not.
@@ -24,19 +24,19 @@ class ViewHandler:
         failing: str,
         after: Literal["POST_VIEW", "POST_PIXEL"] = "POST_VIEW",
     ) -> None:
-        """Prepare it.
+        """Prepare the handler.
 
         Args:
             draw: draws in the context's region.
-            failing: begins the line about a failure.
-            after: with the view's matrices, or in pixels of the region.
+            failing: beginning of the message about a failure.
+            after: "POST_VIEW" draws with the view's matrices, "POST_PIXEL" in the region's pixels.
         """
         self._draw, self._failing, self._after = draw, failing, after
         self._handle: Any = None
         self.failure = ""
 
     def problem(self) -> str:
-        """Why nothing can be drawn, in one line; empty if it can."""
+        """Return why drawing has stopped, in one line; empty if it has not."""
         return self.failure
 
     def start(self) -> None:
@@ -47,7 +47,7 @@ class ViewHandler:
             )
 
     def stop(self) -> None:
-        """Stop drawing, and forget what failed."""
+        """Stop drawing, and forget a failure."""
         if self._handle is not None:
             bpy.types.SpaceView3D.draw_handler_remove(self._handle, "WINDOW")
             self._handle = None

@@ -1,5 +1,6 @@
-"""Levels of detail in a viewport: an object becomes one object per level, of which a view shows
-one, or two in a fade.
+"""Levels of detail in a viewport: an object becomes one object per level; a view shows one or two.
+
+A view shows two levels while one fades into the other.
 
 A level that is not yet on the GPU leaves no hole: until it arrives, the nearest available level is
 drawn.
@@ -23,14 +24,14 @@ Densities = dict[int, float]
 
 @dataclass(frozen=True, eq=False)
 class InView:
-    """The objects, and which of their levels a view would show if all were on the GPU."""
+    """Objects, and the levels of each that a view would show if all were on the GPU."""
 
     objects: Sequence[SplatObject]
     chosen: Sequence[Densities]
 
     @classmethod
     def of(cls, objects: Sequence[SplatObject], view: View, *, fade: bool = True) -> InView:
-        """Choose for a view; with `fade`, sometimes two levels of an object."""
+        """Choose levels for a view; with `fade`, an object may get two."""
         to_clip = np.array(view.projection @ view.matrix, float)
         focal = max(abs(view.projection[k][k]) * view.size[k] / 2 for k in (0, 1))
         chosen = [
@@ -44,19 +45,19 @@ class InView:
         return cls(objects, chosen)
 
     def wanted(self) -> list[SplatObject]:
-        """The objects to draw: each level as an object, visible if it is chosen."""
+        """Return the objects to draw: each level as an object, visible if it is chosen."""
         return self._apart(None)
 
     def among(self, files: Iterable[FileKey]) -> list[SplatObject]:
-        """The same with what is there: `files` has one entry per object."""
+        """Return them with the levels on the GPU; `files` has one entry for each object there."""
         return self._apart(Counter(file.path for file in files))
 
     def counts(self, files: Files, ranges: Ranges, there: Iterable[FileKey]) -> tuple[int, int]:
-        """Numbers of Gaussians, drawn and without levels.
+        """Return the numbers of Gaussians: drawn, and without levels.
 
         Args:
             files, ranges: of the set on the GPU.
-            there: those of its files that are drawn.
+            there: the drawn ones of these files.
         """
         sizes = {file.path: stop - start for file, (start, stop) in zip(files, ranges, strict=True)}
         drawn = [item for item in objects_of(files, self.among(there)) if item and item.visible]
@@ -92,7 +93,7 @@ class InView:
 
 
 def _standing_in(chosen: Densities, files: Sequence[FileKey], there: Counter[str]) -> Densities:
-    """The chosen levels as far as they are there, else the nearest one; takes it from `there`."""
+    """Return the chosen levels on the GPU, else the nearest one; remove them from `there`."""
     held = [number for number, file in enumerate(files) if there[file.path] > 0]
     if not chosen or not held:
         return chosen

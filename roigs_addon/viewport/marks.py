@@ -1,6 +1,6 @@
-"""Coloured lines over the 3D view: boxes, photos selected for the active one, excluded photos.
+"""Draws coloured lines in the 3D view: boxes, photos selected for the active box, excluded photos.
 
-Blender itself draws empties and cameras in its theme's colours, whatever the object's colour.
+Blender itself draws empties and cameras in its theme's colours, not in the object's colour.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _EDGES = [(a, b) for a in range(8) for b in range(a) if (a ^ b) in (1, 2, 4)]
 
 
 def draw(context: bpy.types.Context) -> None:
-    """Draw them, in the world's frame."""
+    """Draw the lines, in the world's frame."""
     space, scene = blender.view_3d_of(context), scene_of(context)
     if space is None or not space.overlay.show_overlays or not space.overlay.show_extras:
         return
@@ -49,18 +49,18 @@ def _cameras(
 
 
 def box_lines(roi: bpy.types.Object) -> list[Vector]:
-    """The ends of a box's edges in world space, in pairs."""
+    """Return the ends of a box's edges in world space, in pairs."""
     matrix, half = roi.matrix_world, roi.empty_display_size
     corners = [matrix @ (corner * half) for corner in _CORNERS]
     return [corners[end] for edge in _EDGES for end in edge]
 
 
 def camera_lines(camera: bpy.types.Object, scene: bpy.types.Scene) -> list[Vector]:
-    """The ends of the lines of a camera's frame, as Blender draws it, in pairs."""
+    """Return the ends of the lines of a camera, as Blender draws it, in pairs."""
     matrix, data = camera.matrix_world, camera_of(camera)
     frame = [matrix @ corner for corner in data.view_frame(scene=scene)]
     eye = matrix.translation
-    # `view_frame` is at some distance; what Blender draws is `display_size` wide.
+    # `view_frame` is at some other distance; Blender draws a frame `display_size` wide.
     wide = max((frame[0] - frame[3]).length, (frame[0] - frame[1]).length)
     size = data.display_size * _mean_scale(matrix) / max(wide, 1e-12)
     corners = [eye + (corner - eye) * size for corner in frame]

@@ -24,7 +24,7 @@ SURFACES = frozenset(
 
 @dataclass(frozen=True)
 class FileKey:
-    """A file in one state; if it has changed, it is read again."""
+    """A file with its time and size. A changed file has another key and is read again."""
 
     path: str
     modified: int  # ns
@@ -32,14 +32,14 @@ class FileKey:
 
     @classmethod
     def of(cls, path: str) -> FileKey:
-        """A file as it is now; raises OSError."""
+        """Return the key of a file as it is now; raises OSError."""
         state = os.stat(path)
         return cls(path, state.st_mtime_ns, state.st_size)
 
 
 @dataclass(frozen=True, eq=False)
 class Levels:
-    """The levels of detail of an object, and their files as they are now."""
+    """An object's levels of detail, and keys of their present files."""
 
     detail: ladders.Detail
     files: tuple[FileKey, ...]
@@ -47,7 +47,7 @@ class Levels:
 
 @dataclass(frozen=True)
 class SplatObject:
-    """An object of the scene that stands for a PLY."""
+    """An object of the scene that shows a PLY."""
 
     file: FileKey
     matrix: Matrix  # the file's frame -> world
@@ -58,9 +58,9 @@ class SplatObject:
 
 
 def splat_objects(context: bpy.types.Context) -> list[SplatObject]:
-    """All objects of the .blend that stand for a PLY, whether this context shows them or not.
+    """Return all objects of the .blend that show a PLY, visible in this context or not.
 
-    Those that another window shows also belong to the set on the GPU.
+    Objects that another window shows also belong to the set on the GPU.
     """
     space, scene = context.space_data, context.scene
     return marked(bpy.data.objects, space, scene) + _instanced(context)
@@ -71,12 +71,12 @@ def marked(
     space: bpy.types.Space | None = None,
     scene: bpy.types.Scene | None = None,
 ) -> list[SplatObject]:
-    """Those of `objects` that stand for an existing PLY.
+    """Return those of `objects` that show an existing PLY.
 
     Args:
-        objects: to look through.
-        space: in which they are visible or not; None: anywhere.
-        scene: whose settings say how levels of detail are chosen; None: objects have none.
+        objects: to search.
+        space: decides their visibility; None for visibility anywhere.
+        scene: with the settings of levels of detail; None for no levels.
     """
     found = []
     for item in objects:
@@ -89,7 +89,7 @@ def marked(
 
 
 def _instanced(context: bpy.types.Context) -> list[SplatObject]:
-    """Those that something instances, in any window; visible are those of this view."""
+    """Return the instances in all windows; those in this view are visible."""
     own, found = view_layer_of(context), []
     layers = {layer.as_pointer(): layer for layer in (own, *(w.view_layer for w in windows()))}
     known: dict[int, SplatObject | None] = {}
@@ -107,7 +107,7 @@ def _instanced(context: bpy.types.Context) -> list[SplatObject]:
 
 
 def _of(item: bpy.types.Object, scene: bpy.types.Scene | None) -> SplatObject | None:
-    """An object at the origin; None without a PLY."""
+    """Return an object as if at the origin; None without a PLY."""
     hot = heat_map.shown(item)
     path, frame = hot or (edits.file_of(item), edits.frame_of(item))
     try:
@@ -149,7 +149,7 @@ def surfaces_are_visible(context: bpy.types.Context) -> bool:
 
 
 def seen(item: bpy.types.Object, space: bpy.types.Space | None) -> bool:
-    """Whether the object is visible; in `space` if that is a 3D view, maybe in local view."""
+    """Whether the object is visible; if `space` is a 3D view, in it, with its local view."""
     if isinstance(space, bpy.types.SpaceView3D):
         return item.visible_get(viewport=space)
     return item.visible_get()

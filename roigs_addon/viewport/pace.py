@@ -1,4 +1,4 @@
-"""Resolution of a viewport while it changes, so that it stays fluent. No bpy.
+"""Chooses the resolution of a viewport while it changes, so that it stays responsive. No bpy.
 
 Most of the time goes into blending, so a picture of half the width and height takes about a
 quarter. It is much closer to the full picture than one with fewer Gaussians that takes the same
@@ -18,11 +18,11 @@ the time."""
 
 
 def pixel(seconds: float | None, held: int | None, rested: bool) -> int:
-    """Width of a picture's pixel in pixels of the view; 1: drawn in full.
+    """Return the width of a picture's pixel in pixels of the view; 1 draws it in full.
 
     Args:
-        seconds: what a full picture takes; None: unknown.
-        held: the width in the picture that is there; None: it shows something else.
+        seconds: time for a full picture; None if unknown.
+        held: this width in the existing picture; None if that shows another view.
         rested: whether the view has not changed for a while.
     """
     if seconds is None or seconds <= QUICK or (held is not None and rested):
@@ -31,14 +31,14 @@ def pixel(seconds: float | None, held: int | None, rested: bool) -> int:
 
 
 def full_seconds(taken: float, pixel: int, before: float | None) -> float | None:
-    """The longest time for a full picture, estimated from one with pixels of that width.
+    """Estimate the longest time for a full picture from a picture with pixels of this width.
 
-    A first picture can be slow because programs are compiled for it; a coarse one shows that.
+    A first picture can be slow because programs are compiled for it. A coarse one corrects this.
 
     Args:
         taken: seconds for the picture.
-        pixel: the width in it.
-        before: what was known.
+        pixel: width of its pixels.
+        before: the earlier estimate; None without one.
     """
     if pixel == 1:
         return taken

@@ -1,4 +1,4 @@
-"""Packs several clouds into texel arrays, as `shaders/splat.vert.glsl` reads them."""
+"""Packs several clouds into texel arrays for `shaders/splat.vert.glsl`."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class PackedSet:
             green, of blue, each filled up with zeros to whole texels.
         sh_texels: 1, 3 or 4.
         lights: whether each cloud is blended in linear light, not as sRGB values.
-        photo_focals: `SplatCloud.photo_focal` of each cloud; 0: unknown.
+        photo_focals: `SplatCloud.photo_focal` of each cloud; 0 if unknown.
     """
 
     means: Float32
@@ -67,7 +67,7 @@ class PackedSet:
 
 
 def pack(clouds: Sequence[SplatCloud]) -> PackedSet:
-    """The clouds as one set; the k-th belongs to object k."""
+    """Pack the clouds into one set; the k-th belongs to object k."""
     ends = np.cumsum([0, *(len(cloud) for cloud in clouds)]).tolist()
     ranges = tuple(pairwise(ends))
     count = ends[-1]
@@ -91,14 +91,14 @@ def pack(clouds: Sequence[SplatCloud]) -> PackedSet:
 
 
 def pack_order(order: NDArray[np.uint32]) -> Float32:
-    """Indices as texels (rows, ROW), marked with `INDEX_MARK`."""
+    """Convert indices to texels (rows, ROW), marked with `INDEX_MARK`."""
     texels = np.zeros((max(1, -(-len(order) // ROW)), ROW), np.uint32)
     texels.reshape(-1)[: len(order)] = order | INDEX_MARK
     return texels.view(np.float32)
 
 
 def _texels(count: int, each: int) -> tuple[Float32, Float32]:
-    """An array of whole rows of texels, and a view of it as (count, each, 4)."""
+    """Create an array of whole rows of texels, and a view of it as (count, each, 4)."""
     rows = max(1, -(-count * each // ROW))
     texels = np.zeros((rows, ROW, 4), np.float32)
     return texels, texels.reshape(-1, 4)[: count * each].reshape(count, each, 4)

@@ -30,7 +30,7 @@ VIEWS = 8
 
 @dataclass(frozen=True, eq=False)
 class GpuSet:
-    """A set of Gaussians on the GPU; `files`, `lights` and `photo_focals`: one per object in it."""
+    """A set of Gaussians on the GPU; `files`, `lights`, `photo_focals` have a value per object."""
 
     files: Files
     means: Float32
@@ -44,7 +44,7 @@ class GpuSet:
 
     @classmethod
     def upload(cls, files: Files, packed: PackedSet) -> GpuSet:
-        """Copy to the GPU; shapes in full precision, colours in half."""
+        """Copy a set to the GPU: shapes as 32-bit floats, colours as 16-bit floats."""
         return cls(
             files,
             packed.means,
@@ -69,18 +69,18 @@ class Order:
 
     @property
     def files(self) -> Files:
-        """Of the objects in the order."""
+        """Return the files of the objects in the order."""
         return tuple(self.gaussians.files[k] for k in self._rows())
 
     @property
     def linear_light(self) -> bool:
-        """Whether it is blended in linear light: as most of its Gaussians are made for."""
+        """Whether it is blended in linear light: decided by most of its Gaussians."""
         ranges, lights = self.gaussians.ranges, self.gaussians.lights
         sizes = ((ranges[k][1] - ranges[k][0]) * (1 if lights[k] else -1) for k in self._rows())
         return sum(sizes) > 0
 
     def _rows(self) -> list[int]:
-        """Those of the set's objects that are in the order."""
+        """Return the indices of the set's objects in the order."""
         there = {(segment.start, segment.stop) for segment in self.view.segments}
         return [k for k, range_ in enumerate(self.gaussians.ranges) if range_ in there]
 
@@ -104,10 +104,10 @@ class Picture:
 
 
 class Painter:
-    """Draws splat objects, all in one order.
+    """Draws all splat objects in one order.
 
-    Reading and sorting happen in threads; until they are done, a viewport keeps its last order.
-    With `wait`, they are waited for instead.
+    Threads read and sort; until they are done, a viewport keeps its last order. With `wait`,
+    drawing waits for them.
     """
 
     def __init__(self) -> None:
@@ -118,7 +118,7 @@ class Painter:
         self._asked: Files = ()
         self._clouds: dict[FileKey, SplatCloud] = {}
         self._broken: set[FileKey] = set()
-        # Whether the GPU holds nothing that is hidden, and one level of each object.
+        # Whether the GPU holds no hidden objects, and only one level of each object.
         self._lean = False
         self._orders: OrderedDict[Hashable, Order] = OrderedDict()
         self._pictures: dict[Hashable, Picture] = {}
@@ -138,16 +138,16 @@ class Painter:
     ) -> bool:
         """Draw over the bound framebuffer.
 
-        If a full picture takes long, a view that has changed is drawn coarsely; then this is true,
-        and the view should be drawn again once it rests.
+        If a full picture takes long, a view that has changed is drawn coarsely. Then this returns
+        True, and the view should be drawn again once it rests.
 
         Args:
-            objects: all there are, hidden or not.
-            view: from where, and how large.
-            key: which viewport this is.
-            depth: of surfaces that hide splats; None: there are none.
+            objects: all objects, hidden or not.
+            view: viewpoint and size.
+            key: of the viewport.
+            depth: of surfaces that hide splats; None if there are none.
             linear_target: whether the framebuffer converts linear light to sRGB when written.
-            strength: less than 1 lets the existing picture show through.
+            strength: below 1, the existing picture shows through.
             rested: whether to replace a coarse picture of the same view by a full one.
             wait: whether to wait for files and sorting, and draw in full.
         """
@@ -182,7 +182,7 @@ class Painter:
         return picture is not before and picture.pixel > 1
 
     def pending(self, key: Hashable) -> bool:
-        """Whether that viewport will look better when it is drawn again."""
+        """Whether drawing this viewport again will improve it."""
         return self._reader.pending("set") or self._sorter.pending(key)
 
     def idle(self) -> bool:
@@ -190,7 +190,7 @@ class Painter:
         return self._reader.idle() and self._sorter.idle()
 
     def forget(self) -> None:
-        """Free everything that belongs to files, when no object needs any."""
+        """Free everything that belongs to files, when no object needs them."""
         self._reader.forget("set")
         self._set, self._asked, self._lean = None, (), False
         self._clouds, self._broken, self.problems, self.counts = {}, set(), {}, {}
@@ -205,12 +205,12 @@ class Painter:
         self._tools = None
 
     def _update_set(self, objects: Sequence[SplatObject], wait: bool) -> bool:
-        """Have the visible objects' files on the GPU; those of hidden objects may stay.
+        """Put the visible objects' files on the GPU; those of hidden objects may stay.
 
-        False if they would not fit there unless it becomes lean, which it is then.
+        If they do not fit, set `_lean` and return False: the caller tries again with less.
         """
         there = self._set.files if self._set else ()
-        # A request of another viewport is not dropped before it is answered.
+        # A pending request of another viewport is kept.
         held = Counter(there) | Counter(self._asked) if not self._lean else Counter()
         files = needed([item for item in objects if item.file not in self._broken], held)
         if wait and files != there:
@@ -250,7 +250,7 @@ class Painter:
         return True
 
     def _update_order(self, seen: InView, view: Matrix, key: Hashable, wait: bool) -> Order | None:
-        """The newest order of a viewport; if it is not good enough, a better one is requested."""
+        """Return the newest order of a viewport; if it is outdated, request a new one."""
         gaussians = self._set
         outcome = None if wait else self._sorter.take(key)
         if outcome is not None:
@@ -265,7 +265,7 @@ class Painter:
             wanted = sorting_view(there, gaussians.ranges, gaussians.extent, objects, view)
             held = self._orders.get(key)
             good = held and held.gaussians is gaussians and not held.view.differs(wanted)
-            # The thread gets no GPU objects: it might be the last to drop one, and free it there.
+            # The thread gets no GPU objects: it must not release the last reference to one.
             means = gaussians.means
             if not good and wait:
                 self._orders[key] = Order.upload(gaussians, *sort_means(means, wanted)[1:])
@@ -291,7 +291,7 @@ class Painter:
         rested: bool,
         wait: bool,
     ) -> Picture:
-        """The picture of a viewport; drawn again only if it would change."""
+        """Return the picture of a viewport; draw it again only if it would change."""
         frame = view.frame or whole(view.size)
         there = order.gaussians
         objects_there = object_texels(there.files, objects, view, there.photo_focals)
@@ -323,7 +323,7 @@ class Painter:
         depth: targets.Depth,
         objects: gpu.types.GPUTexture,
     ) -> None:
-        """Blend Gaussians into the bound framebuffer of that size."""
+        """Blend Gaussians into the bound framebuffer, which has this size."""
         assert self._tools is not None
         gpu.state.depth_test_set("NONE")
         gpu.state.depth_mask_set(False)
@@ -366,21 +366,21 @@ class Tools:
         )
 
     def splat(self, depth: bool) -> shaders.Shader:
-        """Draws Gaussians, with a scene's depth or without."""
+        """Return the shader that draws Gaussians, with a scene's depth or without."""
         if depth not in self._splat:
             self._splat[depth] = shaders.splat_shader(depth)
         return self._splat[depth]
 
 
 def most_rows() -> int:
-    """Of a texture on this GPU."""
+    """Return the largest number of rows of a texture on this GPU."""
     return gpu.capabilities.max_texture_size_get()
 
 
 def needed(objects: Sequence[SplatObject], held: Counter[FileKey]) -> Files:
-    """The files to have on the GPU: one entry per object that is visible, and `held` ones.
+    """Return the files to have on the GPU: one entry per visible object, and held ones.
 
-    Those of one file follow one another, so what is visible alone does not change their order.
+    Entries of one file are consecutive, so that visibility does not change their order.
     """
     every = Counter(item.file for item in objects)
     visible = Counter(item.file for item in objects if item.visible)
@@ -393,9 +393,9 @@ def needed(objects: Sequence[SplatObject], held: Counter[FileKey]) -> Files:
 def read_set(
     files: Files, known: dict[FileKey, SplatCloud]
 ) -> tuple[Files, PackedSet, dict[FileKey, SplatCloud], dict[FileKey, str]]:
-    """Read what is not known yet, and pack everything that can be read.
+    """Read files that are not known yet, and pack all readable ones.
 
-    Returns the files that could be read, the set, their clouds, and why others could not be read.
+    Returns the readable files, the set, their clouds, and the problems of the others.
     """
     clouds, problems = {}, {}
     for key in files:
@@ -410,6 +410,6 @@ def read_set(
 
 
 def sort_means(means: Float32, view: SortingView) -> tuple[Float32, SortingView, int, Float32]:
-    """The arguments, the number of Gaussians in the order, and its texels."""
+    """Sort; return the arguments, the number of Gaussians in the order, and its texels."""
     order = back_to_front(means, view)
     return means, view, len(order), pack_order(order)

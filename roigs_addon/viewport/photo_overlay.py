@@ -1,7 +1,7 @@
-"""The photo with a box's strokes and mask, over a view through the photo's camera.
+"""Draws a photo with a box's strokes and mask, over a view through the photo's camera.
 
-Gaussians would hide the photo behind the camera's view, so it is drawn again over them. Images are
-read outside of drawing, where Blender allows it.
+Gaussians would hide Blender's background photo, so this draws it again over them. Images are read
+outside of drawing, where Blender allows it.
 """
 
 from __future__ import annotations
@@ -43,19 +43,19 @@ drawing: tuple[str, list[tuple[float, float]], float] | None = None
 
 
 def show_stroke(kind: str, points: list[tuple[float, float]], width: float) -> None:
-    """Show a stroke that is not finished yet."""
+    """Show an unfinished stroke."""
     global drawing
     drawing = kind, points, width
 
 
 def hide_stroke() -> None:
-    """Show none."""
+    """Hide the unfinished stroke."""
     global drawing
     drawing = None
 
 
 def frame_of(context: bpy.types.Context) -> Frame | None:
-    """The frame of the photo that a region shows; None if it shows no photo's camera."""
+    """Return the photo's frame in a region; None if the region shows no photo's camera."""
     space, region = view_3d_of(context), context.region
     if space is None or region is None or context.region_data is None:
         return None
@@ -98,7 +98,7 @@ def _line(region: bpy.types.Region, places: NDArray[Any], width: float, kind: st
 
 
 def image(texture: Any, frame: Frame, share: float = 1.0) -> None:
-    """Fill the frame, or its left part, with a texture, if it is there already."""
+    """Fill the left `share` of the frame with a texture; do nothing for None."""
     if texture is None or share <= 0:
         return
     left, bottom, right, top = frame
@@ -113,7 +113,7 @@ def image(texture: Any, frame: Frame, share: float = 1.0) -> None:
 
 
 def texture(path: Path, *, mask: bool = False) -> Any:
-    """The texture of a file; None if there is none, or it is not read yet."""
+    """Return the texture of a file; None if there is no file, or it is not read yet."""
     try:
         key = os.fspath(path), os.stat(path).st_mtime_ns
     except OSError:
@@ -128,7 +128,7 @@ def texture(path: Path, *, mask: bool = False) -> Any:
 
 
 def _read() -> bool:
-    """Read what is wanted; keeps the photo and the mask that were asked for last."""
+    """Read the wanted files; keep only the last few textures."""
     for key, mask in [*_wanted.items()]:
         pixels = _pixels(Path(key[0]))
         if mask and pixels is not None:
@@ -143,7 +143,7 @@ def _read() -> bool:
 
 
 def _pixels(path: Path) -> NDArray[np.float32] | None:
-    """(H, W, 4) of an image file, the bottom row first, as it is stored; None if it is none."""
+    """(H, W, 4) stored values of an image file, bottom row first; None if it is not an image."""
     image: Any = load_image(path)
     if image is None:
         return None
@@ -166,7 +166,7 @@ problem, register = _handler.problem, _handler.start
 
 
 def unregister() -> None:
-    """Stop drawing, and free what was read."""
+    """Stop drawing, and free the textures."""
     _handler.stop()
     _reader.stop()
     _textures.clear()

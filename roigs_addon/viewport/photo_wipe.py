@@ -1,4 +1,4 @@
-"""Compares a photo with the Gaussians in a view through its camera: left and right of a line."""
+"""Draws a photo left of a line, and the Gaussians right of it, in a view through its camera."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WIDTH, LETTERS, GAP, EDGE = 2.0, 13.0, 10.0, 4.0
 
 
 def frame_of(context: bpy.types.Context) -> Frame | None:
-    """The camera's frame in a region that compares a photo with the Gaussians, else None."""
+    """Return the camera's frame in a region that compares a photo, else None."""
     scene = scene_of(context)
     masked = scene_props(scene).show_masks and lookup.active_roi(context) is not None
     if masked or not backgrounds.is_compared(scene):
@@ -33,7 +33,7 @@ def frame_of(context: bpy.types.Context) -> Frame | None:
 
 
 def line_of(context: bpy.types.Context, frame: Frame) -> float:
-    """The place of the line, in pixels from the region's left."""
+    """Return the place of the line, in pixels from the region's left."""
     share: float = scene_props(scene_of(context)).wipe
     return frame[0] + share * (frame[2] - frame[0])
 
@@ -61,7 +61,7 @@ def _draw(context: bpy.types.Context) -> None:
 
 
 def _draw_marks(context: bpy.types.Context) -> None:
-    """The boxes once more: the photo hides them."""
+    """Draw the boxes again over the photo, which hides them."""
     view, matrix = region_view_of(context), cast(Any, gpu.matrix)
     with matrix.push_pop(), matrix.push_pop_projection():
         matrix.load_matrix(view.view_matrix)

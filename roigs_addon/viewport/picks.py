@@ -30,7 +30,7 @@ def show(points: list[Vector], under: Vector | None) -> None:
 
 
 def hide() -> None:
-    """Mark none."""
+    """Remove all marks."""
     picked.clear()
     hovered.clear()
     _handler.stop()

@@ -1,7 +1,7 @@
-"""A picture of a 3D view with its Gaussians, in the render's size.
+"""Draws a picture of a 3D view with its Gaussians, in the render's size.
 
-Blender calls no draw handlers for such pictures (View ▸ Viewport Render Image), so they have no
-Gaussians.
+Blender's own pictures of a view (View ▸ Viewport Render Image) have no Gaussians, because Blender
+calls no draw handlers for them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MOST_PIXELS = 1 << 26
 
 
 def view_picture(context: bpy.types.Context) -> NDArray[np.float32]:
-    """(H, W, 4) of a context's 3D view as it is shown, Gaussians in full; the bottom row is first.
+    """(H, W, 4) picture of a context's 3D view, with full Gaussians; bottom row first.
 
     Raises:
         RuntimeError: the GPU has no memory for a picture of this size.
@@ -69,7 +69,7 @@ def view_picture(context: bpy.types.Context) -> NDArray[np.float32]:
 
 
 def checked(size: tuple[int, int], across: int) -> tuple[int, int]:
-    """The size; AddonError if a picture of it is too large, or wider or higher than `across`."""
+    """Return the size; AddonError if it is too large, or wider or higher than `across`."""
     if max(size) > across or size[0] * size[1] > MOST_PIXELS:
         raise AddonError(
             f"A picture of {size[0]} x {size[1]} pixels is too large."
@@ -79,7 +79,7 @@ def checked(size: tuple[int, int], across: int) -> tuple[int, int]:
 
 
 def pose(item: bpy.types.Object) -> Matrix:
-    """World -> camera; AddonError if the object's scale is zero."""
+    """Return world -> camera; AddonError if the object's scale is zero."""
     try:
         matrix: Matrix = item.matrix_world.normalized().inverted()
     except ValueError as error:
@@ -88,7 +88,7 @@ def pose(item: bpy.types.Object) -> Matrix:
 
 
 def _view(context: bpy.types.Context, size: tuple[int, int]) -> tuple[Matrix, Matrix]:
-    """World -> camera and camera -> clip space: the camera's, or those of a view of this size."""
+    """Return world -> camera and camera -> clip space, of the camera or of a view in this size."""
     data, space, scene = region_view_of(context), view_3d_of(context), scene_of(context)
     assert space is not None
     item = space.camera if space.use_local_camera else scene.camera
@@ -106,7 +106,7 @@ def _view(context: bpy.types.Context, size: tuple[int, int]) -> tuple[Matrix, Ma
     assert region is not None
     projection = data.window_matrix.copy()
     for row, (now, wanted) in enumerate(zip((region.width, region.height), size, strict=True)):
-        # The longer side of a view shows as much, whatever its size.
+        # The longer side of a view shows the same extent for any size.
         now_share = now / max(region.width, region.height)
         projection[row] *= now_share / (wanted / max(size))
     return data.view_matrix.copy(), projection

@@ -1,4 +1,4 @@
-"""The objects of a set on the GPU: their order and display."""
+"""Data of a GPU set's objects: for sorting and for drawing."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ NEAR = 0.01
 
 
 def objects_of(files: Files, objects: Sequence[SplatObject]) -> list[SplatObject | None]:
-    """For each file of a set the object that stands for it.
+    """Return the object of each file of a set; None if there is none.
 
-    They are matched by path, those that are visible first: while a changed file is being read, the
+    They are matched by path, visible objects first. While a changed file is being read, the
     Gaussians of its last state still belong to the object.
     """
     by_path: dict[str, list[SplatObject]] = {}
@@ -35,11 +35,11 @@ def objects_of(files: Files, objects: Sequence[SplatObject]) -> list[SplatObject
 def sorting_view(
     files: Files, ranges: Ranges, extent: float, objects: Sequence[SplatObject], view: Matrix
 ) -> SortingView:
-    """Depth along the camera's axis, for the visible objects of a set.
+    """Return what defines depths along the camera's axis, for the visible objects of a set.
 
     Args:
         files, ranges, extent: of the set.
-        objects: all there are.
+        objects: all objects.
         view: world -> camera.
     """
     segments = []
@@ -53,14 +53,14 @@ def sorting_view(
 def object_texels(
     files: Files, objects: Sequence[SplatObject], view: View, photo_focals: Sequence[float]
 ) -> Float32:
-    """(objects, 6, 4): how each object is drawn.
+    """(objects, 6, 4) parameters of each object for drawing.
 
-    Object -> camera as three rows; eye or direction of sight, least depth; gains, density; focal
-    length of its photos, px, or 0.
+    Object -> camera as three rows; eye or viewing direction, and least depth; gains and density;
+    focal length of its photos in px, or 0.
     """
     texels = np.zeros((max(1, len(files)), 6, 4), np.float32)
     texels[: len(files), 5, 0] = photo_focals
-    texels[:, 3, 3] = np.inf  # nothing is that far, so an object that is gone is not drawn
+    texels[:, 3, 3] = np.inf  # nothing is so far away, so a deleted object is not drawn
     perspective = view.projection[3][3] == 0.0
     for texel, item in zip(texels, objects_of(files, objects), strict=False):
         if item is None or not item.visible:

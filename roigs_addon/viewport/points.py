@@ -1,8 +1,8 @@
 """Draws the sparse points in their colours, in Solid shading.
 
-There, Blender draws all points of an object in one colour, for any attributes and settings. So a
-disc of the point's size, a little nearer, covers each point. The object and the settings of the
-view stay unchanged. Other shadings show the colours through the points' material.
+In Solid shading, Blender draws all points of an object in one colour, for any attributes and
+settings. So a disc of the point's size, a little nearer, covers each point. The object and the
+settings of the view stay unchanged. Other shadings show the colours by the points' material.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _shader: shaders.Shader = None
 
 
 def problem() -> str:
-    """Why the points cannot be drawn, in one line; empty if they can."""
+    """Return why the points cannot be drawn, in one line; empty if they can."""
     return _handler.failure
 
 
@@ -41,7 +41,7 @@ def draw(
     smallest: float = SMALLEST,
     linear_target: bool = False,
 ) -> None:
-    """Draw an object's points over the bound framebuffer, before and behind what is in its depth.
+    """Draw an object's points into the bound framebuffer, using its depth.
 
     Args:
         item: made by `clouds.show_as_points` with one radius for all points.
@@ -49,7 +49,7 @@ def draw(
         projection: camera -> clip space, perspective or orthographic.
         height: of the framebuffer, pixels.
         smallest: least width of a point, pixels.
-        linear_target: the framebuffer takes linear light, as the viewport's does; else sRGB values.
+        linear_target: the framebuffer takes linear light, as the viewport's; else sRGB values.
     """
     global _shader
     radius, batch = clouds.shown_radius(item), _batch(mesh_of(item))
@@ -75,7 +75,7 @@ def draw(
 
 
 def _batch(mesh: bpy.types.Mesh) -> gpu.types.GPUBatch | None:
-    """The points on the GPU, uploaded once: a million of them take a moment."""
+    """Return the points on the GPU, uploaded once: a million of them take a moment."""
     if mesh.session_uid not in _batches:
         _batches.clear()  # there is one cloud at a time
         _batches[mesh.session_uid] = _uploaded(mesh)
@@ -120,7 +120,7 @@ _handler = ViewHandler(_draw_region, "The points' colours cannot be drawn here")
 
 @persistent
 def _on_change(_: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
-    """After every change: points that were edited are uploaded again."""
+    """After every change, drop the GPU copies of edited points."""
     if not _batches:
         return
     for update in graph.updates:
@@ -131,7 +131,7 @@ def _on_change(_: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
 
 @persistent
 def _on_load(*_: object) -> None:
-    """For another file."""
+    """Drop the GPU copies when another file is loaded."""
     _batches.clear()
 
 

@@ -1,4 +1,4 @@
-"""The inputs of the GPU programs. Their source is in `shaders/`."""
+"""Creates the GPU programs with their inputs. Their source is in `shaders/`."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ FOLDER = Path(__file__).parent / "shaders"
 
 
 def text(name: str) -> str:
-    """The text of a GLSL file."""
+    """Return the text of a GLSL file."""
     return (FOLDER / name).read_text(encoding="utf-8")
 
 
 def splat_shader(depth: bool) -> Shader:
-    """Draws Gaussians: `TOGETHER` per instance, each a quad with corners (-1, -1) to (1, 1).
+    """Create the shader for Gaussians: `TOGETHER` quads per instance, corners (-1, -1) to (1, 1).
 
     Args:
-        depth: whether `scene_depth` hides some; looking it up takes a quarter of the time on a
-            processor that does a GPU's work.
+        depth: whether `scene_depth` hides some. On a CPU that emulates a GPU, reading it takes a
+            quarter of the time.
     """
     passed = TYPES.GPUStageInterfaceInfo("roigs_splat")
     passed.smooth("VEC2", "local")
@@ -59,7 +59,7 @@ def splat_shader(depth: bool) -> Shader:
 
 
 def composite_shader() -> Shader:
-    """Draws the splats' image over the bound framebuffer; uses the same quad."""
+    """Create the shader that draws the splats' image over the bound framebuffer, on such a quad."""
     info = gpu.types.GPUShaderCreateInfo()
     info.push_constant("IVEC2", "origin")
     info.push_constant("VEC2", "view_size")
@@ -76,7 +76,7 @@ def composite_shader() -> Shader:
 
 
 def point_shader() -> Shader:
-    """Draws points as discs in their colours, which are linear light."""
+    """Create the shader that draws points as discs in their colours, in linear light."""
     passed = TYPES.GPUStageInterfaceInfo("roigs_point")
     passed.flat("VEC3", "paint")
     info = gpu.types.GPUShaderCreateInfo()
@@ -94,10 +94,10 @@ def point_shader() -> Shader:
 
 
 def _made(info: gpu.types.GPUShaderCreateInfo) -> Shader:
-    """The program, after which another one is in use.
+    """Create a program, and bind another one.
 
-    Blender takes a program for the one in use if it lies where that lay, even when that was freed:
-    then it would draw with the old one.
+    Blender compares programs by address. If a new program gets the address of a freed one that was
+    bound, Blender would keep drawing with the old one.
     """
     made = gpu.shader.create_from_info(info)
     gpu.shader.from_builtin("UNIFORM_COLOR").bind()

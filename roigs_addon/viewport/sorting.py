@@ -1,4 +1,4 @@
-"""Order for drawing the Gaussians of several objects: the farthest first."""
+"""Sorts the Gaussians of several objects for drawing, the farthest first."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TURN = 2e-3
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """Rows `start` to `stop` of a set, all of one object: depth = means · axis + offset."""
+    """Rows `start` to `stop` of a set, which are one object's: depth = means · axis + offset."""
 
     start: int
     stop: int
@@ -30,7 +30,7 @@ class SortingView:
     """Everything that an order depends on, except the means.
 
     Attributes:
-        segments: what is drawn.
+        segments: of the drawn objects.
         extent: typical distance of the objects' Gaussians from their origins.
     """
 
@@ -59,9 +59,9 @@ class SortingView:
 
 
 def depths(means: Float32, segments: Sequence[Segment]) -> Float32:
-    """Depths of the segments' rows, one segment after another, minus the first one's offset.
+    """Return the depths of the segments' rows, minus the first segment's offset.
 
-    From far away, that offset would use up all the digits that tell the rows apart.
+    Seen from far away, this offset is so large that float32 could not resolve the rows' depths.
     """
     parts = [
         means[s.start : s.stop] @ s.axis.astype(np.float32)
@@ -72,7 +72,7 @@ def depths(means: Float32, segments: Sequence[Segment]) -> Float32:
 
 
 def back_to_front(means: Float32, view: SortingView) -> UInt32:
-    """The rows of `means` (N, 3) that belong to the segments, the farthest first."""
+    """Return the rows of `means` (N, 3) that belong to the segments, the farthest first."""
     order = ascending(depths(means, view.segments))[::-1]
     rows = [np.arange(s.start, s.stop, dtype=np.uint32) for s in view.segments]
     return np.concatenate(rows)[order] if rows else np.zeros(0, np.uint32)
@@ -85,7 +85,7 @@ def ascending(values: Float32) -> NDArray[np.intp]:
     of an order-preserving 32-bit key are faster than its comparison sort of floats.
     """
     bits = values.view(np.uint32)
-    # Negative floats grow with falling bits, positive ones with rising bits.
+    # The bits of negative floats fall as the numbers grow; those of positive floats rise.
     keys = bits ^ np.where(bits >> 31, np.uint32(0xFFFFFFFF), np.uint32(0x80000000))
     order = np.argsort(keys.astype(np.uint16), kind="stable")
     high = (keys >> 16).astype(np.uint16)

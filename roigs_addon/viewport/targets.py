@@ -12,13 +12,13 @@ import gpu
 import numpy as np
 from numpy.typing import NDArray
 
-# Blender's stubs lack the constructors of these types and what these functions return.
+# Blender's stubs lack the constructors of these types and the return types of these functions.
 TYPES: Any = gpu.types
 STATE: Any = gpu.state
 
 
 def texture(values: NDArray[np.float32], form: str) -> gpu.types.GPUTexture:
-    """Float32 values (H, W) or (H, W, 4) as a texture of that format."""
+    """Create a texture of a format from float32 values (H, W) or (H, W, 4)."""
     height, width = values.shape[:2]
     data = TYPES.Buffer("FLOAT", values.size, np.ascontiguousarray(values).reshape(-1))
     made: gpu.types.GPUTexture = TYPES.GPUTexture((width, height), format=form, data=data)
@@ -28,8 +28,8 @@ def texture(values: NDArray[np.float32], form: str) -> gpu.types.GPUTexture:
 class SplatPicture:
     """The image for blending splats: premultiplied sRGB values or linear light, half floats.
 
-    They need an image of their own: in the viewport's, they would all be blended in linear light,
-    and with 8 bits.
+    Splats need a separate image: in the viewport's, they would all be blended in linear light, and
+    with 8 bits.
     """
 
     def __init__(self, width: int, height: int) -> None:
@@ -38,7 +38,7 @@ class SplatPicture:
         self._framebuffer = TYPES.GPUFrameBuffer(color_slots=self.texture)
 
     def cleared(self) -> Any:
-        """The framebuffer, transparent."""
+        """Clear the framebuffer to transparent, and return it."""
         with self._framebuffer.bind():
             self._framebuffer.clear(color=(0.0, 0.0, 0.0, 0.0))
         return self._framebuffer
@@ -46,14 +46,14 @@ class SplatPicture:
 
 @dataclass(frozen=True, eq=False)
 class Depth:
-    """Of what hides splats, 0 (near) to 1 per pixel; depths with the same mark are the same."""
+    """Depth of surfaces that hide splats, 0 (near) to 1 per pixel; equal marks: equal depths."""
 
     texture: gpu.types.GPUTexture
     mark: Hashable
 
 
 def bound_depth(width: int, height: int) -> Depth:
-    """A copy of the bound framebuffer's depth.
+    """Copy the bound framebuffer's depth.
 
     Python cannot access the depth texture itself, so the copy goes through main memory.
     """
@@ -66,17 +66,17 @@ def bound_depth(width: int, height: int) -> Depth:
 
 
 def drawn() -> float:
-    """Wait until the GPU has drawn everything, as reading a pixel does; the time then, seconds."""
+    """Wait until the GPU has finished, by reading a pixel; return the time in seconds."""
     STATE.active_framebuffer_get().read_color(0, 0, 1, 1, 4, 0, "FLOAT")
     return time.perf_counter()
 
 
 def viewport_origin() -> tuple[int, int]:
-    """The lower left corner of the viewport in the bound framebuffer, pixels."""
+    """Return the lower left corner of the viewport in the bound framebuffer, in pixels."""
     x, y = STATE.viewport_get()[:2]
     return x, y
 
 
 def no_depth() -> Depth:
-    """Stands for a depth of 1, the farthest, everywhere."""
+    """Return a depth of 1, the farthest, for all pixels."""
     return Depth(texture(np.ones((1, 1), np.float32), "R32F"), None)

@@ -1,8 +1,8 @@
-"""The viewpoint of a viewport, and the part of it that the camera's picture fills.
+"""The viewpoint of a viewport, and the camera's frame in it.
 
 A Gaussian's shape is projected with an approximation that is good in the picture and a little
 around it. So in a view through a camera, the camera's frame must limit it, not the region. The
-region may be far wider, and large Gaussians beside the picture would then be smeared over it.
+region may be much wider, and large Gaussians beside the picture would then be smeared over it.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ Frame = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class View:
-    """The view to draw Gaussians for.
+    """A view of Gaussians.
 
     Attributes:
         matrix: world -> camera, OpenGL's axes.
         projection: camera -> clip space.
         size: width and height in pixels.
-        frame: what the camera's picture fills; None: everything.
+        frame: area of the camera's picture; None for the whole view.
     """
 
     matrix: Matrix
@@ -36,12 +36,12 @@ class View:
 
 
 def whole(size: tuple[int, int]) -> Frame:
-    """All of a region."""
+    """Return the whole region as a frame."""
     return 0.0, 0.0, float(size[0]), float(size[1])
 
 
 def camera_frame(context: bpy.types.Context, projection: Matrix, size: tuple[int, int]) -> Frame:
-    """The picture of the camera that a region looks through; all of the region in other views.
+    """Return the camera's frame in a region that looks through it; in other views, all of it.
 
     Args:
         context: of the region that is being drawn.
@@ -49,7 +49,7 @@ def camera_frame(context: bpy.types.Context, projection: Matrix, size: tuple[int
         size: of the region, width and height in pixels.
     """
     space, scene = view_3d_of(context), scene_of(context)
-    # Of the region: in a quad view, only one of four may look through the camera.
+    # Ask the region's view: in a quad view, only one of four may look through the camera.
     if space is None or region_view_of(context).view_perspective != "CAMERA":
         return whole(size)
     item = space.camera if space.use_local_camera else scene.camera

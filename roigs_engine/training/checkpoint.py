@@ -6,7 +6,7 @@ A file consists of:
     8 bytes     length of the header, little-endian
     4 bytes     CRC-32 of the header
     header      JSON: the fingerprint, the state with each tensor replaced by its type and shape
-    tensors     their bytes, in the order in which the header names them
+    tensors     their bytes, in the order of the header
     4 bytes     CRC-32 of the tensors
 
 Loading it cannot run code. Every length is checked before memory is allocated, and checksums detect
@@ -64,14 +64,14 @@ HINT = "Delete it to start the stage again, or choose another run folder."
 
 
 class _DamagedError(Exception):
-    """The reason why a file cannot be used."""
+    """A file cannot be used; the text says why."""
 
 
 def save_checkpoint(path: Path, state: dict[str, Any], fingerprint: str) -> None:
     """Write `state` to `path` atomically; the previous checkpoint becomes `NAME.before.bin`.
 
     The new file is not synced, so that a stop need not wait for the disk. A file is synced before
-    it becomes the previous checkpoint. So one of the two survives a power failure.
+    it becomes the previous checkpoint, so one of the two survives a power failure.
 
     Args:
         path: the file.
@@ -97,7 +97,7 @@ def save_checkpoint(path: Path, state: dict[str, Any], fingerprint: str) -> None
 def load_checkpoint(
     path: Path, fingerprint: str, context: Context = QUIET, check: Check | None = None
 ) -> dict[str, Any]:
-    """The state that `save_checkpoint` wrote last, or the previous one if that is damaged.
+    """Load the last state that `save_checkpoint` wrote, or the previous one if it is damaged.
 
     Args:
         path, fingerprint: see `save_checkpoint`.
@@ -126,7 +126,7 @@ def load_checkpoint(
 
 
 def checkpoint_step(path: Path, fingerprint: str) -> int:
-    """The step of the newest readable checkpoint of that fingerprint; 0: there is none."""
+    """Return the step of the newest readable checkpoint with this fingerprint; 0 without one."""
     for name in _present(path):
         with (
             suppress(OSError, _DamagedError, *HEADER_ERRORS),
@@ -139,7 +139,7 @@ def checkpoint_step(path: Path, fingerprint: str) -> int:
 
 
 def checkpoint_exists(path: Path) -> bool:
-    """Whether there is one, or the previous one."""
+    """Whether there is a checkpoint, or a previous one."""
     return bool(_present(path))
 
 
@@ -180,7 +180,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _header(file: BinaryIO) -> dict[str, Any]:
-    """The header of an open file; its checksum is verified before it is parsed."""
+    """Read the header of an open file; its checksum is verified before it is parsed."""
     prefix = file.read(PREFIX.size)
     if prefix[: len(MAGIC)] != MAGIC:
         raise _DamagedError("is damaged, or has another version")
@@ -202,7 +202,7 @@ def _header(file: BinaryIO) -> dict[str, Any]:
 
 
 def _described(value: Any, tensors: list[Tensor]) -> Any:
-    """`value` for JSON, with placeholders for its tensors, which are appended to the list."""
+    """Replace tensors in `value` by placeholders for JSON; append the tensors to the list."""
     if isinstance(value, Tensor):
         tensors.append(value.detach().cpu().contiguous())
         return {TENSOR: [str(value.dtype).removeprefix("torch."), list(value.shape)]}
@@ -212,7 +212,7 @@ def _described(value: Any, tensors: list[Tensor]) -> Any:
 
 
 def _restored(value: Any, tensors: list[Tensor], left: int) -> Any:
-    """The inverse of `_described`; appends the tensors, still without values, to the list.
+    """Invert `_described`; append the tensors, not filled yet, to the list.
 
     They are allocated only if they all fit into `left` bytes, the rest of the file.
     """
@@ -232,7 +232,7 @@ def _restored(value: Any, tensors: list[Tensor], left: int) -> Any:
 
 
 def _chunks(tensors: list[Tensor]) -> Iterator[memoryview]:
-    """The memory of the tensors, in pieces of at most `CHUNK` bytes."""
+    """Yield the memory of the tensors in pieces of at most `CHUNK` bytes."""
     for tensor in tensors:
         if tensor.numel():
             whole = tensor.view(-1).view(torch.uint8).numpy().data
@@ -267,7 +267,7 @@ def check_state(state: Mapping[str, Any], config: TrainConfig) -> None:
 
 
 def _shapes(parameters: Any) -> dict[str, Shape]:
-    """The shapes of the Gaussians' tensors by name; ValueError if they are not Gaussians."""
+    """Return the shapes of the Gaussians' tensors by name; ValueError if they are not Gaussians."""
     values = parameters if isinstance(parameters, dict) else {}
     means, sh = values.get("means"), values.get("sh")
     if not (isinstance(means, Tensor) and means.ndim == 2 and len(means)):

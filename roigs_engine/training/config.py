@@ -35,7 +35,7 @@ LIMITS: dict[str, tuple[Callable[[float, float], bool], str]] = {
 
 
 def limited(default: Any = MISSING, **limits: float) -> Any:
-    """A field whose value has limits: the keys of `LIMITS`. None is within all."""
+    """Declare a field with limits, keys of `LIMITS`. None is always allowed."""
     return field(default=default, metadata={LIMITED: limits})
 
 
@@ -49,23 +49,23 @@ def check_limits(settings: Any, owner: str = "") -> None:
 
 
 def share_of_steps(default: int, **limits: float) -> Any:
-    """A `limited` number of steps that scales with the stage's (`with_steps`)."""
+    """Declare a `limited` number of steps that scales with the stage's steps (`with_steps`)."""
     return field(default=default, metadata={SCALES: SHARE, LIMITED: limits})
 
 
 def interval(default: int, **limits: float) -> Any:
-    """A `limited` number of steps that scales in a `miniature` only; 0: off."""
+    """Declare a `limited` number of steps that scales only in a `miniature`; 0 is off."""
     return field(default=default, metadata={SCALES: INTERVAL, LIMITED: limits})
 
 
 def planned(default: Any) -> Any:
-    """A field that the plan sets (`Mechanism.planned`): no setting of a run."""
+    """Declare a field that the plan sets (`Mechanism.planned`); it is no setting of a run."""
     return field(default=default, metadata={PLANNED: True})
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedViews:
-    """The photos and boxes of a planned stage; `seen`: all training photos that see a box."""
+    """The photos and boxes of a planned stage; `seen` returns all training photos of a box."""
 
     images: Sequence[PosedImage]
     rois: Sequence[OrientedBox]
@@ -74,21 +74,21 @@ class PlannedViews:
 
     @property
     def rows_seeing(self) -> tuple[int, ...]:
-        """Row numbers of the `images` that see any of the boxes."""
+        """Return the row numbers of the `images` that see any of the boxes."""
         names = {image.name for roi in self.rois for image in self.seen(roi)}
         return tuple(row for row, image in enumerate(self.images) if image.name in names)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mechanism:
-    """One part of a stage's training: its settings, and what it does when.
+    """One part of a stage's training: its settings and its hooks.
 
     All methods do nothing by default. Modules of mechanisms import torch only when it is used.
 
     Attributes:
         name: stable; in manifests, fingerprints and checkpoints.
-        needs: mechanisms without which it has no use.
-        uses_object_masks: whether the masks of the boxes' objects decide its results.
+        needs: mechanisms that it requires.
+        uses_object_masks: whether its results depend on the masks of the boxes' objects.
     """
 
     name: ClassVar[str] = ""
@@ -102,9 +102,9 @@ class Mechanism:
             config.of(kind, self)
 
     def scaled(self, steps: int, before: int, *, intervals: bool) -> Self:
-        """The settings for another number of steps of the stage than before.
+        """Return the settings for another number of steps of the stage than `before`.
 
-        With `intervals`, these scale, too; one that is on keeps at least one step.
+        With `intervals`, intervals scale too; one that is on keeps at least one step.
         """
         changes: dict[str, Any] = {}
         for each in fields(self):
@@ -116,30 +116,30 @@ class Mechanism:
         return replace(self, **changes)
 
     def planned(self, config: TrainConfig, views: PlannedViews) -> TrainConfig:
-        """The config with what photos and boxes decide, before anything is trained."""
+        """Return the config with settings that depend on photos and boxes, before any training."""
         return config
 
     def measured(self, config: TrainConfig, data: StageData, context: Context) -> TrainConfig:
-        """The config with what the photos' pixels decide, before the first step."""
+        """Return the config with settings from the photos' pixels, before the first step."""
         return config
 
     def more_points(self, data: StageData, context: Context) -> tuple[Any, Any] | None:
-        """Points to start with beside the sparse ones: (B, 3) positions, (B, 3) uint8 colours."""
+        """Return points to add to the sparse ones: (B, 3) positions, (B, 3) uint8 colours."""
         return None
 
     def acts(self, config: TrainConfig) -> bool:
-        """Whether it does anything while a stage of this config trains."""
+        """Whether it does anything during the training of this config."""
         return type(self).begin is not Mechanism.begin
 
     def begin(self, config: TrainConfig, training: Training) -> Running:
-        """The running part of the mechanism; called if it `acts`.
+        """Create the running part of the mechanism; called if it `acts`.
 
         `training` has the stage's first model, or that of a checkpoint.
         """
         raise NotImplementedError
 
     def check_state(self, state: StateReader) -> None:
-        """Raise ValueError unless the state of a checkpoint is one that training can write."""
+        """Raise ValueError unless training could have written this checkpoint's state."""
         state.tensors({})
 
 
@@ -157,7 +157,7 @@ class TrainConfig:
         lr_means, lr_means_final: first and last position learning rate, in units of the scene
             extent; exponential decay.
         lr_sh0, lr_shN, lr_opacities, lr_scales, lr_quats: Adam's learning rates.
-        made_for: name of the target (`TARGETS`) as which the Gaussians are drawn.
+        made_for: name of the target (`TARGETS`) for which the Gaussians are drawn.
         mechanisms: of the stage, in the order in which they act.
     """
 
@@ -187,15 +187,15 @@ class TrainConfig:
 
     @property
     def target(self) -> Target:
-        """The target that `made_for` names."""
+        """Return the target with the name `made_for`."""
         return TARGETS[self.made_for]
 
     def get(self, kind: type[Part]) -> Part | None:
-        """The stage's mechanism of that kind, or None."""
+        """Return the stage's mechanism of this class, or None."""
         return next((each for each in self.mechanisms if isinstance(each, kind)), None)
 
     def of(self, kind: type[Part], needed_by: Mechanism | None = None) -> Part:
-        """The stage's mechanism of that kind; ConfigError if it has none."""
+        """Return the stage's mechanism of this class; ConfigError if it has none."""
         found = self.get(kind)
         if found is None:
             who = "The stage" if needed_by is None else needed_by.name
@@ -206,7 +206,7 @@ class TrainConfig:
         return found
 
     def using(self, *mechanisms: Mechanism) -> TrainConfig:
-        """The config with these mechanisms: in the place of one of their kind, or at the end."""
+        """Return the config with these mechanisms; each replaces one of its kind or is appended."""
         listed = list(self.mechanisms)
         for new in mechanisms:
             places = [place for place, old in enumerate(listed) if _alike(new, old)]
@@ -217,15 +217,15 @@ class TrainConfig:
         return replace(self, mechanisms=tuple(listed))
 
     def chosen(self, *kinds: type[Mechanism]) -> tuple[Mechanism, ...]:
-        """Those of its mechanisms that are of these kinds, in their order."""
+        """Return its mechanisms of these classes, in their order."""
         return tuple(each for each in self.mechanisms if isinstance(each, kinds))
 
     def only(self, *kinds: type[Mechanism]) -> TrainConfig:
-        """The config with these of its mechanisms alone, in their order."""
+        """Return the config with only its mechanisms of these classes, in their order."""
         return replace(self, mechanisms=self.chosen(*kinds))
 
     def position_learning_rate(self, step: int) -> float:
-        """Position learning rate at a step, in units of the scene extent."""
+        """Return the position learning rate at a step, in units of the scene extent."""
         t = min(step / max(self.steps, 1), 1.0)
         return math.exp((1 - t) * math.log(self.lr_means) + t * math.log(self.lr_means_final))
 
@@ -245,7 +245,7 @@ class TrainConfig:
         return config
 
     def to_dict(self, *, planned: bool = False) -> dict[str, Any]:
-        """Plain values for JSON; mechanisms by name, with `planned` with what the plan decides."""
+        """Return plain values for JSON, mechanisms by name; `planned` adds the plan's settings."""
         record = {each.name: getattr(self, each.name) for each in fields(self)}
         record["mechanisms"] = {
             mechanism.name: {
@@ -259,12 +259,12 @@ class TrainConfig:
 
 
 def _alike(one: Mechanism, other: Mechanism) -> bool:
-    """Whether one is of the other's kind: a stage has one of them."""
+    """Whether one mechanism's class is the other's or derived from it: a stage has only one."""
     return isinstance(one, type(other)) or isinstance(other, type(one))
 
 
 def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
-    """The config with `steps` steps, of which the same shares densify and are averaged.
+    """Return the config with `steps` steps; the same shares of them densify and are averaged.
 
     Intervals do not scale: Adam and the statistics need a fixed number of steps. `miniature` scales
     them too.
@@ -273,10 +273,10 @@ def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
 
 
 def miniature(config: TrainConfig, steps: int) -> TrainConfig:
-    """The config with `steps` steps and its whole schedule in proportion.
+    """Return the config with `steps` steps and its whole schedule in proportion.
 
-    So it densifies, raises the SH degree and resets opacities as often as the full schedule, up to
-    rounding. An interval keeps at least one step; what is off stays off.
+    It densifies, raises the SH degree and resets opacities as often as the full schedule, up to
+    rounding. An interval keeps at least one step; an interval of 0 stays 0.
     """
     every = max(1, round(config.sh_every * steps / config.steps)) if config.sh_every else 0
     return replace(_scaled(config, steps, intervals=True), sh_every=every)

@@ -21,9 +21,9 @@ class Edit:
 
     Attributes:
         gaussians: the edited model, M rows.
-        rows: (M,) the old row of each new row, whose optimizer state it keeps; -1: new; None: the
-            rows did not change.
-        opacity_cap: upper limit for opacities; their moments become zero. None: no limit.
+        rows: (M,) the old row of each new row, whose optimizer state it keeps; -1 for a new
+            Gaussian. None if the rows did not change.
+        opacity_cap: upper limit for opacities; their moments become zero. None for no limit.
     """
 
     gaussians: Gaussians
@@ -31,13 +31,13 @@ class Edit:
     opacity_cap: float | None = None
 
     def keep(self, rows: Tensor) -> Edit:
-        """The edit with some of its rows: a bool mask (M,), or row numbers in a new order."""
+        """Return the edit with some of its rows: a bool mask (M,) or row numbers in a new order."""
         assert self.rows is not None
         return replace(self, gaussians=self.gaussians.rows(rows), rows=self.rows[rows])
 
 
 def unchanged(gaussians: Gaussians) -> Edit:
-    """The edit that keeps every row; `Edit.keep` can then drop some."""
+    """Return an edit that keeps every row; `Edit.keep` can then drop some."""
     rows = torch.arange(len(gaussians), device=gaussians.means.device)
     return Edit(gaussians=gaussians, rows=rows)
 
@@ -55,12 +55,13 @@ def clone_and_split(
     A clone is added to its original; two samples of a split Gaussian replace it.
 
     Args:
-        mask: (N,) bool: which to densify.
+        gaussians: the model, N rows.
+        mask: (N,) bool, the Gaussians to densify.
         reference: (N,) size reference, world units.
         fraction: Gaussians larger than `fraction` x `reference` are split.
         rng: draws the positions of split Gaussians.
-        choose: gets the edited Gaussians, with SH of degree 0 alone, and returns the numbers of
-            the rows to keep, in their order; None: all.
+        choose: gets the edited Gaussians with only SH of degree 0, and returns the numbers of the
+            rows to keep, in their new order. None keeps all.
     """
     large = gaussians.log_scales.detach().exp().amax(dim=1) > fraction * reference
     kept = torch.nonzero(~(mask & large)).flatten()
@@ -69,7 +70,7 @@ def clone_and_split(
     copied = torch.cat([kept, clones])
     sources = torch.cat([copied, parents])
     rows = torch.cat([kept, kept.new_full((len(clones) + len(parents),), -1)])
-    # Harmonics are most of a Gaussian and no edit changes them: they are copied once, at the end.
+    # SH are most of a Gaussian's data and no edit changes them: they are copied once, at the end.
     plain = replace(gaussians, sh=gaussians.sh[:, :1])
     edited = Gaussians.concatenate([plain.rows(copied), _children(plain.rows(parents), rng)])
     if choose is not None:
@@ -79,9 +80,9 @@ def clone_and_split(
 
 
 def _children(parents: Gaussians, rng: torch.Generator) -> Gaussians:
-    """Each parent, moved to a random sample of itself and shrunk."""
+    """Return each parent, moved to a random sample of itself and shrunk."""
     scales = parents.log_scales.exp()
-    # drawn on the CPU, to get the same numbers on every device
+    # drawn on the CPU, for the same numbers on every device
     offsets = torch.randn(scales.shape, generator=rng).to(scales.device) * scales
     rotations = rotation_matrices(torch.nn.functional.normalize(parents.quats, dim=1))
     values = parents.tensors()
@@ -119,7 +120,7 @@ def _percentile(points: Tensor, share: float) -> Tensor:
 
 
 def chosen_rows(matrix: Tensor, rows: Tensor) -> Tensor:
-    """Copies of rows of (N, ...), without gradient; `rows`: (M,) long row numbers, -1: zeros."""
+    """Copy rows of (N, ...), without gradient; `rows` are (M,) long row numbers, -1 for zeros."""
     matrix = matrix.detach()
     on_kernels = matrix.device.type == "cpu" and matrix.dtype == torch.float32
     if on_kernels and matrix.is_contiguous():

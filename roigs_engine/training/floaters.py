@@ -1,7 +1,7 @@
-"""Floaters: Gaussians in the air that photos cannot judge (ours).
+"""Finds floaters: Gaussians in the air that photos cannot constrain (ours).
 
-Three rules find them, with their reasons in docs/method.md: "Multi-view consistency", "Views
-between the photos", "In the air among the cameras".
+Three rules find them. docs/method.md explains each: "Multi-view consistency", "Views between the
+photos", "In the air among the cameras".
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from ..model.scene import Float64, PosedImage
 from ..rasterize.view import View, blending_weights
 from .photo_order import evenly_spaced
 
-SIDE = 256  # pixels; shares of a view need no more
-NEAREST = 0.25  # least distance of a view from the scene, in distances of the photos near it
+SIDE = 256  # pixels of a view's longer side; enough for shares of a view
+NEAREST = 0.25  # least distance of a view from the scene, as a share of its photos' distances
 MORE = NEAREST**-2
 """How much more of a view than of any photo is too much: no surface fills more, however near."""
-LEAST = 1e-3  # share of a view that is worth a look
-FAINT = 1 / 255  # of a pixel's light: less is not shown
-POINTS = 10  # so many points nearer than a distance mean that the scene is there, not a stray
-NEARER = 1.5  # times nearer to a camera than to the scene is in the air
+LEAST = 1e-3  # least share of a view that is examined
+FAINT = 1 / 255  # share of a pixel's light below which nothing is shown
+POINTS = 10  # the scene begins at the tenth nearest point, so that outliers do not count
+NEARER = 1.5  # this many times nearer to a camera than to the scene is in the air
 MUCH_NEARER = 2.0  # the same, among the cameras
 NEIGHBOURS = 4
-WIDEST = 72.0  # degrees between the directions of two photos that have views between them
+WIDEST = 72.0  # largest angle in degrees between two photos that get views between them
 MOST_VIEWS = 200
-BESIDE = 0.25  # distance of a view beside a photo, in distances to the nearest photo
+BESIDE = 0.25  # distance of a view beside a photo, as a share of the distance to the nearest photo
 
 
 Poses = list[tuple[tuple[int, ...], Float64]]
@@ -67,17 +67,17 @@ def consistent_across_views(
 ) -> Tensor:
     """(N,) bool: which Gaussians to keep.
 
-    A photo shows a Gaussian where its alpha x T is 1/255 or more on some pixel.
+    A photo shows a Gaussian if its alpha x T is 1/255 or more on some pixel.
 
     Args:
         gaussians: the model, N rows.
         images: the training photos; their pixels are not used.
         rois: the boxes.
         points: (P, 3) of the scene, world units; the photos' `point_indices` are rows of it.
-        min_views: a Gaussian needs this number of photos that show it, or all photos if there are
-            fewer, if it is nearer than the nearest box in each of them; or if it is in the air, and
-            nearer than half of the points that the photo observes in each of them. In a photo that
-            sees no box, or has no points, nothing is nearer.
+        min_views: number of photos that must show a Gaussian in front; all photos if there are
+            fewer. In front means: in each photo that shows it, it is nearer than the nearest box;
+            or it is in the air and nearer than half of the points that the photo observes. In a
+            photo that sees no box, or observes no points, nothing is nearer.
     """
     means = gaussians.means
     shown_by = torch.zeros(len(gaussians), dtype=torch.int32, device=means.device)
@@ -99,9 +99,9 @@ def consistent_across_views(
 
 
 def _nearest(rois: Sequence[OrientedBox], image: PosedImage) -> float:
-    """Depth of the nearest corner of all boxes; negative if one is partly behind the camera.
+    """Return the depth of the nearest corner of all boxes; negative if it is behind the camera.
 
-    Minus infinity if the photo sees no box: nothing is nearer.
+    Minus infinity if the photo sees no box, so nothing is nearer.
     """
     pose = image.world_to_camera
     if not any(roi.projected_area(image.camera, pose) for roi in rois):
@@ -111,7 +111,7 @@ def _nearest(rois: Sequence[OrientedBox], image: PosedImage) -> float:
 
 
 def _middle(points: Float64, image: PosedImage) -> float:
-    """Median depth of the points that the photo observes; minus infinity without any."""
+    """Return the median depth of the points that the photo observes; minus infinity without any."""
     if len(points) == 0 or len(image.point_indices) == 0:
         return -np.inf
     pose = image.world_to_camera
@@ -119,13 +119,13 @@ def _middle(points: Float64, image: PosedImage) -> float:
 
 
 def views_between(images: Sequence[PosedImage], points: Float64) -> tuple[View, ...]:
-    """Cameras between neighbouring photos, and beside each photo.
+    """Return views between neighbouring photos, and beside each photo.
 
-    They stand at a quarter, a half and three quarters of the way to a neighbour; and to the left,
-    the right, above and below a photo, a quarter of the distance to the nearest one away.
+    They stand at a quarter, a half and three quarters of the way to a neighbour. Others stand left,
+    right, above and below a photo, at a quarter of the distance to the nearest photo.
 
     Returns:
-        At most `MOST_VIEWS` of each kind, evenly spread; none for a photo alone.
+        At most `MOST_VIEWS` of each kind, evenly spread; none for a single photo.
     """
     poses = [
         *evenly_spaced(poses_between(images), MOST_VIEWS),
@@ -147,15 +147,17 @@ def fills_only_between(
     """(N,) bool: which Gaussians fill a view between the photos, but no photo.
 
     Args:
+        gaussians: the model, N rows.
         views: of `views_between`.
         shown: (N,) the largest share of a photo that each fills (`largest_shares`).
+        context: checked for cancellation.
     """
     filled = largest_shares(gaussians, views, context)
     return (filled > LEAST) & (filled > MORE * shown)
 
 
 def _neighbours(images: Sequence[PosedImage]) -> list[tuple[int, int]]:
-    """Pairs of photos that stand and look alike: each with its nearest ones."""
+    """Return pairs of photos with similar places and directions: each with its nearest ones."""
     centres = np.array([image.centre for image in images])
     forward = np.array([image.forward for image in images])
     spread = np.median(np.linalg.norm(centres - centres.mean(axis=0), axis=1))
@@ -171,7 +173,7 @@ def _neighbours(images: Sequence[PosedImage]) -> list[tuple[int, int]]:
 
 
 def poses_between(images: Sequence[PosedImage]) -> Poses:
-    """Positions of two photos, and world_to_camera on the way from the first to the second."""
+    """Return the indices of two photos, and poses on the way from the first to the second."""
     pairs = _neighbours(images)
     shares = (0.5,) if len(pairs) * 3 > MOST_VIEWS else (0.25, 0.5, 0.75)
     return [
@@ -182,7 +184,7 @@ def poses_between(images: Sequence[PosedImage]) -> Poses:
 
 
 def _poses_beside(images: Sequence[PosedImage]) -> Poses:
-    """Position of a photo, and its world_to_camera moved to each of four sides."""
+    """Return the index of each photo, with its pose moved to each of four sides."""
     centres = np.array([image.centre for image in images])
     poses: Poses = []
     for k, image in enumerate(images):
@@ -208,9 +210,9 @@ def _between(first: PosedImage, second: PosedImage, share: float) -> Float64:
 def hangs_among_cameras(
     gaussians: Gaussians, images: Sequence[PosedImage], points: Float64, shown: Tensor
 ) -> Tensor:
-    """(N,) bool: which Gaussians are in the air among the cameras, where no photo looks closely.
+    """(N,) bool: which Gaussians are in the air among the cameras, and hardly shown by photos.
 
-    `shown` is (N,), the largest share of a photo that each fills. Without points, none is.
+    `shown` is (N,), the largest share of a photo that each fills. Without points, there are none.
     """
     if len(points) == 0:
         return torch.zeros_like(shown, dtype=torch.bool)
@@ -223,7 +225,7 @@ def hangs_among_cameras(
     # the share of each photo that a unit area fills at unit distance
     zoom = np.array([c.fx * c.fy / (c.width * c.height) for c in cameras])[nearest]
     area = 2 * np.pi * scales[:, 1] * scales[:, 2] * zoom
-    with np.errstate(divide="ignore"):  # a Gaussian at a camera's very place
+    with np.errstate(divide="ignore"):  # a Gaussian exactly at a camera
         filled = opacity * np.minimum(area / distance**2, 1.0)
     seen = shown.cpu().numpy()
     unseen = (filled > LEAST) & (filled > MORE * seen)
@@ -238,7 +240,7 @@ def _array(tensor: Tensor) -> Float64:
 
 @torch.no_grad()
 def largest_shares(gaussians: Gaussians, views: Iterable[View], context: Context = QUIET) -> Tensor:
-    """(N,) the largest share of a view's light that each Gaussian has, 0 to 1."""
+    """(N,) the largest share of a view's light from each Gaussian, 0 to 1."""
     views = list(views)
     largest = torch.zeros(len(gaussians), device=gaussians.means.device)
     for (camera, _), weights in zip(
@@ -249,20 +251,20 @@ def largest_shares(gaussians: Gaussians, views: Iterable[View], context: Context
 
 
 def photo_views(images: Sequence[PosedImage]) -> list[View]:
-    """The photos' own views, small."""
+    """Return the photos' own views, at a small size."""
     return [(image.camera.thumbnail(SIDE), image.world_to_camera) for image in images]
 
 
 def shown_by(
     gaussians: Gaussians, images: Sequence[PosedImage], context: Context = QUIET
 ) -> Tensor:
-    """(N,) bool: which Gaussians the photos show: those that have some light of a view."""
+    """(N,) bool: which Gaussians the photos show, with any visible share of a view's light."""
     shares = largest_shares(gaussians, photo_views(images), context)
     return shares > FAINT / SIDE**2
 
 
 def reach(places: Float64, points: Float64) -> Float64:
-    """(N, 3) -> (N,) distances to the scene: to its tenth nearest point; infinite: no points."""
+    """(N, 3) -> (N,) distances to the scene, its tenth nearest point; infinite without points."""
     if len(points) == 0:
         return np.full(len(places), np.inf)
     distances, _ = cKDTree(points).query(places, k=[min(POINTS, len(points))])
@@ -272,9 +274,9 @@ def reach(places: Float64, points: Float64) -> Float64:
 def in_the_air(
     gaussians: Gaussians, images: Sequence[PosedImage], points: Float64, times: float
 ) -> Tensor:
-    """(N,) bool: whose centres are so many times nearer to a photo's camera than to the scene.
+    """(N,) bool: which Gaussians' centres are `times` nearer to a camera than to the scene.
 
-    Nothing is where there are no points.
+    Without points, there are none.
     """
     device = gaussians.means.device
     if len(points) == 0:

@@ -1,7 +1,7 @@
-"""Check of a GPU against the CPU: a small scene, drawn and differentiated on both.
+"""Checks a GPU against the CPU with a small scene, drawn and differentiated on both.
 
-It is done once for each combination of card, driver, torch and kernels; a record on disk says that
-it has passed.
+This is done once for each combination of card, driver, torch and kernels. A record on disk stores
+that it has passed.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ SIZE = (160, 120)
 COUNT = 2000
 COUNT_TIMED, SIZE_TIMED = 100_000, (960, 640)
 STEPS_TIMED = 5
-WARM_UP = 2  # steps: memory is new, caches are cold
+WARM_UP = 2  # steps that are not timed: memory is new, caches are cold
 USE_CPU = "Run `python -m roigs_engine check-gpu` and report what it prints; --device cpu trains."
 
 
@@ -47,11 +47,12 @@ def check_once(device: torch.device, context: Context = QUIET, must_gain: bool =
     """Check a GPU unless a record says that it has passed.
 
     Args:
-        device: of the tensors; that of a GPU that `gpu.program` has opened is the CPU.
+        device: of the tensors; the CPU for a GPU that `gpu.program` has opened.
+        context: receives messages.
         must_gain: also measure whether a step takes less time than on the CPU.
 
     Raises:
-        KernelError: it has not; the line has the numbers. Or an earlier check never ended.
+        KernelError: the check failed; the message has the numbers. Or an earlier check never ended.
     """
     _check_once(device, context)
     if must_gain and backend_of(device) == GPU:
@@ -59,12 +60,12 @@ def check_once(device: torch.device, context: Context = QUIET, must_gain: bool =
 
 
 def backend_of(device: torch.device) -> str:
-    """The backend to check."""
+    """Return the backend to check."""
     return "cuda" if program.drawing(device.type) != GPU else GPU
 
 
 def _check_gain(device: torch.device, context: Context) -> None:
-    """Raise KernelError unless steps on the open GPU are faster than the CPU's; once measured."""
+    """Raise KernelError unless steps on the open GPU are faster than the CPU's; measured once."""
     key = f"{machine_key(device)} ms"
     found = _records().get(key)
     if not isinstance(found, dict):
@@ -87,7 +88,7 @@ def _check_once(device: torch.device, context: Context) -> None:
         raise KernelError("GPU check: the last check did not finish.", USE_CPU)
     context.info("Checking the GPU against the CPU, once.")
     errors = None
-    _record(key, time.time())  # stays if the driver hangs, or takes the process with it
+    _record(key, time.time())  # stays if the driver hangs or crashes the process
     try:
         errors = check(device)
     finally:
@@ -95,13 +96,13 @@ def _check_once(device: torch.device, context: Context) -> None:
 
 
 def check_again(device: torch.device) -> None:
-    """Check a GPU, and record it if it passes, whatever the record says. Raises KernelError."""
+    """Check a GPU without regard to the record, and record it if it passes. Raises KernelError."""
     errors = check(device)
     _record(machine_key(device), errors)
 
 
 def _records() -> dict[str, Any]:
-    """By `machine_key`: the errors of a check that has passed, or when a check began."""
+    """Return `machine_key` -> errors of a passed check, or the start time of an unfinished one."""
     try:
         found = read_json(user_cache() / "cuda" / "checked.json")
     except EngineError:
@@ -110,7 +111,7 @@ def _records() -> dict[str, Any]:
 
 
 def _record(key: str, value: dict[str, float] | float | None) -> None:
-    """Record a value, or that there is none; if it cannot be written, the check is repeated."""
+    """Record a value, or remove it for None; if this cannot be written, the check is repeated."""
     records = {name: found for name, found in _records().items() if name != key}
     if value is not None:
         records[key] = value
@@ -119,7 +120,7 @@ def _record(key: str, value: dict[str, float] | float | None) -> None:
 
 
 def machine_key(device: torch.device) -> str:
-    """A hash of all that a new check is needed for."""
+    """Return a hash of everything whose change needs a new check."""
     name, gpu = str(device), program.opened()
     if gpu is not None:
         parts = gpu.adapter.title, gpu.adapter.driver, str(torch.__version__), program.source_key()
@@ -131,7 +132,7 @@ def machine_key(device: torch.device) -> str:
 
 
 def check(device: torch.device) -> dict[str, float]:
-    """The relative error of each result; KernelError if one is above `LIMIT`, or the GPU failed."""
+    """Return each result's relative error; KernelError if one is above `LIMIT` or the GPU fails."""
     try:
         errors = compare(device)
     except torch.OutOfMemoryError as error:
@@ -151,7 +152,7 @@ def check(device: torch.device) -> dict[str, float]:
 
 
 def compare(device: torch.device) -> dict[str, float]:
-    """The relative error of each result on the GPU, without a limit."""
+    """Return the relative error of each result on the GPU, without a limit."""
     ours, truth = results(device, backend_of(device)), results(CPU, "cpu")
     return {
         name: float((ours[name] - each).norm()) / max(float(each.norm()), 1e-30)
@@ -163,13 +164,13 @@ def compare(device: torch.device) -> dict[str, float]:
 class Scene:
     """The test scene on one device."""
 
-    model: dict[str, Tensor]  # by name, in the form that is trained
+    model: dict[str, Tensor]  # by name, in the trained form (logs, logits)
     view: tuple[Tensor, Tensor]  # a camera's pose (1, 4, 4) and intrinsics (1, 3, 3)
     photo: Tensor  # (H, W, 3) uint8
 
 
 def results(device: torch.device, backend: str) -> dict[str, Tensor]:
-    """All that a training step computes of the check's scene, by name."""
+    """Compute all results of a training step on the check's scene, by name."""
     made = scene(device, COUNT, SIZE)
     before = {name: tensor.clone() for name, tensor in made.model.items()}
     optimizer = VisibleAdam({name: (made.model[name], 1e-3) for name in NAMES})
@@ -198,9 +199,9 @@ def results(device: torch.device, backend: str) -> dict[str, Tensor]:
 
 
 def _misstep(optimizer: VisibleAdam, name: str, before: Tensor) -> Tensor:
-    """1 plus how far the first step is from what Adam's moments say, in learning rates.
+    """Return 1 plus the first step's distance from that of Adam's moments, in learning rates.
 
-    The steps themselves cannot be compared: where a gradient is about 0, its sign decides.
+    The steps themselves cannot be compared: where a gradient is about 0, its sign decides the step.
     """
     mean, square = optimizer.exp_avg[name] / 0.1, optimizer.exp_avg_sq[name] / 0.001
     step = 1e-3 * mean / (square.sqrt() + EPS)
@@ -209,12 +210,12 @@ def _misstep(optimizer: VisibleAdam, name: str, before: Tensor) -> Tensor:
 
 
 def loss_backend(backend: str) -> str:
-    """The loss that goes with a backend of `rasterize`: that of its tensors' device."""
+    """Return the loss backend for a backend of `rasterize`: that of its tensors' device."""
     return "cpu" if backend == GPU else backend
 
 
 def draw(made: Scene, backend: str, **options: Any) -> RenderOutput:
-    """The scene as training draws it."""
+    """Draw the scene as training does."""
     means, quats, scales, opacities, sh = (made.model[name] for name in NAMES)
     height, width, _ = made.photo.shape
     view = *made.view, width, height
@@ -223,7 +224,7 @@ def draw(made: Scene, backend: str, **options: Any) -> RenderOutput:
 
 
 def scene(device: torch.device, count: int, size: tuple[int, int]) -> Scene:
-    """Random Gaussians in front of a camera, and a photo of noise: the same on every device."""
+    """Create random Gaussians in front of a camera, and a photo of noise; equal on every device."""
     generator = torch.Generator().manual_seed(0)
 
     def normal(*shape: int) -> Tensor:
@@ -249,7 +250,7 @@ def scene(device: torch.device, count: int, size: tuple[int, int]) -> Scene:
 
 
 def step_milliseconds(device: torch.device, backend: str, *, steps: int) -> float:
-    """The mean of some steps on a made-up scene, `COUNT_TIMED` Gaussians on `SIZE_TIMED` pixels."""
+    """Return the mean time of steps with `COUNT_TIMED` random Gaussians on `SIZE_TIMED` pixels."""
     made = scene(device, COUNT_TIMED, SIZE_TIMED)
     optimizer = VisibleAdam({name: (made.model[name], 1e-3) for name in NAMES})
     started = 0.0

@@ -1,4 +1,4 @@
-"""Object labels of Gaussians, by votes of the object's masks on some photos.
+"""Labels the Gaussians of an object, by votes of the object's masks on some photos.
 
 A Gaussian belongs to the object if most votes are for it. This is the closed-form optimum of
 fitting binary labels to the masks (FlashSplat, Shen et al. 2024; docs/method.md, "Objects by
@@ -30,20 +30,20 @@ class MaskedView(NamedTuple):
     camera: Camera
     world_to_camera: Float64
     mask: Tensor  # (H, W) bool, the object's pixels
-    counted: Tensor | None = None  # (H, W) bool, the pixels that vote; None: all
+    counted: Tensor | None = None  # (H, W) bool, the pixels that vote; None for all
 
 
-LEAST = 1 / 255  # sum of votes below which no photo shows a Gaussian
-AROUND = 5  # neighbours that decide for it
+LEAST = 1 / 255  # sum of votes below which a Gaussian counts as not shown by any photo
+AROUND = 5  # neighbours that decide the label of such a Gaussian
 
 
 @torch.no_grad()
 def mask_votes(
     gaussians: Gaussians, views: Iterable[MaskedView], context: Context = QUIET
 ) -> tuple[Tensor, Tensor]:
-    """(N,) twice: the votes of all views for and against each Gaussian being of the object.
+    """(N,) twice: the votes of all views for, and against, each Gaussian being part of the object.
 
-    `gaussians` are the whole model, N rows: other Gaussians hide those behind them.
+    `gaussians` are the whole model, N rows, because other Gaussians hide those behind them.
     """
     means = gaussians.means
     inside, everywhere = (torch.zeros(len(gaussians), device=means.device) for _ in range(2))
@@ -57,7 +57,7 @@ def mask_votes(
 
 
 def object_rows(gaussians: Gaussians, votes: tuple[Tensor, Tensor], candidates: Tensor) -> Tensor:
-    """(N,) bool: the Gaussians of the object, by `mask_votes`; `candidates`: those of its box."""
+    """(N,) bool: the object's Gaussians, by `mask_votes`; `candidates` are those of its box."""
     yes, no = votes
     rows, seen = (yes > no) & candidates, (yes + no >= LEAST) & candidates
     unseen = candidates & ~seen
@@ -74,7 +74,7 @@ def object_rows(gaussians: Gaussians, votes: tuple[Tensor, Tensor], candidates: 
 
 
 def masked_views(images: Iterable[PosedImage], box: str) -> Iterator[MaskedView]:
-    """The photos with a mask of the box's object; raises as `load_mask`."""
+    """Yield the photos with a mask of the box's object; raises as `load_mask` does."""
     for image in images:
         mask = load_object_mask(image, box)
         if mask is not None:
@@ -92,7 +92,7 @@ def object_owners(
 ) -> Tensor:
     """(N,) index of the box whose object each Gaussian belongs to, -1 for none.
 
-    As `owners`, without what boxes own that is not their objects'. A box without masks keeps all.
+    Unlike `owners`, a box owns only the Gaussians of its object. A box without masks owns all.
     """
     owner = owners(gaussians, rois)
     for index, roi in enumerate(rois):

@@ -1,4 +1,4 @@
-"""The loop around training steps: callbacks, threads, full GPU memory, steps queued on a GPU."""
+"""Helpers of the training loop: callbacks, threads, full GPU memory, steps queued on a GPU."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from .optimizer import VisibleAdam
 
 
 class PeriodicCallback:
-    """A function to call every `every` seconds of training; takes at most a tenth of the time.
+    """Calls a function every `every` seconds of training; takes at most a tenth of the time.
 
-    `every` 0: never.
+    With `every` 0, it is never called.
     """
 
     def __init__(self, every: float, call: Callable[[], None]) -> None:
@@ -28,7 +28,7 @@ class PeriodicCallback:
         self._due: float | None = None
 
     def call_if_due(self, seconds: float) -> float:
-        """Call it if it is due after `seconds` of training; returns the seconds it took."""
+        """Call it if it is due after `seconds` of training; return the seconds it took."""
         if self._every <= 0:
             return 0.0
         if self._due is None:
@@ -46,7 +46,7 @@ class PeriodicCallback:
 def one_torch_thread() -> Iterator[None]:
     """Limit torch to one thread: its threads and the kernels' would compete for the same cores.
 
-    torch's share of a training step is small; more threads would cost more than they gain.
+    torch's share of a training step is small, so more threads would cost more than they gain.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -59,7 +59,7 @@ def one_torch_thread() -> Iterator[None]:
 def explained_full_memory(
     images: Sequence[PosedImage], now: Callable[[], tuple[int, int]]
 ) -> AbstractContextManager[None]:
-    """Turn torch's error into a GpuMemoryError; `now`: the step, and the number of Gaussians."""
+    """Turn torch's error into a GpuMemoryError; `now` returns the step and number of Gaussians."""
     cameras = [image.camera for image in images]
     width, height = max(c.width for c in cameras), max(c.height for c in cameras)
 
@@ -76,10 +76,10 @@ def explained_full_memory(
 
 
 class StepsAhead:
-    """The steps since the last one that is known to be done; on the CPU there are none.
+    """The steps since the last one known to be done; on the CPU there are none.
 
-    A step whose view has more pairs than its buffer holds has changed nothing on the GPU, nor have
-    those after it (`cuda.pair_buffers`). They must be done again, in order.
+    If a step's view has more pairs than its buffer holds, the step and those after it change
+    nothing on the GPU (`cuda.pair_buffers`). They must be done again, in order.
     """
 
     def __init__(self, device: torch.device) -> None:
@@ -87,21 +87,21 @@ class StepsAhead:
         self._losses: dict[int, Tensor] = {}
 
     def backward_step(self, optimizer: VisibleAdam, step: int, view: Hashable) -> BackwardStep:
-        """The optimizer's step for the backward pass; `view` is that of `PairBuffers.buffer`."""
+        """Return the optimizer's step for the backward pass; `view` is for `PairBuffers.buffer`."""
         taken = optimizer.backward_step
         if self._buffers is None:
             return taken
         return replace(taken, pair_buffer=self._buffers.buffer(step, view))
 
     def begin(self, step: int, loss: Tensor) -> None:
-        """A step begins; `loss`: the running loss in front of it."""
+        """Record that a step begins; `loss` is the running loss before it."""
         if self._buffers is not None:
             self._losses[step] = loss
 
     def first_void(self, *, wait: bool) -> tuple[int, Tensor] | None:
-        """The first step to do again, and the running loss in front of it; None: none is known.
+        """Return the first step to do again, and the running loss before it; None without one.
 
-        With `wait`, it is known of all steps.
+        With `wait`, this waits until all steps are known.
         """
         if self._buffers is None:
             return None
@@ -112,6 +112,6 @@ class StepsAhead:
         return found
 
     def grow(self, before: int, after: int) -> None:
-        """The model has another number of Gaussians."""
+        """Grow the buffers with the model's number of Gaussians."""
         if self._buffers is not None:
             self._buffers.grow(after / max(before, 1))

@@ -24,7 +24,7 @@ from ..photos.mask_images import load_object_mask
 from ..rasterize.inputs import TILE
 from ..rasterize.tiles import ActiveTiles, tiles_of_grid, touched_tiles
 
-MOST_WEIGHT = 2.0  # of the mean mask's: a tiny mask must not decide what a box looks like
+MOST_WEIGHT = 2.0  # relative to the mean mask's: a tiny mask must not dominate a box
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,7 +32,7 @@ class LossMask:
     """The mask of one photo; it takes little memory.
 
     Attributes:
-        tiles: of the mask, on the training device. Their window is the rectangle around it.
+        tiles: of the mask, on the training device. Their window is the mask's bounding box.
         loss_weight: weight of the mask's mean loss; a whole photo has 1.
     """
 
@@ -41,7 +41,7 @@ class LossMask:
 
     @property
     def weights(self) -> Tensor:
-        """(h, w) of the window, 1 in the mask and 0 outside, on the training device."""
+        """(h, w) weights in the window, 1 in the mask and 0 outside, on the training device."""
         grid = self._grid.to(torch.float32)
         (rows, columns), (x0, y0, x1, y1) = grid.shape, self.tiles.shown
         whole = grid[:, None, :, None].expand(rows, TILE, columns, TILE)
@@ -53,27 +53,28 @@ class LossMask:
         return image[y0:y1, x0:x1]
 
     def counting(self, counted: Tensor) -> ActiveTiles:
-        """Those of its tiles in which a pixel counts, (H, W) bool; the window stays."""
+        """Return the tiles with pixels in `counted`, (H, W) bool; the window stays."""
         return replace(self.tiles, mask=self._grid & touched_tiles(self.crop(counted)))
 
     @property
     def _grid(self) -> Tensor:
-        """(rows, columns) bool, the tiles in their rectangle."""
+        """(rows, columns) bool, the tiles in the window."""
         assert self.tiles.mask is not None
         return self.tiles.mask
 
 
 class LossMasks:
-    """The mask of each photo; computed on first use, and kept.
+    """The mask of each photo, computed on first use and cached.
 
     Args:
         images, rois: of the stage.
         drawn: row numbers of the photos that the stage's steps draw.
-        device: that trains.
+        device: for training.
         view_weighting: exponent w of the per-view weighting. A mask with the share s of its photo
-            has the loss weight s (m / s)^w, where m is the geometric mean share. 0: a pixel weighs
-            as much as in a whole photo. 1: all masks weigh the same. Above, smaller ones weigh
-            more, up to `MOST_WEIGHT` times as much.
+            has the loss weight s (m / s)^w, where m is the geometric mean share. With 0, a pixel
+            weighs as much as in a whole photo. With 1, all masks weigh the same. Above 1, smaller
+            masks weigh more, up to `MOST_WEIGHT` times as much.
+        context: checked for cancellation.
     """
 
     def __init__(
@@ -96,7 +97,7 @@ class LossMasks:
                 self._mean_share = float(np.exp(np.log(shown).mean()))
 
     def __getitem__(self, index: int) -> LossMask | None:
-        """The mask of photo `index`; None if it sees no box."""
+        """Return the mask of photo `index`; None if it sees no box."""
         if index in self._masks:
             return self._masks[index]
         grid, camera = self._tiles_of(index), self._images[index].camera
@@ -111,7 +112,7 @@ class LossMasks:
         return self._masks.setdefault(index, made)
 
     def shares(self, rows: Sequence[int]) -> NDArray[np.float64]:
-        """The share of its photo's pixels that the mask of each of these photos has."""
+        """Return the share of the pixels of each of these photos that its mask has."""
         found = []
         for row in rows:
             self._context.check_cancelled()
@@ -139,8 +140,8 @@ class LossMasks:
 def _tiles(image: PosedImage, rois: Sequence[OrientedBox]) -> NDArray[np.bool_]:
     """(rows, columns): the tiles that the boxes touch in the photo, and the tiles next to them.
 
-    The rim covers the SSIM window of the outermost pixels, and some background, which keeps the
-    transition to it smooth.
+    The margin covers the SSIM window of the outermost pixels, and some background, which keeps the
+    transition smooth.
     """
     camera = image.camera
     pixels = np.zeros((camera.height, camera.width), dtype=bool)
@@ -151,23 +152,23 @@ def _tiles(image: PosedImage, rois: Sequence[OrientedBox]) -> NDArray[np.bool_]:
 
 
 def shown_pixels(roi: OrientedBox, image: PosedImage) -> NDArray[np.bool_]:
-    """(H, W) the pixels of the box's silhouette, of its object alone where a mask shows that."""
+    """(H, W) the pixels of the box's silhouette; only its object's if the photo has its mask."""
     silhouette = roi.silhouette(image.camera, image.world_to_camera)
     mask = load_object_mask(image, roi.name)
     return silhouette if mask is None else silhouette & mask
 
 
 def split_mask(photo: Tensor) -> tuple[Tensor, Tensor | None]:
-    """A photo as `load_masked` returns it -> its colours, and which pixels count."""
+    """Split a photo from `load_masked` into its colours, and the pixels that count."""
     if photo.shape[-1] == 3:
         return photo, None
     return photo[..., :3], photo[..., 3] > 0
 
 
 def counted_weights(weights: Tensor | None, counted: Tensor) -> tuple[Tensor, Tensor]:
-    """The weights of the pixels that count, and their share of all weights, a scalar.
+    """Return the weights of the pixels that count, and their share of all weights, a scalar.
 
-    The loss times that share weighs a pixel as in a photo without a mask.
+    Multiplied by this share, the loss weighs a pixel as in a photo without a mask.
     """
     if weights is None:
         kept = counted.to(torch.float32)

@@ -52,12 +52,12 @@ def photo_loss(
             it is not copied, and its gradient has the same form.
         target: the photo, on the image's device.
         ssim_weight: weight of the SSIM term, 0 to 1.
-        weights: weight of each pixel in both terms, not negative; None: all equal. They are
+        weights: weight of each pixel in both terms, not negative; None for equal weights. They are
             divided by their sum. The SSIM of a pixel still depends on all pixels around it. If all
             weights are zero, so is the loss.
-        counted: the pixels that no mask ignores; None: all.
-        backend: "cpu" (compiled kernel: tensors on the CPU), "cuda" (our kernel: on an NVIDIA
-            GPU), or "auto": that of the image's device.
+        counted: the pixels that no mask ignores; None for all.
+        backend: "cpu" (compiled kernel, tensors on the CPU), "cuda" (our kernel, on an NVIDIA
+            GPU), or "auto" for that of the image's device.
 
     Raises:
         EngineError: wrong shapes or types, or an unknown backend.
@@ -77,7 +77,7 @@ def photo_loss(
 
 
 def clipped_like(image: Tensor, photo: PosedImage) -> Tensor:
-    """The image with the photo's white, if levelling darkened that; without gradient above it."""
+    """Clip the image at the photo's white if levelling darkened it; no gradient above it."""
     largest = white(photo.exposure)
     return image if largest == MOST else image.clamp(max=largest / MOST)
 
@@ -85,7 +85,7 @@ def clipped_like(image: Tensor, photo: PosedImage) -> Tensor:
 def _without_ignored(
     image: Tensor, target: Tensor, weights: Tensor | None, counted: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Image, photo and weights with zeros at ignored pixels; NaN in the image does not get out."""
+    """Set image, photo and weights to zero at ignored pixels; NaN of the image is removed there."""
     shown = counted[..., None]
     zero = image.new_zeros(())
     weights = counted.to(torch.float32) if weights is None else weights * counted
@@ -93,7 +93,7 @@ def _without_ignored(
 
 
 class _KernelLoss(torch.autograd.Function):
-    """Value and gradient from one kernel, on the CPU or a GPU; nothing waits for the GPU."""
+    """Value and gradient from one kernel, on the CPU or a GPU; does not wait for the GPU."""
 
     @staticmethod
     def forward(
@@ -119,16 +119,16 @@ class _KernelLoss(torch.autograd.Function):
         scale, (gradient,) = upstream[0], ctx.saved_tensors
         if scale is None or gradient is None:
             return (None,) * 5
-        # The usual factor of 1 needs no pass over the image; but to read it would wait for a GPU.
+        # The usual factor of 1 needs no pass over the image. Reading it would wait for a GPU.
         if not ctx.on_cpu or scale != 1:
-            gradient.mul_(scale)  # in place: fresh memory costs more. torch refuses a second time
+            gradient.mul_(scale)  # in place: new memory costs more. torch refuses a second backward
         return gradient.permute(1, 2, 0), *(None,) * 4
 
 
 def _terms_on_cpu(
     image: Tensor, photo: Tensor, ssim_weight: float, mask: Tensor | None, gradient: Tensor | None
 ) -> Tensor:
-    """(3,) loss, L1 and SSIM by `roigs_photo_loss` of kernels/loss.cpp; fills the gradient."""
+    """(3,) loss, L1 and SSIM from `roigs_photo_loss` of kernels/loss.cpp; fills the gradient."""
     _, height, width = image.shape
     tensors = (bindings.pointer(tensor) for tensor in (image, photo, mask))
     result = (ctypes.c_double * 3)()
@@ -141,7 +141,7 @@ def _terms_on_cpu(
 def _terms_on_gpu(
     image: Tensor, photo: Tensor, ssim_weight: float, mask: Tensor | None, gradient: Tensor | None
 ) -> Tensor:
-    """As `_terms_on_cpu`, by cuda/kernels/loss.cu."""
+    """Compute what `_terms_on_cpu` does, with cuda/kernels/loss.cu."""
     _, height, width = image.shape
     blocks = 3 * -(-height // TILE) * -(-width // TILE)
     total = None if mask is None else mask.sum(dtype=torch.float64)

@@ -1,7 +1,7 @@
 """Training metrics: loss and PSNR for the progress; checks for NaN and outlier photos.
 
-Losses stay on their device. Every `CHECK_EVERY` steps, the checks read them and the parameters. In
-between, the CPU does not wait for a GPU.
+Losses stay on their device. Every `CHECK_EVERY` steps, the checks read them and the parameters.
+Between checks, the CPU does not wait for a GPU.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ RECENT = 0.98  # weight of the past in the running loss
 
 
 class TrainingMetrics:
-    """The running loss and PSNR that progress shows; on the device until they are read.
+    """The running loss and PSNR for the progress; on the device until they are read.
 
     Attributes:
         loss: () running loss, NaN before the first step.
@@ -35,15 +35,15 @@ class TrainingMetrics:
 
     @property
     def is_new(self) -> bool:
-        """Whether there is a PSNR to `read`."""
+        """Whether there is a new PSNR to `read`."""
         return self._error is not None
 
     def observe(
         self, step: int, loss: Tensor, pictures: tuple[Tensor, Tensor], weights: Tensor | None
     ) -> None:
-        """Take a step's loss and, every `PSNR_EVERY` steps, the error of its picture.
+        """Add a step's loss and, every `PSNR_EVERY` steps, the error of its picture.
 
-        The pictures are the render, (H, W, 3) in [0, 1], and the photo, (H, W, 3) uint8.
+        `pictures` are the render, (H, W, 3) in [0, 1], and the photo, (H, W, 3) uint8.
         """
         self.loss = torch.where(self.loss.isnan(), loss, self.loss.lerp(loss, 1 - RECENT))
         if step % PSNR_EVERY:
@@ -64,17 +64,17 @@ class TrainingMetrics:
         self._error = None
 
     def take_back(self, loss: Tensor) -> None:
-        """The running loss is this one again: the steps since are repeated."""
+        """Restore this running loss, because the steps since are repeated."""
         self.loss, self._error = loss, None
 
 
 CHECK_EVERY = 100  # steps; at least as often as Gaussians are added
-VISITS = 5  # number of a photo's last losses that count; with fewer, the photo is not judged
+VISITS = 5  # number of a photo's last losses that count; with fewer, it is not judged
 FEWEST_PHOTOS = 8  # with fewer photos, none is judged
 # An outlier is DEVIATIONS standard deviations above the median, estimated from the median deviation
 # (Iglewicz and Hoaglin 1993 use 3.5; photos differ more), and at least TIMES the median.
 DEVIATIONS, TIMES = 6.0, 1.5
-NAMED = 3  # how many of them a warning names
+NAMED = 3  # most outliers that a warning names
 HINT = (
     "Check the photos named in warnings, and the model's scale. The last good checkpoint is kept;"
     " the same command resumes from it."
@@ -84,7 +84,7 @@ HINT = (
 class Health:
     """The checks of one stage. They do not change the training.
 
-    Args: `photos`: names of the stage's photos; `record_loss` gets positions in this list.
+    Args: `photos` are the names of the stage's photos; `record_loss` gets positions in this list.
     """
 
     def __init__(self, photos: Sequence[str]) -> None:
@@ -97,7 +97,7 @@ class Health:
         self._new.append((step, photo, loss))
 
     def forget(self, step: int) -> None:
-        """Drop the losses of this step and later ones, which are done again."""
+        """Drop the losses of this and later steps, which are done again."""
         self._new = [record for record in self._new if record[0] < step]
 
     def check(
@@ -138,9 +138,9 @@ class Health:
             self._recent.setdefault(photo, deque(maxlen=VISITS)).append(loss)
 
     def outliers(self, named: set[str] | None = None) -> str:
-        """A warning about photos whose loss stays far above the others'; empty if none does.
+        """Return a warning about photos whose loss stays far above the others', or an empty string.
 
-        Args: `named`: photos that are left out; gets those that are too far above.
+        Args: `named` has photos to leave out; the new outliers are added to it.
         """
         self._read_losses()
         # The smallest of its last losses: a photo must be bad on every visit.

@@ -1,12 +1,12 @@
-"""Adam (Kingma and Ba 2015) for only those Gaussians that got a gradient from the last photo.
+"""Adam (Kingma and Ba 2015) for only those Gaussians that get a gradient from the last photo.
 
-Two rules make a step's cost depend on what the photo shows and not on the scene:
+Two rules make a step's cost depend on the photo's content and not on the scene:
 
-* Rows that are not visible, or whose gradient is zero, as others hide them, keep their value and
-  their moments: no decay.
+* Rows that are not visible, or whose gradient is zero because others hide them, keep their values
+  and moments, without decay.
 * There is no gradient in memory: the rasterizer's backward pass takes the step itself
-  (`VisibleAdam.backward_step`), on all rows to which a pixel hands a gradient, though that of each
-  parameter may be zero. It leaves SH of higher degrees than are drawn as they are.
+  (`VisibleAdam.backward_step`), on all rows that get a gradient from a pixel, even if that of a
+  parameter is zero. SH of higher degrees than are drawn stay unchanged.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ class VisibleAdam:
     Bias correction counts the optimizer's steps, as in dense Adam, not the steps of each row.
 
     Attributes:
-        row_rates: (N,) float32, a factor of the learning rates for each Gaussian in the next steps;
-            None: 1. It does not follow the rows in `replace`, and is no part of the state or of a
-            `part`.
-        skipped_rows: number of rows skipped so far for a NaN or Inf gradient; a tensor on a GPU,
-            since reading it would wait for the GPU.
+        row_rates: (N,) float32, a factor on the learning rates of each Gaussian in the next steps;
+            None for 1. It does not follow the rows in `replace`, and does not belong to the state
+            or to a `part`.
+        skipped_rows: number of rows skipped so far because of NaN or Inf gradients; a tensor on a
+            GPU, since reading it would wait for the GPU.
     """
 
     def __init__(self, parameters: Mapping[str, tuple[Tensor, float | Tensor]]) -> None:
@@ -68,24 +68,24 @@ class VisibleAdam:
 
     @property
     def parameters(self) -> dict[str, Tensor]:
-        """The leaf tensors by name; brought back, if they are on a GPU that torch does not know."""
+        """Return the leaf tensors by name, copied back from a GPU that torch does not know."""
         self._resident.settle()
         return self._parameters
 
     @property
     def exp_avg(self) -> dict[str, Tensor]:
-        """Their first moments."""
+        """Return the parameters' first moments."""
         self._resident.settle()
         return self._exp_avg
 
     @property
     def exp_avg_sq(self) -> dict[str, Tensor]:
-        """Their second moments."""
+        """Return the parameters' second moments."""
         self._resident.settle()
         return self._exp_avg_sq
 
     def _tensors(self) -> list[list[Tensor]]:
-        """See `Resident`."""
+        """Return the tensors for `Resident`."""
         return [list(own.values()) for own in (self._parameters, self._exp_avg, self._exp_avg_sq)]
 
     def __len__(self) -> int:
@@ -108,7 +108,7 @@ class VisibleAdam:
         self._learning_rates[name] = values.contiguous()
 
     def step_by(self, kernel: Callable[[Any], int | Tensor]) -> int | Tensor:
-        """Take a step with a kernel, which gets a `bindings.Adam*` and returns what `step` does."""
+        """Take a step with a kernel, which gets a `bindings.Adam*` and returns the skipped rows."""
         self._check_row_rates()
         self.step_count += 1
         parameters = (bindings.AdamParameter * len(self._parameters))()
@@ -126,7 +126,7 @@ class VisibleAdam:
         return skipped
 
     def _check_row_rates(self) -> None:
-        """The kernels trust it."""
+        """Check `row_rates`, because the kernels do not."""
         rates, first = self.row_rates, next(iter(self._parameters.values()))
         if rates is None:
             return
@@ -139,7 +139,7 @@ class VisibleAdam:
 
     @property
     def backward_step(self) -> BackwardStep:
-        """The argument of `rasterize(..., backward_step=...)`."""
+        """Return the argument of `rasterize(..., backward_step=...)`."""
         tensors = tuple(self._parameters.values())
         return BackwardStep(tensors, self.step_by, resident=self._resident)
 
@@ -149,8 +149,8 @@ class VisibleAdam:
 
         Args:
             parameters: a new leaf tensor for every name; EngineError if they do not fit.
-            rows: (N_new,) long: for each new row, the old row whose moments it gets; -1: zero
-                moments. Gradients are zero afterwards.
+            rows: (N_new,) long: for each new row, the old row whose moments it gets; -1 for zero
+                moments. Gradients are None afterwards.
         """
         if set(parameters) != set(self.parameters):
             raise EngineError(f"Expected {sorted(self.parameters)}, got {sorted(parameters)}.")
@@ -164,7 +164,7 @@ class VisibleAdam:
 
     @torch.no_grad()
     def part(self, rows: Tensor) -> VisibleAdam:
-        """An optimizer of copies of these rows, with their moments; `put` takes them back."""
+        """Return an optimizer of copies of these rows and their moments; `put` writes them back."""
         copies = {name: p.detach()[rows].contiguous() for name, p in self.parameters.items()}
         rates = {name: (copy, self._learning_rates[name]) for name, copy in copies.items()}
         part = type(self)(rates)
@@ -177,7 +177,7 @@ class VisibleAdam:
 
     @torch.no_grad()
     def put(self, part: VisibleAdam, rows: Tensor) -> None:
-        """Take back the rows of a `part`, which has taken steps."""
+        """Write back the rows of a `part` that has taken steps."""
         for name, parameter in self.parameters.items():
             parameter[rows] = part.parameters[name].detach()
             self.exp_avg[name][rows] = part.exp_avg[name]
@@ -189,16 +189,16 @@ class VisibleAdam:
     def zero_moments(self, *names: str) -> None:
         """Zero the moments of parameters.
 
-        The second moment grows more slowly than the first, and the correction for that counts the
-        optimizer's steps, not these: late in a stage, the steps that follow grow to six times
-        their size, and shrink within some hundred.
+        The second moment grows more slowly than the first, and bias correction counts all steps of
+        the optimizer. So late in a stage, the following steps grow to six times their size, and
+        shrink within some hundred steps.
         """
         for name in names:
             self.exp_avg[name].zero_()
             self.exp_avg_sq[name].zero_()
 
     def state_dict(self) -> dict[str, Any]:
-        """Tensors are shared, not copied."""
+        """Return the state; tensors are shared, not copied."""
         return {
             "step_count": self.step_count,
             "skipped_rows": int(self.skipped_rows),
@@ -228,7 +228,7 @@ class VisibleAdam:
 
 
 def leaves(gaussians: Gaussians) -> Gaussians:
-    """The same values as contiguous leaf tensors that require gradients."""
+    """Return the same values as contiguous leaf tensors that require gradients."""
     return gaussians.with_tensors(
         {n: t.detach().contiguous().requires_grad_() for n, t in gaussians.tensors().items()}
     )

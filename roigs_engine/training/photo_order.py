@@ -1,4 +1,4 @@
-"""The photo of each training step: a pure function of (seed, step), so a resumed run agrees."""
+"""The photo of each training step, a pure function of (seed, step), also in a resumed run."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class PhotoOrder:
             which is for training on masks.
         count: number of all photos.
         seed: of the epochs.
-        drawn: of `mixed`: photos that steps with a mask draw from.
-        selected, share: of `mixed`: selected photos, and the share of these steps that draw one.
-        whole_share: of `mixed`: the share of steps that draw from all photos.
+        drawn: for `mixed`, the photos from which steps with a mask draw.
+        selected, share: for `mixed`, selected photos, and the share of these steps that draw one.
+        whole_share: for `mixed`, the share of steps that draw from all photos.
     """
 
     kind: str
@@ -38,7 +38,7 @@ class PhotoOrder:
     whole_share: float = 0.0
 
     def photo_at(self) -> PhotoAt:
-        """The function step -> position of its photo."""
+        """Return the function step -> position of its photo."""
         if self.kind == "ordered":
             return lambda step: step % self.count  # paper, sec. III-A
         if self.kind == "shuffled":
@@ -50,7 +50,7 @@ class PhotoOrder:
 
 
 def shuffled(photos: Sequence[int], seed: int) -> PhotoAt:
-    """Epochs of random permutations, as in 3DGS."""
+    """Return an order by epochs of random permutations, as in 3DGS."""
     photos = list(photos)
     cached: tuple[int, NDArray[np.int64]] = (-1, np.empty(0, dtype=np.int64))
 
@@ -65,7 +65,7 @@ def shuffled(photos: Sequence[int], seed: int) -> PhotoAt:
 
 
 def mixed(first: PhotoAt, second: PhotoAt, share: float) -> PhotoAt:
-    """Two orders mixed: `share` of the steps, evenly spread, draw from `second`."""
+    """Mix two orders: `share` of the steps, evenly spread, draw from `second`."""
 
     def photo_at(step: int) -> int:
         drawn = int(step * share + 1e-9)
@@ -75,6 +75,6 @@ def mixed(first: PhotoAt, second: PhotoAt, share: float) -> PhotoAt:
 
 
 def evenly_spaced(items: Sequence[Item], most: int) -> list[Item]:
-    """At most so many of the items, evenly spaced, in their order; the first and the last."""
+    """Return at most `most` of the items, evenly spaced, in order, with the first and the last."""
     places = np.linspace(0, len(items) - 1, min(most, len(items))).round()
     return [items[int(place)] for place in places]

@@ -1,4 +1,4 @@
-"""Hooks of training mechanisms: when the trainer calls them, and what they can access."""
+"""Hooks of training mechanisms, and the trainer's interface for them."""
 
 from __future__ import annotations
 
@@ -30,32 +30,32 @@ class Training(Protocol):
 
     @property
     def gaussians(self) -> Gaussians:
-        """The current model; its tensors may be changed in place."""
+        """Return the current model; its tensors may be changed in place."""
 
     @property
     def photos(self) -> PhotoViews:
-        """The photos in full size."""
+        """Return the photos in full size."""
 
     def settled(self) -> bool:
-        """Whether all steps so far are done; if not, the trainer has gone back to the first."""
+        """Whether all steps so far are done; if not, the trainer has gone back to redo some."""
 
     def apply(self, edit: Edit) -> None:
         """Continue with other rows; all mechanisms follow."""
 
     def prune(self, context: Context, what: str, search: Callable[[], Tensor]) -> bool:
-        """Remove the Gaussians that a search finds, (N,) bool; False: stopped, nothing changed."""
+        """Remove the Gaussians that a search finds, (N,) bool; False if stopped before a change."""
 
     def render(
         self, optimizer: VisibleAdam, view: tuple[int, int | str], active: Mask, **options: Any
     ) -> RenderOutput:
-        """An optimizer's Gaussians, on a photo of the step's size; `view` names photo and part."""
+        """Render an optimizer's Gaussians in a photo's view; `view` names photo and part."""
 
 
 class Running:
-    """A mechanism in a stage that trains. All hooks do nothing by default; none needs gradients.
+    """A mechanism during training. All hooks do nothing by default; none needs gradients.
 
     Attributes:
-        kept: names of the attributes that are its state in checkpoints: tensors and plain numbers.
+        kept: names of attributes stored in checkpoints as its state: tensors and plain numbers.
         needs_max_weight: whether `observe` needs each Gaussian's largest blending weight.
         needs_surface: whether it has a `surface_loss`.
     """
@@ -65,50 +65,50 @@ class Running:
     needs_surface: bool = False
 
     def own_step(self, training: Training) -> tuple[int, Tensor] | None:
-        """Take this step in its own way; returns its photo and its loss, or None."""
+        """Replace the ordinary step by its own; return its photo and its loss, or None."""
         return None
 
     def mask(self, step: int, photo: int) -> LossMask | None:
-        """The part of the photo that a step uses; None: all of it."""
+        """Return the part of the photo that a step uses; None for the whole photo."""
         return None
 
     def row_rates(self, *, whole: bool) -> Tensor | None:
-        """(N,) float32 factors of learning rates, in a step on a `whole` photo; None: all are 1."""
+        """(N,) float32 factors on learning rates in a step on a `whole` photo or not; None for 1."""
         return None
 
     def surface_loss(
         self, surface: Surface, alpha: Tensor, intrinsics: Tensor, weights: Tensor | None
     ) -> Tensor:
-        """A term that a step adds to the photo's loss, a scalar.
+        """Return a term to add to the photo's loss, a scalar.
 
         Args:
             surface: of the part of the photo that the step uses, (1, H, W).
-            alpha: the same.
-            intrinsics: (3, 3) of that part.
-            weights: (H, W) of its pixels; None: 1.
+            alpha: of this part, (1, H, W).
+            intrinsics: (3, 3) of this part.
+            weights: (H, W) of its pixels; None for 1.
         """
         raise NotImplementedError
 
     def observe(self, visible: Tensor, grad2d: Tensor, max_weight: Tensor | None) -> None:
-        """Take the statistics of a step; all (N,), see `rasterize.RenderOutput`."""
+        """Receive the statistics of a step; all (N,), see `rasterize.RenderOutput`."""
 
     def is_due(self, step: int) -> bool:
-        """Whether `after_step` does something after `step` steps; it costs nothing to ask."""
+        """Whether `after_step` does something after `step` steps; this must be cheap."""
         return False
 
     def after_step(self, training: Training) -> None:
-        """Act after a step, where `is_due`."""
+        """Act after a step if `is_due`."""
 
     def between_steps(self, training: Training, context: Context) -> bool:
-        """Act before a step, for longer; False: stopped, with nothing changed."""
+        """Act before a step; may take long. Return False if stopped without a change."""
         return True
 
     def end(self, training: Training, context: Context) -> bool:
-        """Act after the last step; False: stopped, with nothing changed."""
+        """Act after the last step; return False if stopped without a change."""
         return True
 
     def follow(self, rows: Tensor, gaussians: Gaussians) -> None:
-        """The model has other rows: (M,) the old row of each, -1: new; and the model itself."""
+        """Adapt to a model with other rows: (M,) the old row of each, -1 for new; and the model."""
 
     def state_dict(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in self.kept}

@@ -21,7 +21,7 @@ from .photo_order import PhotoAt
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StageData:
-    """The data that a stage trains on.
+    """The training data of a stage.
 
     Attributes:
         images: posed photos.
@@ -29,13 +29,14 @@ class StageData:
         photo_at: step -> position in `images` of the photo that the step uses.
         extent: the *scene's* extent, world units; scales position learning rates and pruning sizes.
         rois: the boxes.
-        labelled: the stage's first model, and the box that owns each of its Gaussians, or -1: by
-            masks, where these show a box's object.
+        labelled: returns the stage's first model, and the index of the box that owns each of its
+            Gaussians, or -1. Object masks decide where there are any.
         points: (P, 3) of the scene, world units.
-        backgrounds: (P, 3) colour behind all Gaussians, for each photo, on `device`; None: black.
+        backgrounds: (photos, 3) colour behind all Gaussians of each photo, on `device`; None for
+            black.
         seed: for the positions of split Gaussians.
-        device: where to train; devices differ only in rounding.
-        card_photos: bytes of photos to keep on a GPU; None: a share of its free memory.
+        device: for training; devices differ only in rounding.
+        card_photos: bytes of photos to keep on a GPU; None for a share of its free memory.
     """
 
     images: Sequence[PosedImage]
@@ -52,9 +53,9 @@ class StageData:
 
     @property
     def photo_focal(self) -> float | None:
-        """Focal length of the whole photos, pixels; None: they have several, or there are none.
+        """Return the focal length of the whole photos, pixels; None if they differ, or without any.
 
-        A stage draws each photo with its own pixels, so with several there is no common one.
+        A stage draws each photo with its own pixels, so there may be no common focal length.
         """
         focals = [image.camera.focal * image.pixel_size for image in self.images]
         if not focals or max(focals) > (1 + SAME_FOCAL) * min(focals):
@@ -63,7 +64,7 @@ class StageData:
 
 
 class View(NamedTuple):
-    """A camera as the rasterizer takes it: (1, 4, 4) and (1, 3, 3) matrices, pixels.
+    """A camera in the rasterizer's form: (1, 4, 4) and (1, 3, 3) matrices, pixels.
 
     `pixel_size` is the side of a pixel in pixels of the whole photo.
     """
@@ -76,7 +77,7 @@ class View(NamedTuple):
 
 
 class PhotoViews:
-    """The photos of a stage in one size, on the device; `limit`: as `StageData.card_photos`."""
+    """The photos of a stage in one size, on the device; `limit` is as `StageData.card_photos`."""
 
     def __init__(self, of: StageData, device: torch.device, limit: int | None) -> None:
         self.images = of.images
@@ -89,7 +90,7 @@ class PhotoViews:
         )
 
     def photo(self, index: int) -> Tensor:
-        """Its pixels, as `photos_on` has them."""
+        """Return the photo's pixels, in the form of `photos_on`."""
         return self._photos[index]
 
     def prefetch(self, index: int) -> None:
@@ -97,7 +98,7 @@ class PhotoViews:
         self._photos.prefetch([index])
 
     def view(self, index: int) -> View:
-        """Its camera."""
+        """Return the photo's camera."""
         one, image = slice(index, index + 1), self.images[index]
         size = image.camera.width, image.camera.height
         return View(self._viewmats[one], self._intrinsics[one], *size, image.pixel_size)

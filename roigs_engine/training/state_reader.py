@@ -14,7 +14,7 @@ Shape = tuple[int, ...]
 
 
 class StateReader:
-    """A part of a checkpoint's state, with values of any type; all methods raise ValueError.
+    """A part of a checkpoint's state with unchecked values; all methods raise ValueError.
 
     Attributes:
         steps: of the stage.
@@ -32,7 +32,7 @@ class StateReader:
 
     @property
     def rows(self) -> Shape:
-        """The shape of one value for each Gaussian."""
+        """Return the shape of one value per Gaussian."""
         return self.shapes["means"][:1]
 
     def part(self, key: str) -> StateReader:
@@ -41,7 +41,7 @@ class StateReader:
         return StateReader(self._values[key], self.steps, self.step, self.shapes)
 
     def exactly(self, names: Iterable[str]) -> None:
-        """Refuse missing and unknown names."""
+        """Refuse missing or unknown names."""
         expected = set(names)
         for name in self._values:
             if name not in expected:
@@ -50,14 +50,14 @@ class StateReader:
             raise ValueError(f"it has no '{name}'")
 
     def count(self, key: str, most: int) -> int:
-        """An integer from 0 to `most`."""
+        """Return an integer from 0 to `most`."""
         value = self._values.get(key)
         if type(value) is not int or not 0 <= value <= most:
             raise ValueError(f"'{key}' is not an integer from 0 to {most:,}")
         return value
 
     def number(self, key: str) -> float:
-        """A number, which may be NaN."""
+        """Return a number, which may be NaN."""
         value = self._values.get(key)
         if isinstance(value, (int, float)) and not isinstance(value, bool):
             with suppress(OverflowError):
@@ -65,7 +65,7 @@ class StateReader:
         raise ValueError(f"'{key}' is not a number")
 
     def flag(self, key: str) -> bool:
-        """True or False."""
+        """Return True or False."""
         value = self._values.get(key)
         if not isinstance(value, bool):
             raise ValueError(f"'{key}' is not True or False")
@@ -80,14 +80,14 @@ class StateReader:
         least: float = -math.inf,
         finite: bool = False,
     ) -> dict[str, Tensor]:
-        """The tensors of these names and shapes, and of no others.
+        """Return the tensors with these names and shapes; there must be no others.
 
         Args:
             shapes: by name.
-            besides: names of other values.
-            flags: bool instead of float32.
-            least: their smallest number; NaN is none, unless it is minus infinity.
-            finite: whether numbers are finite.
+            besides: names of further values.
+            flags: the tensors are bool instead of float32.
+            least: smallest allowed number. NaN is never allowed.
+            finite: refuse infinite numbers.
         """
         self.exactly((*shapes, *besides))
         dtype = torch.bool if flags else torch.float32

@@ -36,22 +36,22 @@ REPORT_SECONDS = 0.5
 class Trainer:
     """Optimises Gaussians on posed photos (Kerbl et al. 2023, with the paper's sec. II-B changes).
 
-    Everything random is a function of (seed, step), so `state_dict` needs no random generator, and
-    a trainer that loads it continues exactly.
+    All randomness is a function of (seed, step), so `state_dict` needs no random generator, and a
+    trainer that loads it continues exactly.
 
-    A step does not wait for its device: the running loss is read only when progress is shown, and
-    that a view's buffer on a GPU was too small is heard of later (`StepsAhead`).
+    A step does not wait for its device: the running loss is read only when progress is shown. A
+    view's buffer on a GPU that was too small is detected later (`StepsAhead`).
     """
 
     def __init__(
         self, gaussians: Gaussians, data: StageData, config: TrainConfig, context: Context = QUIET
     ) -> None:
-        """Start at step 0 with a copy of `gaussians`; `context`: checked for cancellation."""
+        """Start at step 0 with a copy of `gaussians`; `context` is checked for cancellation."""
         self.config, self.data, self.context = config, data, context
         self.step = 0
         self.seconds = 0.0
-        self.cpu_seconds = 0.0  # of the whole process, all its threads
-        # photos are drawn with their own pixels, while it trains
+        self.cpu_seconds = 0.0  # of all threads of the process
+        # during training, each photo is drawn with its own pixels
         gaussians = replace(gaussians.to(data.device), target=config.target, photo_focal=None)
         self._gaussians = leaves(gaussians.rows(morton_order(gaussians.means)))
         self.optimizer = self._new_optimizer()
@@ -59,14 +59,14 @@ class Trainer:
         self.photos = PhotoViews(data, data.device, data.card_photos)
         self._ahead = StepsAhead(data.device)
         self._metrics = TrainingMetrics(data.device)
-        self._steps_before = 0  # of the optimizer, in front of this step
+        self._steps_before = 0  # of the optimizer, before this step
         acting = [each for each in config.mechanisms if each.acts(config)]
         self._running = {each.name: each.begin(config, self) for each in acting}
 
     @property
     def gaussians(self) -> Gaussians:
-        """The current model; its tensors belong to the trainer."""
-        _ = self.optimizer.parameters  # brings them back from where steps are taken
+        """Return the current model; its tensors belong to the trainer."""
+        _ = self.optimizer.parameters  # copies them back from a GPU that torch does not know
         return self._gaussians
 
     def run(
@@ -76,11 +76,11 @@ class Trainer:
         stage: str = "",
         callbacks: Sequence[PeriodicCallback] = (),
     ) -> bool:
-        """Train to the config's last step, mechanisms included; False if stopped earlier.
+        """Train to the config's last step, with mechanisms; return False if stopped earlier.
 
         Args:
             context: receives progress events, at most two per second; checked for cancellation
-                before every step, and while mechanisms work.
+                before every step, and during the work of mechanisms.
             stage: the stage's name in progress events.
             callbacks: called between steps to write checkpoints and previews.
         """
@@ -129,7 +129,7 @@ class Trainer:
             return all(each.end(self, context) for each in self._running.values())
 
     def train_step(self) -> None:
-        """Render a photo, compare, take an optimizer step, then do what is due."""
+        """Render a photo, compare it, take an optimizer step, then let mechanisms act."""
         config, data = self.config, self.data
         self._ahead.begin(self.step, self._metrics.loss)
         self._steps_before = self.optimizer.step_count
@@ -160,7 +160,7 @@ class Trainer:
             weights, share = counted_weights(weights, counted)
             loss_weight = share if loss_weight is None else loss_weight * share
         whole = loss.loss + self._surface_loss(index, output, mask, weights)
-        # As a factor: given to backward(), a weight has torch import sympy, for half a second.
+        # As a factor: a weight given to backward() makes torch import sympy, for half a second.
         weighted = whole if loss_weight is None else whole * loss_weight
         weighted.backward()  # type: ignore[no-untyped-call]
         visible = output.visible[0]
@@ -177,7 +177,7 @@ class Trainer:
         return reduce(torch.mul, factors) if factors else None
 
     def _end_step(self, index: int, loss: Tensor) -> None:
-        """Count a step on a photo, look for NaN, and let mechanisms act."""
+        """Count a step on a photo, check for NaN, and let mechanisms act."""
         self.health.record_loss(self.step, index, loss)
         self.step += 1
         due = [each for each in self._running.values() if each.is_due(self.step)]
@@ -196,7 +196,7 @@ class Trainer:
         return not self._taken_back(wait=True)
 
     def _taken_back(self, *, wait: bool) -> bool:
-        """Whether steps must be done again; then the trainer is where the first of them begins."""
+        """Whether steps must be done again; if so, go back to the first of them."""
         found = self._ahead.first_void(wait=wait)
         if found is None:
             return False
@@ -209,7 +209,7 @@ class Trainer:
 
     @property
     def is_between_steps(self) -> bool:
-        """Whether a step that failed has changed nothing: the state is that in front of it."""
+        """Whether a failed step has changed nothing, so the state is that before it."""
         return self.optimizer.step_count == self._steps_before
 
     def check(self) -> None:
@@ -218,7 +218,7 @@ class Trainer:
         self.health.check(self.step, self.gaussians.tensors(), self.optimizer.skipped_rows)
 
     def _mask(self, index: int) -> LossMask | None:
-        """The mask of this step's photo; None: the step uses the whole photo."""
+        """Return the mask of this step's photo; None if the step uses the whole photo."""
         found = (each.mask(self.step, index) for each in self._running.values())
         return next((mask for mask in found if mask is not None), None)
 
@@ -239,7 +239,7 @@ class Trainer:
     def _surface_loss(
         self, index: int, output: RenderOutput, mask: LossMask | None, weights: Tensor | None
     ) -> Tensor | float:
-        """The sum of the mechanisms' losses on a surface."""
+        """Return the sum of the mechanisms' surface losses."""
         if output.surface is None:
             return 0.0
         intrinsics = self.photos.view(index).Ks[0].clone()
@@ -254,7 +254,7 @@ class Trainer:
     def render(
         self, optimizer: VisibleAdam, view: tuple[int, int | str], active: Mask, **options: Any
     ) -> RenderOutput:
-        """The Gaussians of the optimizer of the model, or of a part; `options` of `rasterize`."""
+        """Render an optimizer's Gaussians, all or a part; `options` are for `rasterize`."""
         camera = self.photos.view(view[0])
         taken = self._ahead.backward_step(optimizer, self.step, (*view, camera.width))
         means, quats, scales, opacities, sh = taken.tensors
@@ -278,14 +278,14 @@ class Trainer:
         """See `Training`."""
         began, cpu_began = time.perf_counter(), time.process_time()
         context.info(f"Looking for {what}.")
-        self._steps_before = self.optimizer.step_count  # while it searches, nothing has changed
+        self._steps_before = self.optimizer.step_count  # the search changes nothing
         try:
             found = search()
         except Stopped:
             return False
         context.info(f"Removed {int(found.sum()):,} {what}, of {len(found):,}.")
         if bool(found.any()):
-            self._steps_before = -1  # from here on, half of the state may have
+            self._steps_before = -1  # from here on, the state may be half changed
             kept = (~found).nonzero()[:, 0]
             self.apply(unchanged(self.gaussians).keep(kept))
             self._steps_before = self.optimizer.step_count
@@ -313,7 +313,7 @@ class Trainer:
         return VisibleAdam({name: (tensors[name], rates[name]) for name in NAMES})
 
     def state_dict(self) -> dict[str, Any]:
-        """The complete training state: tensors on the CPU and plain numbers."""
+        """Return the complete training state: tensors on the CPU and plain numbers."""
         self._taken_back(wait=True)
         state = {
             "step": self.step,
@@ -342,7 +342,7 @@ class Trainer:
 
 
 def learning_rates(config: TrainConfig, extent: float, bands: int) -> dict[str, float | Tensor]:
-    """The learning rate of each of `Gaussians`' tensors, at the first step; `bands` of SH."""
+    """Return the learning rate of each of `Gaussians`' tensors at the first step; `bands` of SH."""
     sh = torch.full((bands, 3), config.lr_shN)
     sh[0] = config.lr_sh0
     return {

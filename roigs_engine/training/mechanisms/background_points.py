@@ -1,4 +1,4 @@
-"""Background initialisation: Gaussians where photos show no sparse point (ours).
+"""Background initialisation: Gaussians in areas of photos without sparse points (ours).
 
 docs/method.md, "A backdrop", describes the method and the reasons.
 """
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
     from ...cuda.photos import Photos
     from ..stage_data import StageData
 
-MOST_POINTS = 20_000  # of the scene that are looked at: cells are large
-AROUND = 8  # points next to a cell in the photo; it has to show so many
-BLACK = 8  # of 255: a colour up to this is as good as black
-SAMPLES = 32  # pixels along a cell's side that its colour is the mean of, at most
+MOST_POINTS = 20_000  # of the scene that are used: enough, because cells are large
+AROUND = 8  # nearest points to a cell in the photo, which must show at least so many
+BLACK = 8  # of 255: colours up to this count as black
+SAMPLES = 32  # most pixels along a cell's side for its mean colour
 
 
 @dataclass(frozen=True, kw_only=True)
 class BackgroundPoints(Mechanism):
-    """A stage that starts from the sparse points gets Gaussians where photos show none, too.
+    """A stage that starts from the sparse points also gets Gaussians where photos show no points.
 
     Earns: +0.12 dB in the silhouettes, −0.02 dB on objects (marginal), +0.28 dB in images. Draft,
         six boxes of kumamon, flowerpot and the demo, two seeds (notebook/leave_one_out.md).
 
     Attributes:
-        cells: along a photo's longer side.
+        cells: number of cells along a photo's longer side.
     """
 
     name: ClassVar[str] = "background_points"
@@ -57,8 +57,8 @@ def background_points(
 ) -> tuple[Float64, NDArray[np.uint8]]:
     """(B, 3) positions in the world, (B, 3) uint8 colours; B is from 0 to the number of points.
 
-    `points` are (P, 3), world units. `photos` are the pixels of `images`, in the same order; those
-    that need nothing are not decoded. `cells` are along the longer side of a photo.
+    `points` are (P, 3), world units. `photos` are the pixels of `images`, in the same order; photos
+    without empty cells are not decoded. `cells` is the number along the longer side of a photo.
     """
     from scipy.spatial import cKDTree
 
@@ -93,7 +93,7 @@ def background_points(
 
 
 def _side(image: PosedImage, cells: int) -> float:
-    """Of a cell, pixels."""
+    """Return the side of a cell in pixels."""
     return max(image.camera.width, image.camera.height) / cells
 
 
@@ -106,7 +106,7 @@ def _projected(points: Float64, image: PosedImage) -> tuple[Float64, Float64]:
 def _empty_cells(
     pixels: Float64, image: PosedImage, cells: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and columns of the cells without a point in them or in the eight around them."""
+    """Return rows and columns of cells without a point in them or in the eight around them."""
     from scipy.ndimage import binary_dilation
 
     side = _side(image, cells)

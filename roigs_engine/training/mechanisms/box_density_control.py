@@ -1,4 +1,4 @@
-"""Density control in boxes (ROI-GS, sec. II-B), with a Gaussian budget for each (ours)."""
+"""Density control in boxes (ROI-GS, sec. II-B), with a Gaussian budget for each box (ours)."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from ..running import Training
     from ..state_reader import StateReader
 
-EXPONENT = 0.5  # of a budget, to the number of pixels
+EXPONENT = 0.5  # a budget grows with this power of the number of pixels
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoxDensityControl(DensityControl):
-    """Density control with thresholds, sizes and budgets of the boxes.
+    """Density control with thresholds, sizes and budgets for the boxes.
 
     Budgets grow with the square root of the number of pixels that show a box (docs/method.md,
     "Gaussian budget"). Factor and root are empirical (notebook/steps_and_budgets.md). The paper has
@@ -37,11 +37,11 @@ class BoxDensityControl(DensityControl):
 
     Attributes:
         grad_threshold: in the boxes.
-        outside_threshold: Gaussians outside the boxes above this gradient are densified, too; 0:
-            none (paper).
+        outside_threshold: Gaussians outside the boxes above this gradient are densified, too; 0
+            for none (paper).
         box_sizes: the size reference in a box is at most its diagonal (paper).
-        budget: factor on the root of a box's pixels; 0: no limit.
-        budgets: most Gaussians in each box at the end of densification; None: no limit.
+        budget: factor on the root of a box's pixels; 0 for no limit.
+        budgets: most Gaussians in each box at the end of densification; None for no limit.
     """
 
     name: ClassVar[str] = "box_density_control"
@@ -71,11 +71,11 @@ def box_budgets(
     factor: float,
     context: Context = QUIET,
 ) -> tuple[int, ...]:
-    """Each box's budget at the end, `factor` x pixels^0.5.
+    """Return each box's budget at the end, `factor` x pixels^0.5.
 
     Each pixel in a box's silhouette counts, unless the photo's mask ignores it, or the mask of the
-    box's object does not show it. Photos without such a mask count with the mean share that the
-    masks leave of the silhouette.
+    box's object does not contain it. In photos without such a mask, the silhouette counts with the
+    mean share of the object masks.
     """
     budgets = []
     for roi in rois:
@@ -106,10 +106,10 @@ class RunningBoxDensityControl(RunningDensityControl):
         )
 
     def limits(self, progress: float) -> list[int]:
-        """The limit of each box when the share `progress` (0 to 1) of densification is done.
+        """Return the limit of each box after the share `progress` (0 to 1) of densification.
 
-        It rises linearly. A constant limit would be used up by the first large gradients, before
-        training shows where detail is missing.
+        It rises linearly. The first large gradients would use up a constant limit, before training
+        shows where detail is missing.
         """
         return [
             round(begin + (end - begin) * min(progress, 1.0))
@@ -117,7 +117,7 @@ class RunningBoxDensityControl(RunningDensityControl):
         ]
 
     def densify_mask(self, gaussians: Gaussians, step: int) -> Tensor:
-        """(N,) bool; if a box's budget is too small for all, the largest gradients go first."""
+        """(N,) bool; if a box's budget is too small for all, the largest gradients come first."""
         from ...model.ownership import owners
 
         gradient = self.mean_gradient()
@@ -133,7 +133,7 @@ class RunningBoxDensityControl(RunningDensityControl):
         return mask
 
     def size_reference(self, gaussians: Gaussians) -> Tensor:
-        """(N,) the scene's extent; in a box at most the box's diagonal, world units.
+        """(N,) the scene's extent; in a box, at most the box's diagonal, world units.
 
         The extent of the box's own photos is not used: it would split or prune the background.
         """

@@ -1,8 +1,8 @@
-"""Steps on the boxes' objects alone, as they look without the rest of the scene.
+"""Steps on the boxes' objects alone, drawn without the rest of the scene.
 
 Fog in front of an object changes its pixels, and the object's colours learn to compensate: drawn
-alone, they are wrong. Gaussians on its edge extend beyond it. In pixels where a mask shows
-something else, the object must be invisible, unless something is in front of it.
+alone, they are wrong. Gaussians on its edge extend beyond it. In pixels outside its mask, the
+object must be invisible, unless something is in front of it.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     from ..running import Training
 
 EVERY = 4  # one step in so many is an ordinary one
-MASKED_SHARE = 0.15  # of these, the share that uses a photo with a mask of the object
-BLOCKED = 0.5  # share of a pixel's light that something before the object takes: it is hidden there
-CORE = 2  # pixels from the edge of an object, as a photo without a mask shows it, that do not count
-LEAST = 64  # pixels of an object, below which a photo is not used for it
+MASKED_SHARE = 0.15  # share of the others that uses a photo with a mask of the object
+BLOCKED = 0.5  # an object is hidden where this share of a pixel's light is from things before it
+CORE = 2  # in a photo without a mask, pixels this near to the object's edge do not count
+LEAST = 64  # a photo with fewer pixels of an object is not used for it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +101,7 @@ class Cutout:
 
     Attributes:
         photo, box: their row numbers.
-        rows: of the object's Gaussians, ascending.
+        rows: row numbers of the object's Gaussians, ascending.
         shown: (H, W) bool, the pixels that show the object.
         counted: (H, W) bool, the pixels to compare.
         background: (3,) the colour behind the object.
@@ -117,12 +117,12 @@ class Cutout:
     loss_weight: float
 
     def window(self) -> tuple[slice, slice]:
-        """Rows and columns of the smallest rectangle around the pixels to compare."""
+        """Return rows and columns of the smallest rectangle around the pixels to compare."""
         ys, xs = (self.counted.any(dim=axis).nonzero()[:, 0] for axis in (1, 0))
         return slice(int(ys[0]), int(ys[-1]) + 1), slice(int(xs[0]), int(xs[-1]) + 1)
 
     def target(self, photo: Tensor, largest: int = MOST) -> Tensor:
-        """The photo (H, W, 3) uint8 with the background's colour where it shows something else.
+        """Return the photo (H, W, 3) uint8 with the background's colour outside the object.
 
         `largest`: the photo's white, see `clipped_like`.
         """
@@ -135,12 +135,15 @@ class Cutout:
 class Cutouts:
     """The objects that the steps of a stage draw alone; a function of (seed, step).
 
-    Boxes that no photo has a mask of are left as they are.
+    Boxes without any object mask are left out.
 
     Args:
-        model: at the start of the stage, in the order of its rows; none is added or removed.
-        owner: (N,) the box whose object each Gaussian is of, -1 for none.
+        model: at the start of the stage, in the order of its rows; the stage keeps all rows.
+        owner: (N,) index of the box whose object each Gaussian belongs to, -1 for none.
+        rois: the boxes.
+        images: the photos.
         seed: of the order and the colours.
+        context: checked for cancellation.
     """
 
     def __init__(
@@ -182,7 +185,7 @@ class Cutouts:
             self._pair_at = mixed(*order, MASKED_SHARE)
 
     def at(self, step: int) -> Cutout | None:
-        """The drawing of a step; None: it is an ordinary step."""
+        """Return the cutout of a step; None for an ordinary step."""
         import torch
 
         from ...cuda.device import sent
@@ -208,7 +211,7 @@ class Cutouts:
     def _compared(
         self, model: Gaussians, box: int, roi: OrientedBox, image: PosedImage
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]] | None:
-        """The pixels that show a box's object, and those to compare; None: the box is not seen."""
+        """Return the pixels of a box's object, and those to compare; None for an unseen box."""
         from scipy.ndimage import binary_erosion
 
         from ...rasterize.view import rasterize_view

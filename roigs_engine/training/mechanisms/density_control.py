@@ -21,7 +21,7 @@ RESET_OPACITY = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class DensityControl(Mechanism):
-    """Clones and splits Gaussians of large gradients, prunes transparent and huge ones (3DGS).
+    """Clones and splits Gaussians with large gradients, prunes transparent and huge ones (3DGS).
 
     Earns: not measured alone; every other mechanism was measured with it.
 
@@ -32,7 +32,7 @@ class DensityControl(Mechanism):
         prune_opacity: Gaussians below this opacity are removed whenever others are added.
         prune_size: so are Gaussians above this share of the scene extent, after the first opacity
             reset.
-        reset_every: steps between opacity resets to 0.01 while it adds Gaussians; 0: none.
+        reset_every: steps between opacity resets to 0.01 while it adds Gaussians; 0 for none.
     """
 
     name: ClassVar[str] = "density_control"
@@ -47,16 +47,16 @@ class DensityControl(Mechanism):
     reset_every: int = interval(3000)
 
     def grows(self, step: int) -> bool:
-        """Whether Gaussians are added after so many steps."""
+        """Whether Gaussians are added after `step` steps."""
         return self.start <= step < self.until and step % self.every == 0
 
     def resets(self, step: int) -> bool:
-        """Whether opacities are reset after so many steps."""
+        """Whether opacities are reset after `step` steps."""
         reset = self.reset_every > 0 and step % self.reset_every == 0
         return reset and self.start <= step < self.until
 
     def ends_within(self, config: TrainConfig) -> bool:
-        """Whether a stage adds Gaussians, and goes on after that."""
+        """Whether a stage adds Gaussians, and continues after that."""
         first = -(-max(self.start, 1) // self.every) * self.every
         return first < self.until < config.steps
 
@@ -71,7 +71,7 @@ class DensityControl(Mechanism):
 
 
 class RunningDensityControl(Running):
-    """Statistics of each Gaussian; subclasses override which are densified, and their size."""
+    """Statistics of each Gaussian; subclasses override the mask and the size reference."""
 
     kept: tuple[str, ...] = ("gradient", "views")
 
@@ -95,7 +95,7 @@ class RunningDensityControl(Running):
             training.apply(edit)
 
     def edit(self, gaussians: Gaussians, step: int) -> Edit | None:
-        """The edit that is due after `step` steps; None: there is none."""
+        """Return the edit that is due after `step` steps; None if none is."""
         from ..edits import Edit
 
         edit = Edit(gaussians=gaussians, rows=None)

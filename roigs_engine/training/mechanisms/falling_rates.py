@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class FallingRates(Mechanism):
-    """All learning rates fall exponentially, besides what the positions' own decay does.
+    """All learning rates fall exponentially, in addition to the positions' own decay.
 
     Earns: not measured.
 

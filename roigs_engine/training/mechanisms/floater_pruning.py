@@ -20,16 +20,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class FloaterPruning(Mechanism):
-    """Removes Gaussians that photos cannot judge (`training.floaters`), before the averaging.
+    """Removes floaters (`training.floaters`) before the averaging.
 
-    Some of them carry light of a few photos. The steps that are averaged make up for it.
+    Some of them contribute light to a few photos. The averaged steps make up for it.
 
     Earns: +0.06 dB in the silhouettes with all photos (draft, six boxes of kumamon, flowerpot and
         the demo, two seeds; notebook/leave_one_out.md), and up to 15 dB on single photos with few
         to train on (notebook/few_photos.md): it is for views between the photos.
 
     Attributes:
-        min_views: of Gaussians before the boxes or the scene, those that fewer photos show go.
+        min_views: Gaussians in front of the boxes or the scene are removed if fewer photos show
+            them.
     """
 
     name: ClassVar[str] = "floater_pruning"
@@ -60,7 +61,7 @@ class _Running(Running):
         return self.done
 
     def end(self, training: Training, context: Context) -> bool:
-        """In a stage without averaging, or that averages all its steps."""
+        """Prune now in a stage without averaging, or that averages all its steps."""
         return self.done or self._prune(training, context)
 
     def _prune(self, training: Training, context: Context) -> bool:

@@ -1,4 +1,4 @@
-"""Pruning by contribution: Gaussians that no training pixel shows (ROI-GS, sec. II-B)."""
+"""Pruning by contribution: removes Gaussians that no training pixel shows (ROI-GS, sec. II-B)."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ VISIBLE_WEIGHT = 1 / 255  # alpha x T below which a Gaussian cannot change an 8-
 
 @dataclass(frozen=True, kw_only=True)
 class IdlePruning(Mechanism):
-    """At the end of a window of steps, removes what stayed below 1/255 on all its pixels.
+    """After a window of steps, removes Gaussians that stayed below 1/255 on all its pixels.
 
     Earns: not measured alone: part of the paper's method.
 
     Attributes:
-        every: shortest window, in steps; it includes every photo twice.
+        every: shortest window, in steps; a window includes every photo twice.
     """
 
     name: ClassVar[str] = "idle_pruning"
@@ -35,7 +35,7 @@ class IdlePruning(Mechanism):
     every: int = interval(1000, least=1)
 
     def check(self, config: TrainConfig) -> None:
-        """Refuse steps on masks: what they do not show would go."""
+        """Refuse steps on masks: Gaussians outside the masks would be removed."""
         super().check(config)
         if config.get(MaskedSteps) is not None:
             raise ConfigError(

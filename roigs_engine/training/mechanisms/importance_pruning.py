@@ -1,8 +1,8 @@
-"""Importance pruning: removes Gaussians of little effect when densification ends (ours).
+"""Importance pruning: removes Gaussians with little effect when densification ends (ours).
 
-The least important are removed, as many as hardly change the photos (docs/method.md, "Faint
-Gaussians"). Photos are judged one by one, and a smaller error counts as unchanged. Otherwise a
-photo covered by fog would decide: without the fog, its error falls to a fraction, and most
+It removes as many of the least important Gaussians as hardly change the photos (docs/method.md,
+"Faint Gaussians"). Photos are judged one by one, and a smaller error counts as unchanged. Otherwise
+a photo covered by fog would decide: without the fog, its error falls to a fraction, and most
 Gaussians could be removed.
 """
 
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from ..stage_data import PhotoViews
     from ..state_reader import StateReader
 
-WHOLE, EACH = 16, 8  # photos that are asked: of all, and of those that see a box
-MOST = 0.9  # share of the Gaussians that may go
-HALVINGS = 5  # of that range: to 3 % of the Gaussians
+WHOLE, EACH = 16, 8  # photos that are used: of all, and of those that see each box
+MOST = 0.9  # largest share of the Gaussians that may be removed
+HALVINGS = 5  # bisections of this range, down to 3 % of the Gaussians
 
 Errors = Iterable[tuple[int, float]]
 """Squared errors of a model in single photos, each with its part: 0 is the whole photo, the others
@@ -41,7 +41,7 @@ are the boxes. They are found as they are asked for."""
 
 @dataclass(frozen=True, kw_only=True)
 class ImportancePruning(Mechanism):
-    """Removes the least important Gaussians, as many as the photos do not miss.
+    """Removes as many of the least important Gaussians as the photos do not miss.
 
     Earns: 29 % fewer Gaussians at 0.00 dB. Draft, six boxes of kumamon, flowerpot and the demo,
         two seeds (notebook/leave_one_out.md).
@@ -51,7 +51,7 @@ class ImportancePruning(Mechanism):
     """
 
     name: ClassVar[str] = "importance_pruning"
-    needs = (DensityControl,)  # other stages have no more than they need
+    needs = (DensityControl,)  # other stages do not add superfluous Gaussians
 
     growth: float = limited(0.05, above=0)
 
@@ -94,10 +94,10 @@ class _Running(Running):
 def visible_worth(
     gaussians: Gaussians, images: Sequence[PosedImage], context: Context = QUIET
 ) -> Tensor:
-    """(N,) about how much the photos' squared error depends on each Gaussian.
+    """(N,) estimate of how much the photos' squared error depends on each Gaussian.
 
-    The sum over photos of its largest blending weight times the sum of its weights, which is an
-    upper bound of the sum of its squared weights; photos in half their size.
+    It is the sum over photos of the Gaussian's largest blending weight times the sum of its
+    weights. This is an upper bound of the sum of its squared weights. Photos have half their size.
     """
     import torch
 
@@ -115,13 +115,14 @@ def visible_worth(
 
 
 class PhotoErrors:
-    """The mean squared errors of a model on some of the photos that it trains on.
+    """The mean squared errors of a model on some of its training photos.
 
     Args:
         views: the photos.
-        rois: each box is judged apart, on photos that see it: a small one that few photos show
-            would not be missed in the whole.
-        backgrounds: (photos, 3) colours behind everything; None: black.
+        rois: each box is judged separately, on photos that see it. The loss of a small box that few
+            photos show would not matter in the whole.
+        backgrounds: (photos, 3) colours behind everything; None for black.
+        context: checked for cancellation.
     """
 
     def __init__(
@@ -141,9 +142,9 @@ class PhotoErrors:
             self._seeing.append(evenly_spaced(seeing, EACH))
 
     def __call__(self, gaussians: Gaussians) -> Iterator[tuple[int, float]]:
-        """Photo by photo, the error on the whole, and on the silhouette of each box that it judges.
+        """Yield for each photo the error on the whole, and on the silhouettes of its boxes.
 
-        Only pixels that count; what has none is left out.
+        Only pixels that count are used; parts without any are left out.
         """
         import torch
 
@@ -191,17 +192,18 @@ class PhotoErrors:
 
 
 def least_important(worth: Tensor, errors: Callable[[Tensor], Errors], growth: float) -> Tensor:
-    """(N,) bool: the Gaussians of the least worth, as many as may go.
+    """(N,) bool: the Gaussians of least worth, as many as may be removed.
 
     Args:
         worth: (N,) of each.
-        errors: of the model with some of its rows, (N,) bool; where there are none, none go.
+        errors: returns the errors of the model with some of its rows, (N,) bool. Without any
+            errors, none are removed.
         growth: largest mean growth of the photos' errors, in any part.
     """
     import torch
 
     order = worth.argsort(stable=True)
-    order = order[worth[order] > 0]  # what no photo shows, the photos cannot judge
+    order = order[worth[order] > 0]  # photos cannot judge Gaussians that they do not show
 
     def least(share: float) -> Tensor:
         found = torch.zeros(len(worth), dtype=torch.bool, device=worth.device)
@@ -220,9 +222,9 @@ def least_important(worth: Tensor, errors: Callable[[Tensor], Errors], growth: f
 
 
 def is_within(before: Sequence[tuple[int, float]], after: Errors, growth: float) -> bool:
-    """Whether errors have grown by no more than a share, in the mean over the photos of each part.
+    """Whether errors have grown by at most a share, in the mean over the photos of each part.
 
-    Errors that fell count as the same. Asks for no more errors than it takes to say no.
+    Errors that fell count as unchanged. It stops reading errors as soon as the answer is no.
     """
     photos = Counter(part for part, _ in before)
     grown = dict.fromkeys(photos, 0.0)

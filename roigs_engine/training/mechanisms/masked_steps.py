@@ -15,15 +15,15 @@ if TYPE_CHECKING:
     from ..loss_masks import LossMask, LossMasks
     from ..running import Training
 
-MOST_MEASURED = 100  # photos whose masks tell how much masks save: thousands would take a minute
+MOST_MEASURED = 100  # photos for which the masks' share is measured: thousands would take a minute
 
 
 @dataclass(frozen=True, kw_only=True)
 class MaskedSteps(Mechanism):
     """Most steps use the masks of photos that see a box (`loss_masks`), the others whole photos.
 
-    The Scene-GS has already trained the background. Such steps are faster, and their gradients go
-    into the boxes.
+    The Scene-GS stage has already trained the background. Masked steps are faster, and their
+    gradients go into the boxes.
 
     Earns: +0.38 dB in the silhouettes, −0.27 dB in whole images by masks; +0.34 and +0.12 dB by
         weights of photos. Draft, six boxes of kumamon, flowerpot and the demo, two seeds
@@ -32,11 +32,10 @@ class MaskedSteps(Mechanism):
 
     Attributes:
         whole_share: share of the steps that use a whole photo, drawn from all photos.
-        reinvested: share of the pixels that masks leave out which is given back, as more steps
-            on whole photos.
-        view_weighting: loss weights of masks (`LossMasks`). 0: a pixel weighs as much as in a
-            whole photo. 1: all photos weigh the same, however large the boxes are in them. Up to
-            2: photos that show the boxes small weigh more.
+        reinvested: share of the pixels saved by masks that is used for more steps on whole photos.
+        view_weighting: loss weights of masks (`LossMasks`). With 0, a pixel weighs as much as in a
+            whole photo. With 1, all photos weigh the same, for any size of the boxes in them. Up to
+            2, photos with small boxes weigh more.
         seeing: row numbers of the photos that see a box.
     """
 
@@ -49,7 +48,7 @@ class MaskedSteps(Mechanism):
     seeing: tuple[int, ...] = planned(())
 
     def planned(self, config: TrainConfig, views: PlannedViews) -> TrainConfig:
-        """With the photos that see a box, and the steps that are given back."""
+        """Add the photos that see a box, and the reinvested steps."""
         from ..loss_masks import LossMasks
 
         seeing = views.rows_seeing
@@ -78,5 +77,5 @@ class _Running(Running):
         self._whole_share, self._masks = whole_share, masks
 
     def mask(self, step: int, photo: int) -> LossMask | None:
-        """The photo's mask; None: the step uses a whole photo, or the photo sees no box."""
+        """Return the photo's mask; None if the step uses a whole photo, or it sees no box."""
         return None if in_even_share(step, self._whole_share) else self._masks[photo]

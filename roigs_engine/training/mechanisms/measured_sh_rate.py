@@ -1,7 +1,7 @@
-"""SH learning rate by measured view dependence of colours (ours).
+"""Sets the SH learning rate by the measured view dependence of colours (ours).
 
-It is one minus the ratio of nugget and sill of a variogram (Matheron 1963; docs/method.md, "View
-dependence").
+View dependence is one minus the ratio of nugget and sill of a variogram (Matheron 1963;
+docs/method.md, "View dependence").
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from ...cuda.photos import Photos
     from ..stage_data import StageData
 
-RADIUS = 2  # px around a point, whose mean is its colour there
-LEAST = 5  # photos that must observe a point
-MOST = 64  # of them that are compared
-SAME_SCALE = 1.5  # photos that show a point larger or smaller than that show other texture
+RADIUS = 2  # px around a point; the mean of these pixels is its colour
+LEAST = 5  # least photos that must observe a point
+MOST = 64  # most photos of a point that are compared
+SAME_SCALE = 1.5  # photos whose scales of a point differ more show other texture
 ENOUGH_POINTS, MOST_POINTS = 50, 2000
-TRIMMED = 0.9  # of the photos; points that are hidden or wrong in one differ most
-FULL_RATE = 0.5  # predicted share from which on SH learn at the full rate
+TRIMMED = 0.9  # share of the sightings kept; points hidden or wrong in a photo differ most
+FULL_RATE = 0.5  # predicted share from which SH learn at the full rate
 POINTS_AT_ONCE = 250
 
 # One row per point and photo: row of the point, colour (3), direction (3), pixels per world unit
@@ -38,11 +38,11 @@ POINT, COLOUR, DIRECTION, SCALE = 0, slice(1, 4), slice(4, 7), 7
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredShRate(Mechanism):
-    """Lowers `lr_shN`, to 3DGS's at the least, unless photos show that colours depend on the view.
+    """Lowers `lr_shN`, at least to 3DGS's, unless photos show that colours depend on the view.
 
-    Points in the boxes are compared, or all that the photos observe if these are too few. If too
-    few photos observe the same points, as with a dozen photos from all sides, nothing constrains SH
-    between them, and the rate is 3DGS's. A model without observations keeps the full rate.
+    Points in the boxes are compared, or all observed points if these are too few. If too few photos
+    observe the same points, as with a dozen photos from all sides, nothing constrains SH between
+    them, and the rate is 3DGS's. A model without observations keeps the full rate.
 
     Earns: +0.23 dB in the silhouettes, +0.36 dB in the near third. Draft, six boxes of kumamon,
         flowerpot and the demo, two seeds (notebook/leave_one_out.md).
@@ -51,7 +51,7 @@ class MeasuredShRate(Mechanism):
     name: ClassVar[str] = "measured_sh_rate"
 
     def measured(self, config: TrainConfig, data: StageData, context: Context) -> TrainConfig:
-        """With the rate that the photos allow; PhotoError if one cannot be read."""
+        """Set the rate by the photos; PhotoError if one cannot be read."""
         full, least = config.lr_shN, TrainConfig.lr_shN
         if full <= least or not any(len(image.point_indices) for image in data.images):
             return config
@@ -81,17 +81,18 @@ def predicted_share(
     rois: Sequence[OrientedBox],
     context: Context = QUIET,
 ) -> float | None:
-    """Share of the variance of points' colours that the neighbouring photo predicts, at most 1.
+    """Return the share of the variance of points' colours predicted by the neighbouring photo.
 
-    About 0, or below, where colours do not depend on the view.
+    It is at most 1, and about 0 or below if colours do not depend on the view.
 
     Args:
         images, photos: the photos and their pixels, in the same order.
         points: (P, 3) that `images` observe, world units.
-        rois: the boxes: their points are compared, or all if these are too few.
+        rois: the boxes; their points are compared, or all if these are too few.
+        context: checked for cancellation.
 
     Returns:
-        The share; None: too few points are observed by enough photos.
+        The share; None if too few points are observed by enough photos.
 
     Raises:
         PhotoError: a photo cannot be read.
@@ -124,7 +125,7 @@ def _sightings(
     chosen: NDArray[np.int64],
     context: Context,
 ) -> Sightings:
-    """(S, 8) the sightings of the chosen points, point by point, photos in their order."""
+    """(S, 8) sightings of the chosen points, point by point, with photos in their order."""
     wanted, rows = np.zeros(len(points), dtype=bool), []
     wanted[chosen] = True
     offsets = np.arange(-RADIUS, RADIUS + 1)
@@ -151,7 +152,7 @@ def _sightings(
 
 
 def _groups(sightings: Sightings) -> Iterator[NDArray[np.float64]]:
-    """(P, N, 8) sightings of points, some at a time; NaN fills what a point has fewer than N."""
+    """Yield (P, N, 8) sightings of some points at a time; NaN fills rows of points with fewer."""
     _, starts, counts = np.unique(sightings[:, POINT], return_index=True, return_counts=True)
     starts, counts = starts[counts >= LEAST], np.minimum(counts[counts >= LEAST], MOST)
     order = np.argsort(counts, kind="stable")
@@ -165,10 +166,10 @@ def _groups(sightings: Sightings) -> Iterator[NDArray[np.float64]]:
 
 
 def _variances(group: NDArray[np.float64]) -> tuple[Float64, Float64]:
-    """Of each photo of each point: its variance with the nearest photo, and with all others.
+    """Return for each sighting its variance with the nearest photo, and with all other photos.
 
-    Only photos that show a point in a similar scale are compared; those with too few such others
-    are left out.
+    Only photos that show a point at a similar scale are compared; sightings with too few such
+    photos are left out.
     """
     colour, ray, scale = group[..., COLOUR], group[..., DIRECTION], np.log(group[..., SCALE])
     with np.errstate(invalid="ignore"):

@@ -1,4 +1,4 @@
-"""Model averaging: the mean of the models of the last steps (Polyak and Juditsky 1992)."""
+"""Averages the models of the last steps (Polyak and Juditsky 1992)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ..running import Training
     from ..state_reader import StateReader
 
-AVERAGE_EVERY = 10  # steps between the models that are averaged: consecutive ones hardly differ
+AVERAGE_EVERY = 10  # steps between averaged models: consecutive ones hardly differ
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +30,7 @@ class ModelAveraging(Mechanism):
         and the demo, two seeds (notebook/leave_one_out.md).
 
     Attributes:
-        steps: the last so many; 0: the last model alone.
+        steps: number of last steps to average; 0 for the last model alone.
     """
 
     name: ClassVar[str] = "model_averaging"
@@ -74,7 +74,7 @@ class _Running(Running):
             self._count, self._sums = 0, {}
 
     def follow(self, rows: Tensor, gaussians: Gaussians) -> None:
-        """Models with other rows have no mean."""
+        """Start again: models with different rows cannot be averaged."""
         self._count, self._sums = 0, {}
 
     def state_dict(self) -> dict[str, Any]:

@@ -13,21 +13,21 @@ if TYPE_CHECKING:
 
     from ..running import Training
 
-DECAY_EVERY = 10  # steps between two decays at the least, or Adam could not keep up
+DECAY_EVERY = 10  # least steps between two decays, so that Adam can keep up
 
 
 @dataclass(frozen=True, kw_only=True)
 class OpacityDecay(Mechanism):
-    """Each time the photos have gone round, all Gaussians lose a little opacity.
+    """After each pass over the photos, all Gaussians lose a little opacity.
 
-    A photo that shows a Gaussian gives it back what it lost; what no photo needs fades, so that few
-    photos leave less in the air (docs/method.md, "Opacity decay").
+    Photos that show a Gaussian restore its opacity. Gaussians that no photo needs fade, which
+    leaves fewer floaters if there are few photos (docs/method.md, "Opacity decay").
 
     Earns: +0.10 dB in the silhouettes, +0.20 dB in images. Draft, six boxes of kumamon, flowerpot
         and the demo, two seeds (notebook/leave_one_out.md).
 
     Attributes:
-        share: of its opacity that each Gaussian loses in a decay.
+        share: of a Gaussian's opacity lost in each decay.
     """
 
     name: ClassVar[str] = "opacity_decay"
@@ -44,7 +44,7 @@ class _Running(Running):
         self._every = max(photos, DECAY_EVERY)
 
     def is_due(self, step: int) -> bool:
-        """Not after the last step, as no photo could restore necessary opacity."""
+        """Not due after the last step, because no photo could restore necessary opacity."""
         return step < self._steps and step % self._every == 0
 
     def after_step(self, training: Training) -> None:
@@ -52,7 +52,7 @@ class _Running(Running):
 
 
 def decay_opacities(logit_opacities: Tensor, share: float) -> None:
-    """Lower (N,) opacities in place by a share of what they are, in [0, 1)."""
+    """Lower (N,) opacities in place by a share of their values, in [0, 1)."""
     import torch
 
     # logit(d o) = log d - log(1 - d + exp(-x)) for the opacity o = 1 / (1 + exp(-x))

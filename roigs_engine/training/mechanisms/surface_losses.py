@@ -14,18 +14,18 @@ if TYPE_CHECKING:
     from ...rasterize.inputs import Surface
     from ..running import Training
 
-MOST_PIXELS = 20.0  # of a thickness: what is farther behind is another surface
-STEEPEST = 4.0  # change of depth per pixel, in sizes of a pixel there: beyond, a surface ends
+MOST_PIXELS = 20.0  # largest thickness in pixels; light from farther behind is another surface
+STEEPEST = 4.0  # largest change of depth per pixel on one surface, in sizes of a pixel there
 
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceLosses(Mechanism):
-    """Depth and normals of the Gaussians are those of one surface.
+    """Pulls depth and normals of the Gaussians to one surface.
 
-    Two losses are added to the photo's, both means over its pixels. The Gaussians' normals are
-    those of the median depth, by differences between pixels (2DGS, Huang et al. 2024, eq. 14; with
-    RaDe-GS's planes). And the mean depth is the median one (ours): light ends at one depth, without
-    haze in front of the surface or layers behind it.
+    Two losses are added to the photo's, both means over its pixels. The first pulls the Gaussians'
+    normals to those of the median depth, from differences between pixels (2DGS, Huang et al. 2024,
+    eq. 14; with RaDe-GS's planes). The second pulls the mean depth to the median depth (ours):
+    light ends at one depth, without haze in front of the surface or layers behind it.
 
     Earns: F of the vase's mesh at 1 and 2 mm 0.60 and 0.91 instead of 0.32 and 0.58, for 42 CPU
         seconds. The demo, draft, 640 px, seed 0 (notebook/surfaces.md).
@@ -72,7 +72,10 @@ class _Running(Running):
 def _normals_differ(
     surface: Surface, alpha: Tensor, intrinsics: Tensor, pixel: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """(H - 2, W - 2) 1 - cosine of the normals, times alpha; 1 where there is a surface around."""
+    """(H - 2, W - 2) alpha - cosine of the normals; and where a surface is all around.
+
+    The Gaussians' normals are blended, so they have the length alpha at most.
+    """
     import torch
 
     depth, normal = surface.median.squeeze(0), surface.normal.squeeze(0)[1:-1, 1:-1]

@@ -1,4 +1,4 @@
-"""Faster learning of the boxes' surroundings, which have fewer steps (ours)."""
+"""Faster learning outside the boxes, where there are fewer steps (ours)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class SurroundingsRate(Mechanism):
-    """In steps on whole photos, Gaussians outside the boxes learn faster, to come as far.
+    """In steps on whole photos, Gaussians outside the boxes learn faster, to catch up.
 
     Earns: +0.03 dB in the silhouettes (marginal), +0.12 dB in images. Draft, six boxes of
         kumamon, flowerpot and the demo, two seeds (notebook/leave_one_out.md).
@@ -51,7 +51,7 @@ def outside_boxes(gaussians: Gaussians, rois: Sequence[OrientedBox]) -> Tensor:
 
 
 class _Running(Running):
-    kept = ("outside",)  # Gaussians may have crossed a box's side since that was found
+    kept = ("outside",)  # Gaussians may have crossed a box's side since it was computed
 
     def __init__(self, factor: float, training: Training) -> None:
         self._factor, self._rois = factor, training.data.rois

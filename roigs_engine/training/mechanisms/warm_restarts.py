@@ -15,16 +15,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class WarmRestarts(Mechanism):
-    """Adam forgets its moments, except those of colours, when densification ends and some times on.
+    """Zeroes Adam's moments, except those of colours, when densification ends and some times later.
 
-    A Gaussian's steps are then several times as large, and shrink while photos show it some hundred
-    times.
+    A Gaussian's steps are then several times as large, and shrink again while photos show it some
+    hundred times.
 
     Earns: +0.19 dB in the silhouettes, +0.25 dB in the near third. Draft, six boxes of kumamon,
         flowerpot and the demo, two seeds (notebook/leave_one_out.md).
 
     Attributes:
-        count: restarts at even distances, the first when densification ends.
+        count: number of restarts at even distances; the first is at the end of densification.
     """
 
     name: ClassVar[str] = "warm_restarts"
@@ -33,7 +33,7 @@ class WarmRestarts(Mechanism):
     count: int = limited(3, least=1)
 
     def steps(self, config: TrainConfig) -> set[int]:
-        """After how many steps it restarts; none if the stage ends with its densification."""
+        """Return the steps after which it restarts; none if the stage ends with densification."""
         first = config.of(DensityControl).until
         rest = config.steps - first
         if not 0 < first < config.steps:
