@@ -244,10 +244,7 @@ def _inputs(gaussians: Gaussians, run: Run, roi: OrientedBox, options: SurfaceOp
         model.update(tensor.detach().cpu().numpy().tobytes())
     from ..run.plan import camera_record
 
-    photos = [
-        (image.name, image.digest, *camera_record(image))
-        for image in run.train_scene.images
-    ]
+    photos = [(image.name, image.digest, *camera_record(image)) for image in run.train_scene.images]
     masks = [
         (image.name, image.objects[roi.name].digest)
         for image in run.train_scene.images

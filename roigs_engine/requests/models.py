@@ -8,7 +8,7 @@ from pathlib import Path
 from ..formats.run_files import BACKGROUND, FINE
 from . import choices
 from .declare import Request, argument, option
-from .groups import MODEL, Boxes, Device, PhotoMasks, Photos, PhotoSize, Scene, Threads
+from .groups import MODEL, Boxes, Device, Exposures, PhotoMasks, Photos, PhotoSize, Scene, Threads
 from .values import (
     DIR,
     FAR,

@@ -11,6 +11,7 @@ from .groups import (
     MAX_MEGABYTES,
     Boxes,
     Device,
+    Exposures,
     Layout,
     ObjectMasks,
     Scene,
