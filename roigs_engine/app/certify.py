@@ -48,7 +48,7 @@ def certify(request: Certify, context: Context = QUIET) -> Certified:
     if request.run_dir is not None:
         warn_of_other_model(request.run_dir, request.scene, request.images, context)
     masks = mask_options(request, [roi.name for roi in rois])
-    scene = load_scene(request, context, masks=masks)
+    scene = load_scene(request, context, contents=True, masks=masks)
     scene = with_useful_masks(scene.without(run.tests), rois, context)
     units = units_of(request.scene, scene, context)
     made = []

@@ -71,6 +71,7 @@ def load_scene(
     cache: Path | None = None,
     *,
     pixels: bool = True,
+    contents: bool = False,
     check: Callable[[SfmScene], None] | None = None,
     masks: MaskOptions | None = None,
 ) -> SfmScene:
@@ -79,6 +80,7 @@ def load_scene(
     Args:
         cache: folder for undistorted photos; None: only cameras are needed, not pixels.
         pixels: False if only cameras, and what `cache` knows of the photos, are needed.
+        contents: see `load_colmap`.
         check: called with the cameras before any photo is decoded.
         masks: which to use; None: those of `mask_options`, without masks of objects.
     """
@@ -94,6 +96,7 @@ def load_scene(
         max_side=request.max_side,
         masks=masks or mask_options(request),
         pixels=pixels and cache is not None,
+        contents=contents,
         check=check,
         context=context,
     )

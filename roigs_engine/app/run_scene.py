@@ -57,7 +57,7 @@ def cameras_of_run(folder: Path, scene: Path | None, context: Context) -> SfmSce
         if scene or place.is_dir():
             found = _cameras(folder, place, None if scene else _path(folder, "images"), context)
             warn_of_other_cameras(folder, found, context)
-            return found
+            return _used(folder, found)
     raise ConfigError(
         f"The scene of {folder} was moved or deleted.", "Give its folder with --scene."
     )
@@ -94,16 +94,21 @@ def warn_of_other_cameras(folder: Path, scene: SfmScene, context: Context) -> No
         folder: of the run.
         scene: in the world's frame, at the run's size of photos.
     """
-    record = read_record(folder / run_files.MANIFEST)
-    photos, model = record.get("contents"), record.get("model")
-    if not (isinstance(photos, dict) and isinstance(model, str)):
-        return
-    used = scene.without({image.name for image in scene.images} - photos.keys())
-    if used.digest()[: len(model)] != model:
+    model = read_record(folder / run_files.MANIFEST).get("model")
+    if isinstance(model, str) and _used(folder, scene).digest()[: len(model)] != model:
         context.warn(
             f"The scene has other cameras or points than {folder} was trained with: results are"
             " wrong if they have moved. Train again, or give --scene the model of that training."
         )
+
+
+def _used(folder: Path, scene: SfmScene) -> SfmScene:
+    """The scene with the photos of a run alone, as far as its folder names them."""
+    photos = read_record(folder / run_files.MANIFEST).get("contents")
+    if not isinstance(photos, dict):
+        return scene
+    others = {image.name for image in scene.images} - photos.keys()
+    return scene.without(others) if len(others) < len(scene.images) else scene
 
 
 def source_of_run(model: Path) -> tuple[Path | None, Path | None, int | None]:

@@ -56,7 +56,7 @@ def inspect(request: Inspect, context: Context = QUIET) -> Inspected:
     from ..colmap.photo_loader import without_damaged
 
     rois = boxes_of(request, required=False)
-    scene = load_scene(request, context)
+    scene = load_scene(request, context, contents=request.check_photos)
     if request.check_photos:
         scene = without_damaged(scene, context)
     report = inspect_scene(scene, rois)
@@ -102,7 +102,8 @@ def export(request: Export, context: Context = QUIET) -> Result:
 
 def show_photo(request: ShowPhoto, context: Context = QUIET) -> Result:
     """Write a picture of a photo as training sees it; EngineError if that is not possible."""
-    from ..colmap.shown_photo import lens_from_words, write_shown
+    from ..colmap.records import lens_from_words
+    from ..colmap.shown_photo import write_shown
 
     refuse_run_files(request.out)
     refuse_inputs([request.out], [request.photo_file, request.options_file])

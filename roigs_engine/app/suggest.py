@@ -58,7 +58,8 @@ def suggest(request: Suggest, context: Context = QUIET) -> Suggested:
     out = request.out
     refuse_inputs([out / LIST, out / PAGE], [request.options_file, request.rois, request.model])
     source = BoxSource.of(request, out)
-    scene = load_scene(request, context, masks=mask_options(request, source.names))
+    masks = mask_options(request, source.names)
+    scene = load_scene(request, context, contents=not request.no_look, masks=masks)
     rois = source.boxes(scene)
     scene = with_useful_masks(scene, rois, context)
     source.keep(rois, context)

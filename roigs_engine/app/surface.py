@@ -43,7 +43,7 @@ GLB = ".glb"
 BESIDE = {".obj": (".mtl", ".png"), ".usda": (".png",), ".usdc": (".png",)}
 """Endings of the files that those of a mesh have beside them."""
 STEEP = 0.7  # cosine between up and a hole that is above or below
-VERSION = 3  # increase it if the same inputs become another mesh
+VERSION = 4  # increase it if the same inputs become another mesh
 
 
 @dataclass(frozen=True, kw_only=True)

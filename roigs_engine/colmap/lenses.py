@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import EngineError, SceneError
-from ..model.scene import Camera, Float64
+from ..model.scene import Camera, Float64, PosedImage, project
 from .library import pycolmap_module
-from .records import ONE_FOCAL, ModelCamera
+from .records import ONE_FOCAL, ModelCamera, lens_from_words
 
 # Models that are a pinhole if their distortion is zero (a fisheye is not), and the index of their
 # first distortion parameter.
@@ -173,6 +173,22 @@ def seen_places(lens: ModelCamera, local: Float64) -> Float64:
     pinhole = pinhole or without_distortion(lens)
     rays = local[:, :2] / local[:, 2:]
     return np.asarray(rays * (pinhole.fx, pinhole.fy) + (pinhole.cx, pinhole.cy))
+
+
+def photo_places(image: PosedImage, points: Float64) -> tuple[Float64, Float64, NDArray[np.bool_]]:
+    """Project world positions into a photo's file, resampled to the camera's size.
+
+    As `model.scene.project`, but a photo that still has lens distortion shows them through its
+    lens. Positions outside the pinhole's picture are not in view.
+    """
+    places, depth, inside = project(points, image.camera, image.world_to_camera)
+    if image.distorted:
+        lens, size = lens_from_words(image.lens), (image.camera.width, image.camera.height)
+        rows = np.flatnonzero(inside)
+        seen = seen_places(lens, image.local(points[rows])) * size / (lens.width, lens.height)
+        inside[rows] = ((seen >= 0) & (seen < size)).all(axis=1)  # not NaN either
+        places[rows] = seen
+    return places, depth, inside
 
 
 def resized_lens(camera: ModelCamera, width: int, height: int) -> ModelCamera:

@@ -25,9 +25,8 @@ from ..photos.headers import check_complete, photo_size
 from ..photos.mask_paths import USUAL_MASKS, MaskFiles, MaskOptions
 from ..photos.rotation import AS_STORED, rotation_tag, turned_size
 from . import camera_masks, lenses, undistort
-from .records import Model, ModelImage
+from .records import Model, ModelImage, lens_in_words
 from .rotations import Cloud, StoredPhoto, find_turns
-from .shown_photo import lens_in_words
 
 MISSING = "missing on disk"
 UNPOSED = "without a pose"
@@ -204,12 +203,12 @@ class PhotoLoader:
         )
         return None
 
-    def load(self, cache: Path | None, context: Context = QUIET) -> None:
+    def load(self, cache: Path | None, context: Context = QUIET, *, contents: bool = False) -> None:
         """Identify and mask photos; with `pixels`, skip damaged ones and undistort distorted ones.
 
-        `cache`: see `load_colmap`. Raises as `undistort_all` and `make_masks`.
+        `cache`, `contents`: see `load_colmap`. Raises as `undistort_all` and `make_masks`.
         """
-        if self._pixels or cache is not None:
+        if self._pixels or contents or cache is not None:
             self._identify(cache, context)
             if self._masks.used:
                 self._mask(cache, context)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import ConfigError
 from ..formats.rois import FAR
 from ..model.scene import Float64, Int64
 from ..requests.choices import MAX_SIDE
@@ -156,3 +157,19 @@ def same_shape(camera: tuple[int, int], photo: tuple[int, int]) -> bool:
     """Whether a photo (width, height) has the camera's aspect ratio, rounded by at most a pixel."""
     slack = 1 / camera[0] + 1 / camera[1]
     return abs(photo[0] / camera[0] - photo[1] / camera[1]) <= slack + 1e-9
+
+
+def lens_in_words(camera: ModelCamera) -> str:
+    """A camera as a line of `cameras.txt`, without its id."""
+    values = camera.width, camera.height, *map(repr, camera.params)
+    return " ".join(map(str, (camera.model, *values)))
+
+
+def lens_from_words(words: str) -> ModelCamera:
+    """The inverse of `lens_in_words`; ConfigError: the words are no camera."""
+    try:
+        model, width, height, *params = words.split()
+        return checked_camera(model, int(width), int(height), tuple(map(float, params)))
+    except ValueError as error:
+        text = f"'{words}' is no camera ({error})."
+        raise ConfigError(text, "Write it as in cameras.txt: MODEL WIDTH HEIGHT PARAMS.") from error

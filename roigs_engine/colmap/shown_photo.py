@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from ..context import QUIET, Context
-from ..errors import ConfigError
 from ..formats.files import atomic_write
 from ..photos.headers import content_digest, open_photo, photo_size, unreadable
 from ..photos.rotation import AS_STORED, turned_size
-from .records import ModelCamera, checked_camera
+from .records import ModelCamera
 from .undistort import plan_undistortion, undistorted_photo
 
 USUAL_FORMATS = ("JPEG", "MPO", "PNG", "BMP", "WEBP", "TIFF")  # that other programs read
@@ -20,22 +19,6 @@ USUAL_MODES = ("1", "L", "LA", "P", "RGB", "RGBA")
 BITS, PHOTOMETRIC, PLANAR = 258, 262, 284  # tags of a TIFF
 WHITE_IS_ZERO, SEPARATE = 0, 2
 QUALITY = 95
-
-
-def lens_in_words(camera: ModelCamera) -> str:
-    """A camera as a line of `cameras.txt`, without its id."""
-    values = camera.width, camera.height, *map(repr, camera.params)
-    return " ".join(map(str, (camera.model, *values)))
-
-
-def lens_from_words(words: str) -> ModelCamera:
-    """The inverse of `lens_in_words`; ConfigError: the words are no camera."""
-    try:
-        model, width, height, *params = words.split()
-        return checked_camera(model, int(width), int(height), tuple(map(float, params)))
-    except ValueError as error:
-        text = f"'{words}' is no camera ({error})."
-        raise ConfigError(text, "Write it as in cameras.txt: MODEL WIDTH HEIGHT PARAMS.") from error
 
 
 def is_as_stored(path: Path) -> bool:

@@ -22,10 +22,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..colmap.lenses import photo_places
 from ..context import QUIET, Context
 from ..model.scene import Float64, PosedImage, project
 from ..photos.decode import load_photo
 from ..photos.headers import PhotoError
+from ..photos.mask_images import load_mask
 from ..photos.parallel import decoding_bytes, in_parallel
 from ..photos.profiles import srgb_curve
 from .patches import Patches
@@ -120,7 +122,11 @@ def _look(image: PosedImage, places: Float64) -> tuple[Float64, Float64, Float64
 
     pixels = load_photo(image).astype(np.float32) / 255
     grey = pixels @ np.array([0.2126, 0.7152, 0.0722], np.float32)
-    at, depth, inside = project(places, image.camera, image.world_to_camera)
+    at, depth, inside = photo_places(image, places)
+    counted = load_mask(image)
+    if counted is not None:
+        flat = project(places, image.camera, image.world_to_camera)[0][inside].astype(int)
+        inside[inside] = counted[flat[:, 1], flat[:, 0]]
     rows = np.flatnonzero(inside)
     x, y = at[rows].astype(int).T
     found = np.full((3, len(places)), np.nan)

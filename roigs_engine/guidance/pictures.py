@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..colmap.lenses import photo_places
 from ..context import QUIET, Context
 from ..model.roi import EDGES, OrientedBox
 from ..model.scene import Camera, Float64, PosedImage, SfmScene, project
@@ -76,7 +77,7 @@ def from_photos(image: Pixels, found: BoxMap, camera: Camera, world_to_camera: F
     rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], -1)
     depth = _surface_depth(found, eye, world_to_camera)
     places = (rays.reshape(-1, 3) * depth - world_to_camera[:3, 3]) @ world_to_camera[:3, :3]
-    at, _, shown = project(places, photo.camera, photo.world_to_camera)
+    at, _, shown = photo_places(photo, places)
     column, row = at[shown].astype(int).T
     result = image.copy()
     result.reshape(-1, 3)[shown] = pixels[row, column]

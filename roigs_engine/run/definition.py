@@ -120,6 +120,8 @@ def inputs_record(scene: SfmScene, rois: Sequence[OrientedBox]) -> dict[str, Any
         "model": scene.digest()[:16],
         "contents": {image.name: image.file_digest or image.digest for image in images},
     }
+    levelled = {image.name: image.exposure for image in images if image.exposure}
+    record |= {"exposures": levelled} if levelled else {}
     record |= {"masks": masks} if masks else {}
     return record | ({"object_masks": objects} if objects else {})
 

@@ -10,13 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from ..context import QUIET, Context
 from ..formats.events import StageStarted
 from ..model.gaussians import Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import Camera, Float64, PosedImage, SfmScene
-from ..photos.mask_images import HALF, load_object_mask, resized
+from ..photos.mask_images import HALF, load_mask, load_object_mask, resized
 from ..rasterize.limits import PICTURE_LIMITS
 from ..rasterize.view import rasterize_view
 
@@ -51,6 +52,17 @@ class DepthMap:
     def world_to_camera(self) -> Float64:
         """(4, 4) the photo's pose."""
         return self.image.world_to_camera
+
+    def counted(self, around: int) -> NDArray[np.bool_] | None:
+        """(H, W) the part's pixels whose `around` x `around` neighbours are all used; None: all.
+
+        The photo's mask tells which pixels are used; raises as `load_mask`.
+        """
+        mask = load_mask(self.image)
+        if mask is None:
+            return None
+        part = mask[self.y : self.y + self.camera.height, self.x : self.x + self.camera.width]
+        return np.asarray(ndimage.minimum_filter(part, around))
 
     @property
     def lens(self) -> Camera:

@@ -39,6 +39,7 @@ BROAD = 2.0  # standard deviation that parts the bands, pixels of the best photo
 FINE_DEPTH = 2  # the mesh's depth is drawn so many times finer than the photo
 HIDDEN = 3.0  # sizes of a pixel behind the nearest face, or the Gaussians' depth: then it is hidden
 GAINS = 0.6, 1.6
+ACROSS = 3  # pixels that a colour between pixels depends on
 PAIRS_AT_ONCE = 1 << 19
 
 Float32 = NDArray[np.float32]
@@ -132,6 +133,7 @@ class _View:
 
     def __init__(self, depth_map: DepthMap, triangles: torch.Tensor, load: Load) -> None:
         self.map, self._triangles, self._load = depth_map, triangles, load
+        self._counted = depth_map.counted(ACROSS)
         self.drawn = np.zeros((depth_map.camera.height, depth_map.camera.width), np.float32)
         """Where the mesh is, 1, as of the last call of `sees`."""
 
@@ -162,12 +164,16 @@ class _View:
         fine = camera.resized(camera.width * FINE_DEPTH, camera.height * FINE_DEPTH)
         nearest = surface_depth(self._triangles, fine, pose).numpy()
         self.drawn = (nearest[::FINE_DEPTH, ::FINE_DEPTH] < NOTHING).astype(np.float32)
+        if self._counted is not None:
+            self.drawn *= self._counted
         nearest = ndimage.minimum_filter(nearest, 3)
         x, y = np.floor(pixels * FINE_DEPTH).astype(int).T
         # A face that the ray meets at a grazing angle reaches far in a pixel.
         slack = HIDDEN * pixel / np.maximum(cosine, LEAST_FACING)
         shown = (cosine > LEAST_FACING) & (z < nearest[y, x] + slack)
         x, y = np.floor(pixels).astype(int).T
+        if self._counted is not None:
+            shown &= self._counted[y, x]
         height, width = m.depth.shape
         at = y * height // camera.height, x * width // camera.width
         front = m.depth[at]
