@@ -19,7 +19,7 @@ from .evaluate import held_out
 from .inputs import load_scene, on_device
 from .instances import drawable_model
 from .outputs import Result, refuse_inputs, refuse_run_files
-from .run_scene import source_of_run, warn_of_other_model
+from .run_scene import RunSource, source_of_run, warn_of_other_model
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -47,7 +47,8 @@ def adapt(request: Adapt, context: Context = QUIET) -> Result:
         raise ConfigError(f"--out {request.out} is not the name of a PLY.", "Write FILE.ply.")
     refuse_inputs([request.out], [request.model])
     check_ply(request.model)
-    request = _with_source(request)
+    source = source_of_run(request.model)
+    request = _with_source(request, source)
     assert request.scene is not None
     warn_of_other_model(request.model.parent, request.scene, request.images, context)
     target = TARGETS[request.made_for]
@@ -58,7 +59,7 @@ def adapt(request: Adapt, context: Context = QUIET) -> Result:
 
     with _undistorted() as cache:
         scene = load_scene(request, context, cache, check=check)
-        scene = frame.scene(_training_photos(scene, request, context))
+        scene = frame.scene(_training_photos(scene, request, source, context))
         context = on_device(context, request.device)
         import torch
 
@@ -128,17 +129,19 @@ def adaptation(model: Gaussians, target: Target, steps: int) -> TrainConfig:
     )
 
 
-def _with_source(request: Adapt) -> Adapt:
-    """With scene and size of photos of the run that made the model, where none are given."""
-    scene, images, side = source_of_run(request.model)
-    if request.scene is None and scene is None:
+def _with_source(request: Adapt, source: RunSource) -> Adapt:
+    """With the photos of the run that made the model, where none are given."""
+    if request.scene is None and source.scene is None:
         raise ConfigError(
             f"The scene of {request.model} is unknown.", "Give its folder with --scene."
         )
     if request.scene is None:
-        request = replace(request, scene=scene, images=request.images or images)
+        images = request.images or source.images
+        request = replace(request, scene=source.scene, images=images)
+    if not (request.masks or request.no_masks or request.invert_masks or request.no_exposures):
+        request = replace(request, **source.options)
     sized = request.max_side is not None or request.downscale is not None
-    return request if sized else replace(request, max_side=side)
+    return request if sized else replace(request, max_side=source.longest_side)
 
 
 @contextmanager
@@ -157,9 +160,14 @@ def _undistorted() -> Iterator[Path]:
         remove_scratch(folder, owner)
 
 
-def _training_photos(scene: SfmScene, request: Adapt, context: Context) -> SfmScene:
-    """The scene without the photos that the model's run holds out to test on."""
+def _training_photos(
+    scene: SfmScene, request: Adapt, source: RunSource, context: Context
+) -> SfmScene:
+    """The scene without the photos that the model's run left out, or holds out to test on."""
     names = {image.name for image in scene.images}
+    if source.photos is not None and (unused := names - source.photos) and unused < names:
+        context.info(f"Left out {counted(len(unused), 'photo')} that the run did not use.")
+        scene, names = scene.without(unused), names - unused
     tested = sorted(names & held_out(request.model))
     if not tested:
         return scene

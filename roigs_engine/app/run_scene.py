@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +20,8 @@ from ..requests.choices import MAX_SIDE
 
 if TYPE_CHECKING:
     from ..model.scene import Float64, SfmScene
+
+FLAGS = ("no_masks", "invert_masks", "no_exposures")  # options that decide pixels
 
 
 def poses_of_run(folder: Path) -> Float64 | None:
@@ -104,28 +108,57 @@ def warn_of_other_cameras(folder: Path, scene: SfmScene, context: Context) -> No
 
 def _used(folder: Path, scene: SfmScene) -> SfmScene:
     """The scene with the photos of a run alone, as far as its folder names them."""
-    photos = read_record(folder / run_files.MANIFEST).get("contents")
-    if not isinstance(photos, dict):
+    photos = _photos(folder)
+    if photos is None:
         return scene
-    others = {image.name for image in scene.images} - photos.keys()
+    others = {image.name for image in scene.images} - photos
     return scene.without(others) if len(others) < len(scene.images) else scene
 
 
-def source_of_run(model: Path) -> tuple[Path | None, Path | None, int | None]:
-    """Scene, folder of photos and their longest side, of the run of a result; None: not known.
+def _photos(folder: Path) -> set[str] | None:
+    """The names of a run's photos; None: unknown."""
+    photos = read_record(folder / run_files.MANIFEST).get("contents")
+    return set(photos) if isinstance(photos, dict) else None
 
-    ConfigError: the model is only a part of a result.
+
+@dataclass(frozen=True, kw_only=True)
+class RunSource:
+    """The photos that a run was trained on, as far as its folder tells.
+
+    Attributes:
+        scene, images: the project's folder, and the photos'; None: unknown.
+        longest_side: of the photos, pixels; None: unknown.
+        photos: their names; None: unknown.
+        options: the run's masks and exposures, by option.
     """
+
+    scene: Path | None = None
+    images: Path | None = None
+    longest_side: int | None = None
+    photos: frozenset[str] | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+def source_of_run(model: Path) -> RunSource:
+    """The photos of a result's run; ConfigError: the model is only a part of a result."""
     folder = _run_folder(model)
     if folder is None:
-        return None, None, None
+        return RunSource()
     if model.name != run_files.RESULT:
         raise ConfigError(
             f"{model} is only a part of a result, but the photos show all of it.",
             f"Give {folder / run_files.RESULT}.",
         )
-    scene = next((place for place in _places(folder) if place.is_dir()), None)
-    return scene, _path(folder, "images"), _longest_side(folder)
+    settings, photos = read_record(folder / run_files.SETTINGS), _photos(folder)
+    flags = {name: True for name in FLAGS if settings.get(name) is True}
+    masks = _path(folder, "masks")
+    return RunSource(
+        scene=next((place for place in _places(folder) if place.is_dir()), None),
+        images=_path(folder, "images"),
+        longest_side=_longest_side(folder),
+        photos=None if photos is None else frozenset(photos),
+        options=flags if masks is None else flags | {"masks": masks},
+    )
 
 
 def cameras_of_result(path: Path, scene: Path | None = None) -> SfmScene | None:

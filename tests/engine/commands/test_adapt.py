@@ -6,20 +6,24 @@ import json
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from roigs_engine.app.adapt import adapt, adapted
+from roigs_engine.app.inputs import load_scene
 from roigs_engine.cli import main
 from roigs_engine.context import Context
 from roigs_engine.errors import Stopped
 from roigs_engine.formats.splat_ply import target_of
 from roigs_engine.formats.targets import CYCLES, PLAIN, TARGETS, VIEWERS
 from roigs_engine.model.gaussians import Gaussians
+from roigs_engine.model.scene import SfmScene
 from roigs_engine.rasterize.view import render_view
 from roigs_engine.requests.models import Adapt
+from roigs_engine.training.stage_data import StageData
 from tests.engine.commands.command_line import refused
 from tests.engine.synthetic_colmap import Project
 from tests.engine.synthetic_scene import make_scene, stage_data, truth
@@ -94,6 +98,38 @@ def test_a_result_knows_its_scene_and_its_test_photos(
     line[1] = str((run / "result.ply").rename(run / "rois/vase.ply"))
     error = refused(capsys, *line, "--out", str(out))
     assert "is only a part of a result" in error and str(run / "result.ply") in error
+
+
+def test_a_result_is_adapted_to_the_photos_of_its_run(
+    project: Project, model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without excluded photos, with the run's masks, and levelled as in training or not."""
+    run, used = tmp_path / "run", project.names[1:]
+    run.mkdir()
+    model.rename(run / "result.ply")
+    (run / "manifest.json").write_text(json.dumps({"contents": dict.fromkeys(used, "")}))
+    asked: list[Adapt] = []
+    trained: list[list[str]] = []
+
+    def load(request: Adapt, *args: Any, **options: Any) -> SfmScene:
+        asked.append(request)
+        return load_scene(request, *args, **options)
+
+    def train(made: Gaussians, data: StageData, *_: object) -> Gaussians:
+        trained.append([image.name for image in data.images])
+        return made
+
+    monkeypatch.setattr("roigs_engine.app.adapt.load_scene", load)
+    monkeypatch.setattr("roigs_engine.app.adapt.adapted", train)
+    request = Adapt(model=run / "result.ply", made_for="cycles", out=tmp_path / "out.ply")
+    for settings in ({}, {"no_exposures": True, "no_masks": True}):
+        found = {"scene": str(project.folder), **settings}
+        (run / "settings.json").write_text(json.dumps(found))
+        adapt(request)
+        assert trained[-1] == sorted(used)
+        assert asked[-1].no_exposures == asked[-1].no_masks == bool(settings)
+    adapt(replace(request, invert_masks=True))  # what the user says counts
+    assert asked[-1].invert_masks and not asked[-1].no_exposures
 
 
 def test_refusals(

@@ -178,3 +178,15 @@ def test_spz_is_as_fine_as_an_eighth_of_a_ply_allows(tmp_path: Path) -> None:
         if spread == 0.02:
             assert (tmp_path / "a.ply").stat().st_size > 8 * (tmp_path / "a.spz").stat().st_size
     assert errors[0] < 1.05 / 128 and errors[1] > 2 / 128
+
+
+@pytest.mark.parametrize("farthest", [15.9, 16.0, 1.0, 0.25])
+def test_spz_holds_places_at_powers_of_two(farthest: float, tmp_path: Path) -> None:
+    values = arrays()
+    values["means"] *= np.float32(0.9 * farthest / np.abs(values["means"]).max())
+    values["means"][0] = farthest, 0, 0
+    values["log_scales"][:] = -9.9  # so that places need all their bits
+    formats.write(tmp_path / "a.spz", values)
+    back = formats.read(tmp_path / "a.spz")
+    assert len(back["means"]) == len(values["means"])
+    assert back["means"].max() == pytest.approx(farthest, rel=1e-5)

@@ -120,7 +120,10 @@ def test_a_run_gives_scores_and_hashes_and_gets_a_section(tmp_path: Path) -> Non
     assert "03.png" not in made.photos and len(made.photos) == 11
     record = json.loads((out / "certificates.json").read_text())["certificates"][0]
     assert record["pixel_median"] == made.pixel_median and record["metres"] is None
-    certify(request)  # again: the section is replaced
+    photo = tmp_path / "scene" / "images" / made.photos[0]
+    photo.write_bytes(photo.read_bytes() + b" ")  # pixels as before, another file
+    again = certify(request).certificates[0]  # the section is replaced
+    assert again.photos_digest != made.photos_digest
     assert (run / "report.md").read_text().count("## Certificates") == 1
     page = (run / "report.html").read_text()
     assert page.count("<h2>Certificates</h2>") == 1

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from PIL import Image, ImageFilter
 from scipy.ndimage import map_coordinates, uniform_filter
 
+from roigs_engine.colmap.lenses import undistorted_camera, undistorted_places
+from roigs_engine.colmap.records import lens_from_words, lens_in_words
 from roigs_engine.guidance import photo_quality
 from roigs_engine.guidance.known import ELSEWHERE, KnownBox, known_box
 from roigs_engine.guidance.pictures import from_photos
-from roigs_engine.model.scene import SfmScene
+from roigs_engine.model.scene import PhotoMask, SfmScene
+from roigs_engine.photos.mask_images import write_mask
 from tests.engine.guidance.ball import BOX, CAMERA, RADIUS, VIEWS, ball_scene, pose_at
 
 BLURRED, DARK, MISSING = 3, 8, 14
+SMALL = np.zeros((0, 0), np.uint8)  # of a mask: unused here
 
 
 def picture(pose: np.ndarray) -> np.ndarray:
@@ -109,3 +116,56 @@ def test_of_many_photos_fewer_places_are_measured(
     assert np.nanargmin(fewer.sharpness) == BLURRED
     assert np.nanmax(np.abs(fewer.sharpness - known.quality.sharpness)) < 0.15
     assert fewer.exposure[DARK] < -2
+
+
+def test_photos_with_lens_distortion_are_measured_where_they_show_the_patches(
+    scene: SfmScene, known: KnownBox, tmp_path: Path
+) -> None:
+    """The photos' files are distorted, the cameras are pinholes."""
+    lens = lens_from_words(
+        f"SIMPLE_RADIAL {CAMERA.width} {CAMERA.height} {CAMERA.fx} {CAMERA.cx} {CAMERA.cy} 3.0"
+    )
+    pinhole, images = undistorted_camera(lens), []
+    y, x = np.mgrid[: CAMERA.height, : CAMERA.width] + 0.5
+    places = np.stack([x, y], axis=-1).reshape(-1, 2)
+    for image in scene.images:
+        if image.path.is_file():
+            at = undistorted_places(lens, CAMERA, places).T[::-1] - 0.5
+            whole = np.asarray(Image.open(image.path).convert("L")).astype(float)
+            bent = map_coordinates(whole, at, order=1, mode="nearest").reshape(x.shape)
+            grey = np.repeat(bent[..., None], 3, axis=2).round().astype(np.uint8)
+            Image.fromarray(grey).save(tmp_path / image.name)
+        words = {"distorted": True, "lens": lens_in_words(lens), "camera": pinhole}
+        images.append(replace(image, path=tmp_path / image.name, **words))
+    found = known_box(replace(scene, images=tuple(images)), BOX).quality
+    assert found is not None and known.quality is not None
+    both = np.isfinite(found.texture) & np.isfinite(known.quality.texture)
+    straight = np.corrcoef(found.texture[both], known.quality.texture[both])[0, 1]
+    flat = known_box(
+        replace(scene, images=tuple(replace(i, distorted=False) for i in images)), BOX
+    ).quality
+    assert flat is not None
+    both = np.isfinite(flat.texture) & np.isfinite(known.quality.texture)
+    assert straight > 0.9 > np.corrcoef(flat.texture[both], known.quality.texture[both])[0, 1]
+
+
+def test_ignored_pixels_are_not_measured(scene: SfmScene, tmp_path: Path) -> None:
+    """A dark bar in front of one photo, which its mask ignores, changes nothing but its share."""
+    number = 5
+    bar = np.zeros((CAMERA.height, CAMERA.width), bool)
+    bar[:, 25:105] = True
+    write_mask(tmp_path / "mask.png", ~bar)
+    mask = PhotoMask(digest="m", path=tmp_path / "mask.png", remake=lambda: None, small=SMALL)
+    image = scene.images[number]
+    photo = np.array(Image.open(image.path).convert("RGB"))
+    photo[bar] = 20
+    Image.fromarray(photo).save(tmp_path / image.name)
+    barred = replace(image, path=tmp_path / image.name)
+    exposures = []
+    for shown in (image, replace(barred, mask=mask), barred):
+        images = (*scene.images[:number], shown, *scene.images[number + 1 :])
+        quality = known_box(replace(scene, images=images), BOX).quality
+        assert quality is not None
+        exposures.append(quality.exposure[number])
+    assert exposures[1] == pytest.approx(exposures[0], abs=0.05)
+    assert abs(exposures[2] - exposures[0]) > 0.5

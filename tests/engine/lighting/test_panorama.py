@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from roigs_engine.lighting.panorama import (
     panorama,
     solid_angles,
 )
+from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.roi import OrientedBox
 from tests.engine.clouds import affine, placed
 from tests.engine.commands.command_line import refused
@@ -143,6 +145,24 @@ def test_the_command_writes_a_file_for_each_point(
     for k in (1, 2):
         grey = cv2.imread(str(run / f"two-{k}.hdr"), cv2.IMREAD_UNCHANGED)
         assert grey[32, 64] == pytest.approx([LINEAR] * 3, rel=0.05)
+
+
+def test_boxes_of_a_run_cut_nothing_from_models_of_others(run: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    other.mkdir()
+    model = Gaussians.load_ply(run / "result.ply")
+    model.save_ply(other / "result.ply")
+    listed = run / "list.json"
+    words = ["panorama", str(listed), "--width", "128", "--device", "cpu", "--at", "0,0,0"]
+    reds = []
+    for name in ("other/result.ply", "result.ply"):
+        same = np.eye(4).tolist()
+        listed.write_text(json.dumps({"models": [{"ply": str(tmp_path / name), "matrix": same}]}))
+        out = tmp_path / f"{len(reds)}.hdr"
+        assert main([*words, "--run", str(run), "--without", "red", "--out", str(out)]) == 0
+        light = cv2.imread(str(out), cv2.IMREAD_UNCHANGED)
+        reds.append(float((light[..., 2] - light[..., 0]).max()))
+    assert reds[0] > 0.5 > 10 * reds[1]
 
 
 WRONG = {

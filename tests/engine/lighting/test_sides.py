@@ -9,7 +9,7 @@ import pytest
 
 from roigs_engine.lighting.highlights import Brightness, Surfaces
 from roigs_engine.lighting.panorama import Panorama, directions, solid_angles
-from roigs_engine.lighting.sides import WHITE, gain, shading, whiteness
+from roigs_engine.lighting.sides import WHITE, _coarse, gain, shading, whiteness
 
 HEIGHT = 32
 EVEN = np.ones((HEIGHT, 2 * HEIGHT, 3), np.float32)
@@ -158,3 +158,10 @@ def test_given_factors_stay_and_without_a_hole_all_is_brighter() -> None:
     scaled = shading(whole, Brightness(), HERE, [], probe, given=False)
     assert scaled.factors == Brightness() and scaled.white > 1.5
     assert whiteness(scaled.light, [probe]) == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize("width", [*range(64, 2100, 2), 3000, 8190])
+def test_pictures_of_any_width_are_seen_coarsely(width: int) -> None:
+    ways, flux = _coarse(np.ones((width // 2, width, 3), np.float32))
+    assert len(ways) == len(flux)
+    assert flux.sum() == pytest.approx(4 * np.pi, rel=0.15)

@@ -128,7 +128,13 @@ def test_a_strange_value_counts_as_none(tmp_path: Path, said: str) -> None:
 
 
 def test_parts_of_one_model_keep_it() -> None:
-    first, second = model(), model(photo_focal=2 * FOCAL)
+    first = model()
     assert first.rows(torch.arange(5)).photo_focal == FOCAL
-    assert Gaussians.concatenate([first, second]).photo_focal == 2 * FOCAL
     assert Gaussians.concatenate([first, model(photo_focal=None)]).photo_focal == FOCAL
+
+
+def test_models_in_one_have_the_widest_blur_of_them() -> None:
+    parts = [model(photo_focal=focal) for focal in (2 * FOCAL, FOCAL, None)]
+    joined = Gaussians.concatenate(parts)
+    assert joined.photo_focal == FOCAL
+    assert pixel_size(joined, camera(2)) == 0.5  # a pixel is half of a photo's: the blur is wide

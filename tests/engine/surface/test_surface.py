@@ -13,10 +13,13 @@ from roigs_engine.errors import SceneError
 from roigs_engine.formats.events import Progress, StageStarted
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.roi import OrientedBox
+from roigs_engine.model.scene import PhotoMask, PosedImage
+from roigs_engine.photos.mask_images import write_mask
 from roigs_engine.surface.depth import DepthMap
 from roigs_engine.surface.files import convert_mesh, write_mesh
 from roigs_engine.surface.fusion import fuse, slopes
 from roigs_engine.surface.mesh import Mesh, mesh_of, simplified
+from roigs_engine.surface.photo_fit import fitted
 from roigs_engine.surface.texture import Textured, _texels, textured
 from tests.engine.surface.ball import BOX, CAMERA, RADIUS, colour_at, depth_map, images, photo
 from tests.poses import look_at
@@ -24,6 +27,7 @@ from tests.poses import look_at
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("skimage")
 VOXEL = 0.02
+SMALL = np.zeros((0, 0), np.uint8)  # of a mask: unused here
 FRAME = LocalFrame(origin=np.array([4.0, 0, 0]), scale=16.0)
 UPRIGHT = np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]], float)  # x is up
 
@@ -189,6 +193,26 @@ def test_the_texture_has_the_photos_colours(coloured: Textured) -> None:
     assert 0.8 < ratio < 1.0
     assert np.median(np.abs(found - wanted * ratio)) < 4
     assert np.percentile(np.abs(found - wanted * ratio), 95) < 12
+
+
+def test_ignored_pixels_colour_nothing(maps: list[DepthMap], ball: Mesh, tmp_path: Path) -> None:
+    """As of somebody in front of the object: masks hide them, Gaussians do not show them."""
+    hidden = np.zeros((CAMERA.height, CAMERA.width), bool)
+    hidden[:, 30:55] = True
+    write_mask(tmp_path / "mask.png", ~hidden)
+    mask = PhotoMask(digest="m", path=tmp_path / "mask.png", remake=lambda: None, small=SMALL)
+    masked = [replace(m, image=replace(m.image, mask=mask)) for m in maps]
+
+    def passer_by(image: PosedImage) -> np.ndarray:
+        return np.where(hidden[..., None], np.uint8([255, 0, 255]), photo(image))
+
+    simple = simplified(ball, 4000)
+    clean = textured(simple, masked, 256, photo)
+    assert clean.seen > 0.9
+    same = textured(simple, masked, 256, passer_by)
+    assert np.abs(same.picture.astype(int) - clean.picture).max() <= 1  # a blur reaches over
+    fits = [fitted(simple, masked, BOX, load).vertices for load in (photo, passer_by)]
+    np.testing.assert_allclose(*fits, atol=1e-3)
 
 
 def test_a_place_far_from_the_origin_gets_its_own_colours(coloured: Textured) -> None:

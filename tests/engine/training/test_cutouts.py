@@ -123,3 +123,11 @@ def test_a_mask_of_the_object_takes_the_place_of_the_silhouette(scene: SfmScene)
     assert small.sum() < large.sum()
     assert not (small & ~large).any()
     assert with_mask.loss_weight < without.loss_weight
+
+
+def test_the_colour_behind_an_object_is_no_brighter_than_the_photos_white(scene: SfmScene) -> None:
+    found = next(c for c in map(cutouts(scene).at, range(1, 9)) if c is not None)
+    bright = replace(found, background=torch.ones(3), shown=torch.zeros_like(found.shown))
+    photo = torch.zeros(*found.shown.shape, 3, dtype=torch.uint8)
+    assert bright.target(photo).max() == 255
+    assert bright.target(photo, 130).max() == 130

@@ -17,8 +17,9 @@ from roigs_engine.errors import ConfigError, Stopped
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.roi import OrientedBox
-from roigs_engine.model.scene import SfmScene
+from roigs_engine.model.scene import PosedImage, SfmScene
 from roigs_engine.photos.cache import PhotoCache
+from roigs_engine.photos.exposures import white
 from roigs_engine.rasterize.view import rasterize_view
 from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
@@ -308,3 +309,17 @@ def test_looking_for_them_can_be_stopped(scene: SfmScene) -> None:
 def test_a_negative_growth_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"growth is -0\.1"):
         CONFIG.using(ImportancePruning(growth=-0.1))
+
+
+def test_what_a_levelled_photo_clips_is_no_error(scene: SfmScene) -> None:
+    """A brighter photo is darkened; where it is white, the model may be brighter."""
+    data, model = stage_data(scene), model_of(scene)
+    model.sh[:, 0] = 1.7  # white
+    grey = torch.full((48, 64, 3), white(2.0), dtype=torch.uint8).numpy()
+    brighter = tuple(replace(image, exposure=2.0) for image in scene.images)
+
+    def error(images: tuple[PosedImage, ...]) -> float:
+        whitish = replace(data, images=images, photos=[grey] * len(images))
+        return sum(value for _, value in errors_of(whitish, [BOX])(model))
+
+    assert error(brighter) < 0.9 * error(scene.images)

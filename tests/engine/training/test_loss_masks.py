@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,10 @@ from roigs_engine.rasterize.tiles import active_tiles
 from roigs_engine.training.config import PlannedViews, TrainConfig
 from roigs_engine.training.loss_masks import LossMask, LossMasks
 from roigs_engine.training.losses import photo_loss
+from roigs_engine.training.mechanisms.box_density_control import BoxDensityControl
 from roigs_engine.training.mechanisms.idle_pruning import IdlePruning
 from roigs_engine.training.mechanisms.masked_steps import MaskedSteps
+from roigs_engine.training.mechanisms.model_averaging import ModelAveraging
 from roigs_engine.training.mechanisms.surroundings_rate import SurroundingsRate
 from tests.engine.training.mask_pixels import pixels_of
 
@@ -145,6 +148,22 @@ def test_what_masks_save_is_spent_on_whole_photos() -> None:
     assert planned(near) == pytest.approx((300, 100))  # a box that fills the photos
     saved = 300 * (1 - shares.mean())
     assert planned(near, far) == pytest.approx((300, 100 + saved / 2), abs=1)
+
+
+@pytest.mark.parametrize("budget", [0.0, 3.0])
+def test_steps_that_are_given_back_do_not_densify(budget: float) -> None:
+    near, far = np.eye(4), np.eye(4)
+    near[2, 3], far[2, 3] = -4.0, 12.0
+    images = [photo(pose) for pose in (near, far)]
+    density = BoxDensityControl(start=20, until=130, budget=budget)
+    masks = MaskedSteps(whole_share=0.25, reinvested=0.5)
+    config = TrainConfig(steps=400, mechanisms=(density, masks, ModelAveraging(steps=40)))
+    found = config.planned(PlannedViews(images=images, rois=[BOX], seen=lambda roi: images))
+    assert found.steps > 450
+    assert found.of(BoxDensityControl) == replace(
+        density, budgets=found.of(BoxDensityControl).budgets
+    )
+    assert found.of(ModelAveraging).steps == round(found.steps / 10)
 
 
 def test_settings_that_do_not_go_together_are_refused() -> None:
