@@ -193,6 +193,13 @@ def _sizes(_: str, before: Any, now: Any) -> str:
     return f"the photos' size was {was}, now {are} (--max-side, --downscale)"
 
 
+def _exposures(_: str, before: Any, now: Any) -> str:
+    if before and now:
+        return "the photos' exposures changed"
+    was, are = ("" if value else "not " for value in (before, now))
+    return f"photos were {was}levelled, now they are {are}levelled (--no-exposures)"
+
+
 def _groups(_: str, before: Any, now: Any) -> str:
     """A difference of groups of boxes, written as for `--group`."""
     was, are = (
@@ -229,6 +236,7 @@ def _object_masks(_: str, before: Any, now: Any) -> str:
 
 _WORDS: Mapping[str, Callable[[str, Any, Any], str]] = {
     "sizes": _sizes,
+    "exposures": _exposures,
     "rois": _rois,
     "groups": _groups,
     CONTENTS: lambda _, old, new: _changed("photo", "photos", _by_name(old), _by_name(new)),

@@ -131,7 +131,7 @@ def _shown(places: Float64, normals: Float64, depth_map: DepthMap) -> tuple[Ints
     front = np.where(depth_map.weight > 0, depth_map.depth, 0)[y, x]
     pixel = depth[rows] / max(camera.fx, camera.fy)
     there = np.abs(front - depth[rows]) < HIDDEN * pixel / facing[rows]
-    if (counted := depth_map.counted(SIDE)) is not None:
+    if (counted := depth_map.counted(2 * SIDE + 1)) is not None:
         x, y = pixels[rows].astype(np.int64).T
         there &= counted[y, x]
     return rows[there], pixel[there], facing[rows[there]]

@@ -10,9 +10,9 @@ import numpy as np
 import pycolmap
 import pytest
 
-from roigs_engine.app.run_scene import warn_of_other_model
+from roigs_engine.app.run_scene import cameras_of_run, warn_of_other_model
 from roigs_engine.colmap.project import load_colmap
-from roigs_engine.context import Context
+from roigs_engine.context import QUIET, Context
 from roigs_engine.formats.events import Event, Message
 from tests.engine.synthetic_colmap import camera, write_project
 
@@ -79,3 +79,11 @@ def test_another_model(change: Callable[[Path], None], said: bool, tmp_path: Pat
     scene, run = trained(tmp_path)
     change(scene)
     assert warned(run, scene) == said
+
+
+def test_the_cameras_of_a_run_are_those_of_its_photos(tmp_path: Path) -> None:
+    """Not of excluded ones: levels made by `train` would be made again."""
+    scene, run = trained(tmp_path)
+    more_photos(scene)
+    found = cameras_of_run(run, None, QUIET)
+    assert [image.name for image in found.images] == [n for n in NAMES if n != "b.png"]

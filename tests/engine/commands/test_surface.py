@@ -15,7 +15,7 @@ import torch
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from roigs_engine.app.surface import make_surfaces
+from roigs_engine.app.surface import _inputs, make_surfaces
 from roigs_engine.app.surface_record import add_to_reports
 from roigs_engine.cli import main
 from roigs_engine.context import Context
@@ -23,11 +23,16 @@ from roigs_engine.errors import Stopped
 from roigs_engine.formats.rois import rois_document
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.roi import OrientedBox
+from roigs_engine.model.scene import PhotoMask
 from roigs_engine.requests.runs import MakeSurface
+from roigs_engine.run.definition import define_run
 from roigs_engine.surface import make
+from roigs_engine.surface.make import SurfaceOptions
 from tests.engine.ball_runs import BALL, HALF, NAMES, write_run
 from tests.engine.commands.command_line import refused
 from tests.engine.levels.balls import cloud
+from tests.engine.runs import tiny
+from tests.engine.synthetic_scene import make_scene, truth
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("skimage")
@@ -101,6 +106,19 @@ def counted_calls(monkeypatch: pytest.MonkeyPatch, stop_at: int = 0) -> list[str
 
     monkeypatch.setattr(make, "mesh_of", stopped)
     return calls
+
+
+def test_the_same_mask_on_another_photo_is_another_surface(tmp_path: Path) -> None:
+    scene = make_scene(tmp_path, views=4)
+    mask = PhotoMask(digest="m", path=tmp_path, remake=lambda: None, small=np.zeros((1, 1), "u1"))
+    keys = set()
+    for changed in ({"objects": {"ball": mask}}, {"exposure": 1.0, "digest": "brighter"}):
+        for number in range(2):
+            images = list(scene.images)
+            images[number] = replace(images[number], **changed)
+            run = define_run(tmp_path, replace(scene, images=tuple(images)), [BALL], tiny("joint"))
+            keys.add(_inputs(truth(), run, BALL, SurfaceOptions()))
+    assert len(keys) == 4
 
 
 def test_a_stopped_command_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

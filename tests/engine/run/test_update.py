@@ -377,6 +377,15 @@ def test_other_mechanisms_and_boxes_in_words() -> None:
     assert manifest_difference(two, swapped) == "the order of the boxes changed"
 
 
+def test_levelled_photos_are_another_run(scene: SfmScene, run: Path) -> None:
+    """Without `--update`, nothing of the earlier run is replaced."""
+    images = tuple(replace(image, exposure=0.5) for image in scene.images)
+    before = plys(run)
+    with pytest.raises(RunFolderError, match="photos were not levelled"):
+        train(run, replace(scene, images=images), [BOX], production())
+    assert plys(run) == before
+
+
 def test_a_setting_that_is_missing_is_null() -> None:
     """As in the run folder of a version that did not have it."""
     before, now = {"config": {"a": {}, "seed": 1}}, {"config": {"a": {"count": None}, "seed": 1}}
