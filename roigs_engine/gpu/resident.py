@@ -37,7 +37,7 @@ class Resident:
         self.memory: Memory | None = None
 
     def hold(self, program: Program) -> bool:
-        """Move the state to the GPU, unless it was read since the last step; whether it is there."""
+        """Move the state to the GPU unless it was read since the last step; whether it is there."""
         if self.is_newer:
             return True
         if not self._is_idle:
