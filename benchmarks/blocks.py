@@ -29,7 +29,7 @@ from roigs_engine.rasterize.view import render_view
 from roigs_engine.run.layout import lay_out
 from roigs_engine.selection.cells import Views
 
-MUCH = 0.25  # of a photo
+MUCH = 0.25  # share of a photo
 HEAD = (
     *("run", "blocks", "steps", "CPU s", "Gaussians", "photos across a border"),
     *("whole (dB)", "cut", "worst photo", "other photos: whole (dB)", "cut", "in boxes (dB)"),
@@ -43,7 +43,7 @@ class Finished:
     Attributes:
         folder: its run folder.
         manifest: its manifest.
-        scene: of all photos, in the local frame.
+        scene: the scene with all photos, in the local frame.
         frame: the local frame.
         test: names of its test photos.
     """
@@ -56,7 +56,7 @@ class Finished:
 
     @classmethod
     def of(cls, folder: Path) -> Finished:
-        """The run in a folder."""
+        """Load the run in a folder."""
         manifest, settings, split = (
             json.loads((folder / name).read_text("utf-8"))
             for name in (run_files.MANIFEST, run_files.SETTINGS, run_files.SPLIT)
@@ -104,18 +104,18 @@ class Finished:
         return found
 
     def stages(self) -> list[dict[str, Any]]:
-        """The records of its stages."""
+        """The records of the run's stages."""
         files = sorted(self.folder.glob(f"{run_files.STAGES}/*/{run_files.STAGE}"))
         return [json.loads(file.read_text("utf-8")) for file in files]
 
     def in_boxes(self) -> float:
-        """Mean PSNR in the boxes of the last model, dB."""
+        """Mean PSNR of the last model in the boxes, dB."""
         report = json.loads((self.folder / run_files.REPORT_DATA).read_text("utf-8"))
         return float(np.mean([roi["rows"][-1]["roi_psnr"] for roi in report["rois"]]))
 
 
 def across(run: Finished, partition: Partition) -> set[str]:
-    """Names of the test photos that show much of two models' parts or more."""
+    """Names of the test photos in which two or more cells each fill the share `MUCH`."""
     views = Views.of(run.scene.select(run.test))
     shares = views.shares(partition.owner, int(partition.owner.max()) + 1)
     pairs = zip(views.scene.images, shares, strict=True)
@@ -123,7 +123,7 @@ def across(run: Finished, partition: Partition) -> set[str]:
 
 
 def rows(whole: Finished, cuts: list[Finished]) -> Iterator[list[str]]:
-    """The cells of each run."""
+    """Yield the table's row of each run."""
     before = whole.psnr()
     yield [*_cost(whole), *[""] * 6, f"{whole.in_boxes():.2f}"]
     for run in cuts:

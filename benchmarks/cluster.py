@@ -35,7 +35,7 @@ HEAD = ("how", "seconds", "over by hand", "speed", "load", "same bytes")
 
 
 def by_hand(path: Path, folder: Path) -> None:
-    """Do the parts of a table one after the other, each on one core."""
+    """Run the parts of a table one after the other, each on one core."""
     for row in Table(path, folder).rows:
         write_json(row.options_file, row.options)
         scene = plan_row(row, BatchRecord(folder), QUIET).scene
@@ -46,14 +46,14 @@ def by_hand(path: Path, folder: Path) -> None:
 
 
 def on_cluster(path: Path, folder: Path, address: str) -> None:
-    """Do a table on a cluster."""
+    """Run a table on a cluster."""
     command = [sys.executable, "-m", "roigs_engine", "batch", str(path), "--run-dir", str(folder)]
     subprocess.run([*command, "--cluster", address], check=True, stdout=subprocess.DEVNULL)
 
 
 @contextmanager
 def cluster(nodes: int) -> Iterator[str]:
-    """A Ray of so many nodes of one core, on loopback; gives its address."""
+    """Start Ray with `nodes` nodes of one core, on loopback; yields its address."""
     os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
     from ray.cluster_utils import Cluster
 
@@ -66,12 +66,12 @@ def cluster(nodes: int) -> Iterator[str]:
         yield made.address
     finally:
         for node in [*made.worker_nodes, made.head_node]:
-            made.remove_node(node, allow_graceful=False)  # a graceful end has timed out
+            made.remove_node(node, allow_graceful=False)  # ending it gracefully timed out
         made.shutdown()
 
 
 def write_table(path: Path, scenes: int, factor: float) -> None:
-    """The table: the demo so many times."""
+    """Write the table, which trains the demo several times."""
     lines = [
         *("[defaults]", f"scene = '{DEMO}'", f"rois = '{DEMO / 'rois.json'}'", "device = 'cpu'"),
         *("max_side = 320", f"steps_factor = {factor}"),
@@ -82,7 +82,7 @@ def write_table(path: Path, scenes: int, factor: float) -> None:
 
 
 def models(folder: Path) -> dict[str, str]:
-    """PLY -> a hash of it."""
+    """PLY -> its hash."""
     return {
         path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(folder.rglob("*.ply"))

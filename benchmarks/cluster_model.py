@@ -27,7 +27,7 @@ from roigs_engine.formats.run_files import STAGE, STAGES
 from roigs_engine.run.stage_folder import CHECKPOINT_SECONDS, read_record
 
 HOUR = 3600.0
-LOOK = 10.0  # seconds between two looks of the scheduler, which looks more often
+LOOK = 10.0  # seconds between two checks of the scheduler; the real one checks more often
 PERCENT_LOST, SLOW_SHARE, SLOWNESS = 5.0, 0.05, 3.0
 HEAD = ("machines", "objects", "lost", "hours", "bound, h", "hours / bound", "worst of seeds")
 
@@ -37,11 +37,11 @@ class World:
     """Properties of the simulated machines.
 
     Attributes:
-        machines: their number.
-        lost: share of them that is lost per hour.
+        machines: number of machines.
+        lost: share of the machines lost per hour.
         slow: share of stragglers, which take `SLOWNESS` times as long.
-        seed: of which, and when.
-        moves: whether parts go on elsewhere or later (`roigs_engine.batch.moves`).
+        seed: decides which machines are slow, and when they are lost.
+        moves: whether parts may resume elsewhere or later (`roigs_engine.batch.moves`).
     """
 
     machines: int
@@ -56,9 +56,9 @@ class Given:
     """A part at work on a machine.
 
     Attributes:
-        state: of the part, as the scheduler sees it.
-        machine: its number.
-        began: when it was given out.
+        state: the part's state, as the scheduler sees it.
+        machine: number of the machine.
+        began: time at which the part was assigned.
         kept: seconds of its work that were done before.
     """
 
@@ -72,7 +72,7 @@ class Given:
         return min(self.kept + max(0.0, now - self.began - START) * speed, self.state.part.work)
 
     def ends(self, speed: float) -> float:
-        """When it is done."""
+        """The time at which it is done."""
         return self.began + START + (self.state.part.work - self.kept) / speed
 
 
@@ -86,7 +86,7 @@ class Simulated:
 
 
 def simulate(scenes: Sequence[float], world: World) -> Simulated:
-    """Give out scenes, of so many seconds each, as the scheduler does.
+    """Simulate how the scheduler assigns scenes; `scenes`: seconds of each.
 
     Raises:
         ValueError: all machines are lost before the end.
@@ -159,7 +159,7 @@ class _Simulation:
         state.state, state.kept, state.first, state.progress = WAITING, kept, (0.0, 0.0), {}
 
     def _wait(self) -> None:
-        """Go on to the next look of the scheduler, or to the next end of a part if none moves."""
+        """Advance to the next end of a part, or to the scheduler's next check if parts may move."""
         ends = [self._end(given) for given in self._given]
         self._now = min([*ends, self._now + LOOK if self._moves else 1e18])
         for given, end in zip(list(self._given), ends, strict=True):
@@ -174,7 +174,7 @@ class _Simulation:
             self._stop(given.state, given.done(saved, speed) / given.state.part.work)
 
     def _end(self, given: Given) -> float:
-        """When a part ends, or its machine is lost."""
+        """The time at which a part ends, or its machine is lost."""
         return min(given.ends(self._speed[given.machine]), self._ends[given.machine])
 
 
@@ -185,7 +185,7 @@ def _state(index: int, seconds: float) -> PartState:
 
 
 def _bound(scenes: Sequence[float], speed: Sequence[float], ends: Sequence[float]) -> float:
-    """Seconds in which the machines can do all the work, had it no parts."""
+    """A lower bound of the time: the work divided freely, but no less than the longest scene."""
     left, before = sum(scenes), 0.0
     for end in sorted(ends):
         rate = sum(speed[other] for other in range(len(ends)) if ends[other] > before)
@@ -246,7 +246,7 @@ def main() -> None:
 
 
 def _plot(ratios: dict[int, list[float]], path: Path) -> None:
-    """The time over its bound against the number of machines, if matplotlib is there."""
+    """Plot time / bound against the number of machines, if matplotlib is installed."""
     try:
         import matplotlib
     except ImportError:

@@ -37,11 +37,11 @@ class Row:
     """Measurements for one number of Gaussians and one size.
 
     Attributes:
-        gaussians, size: of the scene, of the photo.
-        ours, bare: milliseconds a step, the mean over the cameras; one entry a round.
+        gaussians, size: number of Gaussians; size of the photo.
+        ours, bare: milliseconds per step, mean over the cameras; one entry per round.
         kernels: share of the step's time in which a kernel ran.
         waits: how often a step waits for the GPU.
-        memory: bytes, the most that was allocated.
+        memory: most bytes allocated.
     """
 
     gaussians: int
@@ -70,7 +70,7 @@ class Row:
 
 
 def our_step(gaussians: int, photos: SyntheticPhotos) -> Step:
-    """A step of the engine."""
+    """Make a step of the engine."""
     model = trainable(gaussians, photos.photo.device)
     rates = {name: (tensor, 0.0) for name, tensor in model.tensors().items()}
     optimizer = VisibleAdam(rates)
@@ -78,7 +78,7 @@ def our_step(gaussians: int, photos: SyntheticPhotos) -> Step:
 
     def step(pose: Tensor) -> None:
         nonlocal taken
-        ahead.begin(taken, pose)  # there is no running loss
+        ahead.begin(taken, pose)  # without a running loss
         backward_step = ahead.backward_step(optimizer, taken, pose.data_ptr())
         output = photos.render(model, pose, backward_step=backward_step)
         photo_loss(output.image, photos.photo).loss.backward()  # type: ignore[no-untyped-call]
@@ -90,7 +90,7 @@ def our_step(gaussians: int, photos: SyntheticPhotos) -> Step:
 
 
 def bare_step(gaussians: int, photos: SyntheticPhotos) -> Step:
-    """The same by gsplat's high-level call and torch's optimizer."""
+    """Make the same step with gsplat's high-level call and torch's optimizer."""
     import gsplat
 
     model = trainable(gaussians, photos.photo.device)
@@ -126,7 +126,7 @@ def measure(
     device: torch.device,
     makers: Sequence[Callable[[int, SyntheticPhotos], Step]] | None = None,
 ) -> Row:
-    """One row; `makers`: what is compared, ours first; None: gsplat too, where it is installed."""
+    """Measure a row; `makers`: compared steps, ours first; None: ours, and gsplat if installed."""
     if makers is None:
         bare = [bare_step] if find_spec("gsplat") else []
         makers = (our_step, *bare)
@@ -140,7 +140,7 @@ def measure(
             times.append(_pass(step, photos))
     if device.type == "cuda":
         row.memory = torch.cuda.max_memory_allocated(device)
-        with suppress(RuntimeError):  # the times are worth having without them
+        with suppress(RuntimeError):  # the times are useful without them
             row.waits = _waits(steps[0], photos)
             row.kernels = _share_in_kernels(steps[0], photos)
     return row
@@ -152,7 +152,7 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def _pass(step: Step, photos: SyntheticPhotos) -> float:
-    """Milliseconds a step, over all cameras, until the device has finished."""
+    """Milliseconds per step in a pass over all cameras, until the device has finished."""
     _settle(photos)
     began = time.perf_counter()
     for pose in photos.poses:
@@ -167,7 +167,7 @@ def _settle(photos: SyntheticPhotos) -> None:
 
 
 def _waits(step: Step, photos: SyntheticPhotos) -> int:
-    """Number of times that one step makes the host wait for the GPU."""
+    """How often one step makes the CPU wait for the GPU."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         torch.cuda.set_sync_debug_mode("warn")
@@ -179,7 +179,7 @@ def _waits(step: Step, photos: SyntheticPhotos) -> int:
 
 
 def _share_in_kernels(step: Step, photos: SyntheticPhotos) -> float:
-    """Time of the kernels of a pass over the time of a pass; they run one after the other."""
+    """Share of a pass's time in kernels, which run one after the other."""
     whole = _pass(step, photos) * len(photos.poses)
     from torch.profiler import ProfilerActivity, profile
 

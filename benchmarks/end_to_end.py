@@ -21,11 +21,11 @@ from benchmarks.from_photos import boxes_for, registered
 from benchmarks.markdown import table
 from roigs_engine.formats.files import write_json
 
-REFINED = Path("sparse/refined")  # where `refine-cameras` puts its model, in the project
+REFINED = Path("sparse/refined")  # in the project: the model that `refine-cameras` writes
 
 
 def timed(words: Sequence[Any]) -> dict[str, float]:
-    """Seconds of each stage of a command, in order; `rest`: before, between and after."""
+    """Stage of a command -> seconds, in order; `rest` is the time outside of stages."""
     command = [sys.executable, "-m", "roigs_engine", *map(str, words), "--events"]
     seconds, stage, last = {"rest": 0.0}, "rest", time.monotonic()
 
@@ -35,7 +35,7 @@ def timed(words: Sequence[Any]) -> dict[str, float]:
         seconds[stage] = seconds.get(stage, 0.0) + now - last
         last = now
 
-    pipe = subprocess.PIPE  # the end of standard input would stop the command
+    pipe = subprocess.PIPE  # without an open standard input, the command would stop
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as child:
         assert child.stdout is not None
         for line in child.stdout:
@@ -56,7 +56,7 @@ def timed(words: Sequence[Any]) -> dict[str, float]:
 
 
 def measure(scene: Path, out: Path, training: Sequence[Any]) -> dict[str, dict[str, float]]:
-    """Command -> stage -> seconds, of one run from the photos on."""
+    """Measure one run that starts from photos; returns command -> stage -> seconds."""
     project, boxes, run = out / "project", out / "rois.json", out / "run"
     for folder in (project, run):
         shutil.rmtree(folder, ignore_errors=True)
@@ -65,7 +65,7 @@ def measure(scene: Path, out: Path, training: Sequence[Any]) -> dict[str, dict[s
     write_json(boxes, {"rois": boxes_for(scene, registered(scene), registered(project))})
     model = project / REFINED
     images = ("--images", project / "images")
-    given = model if model.is_dir() else project  # the cameras were good already
+    given = model if model.is_dir() else project  # without it, the cameras were already good
     words = ["train", given, *images, "--rois", boxes, "--run-dir", run, "--test-every", 0]
     found["train"] = timed([*words, *training])
     return found

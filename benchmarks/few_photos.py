@@ -49,7 +49,7 @@ OURS = "Joint"
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """A capture cut down to `count` photos; `seed` also decides which."""
+    """A capture reduced to `count` photos; `seed` also affects which."""
 
     scene: str
     kind: str
@@ -58,12 +58,12 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Its folder's name."""
+        """Name of the case's folder."""
         return f"{self.scene}-{self.kind}-{self.count}-{self.seed}"
 
 
 def cut(scene: SfmScene, box: OrientedBox, case: Case) -> SfmScene:
-    """The capture of a case: its photos, and the points that at least two of them observe."""
+    """Reduce a scene to a case: its photos, and the points that at least two of them observe."""
     rng = np.random.default_rng([case.seed, case.count, KINDS.index(case.kind)])
     names = [image.name for image in scene.images]
     count = min(case.count, len(names))
@@ -90,7 +90,7 @@ def cut(scene: SfmScene, box: OrientedBox, case: Case) -> SfmScene:
 
 
 def measured(case: Case, source: StudyScene, options: argparse.Namespace, context: Context) -> Path:
-    """The record of a case; trained and evaluated now unless it is there."""
+    """The record of a case; trains and evaluates the case unless the record exists."""
     folder: Path = options.out / case.name
     record = folder / run_files.REPORT_DATA
     if record.exists():
@@ -119,7 +119,7 @@ def measured(case: Case, source: StudyScene, options: argparse.Namespace, contex
 
 
 def line(case: Case, evaluation: Evaluation) -> list[str]:
-    """The row of a case: means over its boxes, and the worst photo of any."""
+    """The table's row of a case: means over its boxes, and the worst photo in any box."""
     ours, base, worst = [], [], {}
     for scores in evaluation.rois:
         rows = {row.model: row for row in scores.rows}
@@ -148,7 +148,7 @@ HEAD = ("case", "tuned Full Scene, dB", "ours, dB", "gain", "worst photo", "whic
 
 
 def main(arguments: Sequence[str] | None = None, stop: StopRequest | None = None) -> int:
-    """Measure what is missing, and print the table."""
+    """Measure missing cases, and print the table."""
     options = _options(sys.argv[1:] if arguments is None else arguments)
     if options.threads is not None:
         library.set_threads(options.threads)

@@ -32,11 +32,11 @@ nvrtc.architectures()
 code = compiler.machine_code(nvrtc, int(sys.argv[1]))
 print(json.dumps([time.perf_counter() - started, len(code), nvrtc.version]))
 """
-"""What a training does before it calls the driver; torch is imported in any case."""
+"""The work of a training before it calls the driver. torch is imported before the time starts."""
 
 
 def measure(capability: int, cache: Path) -> tuple[float, int, str]:
-    """Seconds, bytes of machine code, and the version of NVRTC, in a new process."""
+    """Measure in a new process: seconds, bytes of machine code, and the version of NVRTC."""
     command = [sys.executable, "-c", CODE, str(capability), str(cache)]
     said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     seconds, size, version = json.loads(said.splitlines()[-1])

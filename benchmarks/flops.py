@@ -44,13 +44,13 @@ STEPS, REPEATS = 500_000, 5  # a few milliseconds in all
 
 @contextmanager
 def peak_libraries() -> Iterator[dict[str, Path]]:
-    """Compiles peak.cpp: instruction set -> library, as long as the context lasts."""
+    """Compile peak.cpp; yields instruction set -> library, which exist within the context."""
     with tempfile.TemporaryDirectory(prefix="roigs-peak-") as folder:
         yield build.compile_all([SOURCE], Path(folder), build.native_platform())
 
 
 def peak_gflops(library: Path) -> float:
-    """GFLOP/s of one core in fused multiply-adds: the best of some short runs, by CPU time."""
+    """Peak GFLOP/s of one core in fused multiply-adds: best of several short runs, by CPU time."""
     chains = ctypes.CDLL(str(library)).roigs_fma_chains
     chains.argtypes, chains.restype = [ctypes.c_int64, ctypes.c_void_p], ctypes.c_double
     result = ctypes.c_float()

@@ -32,11 +32,11 @@ PHOTOS = 6
 HEAD = ("format", "MB", "of the PLY", "seconds", "PSNR, dB", "lowest", "splat-transform, dB")
 TOOL = "splat-transform"
 ITS = (".compressed.ply", ".spz", ".sog", ".splat")
-"""What the other program reads."""
+"""Formats that splat-transform reads."""
 
 
 def pictures(arrays: Arrays, photos: list[PosedImage]) -> list[Tensor]:
-    """The model from the photos' cameras, on black."""
+    """Render the model from the photos' cameras, on black."""
     gaussians, frame = Gaussians.framed(arrays)
     model = Instance(gaussians=gaussians, frame=frame, matrix=np.eye(4))
     layers = [render_instances([model], photo.camera, photo.world_to_camera) for photo in photos]
@@ -44,14 +44,14 @@ def pictures(arrays: Arrays, photos: list[PosedImage]) -> list[Tensor]:
 
 
 def compared(arrays: Arrays, photos: list[PosedImage], wanted: list[Tensor]) -> list[float]:
-    """PSNR of each picture."""
+    """PSNR of each picture, dB."""
     found = pictures(arrays, photos)
     errors = (float((a - b).square().mean()) for a, b in zip(found, wanted, strict=True))
     return [float(-10 * np.log10(error + 1e-12)) for error in errors]
 
 
 def foreign(path: Path, folder: Path) -> Arrays | None:
-    """The PLY as the other program reads it; None if it is not installed or does not read it."""
+    """Read a file with splat-transform; None if it is not installed, or cannot read the format."""
     if shutil.which(TOOL) is None or not path.name.endswith(ITS):
         return None
     back = folder / "foreign.ply"
@@ -61,14 +61,14 @@ def foreign(path: Path, folder: Path) -> Arrays | None:
 
 
 def as_ply() -> bool:
-    """Whether the other program takes SPZ as a PLY: from version 3 on."""
+    """Whether splat-transform reads SPZ with a PLY's axes, as it does from version 3 on."""
     said = subprocess.run([TOOL, "--version"], check=True, capture_output=True, text=True)
     version = re.search(r"v(\d+)\.", said.stdout + said.stderr)
     return version is not None and int(version[1]) >= 3
 
 
 def rows(whole: Path, photos: list[PosedImage], folder: Path) -> list[tuple[str, ...]]:
-    """The rows of a model."""
+    """The table's rows of a model."""
     arrays = read_ply(whole)
     wanted, size = pictures(arrays, photos), whole.stat().st_size
     found: list[tuple[str, ...]] = []

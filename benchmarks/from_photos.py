@@ -22,12 +22,12 @@ from roigs_engine.colmap.project import find_model
 from roigs_engine.formats.files import read_json, write_json
 from roigs_engine.formats.rois import RoiRecord, read_rois
 
-EVERY = 8  # one photo in so many is a test photo, of those that both models have
+EVERY = 8  # every 8th photo that both models have is a test photo
 HEAD = ("box", "test photos", "own model, dB", "from photos, dB", "difference")
 
 
 def moved(box: RoiRecord, matrix: Vectors) -> dict[str, Any]:
-    """A box after a similarity (4, 4)."""
+    """Transform a box by a similarity (4, 4)."""
     scale = np.cbrt(np.linalg.det(matrix[:3, :3]))
     rotation, offset = matrix[:3, :3] / scale, matrix[:3, 3]
     back = np.eye(4)
@@ -42,7 +42,7 @@ def moved(box: RoiRecord, matrix: Vectors) -> dict[str, Any]:
 
 
 def registered(project: Path) -> dict[str, Vectors]:
-    """Name -> place of each photo's camera."""
+    """Name of a photo -> place of its camera."""
     colmap = pycolmap_module("The comparison")
     return centres(colmap.Reconstruction(str(find_model(project))))
 
@@ -50,7 +50,7 @@ def registered(project: Path) -> dict[str, Vectors]:
 def boxes_for(
     scene: Path, own: dict[str, Vectors], found: dict[str, Vectors]
 ) -> list[dict[str, Any]]:
-    """The scene's boxes in the frame of another model, from both models' cameras."""
+    """Transform the scene's boxes to another model's frame, by the cameras of both models."""
     both = sorted(own.keys() & found.keys())
     here, there = (np.array([places[name] for name in both]) for places in (own, found))
     matrix = np.eye(4)
@@ -61,7 +61,7 @@ def boxes_for(
 def trained(
     project: Path, boxes: Path, run: Path, tests: list[str], max_side: int
 ) -> dict[str, tuple[float, int]]:
-    """Box -> mean PSNR in it, and on how many of the test photos; none was trained on."""
+    """Train without the test photos; returns box -> mean PSNR in it, and number of test photos."""
     size = ("--max-side", max_side)
     words: list[Any]
     if not (run / "result.ply").exists():

@@ -35,10 +35,10 @@ from benchmarks.markdown import table
 
 SAMPLE_SECONDS = 1
 FIELDS = "timestamp,utilization.gpu,utilization.memory,memory.used,power.draw,temperature.gpu"
-SHOWN_LINES = 40  # of a part's output in the summary
+SHOWN_LINES = 40  # last lines of a part's output in the summary
 SIZES = ("1280x853", "2048x1366")
 COUNTS = (1_000_000, 100_000, 4_000_000)
-LEAST_SECONDS = 5.0  # a part is not begun with less
+LEAST_SECONDS = 5.0  # with less time left, no part is started
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,9 +46,9 @@ class Part:
     """One program.
 
     Attributes:
-        name: of its file in the output folder.
-        command: after the name of Python.
-        minutes: after which it is ended.
+        name: name of its file in the output folder.
+        command: arguments of Python.
+        minutes: time limit.
     """
 
     name: str
@@ -58,7 +58,7 @@ class Part:
 
 @dataclass(frozen=True, kw_only=True)
 class Ended:
-    """The end of a part: `status` is its exit status, or why there is none."""
+    """The end of a part: `status` is its exit status, or the reason why there is none."""
 
     name: str
     status: str
@@ -66,16 +66,16 @@ class Ended:
 
 
 SHADERS = ("check-gpu", "--device", "gpu")
-"""The same card through Vulkan: needs the package wgpu."""
+"""Checks the same GPU through Vulkan; needs the package wgpu."""
 
 
 def parts(scene: Path | None, out: Path, *, gsplat: bool) -> list[Part]:
     """The measurements, the most valuable first.
 
     Args:
-        scene: to train on; None: nothing is trained.
+        scene: the scene to train; None: nothing is trained.
         out: the output folder.
-        gsplat: whether it is installed: then it is compiled, and measured as well.
+        gsplat: whether gsplat is installed; then it is compiled and also measured.
     """
     tests = ("-m", "pytest", "-q", "-rs", "-m", "cuda", "tests/engine/cuda/test_cuda.py")
     first, *others = [(count, size) for size in SIZES for count in COUNTS]
@@ -111,7 +111,7 @@ def _paper(scene: Path, out: Path, name: str, more: tuple[str, ...], minutes: fl
 
 
 def do(part: Part, out: Path, most: float = float("inf")) -> Ended:
-    """Run a part, for `most` seconds; its output goes to a file."""
+    """Run a part for at most `most` seconds; its output goes to a file."""
     started = time.monotonic()
     limit = min(60 * part.minutes, most)
     said = f"ended after {limit / 60:.1f} minutes"
@@ -122,7 +122,7 @@ def do(part: Part, out: Path, most: float = float("inf")) -> Ended:
                 stdin=subprocess.DEVNULL,
                 stdout=file,
                 stderr=subprocess.STDOUT,
-                env={**os.environ, "PYTHONUNBUFFERED": "1"},  # what is printed is there if it dies
+                env={**os.environ, "PYTHONUNBUFFERED": "1"},  # keeps the output of a crash
             )
             try:
                 said = str(process.wait(limit))
@@ -138,7 +138,7 @@ def do(part: Part, out: Path, most: float = float("inf")) -> Ended:
 
 @contextmanager
 def watched(path: Path) -> Iterator[None]:
-    """Meanwhile nvidia-smi, where it is installed, writes how busy the GPU is."""
+    """Let nvidia-smi write the GPU's load to a file meanwhile, if it is installed."""
     program = shutil.which("nvidia-smi")
     if program is None:
         yield
@@ -158,7 +158,7 @@ def watched(path: Path) -> Iterator[None]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The exit status: 0 if every part ended with 0."""
+    """Run the parts; returns 0 if the exit status of all is 0."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder for the figures")
     parser.add_argument("--scene", type=Path, help="a COLMAP project with rois.json, to train on")
@@ -177,12 +177,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         else:
             ended.append(do(part, options.out, left))
         with suppress(OSError):  # a full disk
-            write(ended, options.out)  # so that an interrupted run leaves what it has
+            write(ended, options.out)  # after each part, in case the run is interrupted
     return int(any(part.status != "0" for part in ended))
 
 
 def write(ended: Sequence[Ended], out: Path) -> None:
-    """`summary.json` and `summary.md`."""
+    """Write `summary.json` and `summary.md`."""
     records = [asdict(part) for part in ended]
     (out / "summary.json").write_text(json.dumps(records, indent=1) + "\n", encoding="utf-8")
     rows = [(part.name, part.status, f"{part.seconds:.1f}") for part in ended]
@@ -193,7 +193,7 @@ def write(ended: Sequence[Ended], out: Path) -> None:
 
 
 def _last_lines(path: Path) -> list[str]:
-    """The end of a part's output; of a progress bar, what it showed last."""
+    """The last lines of a part's output; of a progress bar, its last state."""
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError:

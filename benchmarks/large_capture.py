@@ -22,12 +22,12 @@ from PIL import Image
 
 from benchmarks.markdown import table
 
-PICTURES = 5  # different ones; the others are copies with some bytes of their own at the end
+PICTURES = 5  # different ones; the others are copies with a few different bytes at the end
 POINTS = 5000
 
 
 def write_scene(folder: Path, count: int, width: int, height: int) -> None:
-    """A COLMAP project of `count` photos on a ring around a cloud of points."""
+    """Write a COLMAP project of `count` photos on a ring around a cloud of points."""
     rng = np.random.default_rng(0)
     (folder / "images").mkdir(parents=True, exist_ok=True)
     for k in range(PICTURES):
@@ -62,7 +62,7 @@ class Peaks:
         self._peak = 0.0
 
     def event(self, event: dict[str, Any]) -> None:
-        """A stage ends where the next one begins."""
+        """Take an event; a stage ends when the next one begins."""
         with suppress(OSError, StopIteration):  # the process may have ended
             self._peak = self._read_peak()
         if event["event"] in ("stagestarted", "done", "failed"):
@@ -71,12 +71,12 @@ class Peaks:
             print(f"{self._stage}: {seconds:.1f} s, {self._peak:.0f} MiB", flush=True)
             self._stage, self._since = str(event.get("stage", "")), time.monotonic()
             with suppress(OSError):
-                (self._folder / "clear_refs").write_text("5", encoding="ascii")  # it begins anew
+                (self._folder / "clear_refs").write_text("5", encoding="ascii")  # resets the peak
         elif event["event"] == "message":
             print(event["text"], flush=True)
 
     def _read_peak(self) -> float:
-        """MiB."""
+        """Peak resident memory, MiB."""
         lines = (self._folder / "status").read_text(encoding="ascii").splitlines()
         return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
 

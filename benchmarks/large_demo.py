@@ -41,7 +41,7 @@ HEAD = ("box", "run", "box (dB)", "colour-fitted", "object", "SSIM", "whole imag
 
 
 def held_out_photos(large: Path, photos: str, max_side: int) -> list[PosedImage]:
-    """The held-out views that are rendered, at a size, with the true cameras."""
+    """The rendered held-out views, with the true cameras, resized to `max_side`."""
     truth = json.loads((large / "truth.json").read_text())
     width, height, focal = truth["width"], truth["height"], truth["focal"]
     lens = Camera(
@@ -69,7 +69,7 @@ def held_out_photos(large: Path, photos: str, max_side: int) -> list[PosedImage]
 def scored(
     large: Path, photos: str, runs: Sequence[Path], max_side: int, console: Console
 ) -> Evaluation:
-    """The runs' results on the held-out views."""
+    """Evaluate the runs' results on the held-out views."""
     scene = load_colmap(large)
     frame = LocalFrame.of_scene(scene)
     views = held_out_photos(large, photos, max_side)

@@ -60,7 +60,7 @@ class Far:
 
 
 def far(run: Path, photos: Sequence[PosedImage], frame: LocalFrame, times: float) -> Far:
-    """The scene from farther away, by smaller pictures."""
+    """Measure the scene as from `times` the distance, with smaller pictures."""
     whole, levels = Gaussians.load_ply(run / "result.ply", frame), LevelledResult(run, frame)
     rows = []
     for image in photos:
@@ -90,7 +90,7 @@ def far(run: Path, photos: Sequence[PosedImage], frame: LocalFrame, times: float
 
 
 def timed(draw: Callable[[], RenderedView]) -> tuple[Tensor, float]:
-    """The picture, and the CPU time of the second of two calls, ms."""
+    """Render twice; returns the picture, and the CPU time of the second call, ms."""
     draw()
     began = time.process_time()
     picture = draw().image
@@ -100,9 +100,10 @@ def timed(draw: Callable[[], RenderedView]) -> tuple[Tensor, float]:
 def alone(
     run: Path, ladder: Ladder, photos: Sequence[PosedImage], frame: LocalFrame, times: float
 ) -> list[float] | None:
-    """Share of the Gaussians drawn, and three PSNRs over whole pictures; None: no photo shows it.
+    """Share of Gaussians drawn, and three PSNRs of whole pictures; None: no photo shows the part.
 
-    Level against the smooth whole, level against the plain whole, plain whole against the smooth.
+    The PSNRs compare the level with the smooth whole, the level with the plain whole, and the plain
+    whole with the smooth whole.
     """
     files = {level.ply: Gaussians.load_ply(run / level.ply, frame) for level in ladder.levels}
     whole = files[ladder.levels[0].ply]
@@ -125,14 +126,14 @@ def alone(
 
 
 def moved_back(pose: Float64, centre: Float64, middle: Float64, times: float) -> Float64:
-    """The world_to_camera of a camera `times` as far from `middle`."""
+    """The world_to_camera of a camera moved to `times` its distance from `middle`."""
     moved = pose.copy()
     moved[:3, 3] = -moved[:3, :3] @ (middle + times * (centre - middle))
     return moved
 
 
 def fly_in(run: Path, image: PosedImage, frame: LocalFrame) -> tuple[float, float]:
-    """The largest mean change between two frames: of the result as it is, and in levels."""
+    """The largest mean change between two frames: of the whole result, and with levels."""
     whole, levels = Gaussians.load_ply(run / "result.ply", frame), LevelledResult(run, frame)
     before: list[Tensor] = []
     changes: list[list[float]] = []
@@ -148,14 +149,14 @@ def fly_in(run: Path, image: PosedImage, frame: LocalFrame) -> tuple[float, floa
 
 
 def zoomed(camera: Camera, times: float) -> Camera:
-    """The camera with a lens `times` times shorter, for pictures half the size."""
+    """The camera with 1 / `times` of its focal length, for pictures of half the size."""
     half = camera.resized(camera.width // 2, camera.height // 2)
     values = {**asdict(half), "fx": 2 * half.fx / times, "fy": 2 * half.fy / times}
     return Camera(**values)
 
 
 def report(run: Path, scene: Path, out: Path) -> str:
-    """Measure all, write the files, and return the tables."""
+    """Measure everything, write the files, and return the tables."""
     split = read_json(run / "split.json")
     loaded = load_colmap(
         scene,
@@ -201,7 +202,7 @@ def report(run: Path, scene: Path, out: Path) -> str:
 
 
 def draw(rows: Sequence[Far], path: Path) -> None:
-    """PSNR and Gaussians against distance, if matplotlib is there."""
+    """Plot PSNR and number of Gaussians against distance, if matplotlib is installed."""
     try:
         import matplotlib
     except ImportError:

@@ -30,7 +30,7 @@ PREVIEW_SECONDS = 30.0
 
 
 class Log:
-    """Writes a row every `LOG_STEPS` steps; counts them as the `should_stop` of a context."""
+    """Writes a row every `LOG_STEPS` steps; a context's `should_stop` counts the steps."""
 
     def __init__(self, path: Path) -> None:
         self._file = open(path, "w", encoding="utf-8", newline="")  # noqa: SIM115 - open to the end
@@ -40,11 +40,11 @@ class Log:
         self._cycle, self._step, self.gaussians = -1, 0, 0
 
     def begin_cycle(self) -> None:
-        """Steps count from 0 again."""
+        """Start to count steps from 0 again."""
         self._cycle, self._step, self._cpu = self._cycle + 1, 0, time.process_time()
 
     def before_step(self) -> bool:
-        """Called before every step of a stage; never stops it."""
+        """Count a step; called before every step of a stage. False: never stops it."""
         if self._step % LOG_STEPS == 0 and self._step:
             now, cpu = time.monotonic() - self._began, time.process_time()
             spent = 1000 * (cpu - self._cpu) / LOG_STEPS
@@ -57,7 +57,7 @@ class Log:
 
 
 def train(folder: Path, hours: float, steps: int, threads: int) -> None:
-    """Whole cycles until `hours` have passed on the clock."""
+    """Train complete cycles until `hours` of wall-clock time have passed."""
     from benchmarks.training import all_photos
     from roigs_engine.colmap.project import load_colmap
     from roigs_engine.context import Context
@@ -104,7 +104,7 @@ def train(folder: Path, hours: float, steps: int, threads: int) -> None:
 
 
 def evaluate(folder: Path) -> None:
-    """Compare the cycles with the second: the first warms up the allocator."""
+    """Compare the cycles with the second one (number 1); the first warms up the allocator."""
     cycles: dict[int, dict[int, dict[str, float]]] = defaultdict(dict)
     with open(folder / "log.csv", encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
@@ -127,7 +127,7 @@ def evaluate(folder: Path) -> None:
 
 
 def main() -> None:
-    """Train, or evaluate what was logged."""
+    """Train, or evaluate the log."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--hours", type=float, default=2.0)

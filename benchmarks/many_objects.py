@@ -33,7 +33,7 @@ HEAD = ("objects", "seconds", "driver at half, MB", "at the end", "growth", "row
 
 
 def write_table(folder: Path, objects: int) -> Path:
-    """The table: one small scene so many times, each with its seed; returns its path."""
+    """Write a table that repeats a small scene, each time with its own seed; returns its path."""
     write_scene(folder / "scene")
     rows = [f"[scenes.small-{seed:03}]\nseed = {seed}" for seed in range(objects)]
     path = folder / "museum.toml"
@@ -42,7 +42,7 @@ def write_table(folder: Path, objects: int) -> Path:
 
 
 def memory(process: int) -> float:
-    """Megabytes of RAM that a process has now; 0: it has ended."""
+    """Resident memory of a process now, MB; 0: it has ended."""
     try:
         text = Path(f"/proc/{process}/status").read_text(encoding="utf-8")
     except OSError:
@@ -52,7 +52,7 @@ def memory(process: int) -> float:
 
 
 def sampled(command: list[str]) -> list[tuple[float, float, int]]:
-    """Run a batch; (seconds, megabytes, objects done) every few seconds."""
+    """Run a batch; returns samples of (seconds, megabytes, objects done)."""
     found: list[tuple[float, float, int]] = []
     began, done = time.monotonic(), 0
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as batch:

@@ -28,7 +28,7 @@ OBSERVATION = np.dtype([("xy", "<f8", 2), ("id", "<i8")])
 
 
 def grid_poses(count: int) -> Float64:
-    """(count, 4, 4) world_to_camera of cameras on a square of 8 x 8 at height 4; all look at 0."""
+    """(count, 4, 4) world_to_camera of cameras in a square of 8 x 8 at height 4, looking at 0."""
     side = int(np.ceil(np.sqrt(count)))
     x, y = (np.indices((side, side)).reshape(2, -1)[:, :count] / max(side - 1, 1) - 0.5) * 8
     centres = np.column_stack([x, y, np.full(count, 4.0)])
@@ -42,7 +42,7 @@ def grid_poses(count: int) -> Float64:
 
 
 def write_scene(folder: Path, count: int, points: int, seen: int) -> None:
-    """A COLMAP project whose photos each observe `seen` of the box's points; one in 50 is there."""
+    """Write a COLMAP project. Each photo observes `seen` points in the box, which has 1 in 50."""
     rng = np.random.default_rng(0)
     model, photos = folder / "sparse/0", folder / "images"
     model.mkdir(parents=True)
@@ -76,7 +76,7 @@ def write_scene(folder: Path, count: int, points: int, seen: int) -> None:
 
 
 def main() -> int:
-    """Write the scenes that do not exist, select in each, print the table."""
+    """Write missing scenes, select photos in each, print the table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 NONE = "-"
-"""A cell without a value."""
+"""Text of an empty cell."""
 
 
 def table(
@@ -16,8 +16,8 @@ def table(
     Args:
         head: headings.
         rows: cells; an empty one becomes a dash.
-        names: so many columns are text, the others are numbers and aligned to the right; None:
-            no column is.
+        names: number of text columns; the others are numbers, aligned to the right. None: all
+            columns are text.
     """
     left = len(head) if names is None else names
     rule = ["---"] * left + ["---:"] * (len(head) - left)

@@ -29,7 +29,7 @@ KERNEL_STAGES = {
     "roigs_project_backward": "update",
     "roigs_project_backward_adam": "update",
 }
-"""Kernel -> stage of the kernels that run inside one torch function."""
+"""Kernel -> stage, for kernels that run inside one torch function."""
 
 COUNTS = {
     "roigs_project": "visible",
@@ -42,7 +42,7 @@ Times = dict[str, tuple[float, float]]
 """Stage -> milliseconds of wall-clock time, and of process-CPU time."""
 
 Through = Callable[[KernelView, str, Callable[[], int]], int]
-"""Gets the view, a kernel's name and the call of it, whose result it returns."""
+"""Takes the view, a kernel's name and its call; returns the call's result."""
 
 
 class Stopwatch:
@@ -53,7 +53,7 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Adds the time that the context lasts."""
+        """Add the duration of the context."""
         wall, cpu = time.perf_counter(), time.process_time()
         yield
         cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
@@ -61,14 +61,14 @@ class Stopwatch:
         self.taken[name] = before[0] + 1e3 * wall, before[1] + 1e3 * cpu
 
     def kernel(self, view: KernelView, name: str, call: Callable[[], int]) -> int:
-        """Times the rasterizer's kernels, for `kernel_calls`."""
+        """Time a kernel of the rasterizer; for `kernel_calls`."""
         with self.stage(KERNEL_STAGES.get(name, name)):
             return call()
 
 
 @contextmanager
 def kernel_calls(through: Through) -> Iterator[None]:
-    """While the context lasts, kernels of the rasterizer are called by `through`."""
+    """Within the context, call the rasterizer's kernels by `through`."""
     original = KernelView.call
 
     def call(view: KernelView, name: str, *arguments: Any) -> int:
@@ -82,7 +82,7 @@ def kernel_calls(through: Through) -> Iterator[None]:
 
 
 class StepBenchmark:
-    """A model, its optimizer (at learning rate 0: every pass does the same work), and photos."""
+    """A model, its optimizer (learning rate 0, so that every pass is the same work), and photos."""
 
     def __init__(self, gaussians: int, width: int, height: int) -> None:
         self.model = trainable(gaussians)
@@ -92,7 +92,7 @@ class StepBenchmark:
         self.passes = 0
 
     def counts(self) -> dict[str, list[int]]:
-        """Counts by name -> the number for each camera."""
+        """Name of a count -> the number for each camera."""
         found: dict[str, list[int]] = {}
 
         def count(view: KernelView, name: str, call: Callable[[], int]) -> int:
@@ -109,13 +109,13 @@ class StepBenchmark:
         return found
 
     def step_times(self) -> list[Times]:
-        """One training step for each camera; "rest" is the part of "step" in no other stage."""
+        """Time a training step for each camera; "rest" is the time outside all other stages."""
         return [self._step(pose) for pose in self.photos.poses]
 
     def extras_times(self) -> list[dict[str, Times]]:
         """For each camera: set of optional outputs -> times of one render without gradient.
 
-        The order in which the sets have their turn changes with camera and pass.
+        The order of the sets changes with camera and pass.
         """
         options = list(optional_outputs().items())
         found = []
@@ -148,9 +148,9 @@ class StepBenchmark:
 
 
 def optional_outputs() -> dict[str, dict[str, Any]]:
-    """Name -> arguments: no optional output of `rasterize`, each alone, pairs, ..., all.
+    """Name -> arguments of `rasterize`, for every set of optional outputs, from none to all.
 
-    The median depth is alone only.
+    The median depth occurs only alone.
     """
     names = [name for name in inspect.signature(rasterize).parameters if name.startswith("with_")]
     sets = [chosen for n in range(len(names) + 1) for chosen in combinations(names, n)]
@@ -164,13 +164,13 @@ def optional_outputs() -> dict[str, dict[str, Any]]:
 
 
 def forget_peak_memory() -> None:
-    """Start `peak_memory` again from here, where the system can do that (Linux)."""
+    """Restart `peak_memory` from here, if the system supports it (Linux)."""
     if sys.platform == "linux":
         Path("/proc/self/clear_refs").write_text("5")
 
 
 def peak_memory() -> int | None:
-    """The most bytes this process had resident; None where the system does not say (Windows)."""
+    """Peak resident memory of this process, bytes; None if it is unknown (Windows)."""
     if sys.platform == "linux":
         return round(resident("VmHWM") * MIB)
     if sys.platform == "darwin":

@@ -33,7 +33,7 @@ def resident(field: str = "VmRSS") -> float:
 
 
 def write_photos(folder: Path, count: int, width: int, height: int) -> None:
-    """Smooth colours with some noise, as a photo's file would be large."""
+    """Write photos of smooth colours with noise, so that files are as large as a photo's."""
     import numpy as np
     from PIL import Image
 
@@ -87,7 +87,7 @@ def train(folder: Path, args: argparse.Namespace, densify: bool) -> None:
 
 
 def posed(paths: Sequence[Path], width: int, height: int) -> list[PosedImage]:
-    """The photos, at the poses of the synthetic scene's cameras in turn."""
+    """The photos, with the poses of the synthetic scene's cameras in turn."""
     import numpy as np
 
     from benchmarks.synthetic import ring_camera, ring_cameras
@@ -107,7 +107,7 @@ def posed(paths: Sequence[Path], width: int, height: int) -> list[PosedImage]:
 
 
 def known(trainer: Trainer, photo_bytes: int) -> list[tuple[str, float]]:
-    """MiB of the arrays whose sizes are known."""
+    """Names and MiB of the arrays with known sizes."""
     tensors = list(trainer.gaussians.tensors().values())
     parameters = sum(t.nbytes for t in tensors) / MIB
     return [

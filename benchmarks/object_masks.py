@@ -29,21 +29,21 @@ from roigs_engine.rasterize.view import rasterize_view
 
 LEAST = 1024  # pixels of a true mask; photos with fewer are left out
 LARGE = 10_000  # pixels from which a photo is a close-up
-FINE = 4  # times as many pixels across, without the rasterizer's blur of a pixel
+FINE = 4  # factor on the width and height of a finer picture, to reduce the rasterizer's blur
 HEAD = ("run", "box", "close-ups", "IoU", "least", "wide", "IoU", "least", f"IoU, {FINE} x finer")
 HEAD_PSNR = ("test photos", "whole (dB)", "object on black", "object on the rest")
 
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """One photo that the run had no mask of.
+    """A photo for which the run had no mask.
 
     Attributes:
-        pixels: of the true mask.
-        iou: of the object's silhouette with it.
-        fine: the same with a silhouette that was drawn finer; None: a close-up.
-        psnr: on its pixels: of the whole model, of the object on black, of the object on a picture
-            of all else; None: the photo was trained on.
+        pixels: number of pixels of the true mask.
+        iou: IoU of the object's silhouette with the true mask.
+        fine: the same for a silhouette that is drawn finer; None: a close-up.
+        psnr: on the true mask's pixels: of the whole model, of the object on black, of the object
+            on a picture of the rest; None: it is not a test photo.
     """
 
     pixels: int
@@ -53,7 +53,7 @@ class View:
 
 
 def drawn(model: Gaussians, image: PosedImage, times: int = 1) -> tuple[Tensor, Tensor]:
-    """A picture on black (H, W, 3), and how opaque it is (H, W), drawn so many times as fine."""
+    """Render on black: picture (H, W, 3) and alpha (H, W), at `times` the size and averaged."""
     camera, black = image.camera, torch.zeros(3)
     fine = camera.resized(camera.width * times, camera.height * times)
     with torch.no_grad():
@@ -69,12 +69,12 @@ def overlap(alpha: Tensor, mask: Tensor) -> float:
 
 
 def psnr(picture: Tensor, photo: Tensor, mask: Tensor) -> float:
-    """On the mask's pixels, dB."""
+    """PSNR on the mask's pixels, dB."""
     return float(-10 * torch.log10((picture - photo)[mask].square().mean()))
 
 
 def views(run: Path, true: Path, box: str) -> Iterator[View]:
-    """The photos that show the box's object, and that the run had no mask of."""
+    """Measure photos that show the box's object, but for which the run had no mask."""
     settings = json.loads((run / run_files.SETTINGS).read_text("utf-8"))
     split = json.loads((run / run_files.SPLIT).read_text("utf-8"))
     manifest = json.loads((run / run_files.MANIFEST).read_text("utf-8"))
@@ -113,7 +113,7 @@ def views(run: Path, true: Path, box: str) -> Iterator[View]:
 
 
 def row(run: Path, true: Path, box: str) -> list[str]:
-    """The cells of a run and a box."""
+    """The table's row for a run and a box."""
     found = list(views(run, true, box))
     cells = [run.name, box]
     for large in (True, False):

@@ -37,7 +37,7 @@ KERNELS = "kernels"
 
 
 class Clock:
-    """Adds up the time of nested parts, each without those inside it.
+    """Adds up the time of nested parts, each without the parts inside it.
 
     Attributes:
         seconds: part -> [wall-clock time, CPU time of this thread].
@@ -45,11 +45,11 @@ class Clock:
 
     def __init__(self) -> None:
         self.seconds: dict[str, list[float]] = {}
-        self._taken = [0.0, 0.0]  # of the part that is running
+        self._taken = [0.0, 0.0]  # times of the running part
         self._since = 0.0, 0.0
 
     def timed(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        """The function, its time counted for `part`."""
+        """Wrap a function so that its time counts for `part`."""
         taken = self.seconds.setdefault(part, [0.0, 0.0])
 
         @functools.wraps(function)
@@ -63,7 +63,7 @@ class Clock:
         return run
 
     def _switch(self, following: list[float]) -> list[float]:
-        """Time from here on goes to `following`; returns what it went to before."""
+        """Count time for `following` from now on; returns what it was counted for before."""
         now, before, running = (time.perf_counter(), time.thread_time()), self._since, self._taken
         running[0] += now[0] - before[0]
         running[1] += now[1] - before[1]
@@ -71,12 +71,12 @@ class Clock:
         return running
 
     def watch(self, owner: Any, name: str, part: str) -> None:
-        """Count a function or method, wherever it is called from."""
+        """Time a function or method for `part`, wherever it is called."""
         setattr(owner, name, self.timed(part, getattr(owner, name)))
 
 
 class TimedKernels:
-    """The kernels' library; every call of one of its functions is counted."""
+    """The kernels' library; the time of each of its functions is counted."""
 
     def __init__(self, kernels: ctypes.CDLL, clock: Clock) -> None:
         self._kernels, self._clock = kernels, clock
@@ -88,7 +88,7 @@ class TimedKernels:
 
 
 def watch_training() -> Clock:
-    """A clock on the parts of every training step from now on, in this process."""
+    """Time the parts of every training step in this process from now on."""
     clock = Clock()
     kernels = TimedKernels(bindings.kernels(), clock)
     bindings.kernels = lambda: kernels  # type: ignore[assignment]
@@ -109,7 +109,7 @@ def watch_training() -> Clock:
 
 
 def train(folder: Path, max_side: int, preset_name: str, steps: int) -> Trainer:
-    """The first steps of the Full Scene baseline on all photos of a COLMAP project."""
+    """Train the first steps of the Full Scene baseline on all photos of a COLMAP project."""
     scene = load_colmap(folder, max_side=max_side)
     data = all_photos(scene.images, scene.extent())
     start = Gaussians.from_points(scene.points, scene.colors)
@@ -119,7 +119,7 @@ def train(folder: Path, max_side: int, preset_name: str, steps: int) -> Trainer:
 
 
 def print_table(clock: Clock, steps: int) -> None:
-    """Parts by their time, most first, and the kernels' share of all."""
+    """Print the parts by time, longest first, and the kernels' share of all."""
     total = [sum(taken[k] for taken in clock.seconds.values()) for k in (0, 1)]
     inside = [
         sum(taken[k] for part, taken in clock.seconds.items() if part.startswith(KERNELS))

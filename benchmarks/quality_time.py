@@ -28,7 +28,7 @@ MARKERS = "osD^v<>P"
 
 
 def points(run: Path) -> dict[str, tuple[float, float]]:
-    """Row -> CPU seconds of its stages, and its ROI PSNR, the mean over the boxes."""
+    """Row -> CPU seconds of its stages, and ROI PSNR, mean over the boxes."""
     evaluation = Evaluation.from_dict(read_json(run / run_files.REPORT_DATA))
     found: dict[str, list[float]] = {}
     stages: dict[str, tuple[str, ...]] = {}
@@ -64,7 +64,7 @@ def draw(runs: Sequence[Path], out: Path) -> None:
         axes.plot(*zip(*(rows[name] for name in order), strict=True), color="#dddddd", zorder=1)
         for name in order:
             axes.scatter(*rows[name], color=SHOWN[name][0], marker=marker, s=60, zorder=2)
-        beside = (8, -12 if index % 2 else 4)  # below and above: names of near points stay apart
+        beside = (8, -12 if index % 2 else 4)  # below and above, to separate near points' names
         axes.annotate(run.name, rows[order[-1]], xytext=beside, textcoords="offset points")
         drawn.update(order)
     for name, (colour, label) in SHOWN.items():
@@ -82,7 +82,7 @@ def draw(runs: Sequence[Path], out: Path) -> None:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Draw the runs' reports."""
+    """Draw the picture from the runs' reports."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.quality_time", description=__doc__)
     parser.add_argument(
         "runs", nargs="+", type=Path, metavar="RUN", help="run folders with reports"

@@ -36,12 +36,12 @@ Vectors = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """A reconstruction in numbers.
+    """Measurements of a reconstruction.
 
     Attributes:
-        photos: in the folder.
-        registered: in the largest model.
-        points: their number.
+        photos: number of photos in the folder.
+        registered: number of photos in the largest model.
+        points: number of points.
         error: mean reprojection error, px.
         wall, cpu: seconds.
         median, largest: distance of a camera from its place in the scene's own model, after a
@@ -71,7 +71,7 @@ def arguments() -> argparse.Namespace:
 
 
 def automatic(images: Path, out: Path, threads: int) -> None:
-    """COLMAP's automatic reconstructor on single photos, at its medium quality."""
+    """Reconstruct as COLMAP's automatic reconstructor does for single photos, medium quality."""
     colmap = pycolmap_module("The comparison")
     extraction, matching = colmap.FeatureExtractionOptions(), colmap.FeatureMatchingOptions()
     extraction.max_image_size, extraction.sift.max_num_features = 1600, 4096
@@ -85,7 +85,7 @@ def automatic(images: Path, out: Path, threads: int) -> None:
 
 
 def mapped(database: Path, images: Path, out: Path, mapper: str, threads: int) -> None:
-    """The models of a COLMAP mapper from a database, with its own settings."""
+    """Run a mapper of COLMAP on a database, with COLMAP's own settings."""
     colmap = pycolmap_module("The comparison")
     kind = {
         "incremental": colmap.IncrementalPipelineOptions,
@@ -97,14 +97,14 @@ def mapped(database: Path, images: Path, out: Path, mapper: str, threads: int) -
 
 
 def _keep(found: dict[int, Any], out: Path) -> None:
-    """Write the largest model as a project has it."""
+    """Write the largest model into a project's usual folder."""
     best = max(found.values(), key=lambda model: model.num_reg_images())
     (out / "sparse/0").mkdir(parents=True)
     best.write_binary(str(out / "sparse/0"))
 
 
 def measured(scene: Path, out: Path, words: list[Any]) -> Row:
-    """Run Python with these arguments, unless it is done, and compare what is then in `out`."""
+    """Run Python with these arguments, unless already done, and compare the result in `out`."""
     done = out / "row.json"
     if done.exists():
         return Row(**read_json(done))
@@ -120,20 +120,20 @@ def measured(scene: Path, out: Path, words: list[Any]) -> Row:
 
 
 def own_way(scene: Path, out: Path, args: argparse.Namespace) -> list[Any]:
-    """Our reconstruction."""
+    """The arguments of Python for our reconstruction."""
     words = ["-m", "roigs_engine", "reconstruct", scene / "images", "--out", out]
     return [*words, "--threads", args.threads, *args.options.split()]
 
 
 def call_of(function: str, *arguments: Path | str | int) -> list[str]:
-    """A call of one of this file's functions."""
+    """The arguments of Python that call one of this file's functions."""
     values = (f"Path({str(v)!r})" if isinstance(v, Path) else repr(v) for v in arguments)
     name = __spec__.name
     return ["-c", f"from pathlib import *; from {name} import *; {function}({', '.join(values)})"]
 
 
 def compared(scene: Path, out: Path, wall: float, cpu: float) -> Row:
-    """The numbers of a result."""
+    """Measure a result."""
     colmap = pycolmap_module("The comparison")
     model = colmap.Reconstruction(str(find_model(out)))
     own = centres(colmap.Reconstruction(str(find_model(scene))))
@@ -157,7 +157,7 @@ def compared(scene: Path, out: Path, wall: float, cpu: float) -> Row:
 
 
 def centres(model: Any) -> dict[str, Vectors]:
-    """Name -> place of each photo's camera."""
+    """Name of a photo -> place of its camera."""
     images = model.images.values()
     return {image.name: image.projection_center() for image in images if image.has_pose}
 

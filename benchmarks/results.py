@@ -31,13 +31,13 @@ class Measurement:
     """A row, measured in one variant.
 
     Attributes:
-        engine: its git revision, or "this".
+        engine: git revision of the engine, or "this".
         isa: instruction set.
-        counts: "visible", "intersections" and, where known, "pairs" -> number for each camera.
-        rounds: stage -> (wall, CPU) milliseconds; for each round and in it for each camera.
-        extras: the same for each set of optional outputs.
-        peak: GFLOP/s of one core, the best of the rounds.
-        memory: bytes resident at most.
+        counts: "visible", "intersections" and, if known, "pairs" -> number for each camera.
+        rounds: for each round and camera: stage -> (wall, CPU) milliseconds.
+        extras: for each round and camera: set of optional outputs -> the same.
+        peak: GFLOP/s of one core, best of the rounds.
+        memory: peak resident memory, bytes.
     """
 
     row: Row
@@ -50,26 +50,26 @@ class Measurement:
     memory: int | None = None
 
     def milliseconds(self, stage: str, clock: int) -> float:
-        """Median over cameras of the fastest round."""
+        """Median over cameras of each one's fastest round, ms."""
         return statistics.median(self._fastest(stage, clock))
 
     def median(self, stage: str, clock: int) -> float:
-        """Median over all rounds and cameras: what is compared between variants."""
+        """Median over all rounds and cameras, ms; for comparisons between variants."""
         return statistics.median(c[stage][clock] for r in self.rounds for c in r)
 
     def count(self, name: str) -> float | None:
-        """Median over cameras; None when it is not known."""
+        """Median of a count over cameras; None if it is unknown."""
         return statistics.median(self.counts[name]) if name in self.counts else None
 
     def nanoseconds_per_pair(self, stage: str) -> float | None:
-        """CPU time of a stage for one Gaussian at one pixel; median over cameras."""
+        """CPU time of a stage for a (Gaussian, pixel) pair, ns; median over cameras."""
         if "pairs" not in self.counts:
             return None
         times = zip(self._fastest(stage, CPU), self.counts["pairs"], strict=True)
         return statistics.median(1e6 * time / max(pairs, 1) for time, pairs in times)
 
     def share_of_peak(self, stages: Iterable[str]) -> float | None:
-        """Useful FLOP/s of some stages together, per second of CPU time, as share of the peak."""
+        """Useful FLOP per second of CPU time in these stages together, as share of the peak."""
         operations, nanoseconds = 0.0, 0.0
         for stage in stages:
             time = self.nanoseconds_per_pair(stage)
@@ -80,8 +80,8 @@ class Measurement:
         return operations / nanoseconds / self.peak
 
     def extra_cost(self, option: str, stage: str) -> float:
-        """CPU time with optional outputs, relative to without; median over cameras of fastest."""
-        cameras = zip(*self.extras, strict=True)  # -> per camera its rounds
+        """Ratio of CPU times with and without optional outputs; median over cameras of fastest."""
+        cameras = zip(*self.extras, strict=True)  # the rounds of each camera
         ratios: list[float] = [
             min(r[option][stage][CPU] for r in rounds) / min(r["plain"][stage][CPU] for r in rounds)
             for rounds in cameras
@@ -95,14 +95,14 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Growth:
-    """Growth of a step's CPU time with its work, over rows that differ only in this.
+    """Growth of a step's CPU time with its work, over rows that differ only in the work.
 
     Attributes:
         per_visible: nanoseconds per visible Gaussian in the linear fit
             time = per_visible * visible + per_pair * pairs.
-        per_pair: nanoseconds per pair evaluation in it.
-        exponent: p of the fit time ~ (the linear fit)^p. A time that grows faster than linearly
-            gives more than 1.
+        per_pair: nanoseconds per pair evaluation in this fit.
+        exponent: p of the fit time ~ (the linear fit)^p; above 1 if the time grows faster than
+            linearly.
     """
 
     per_visible: float
@@ -116,7 +116,7 @@ class Growth:
 
 
 def growth(measurements: Sequence[Measurement]) -> Growth | None:
-    """Fits the least squares of relative errors; None where counts are unknown or rows too few."""
+    """Fit by least squares of relative errors; None if counts are unknown or rows too few."""
     times = [m.milliseconds("step", CPU) for m in measurements]
     if any("pairs" not in m.counts for m in measurements) or len(times) < 3:
         return None

@@ -41,13 +41,14 @@ from roigs_engine.selection import SelectionConfig, select_cameras
 Mask = NDArray[np.bool_]
 Scribbles = list[Scribble]
 LINES = 3
-WIDTH, AWAY, WOBBLE = 0.04, 0.12, 0.01  # of strokes, in the object's size
-DEEP = 0.3  # lines stay this far from the outline, in the largest distance
-LEAST, MOST = 0.25, 0.9  # length of lines, in the object's size
+# In units of the object's size: width of strokes; of the one around it, distance and inexactness.
+WIDTH, AWAY, WOBBLE = 0.04, 0.12, 0.01
+DEEP = 0.3  # least distance of lines from the outline, in units of the largest distance
+LEAST, MOST = 0.25, 0.9  # length of lines, in units of the object's size
 
 
 def arguments() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene", type=Path, help="COLMAP project with rois.json")
     parser.add_argument("--truth", type=Path, required=True, help="folder of true masks")
@@ -62,7 +63,7 @@ def arguments() -> argparse.Namespace:
 
 
 def read(path: Path) -> Mask:
-    """The mask in a file."""
+    """Read the mask in a file."""
     mask: Mask = np.asarray(Image.open(path).convert("L")) > 127
     return mask
 
@@ -73,7 +74,7 @@ def iou(a: Mask, b: Mask) -> float:
 
 
 def strokes(mask: Mask, seed: int) -> tuple[Stroke, ...]:
-    """A person's strokes on an object: lines on it, and one around it that is not very exact."""
+    """Simulate a person's strokes: lines on an object, and an inexact line around it."""
     rng = np.random.default_rng(seed)
     size = float(np.sqrt(mask.sum()))
     width = max(2.0, WIDTH * size)
@@ -99,7 +100,7 @@ def strokes(mask: Mask, seed: int) -> tuple[Stroke, ...]:
 
 
 def true_masks(roi: OrientedBox, photos: Sequence[str], truth: Path) -> dict[str, Mask]:
-    """The true masks of those photos that have one; photos that show most of the object first."""
+    """Photo -> true mask, for photos that have one; the largest masks first."""
     files = {name: truth / roi.name / f"{name}.png" for name in photos}
     masks = {name: read(file) for name, file in files.items() if file.is_file()}
     return dict(sorted(masks.items(), key=lambda pair: -pair[1].sum()))
@@ -114,7 +115,7 @@ def scribbles_of(args: argparse.Namespace, box: str, true: dict[str, Mask], seed
 
 
 def overlay(photo: Path, mask: Mask, truth: Mask, file: Path) -> None:
-    """Write the photo with its mask in magenta, and where it is wrong in yellow."""
+    """Write the photo with its mask in magenta, and wrong pixels in yellow."""
     pixels = np.asarray(Image.open(photo).convert("RGB")).astype(float)
     pixels[mask] = 0.5 * pixels[mask] + (127, 0, 127)
     pixels[mask != truth] = (255, 255, 0)
@@ -139,13 +140,13 @@ def scribbles_document(scribbles: Sequence[Scribble]) -> str:
 
 
 def measure(args: argparse.Namespace, roi: OrientedBox, seed: int, out: Path) -> list[str]:
-    """One scribble of one box: a row of the table."""
+    """Measure one scribble of one box; returns a row of the table."""
     from roigs_engine.cli import main as engine
 
     scene = load_colmap(args.scene, pixels=False, masks=MaskOptions(used=False))
     selection = select_cameras(scene, roi, SelectionConfig())
     true = true_masks(roi, selection.names, args.truth)
-    if len(true) < len(selection.names):  # of a real scene, a few masks that were drawn by hand
+    if len(true) < len(selection.names):  # in a real scene, a few masks drawn by hand
         true = true_masks(roi, [image.name for image in scene.images], args.truth)
     scribbles = scribbles_of(args, roi.name, true, seed)
     drawn = [scribble.photo for scribble in scribbles]
@@ -178,7 +179,7 @@ def silhouettes(
     out: Path,
     photos: Sequence[str],
 ) -> str:
-    """IoU of the object that `cut` cuts out along the masks: its silhouettes against the truth."""
+    """IoU of silhouettes with the true masks, of the object that `cut` cuts out by the masks."""
     from roigs_engine.cli import main as engine
     from roigs_engine.model.gaussians import SH_C0, Gaussians
     from roigs_engine.model.local_frame import LocalFrame

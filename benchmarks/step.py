@@ -28,11 +28,11 @@ DEFAULTS = {
     "cpu": ([50_000, 200_000, 1_000_000], [(480, 320), (1280, 853)]),
     "cuda": ([100_000, 1_000_000, 4_000_000], [(1280, 853), (2048, 1366)]),
 }
-"""Rows that are measured without options: numbers of Gaussians, sizes of the picture."""
+"""Default rows: numbers of Gaussians, sizes of the picture."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measures and prints tables in Markdown; progress goes to standard error."""
+    """Measure, and print tables in Markdown; progress goes to standard error."""
     options = _options(arguments)
     if options.device == "cuda":
         _on_gpu(options)
@@ -69,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _on_gpu(options: argparse.Namespace) -> None:
-    """Prints the table of `cuda_step`."""
+    """Print the table of `cuda_step`."""
     device = choose_device("cuda")
     rows = []
     for gaussians, size in product(options.gaussians, options.size):
@@ -88,7 +88,7 @@ def measure(
     question: str,
     rounds: int,
 ) -> list[Measurement]:
-    """Measures a row in all variants, which take turns; `question`: "step" or "extras"."""
+    """Measure a row in all variants, in turn; `question`: "step" or "extras"."""
     peaks = {isa: str(path) for isa, path in peak_libraries.items()}
     job = {**asdict(row), "peak_libraries": peaks}
     with ExitStack() as stack:

@@ -39,7 +39,7 @@ class SyntheticPhotos:
         self.photo = photo.to(device)
 
     def render(self, gaussians: Gaussians, pose: Tensor, **options: Any) -> RenderOutput:
-        """The Gaussians as training draws them for a camera; options as of `rasterize`."""
+        """Render the Gaussians as in training; options as of `rasterize`."""
         g = gaussians
         return rasterize(
             *(g.means, g.quats, g.log_scales, g.logit_opacities, g.sh),
@@ -83,7 +83,7 @@ def synthetic_gaussians(count: int, seed: int = 0) -> Gaussians:
 
 
 def trainable(count: int, device: torch.device | None = None) -> Gaussians:
-    """`synthetic_gaussians` on a device, as leaves of autograd."""
+    """`synthetic_gaussians` on a device, as autograd leaves."""
     model = synthetic_gaussians(count).to(device or torch.device("cpu"))
     tensors = model.tensors()
     return model.with_tensors({name: t.requires_grad_() for name, t in tensors.items()})
@@ -96,7 +96,7 @@ def ring_camera(width: int, height: int) -> Camera:
 
 
 def ring_cameras() -> Tensor:
-    """(CAMERAS, 4, 4) world_to_camera, looking at the middle from around it."""
+    """(CAMERAS, 4, 4) world_to_camera of cameras around the middle that look at it."""
     poses = []
     for angle in np.arange(CAMERAS) * 2 * np.pi / CAMERAS:
         eye = np.array([4.4 * np.cos(angle), 4.4 * np.sin(angle), 1.6])

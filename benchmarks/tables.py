@@ -45,7 +45,7 @@ def work_table(measurements: Sequence[Measurement]) -> str:
 
 
 def growth_table(measurements: Sequence[Measurement]) -> str:
-    """A step's CPU time beside a linear fit in visible Gaussians and pairs, shortest first."""
+    """A step's CPU time, and a linear fit in visible Gaussians and pairs; shortest first."""
     head = ["visible", "pairs", "step CPU ms", "fit ms", "step / fit"]
     head += ["fit: ns / visible", "fit: ns / pair", "exponent"]
     rows: list[list[str]] = []
@@ -68,7 +68,7 @@ def growth_table(measurements: Sequence[Measurement]) -> str:
 
 
 def ratio_table(measurements: Sequence[Measurement]) -> str:
-    """Medians of each row's later variants over those of its first variant."""
+    """Ratio of medians: each row's later variants over its first variant."""
     rows = (
         [
             *_names(m),
@@ -80,7 +80,7 @@ def ratio_table(measurements: Sequence[Measurement]) -> str:
 
 
 def extras_table(measurements: Sequence[Measurement]) -> str:
-    """Time of rendering and of its raster stage with optional outputs, relative to without."""
+    """Ratio of times with and without optional outputs: of rendering, and of its raster stage."""
     options = [option for option in measurements[0].extras[0][0] if option != "plain"]
     rows = (
         [

@@ -14,12 +14,12 @@ BOX = "thing=-0.5,-0.5,-0.5,0.5,0.5,0.5"
 
 
 def write_scene(folder: Path, *, photos: int = 10, points: int = 40, seed: int = 7) -> None:
-    """Write a project: cameras on a ring that look at points, which photos show as dots.
+    """Write a project with cameras on a ring around points; photos show the points as dots.
 
     Args:
-        folder: of the project.
-        photos, points: their numbers.
-        seed: of the points.
+        folder: the project's folder.
+        photos, points: numbers of photos and points.
+        seed: for the points.
     """
     world = np.random.default_rng(seed).uniform(-0.8, 0.8, (points, 3))
     model, images = folder / "sparse" / "0", folder / "images"
@@ -42,7 +42,7 @@ def write_scene(folder: Path, *, photos: int = 10, points: int = 40, seed: int =
 
 
 def _paint(pixels: NDArray[np.float64]) -> Image.Image:
-    """A photo with a soft dot at each of (P, 2) pixels."""
+    """Draw a photo with a soft dot at each of (P, 2) pixels."""
     y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
     photo = np.full((HEIGHT, WIDTH), 20.0)
     for px, py in pixels:

@@ -13,12 +13,12 @@ from roigs_engine.training.stage_data import StageData
 def all_photos(
     images: Sequence[PosedImage], extent: float, cache: PhotoCache | None = None
 ) -> StageData:
-    """The data of a stage on these photos.
+    """The data for a stage that trains on these photos.
 
     Args:
         images: all photos.
-        extent: of the scene, world units.
-        cache: holds the decoded photos; None: a new one.
+        extent: the scene's extent, world units.
+        cache: cache for decoded photos; None: a new one.
     """
     return StageData(
         images=images,

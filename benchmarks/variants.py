@@ -20,12 +20,12 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @dataclass(frozen=True)
 class Variant:
-    """An engine and how to run it.
+    """An engine, and how to run it.
 
     Attributes:
         name: the engine's git revision, or "this" for this checkout.
         engine: folder with the package `roigs_engine`.
-        isa: instruction set; empty for the best.
+        isa: instruction set; empty: the best.
     """
 
     name: str
@@ -33,14 +33,14 @@ class Variant:
     isa: str
 
     def environment(self) -> dict[str, str]:
-        """Has Python take `roigs_engine` from the variant, and `benchmarks` from this checkout."""
+        """Environment for `roigs_engine` of the variant, and `benchmarks` of this checkout."""
         path = os.pathsep.join([str(self.engine), str(ROOT)])
         found = {**os.environ, "PYTHONPATH": path, "PYTHONSAFEPATH": "1"}
         return {**found, "ROIGS_ISA": self.isa} if self.isa else found
 
 
 class Worker:
-    """A running benchmarks/worker.py."""
+    """A process that runs benchmarks/worker.py."""
 
     def __init__(self, variant: Variant, job: dict[str, Any]) -> None:
         self._process = subprocess.Popen(
@@ -52,7 +52,7 @@ class Worker:
         )
 
     def ask(self, question: str) -> Any:
-        """Its answer. Ends the program if there is none; the worker has said why."""
+        """Ask the worker; returns its answer. SystemExit: it has ended, and printed the reason."""
         assert self._process.stdin is not None and self._process.stdout is not None
         with suppress(BrokenPipeError):
             print(question, file=self._process.stdin, flush=True)
@@ -62,17 +62,17 @@ class Worker:
         return json.loads(answer)
 
     def close(self) -> None:
-        """Ends the process."""
+        """End the process."""
         self._process.kill()
         self._process.communicate()
 
 
 @contextmanager
 def engines(revision: str | None) -> Iterator[dict[str, Path]]:
-    """Name -> folder, with kernels built: first a git revision if one is given, then "this".
+    """Build kernels, and yield name -> folder: a git revision if one is given, then "this".
 
     Raises:
-        SystemExit: the revision's engine has not all that the benchmarks use.
+        SystemExit: the revision's engine lacks something that the benchmarks use.
     """
     with tempfile.TemporaryDirectory(prefix="roigs-compare-") as folder:
         found = {}

@@ -18,13 +18,13 @@ from roigs_engine.kernels import library
 
 
 def main() -> None:
-    """Answers questions until there are no more."""
+    """Answer questions until the input ends."""
     job = json.loads(sys.argv[1])
     torch.set_num_threads(1)
     library.set_threads(job["threads"])
     benchmark = StepBenchmark(job["gaussians"], job["width"], job["height"])
     peak_library = Path(job["peak_libraries"][library.isa()])
-    forget_peak_memory()  # not that of making the scene
+    forget_peak_memory()  # exclude the scene's creation
     answers = {
         "isa": library.isa,
         "counts": benchmark.counts,

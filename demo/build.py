@@ -33,7 +33,7 @@ def place(
 
 
 def image(name: str, pixels: np.ndarray) -> bpy.types.Image:
-    """A Blender image from an array (height, width, 3) of sRGB values."""
+    """Create a Blender image from an array (height, width, 3) of sRGB values."""
     height, width = pixels.shape[:2]
     img = bpy.data.images.new(name, width, height)
     full = np.ones((height, width, 4), np.float32)
@@ -51,7 +51,7 @@ def image_material(
     tint: Colour | None = None,
     emission: float = 0.0,
 ) -> bpy.types.Material:
-    """A diffuse material showing an image that measures `size` metres."""
+    """A diffuse material that shows an image of `size` metres."""
     mat = plain_material(name, (1.0, 1.0, 1.0))
     nodes, links = mat.node_tree.nodes, mat.node_tree.links
     shader = nodes["Diffuse BSDF"]
@@ -83,7 +83,7 @@ def image_material(
 
 
 def _glow(mat: bpy.types.Material, colour: bpy.types.NodeSocket, strength: float) -> None:
-    """Let a material also shine; the room's lamps do the lighting, so it is not sampled."""
+    """Make a material also emit light; it is not sampled, because lamps light the room."""
     nodes, links = mat.node_tree.nodes, mat.node_tree.links
     glow, both = nodes.new("ShaderNodeEmission"), nodes.new("ShaderNodeAddShader")
     glow.inputs["Strength"].default_value = strength
@@ -183,9 +183,9 @@ def box(
     fit: bool = False,
     roi: str = "",
 ) -> bpy.types.Object:
-    """A box; the texture runs along the longer side of each face, from a place of its own.
+    """A box; the texture runs along the longer side of each face, from a different start on each.
 
-    With `fit` the texture starts at the lower left corner of each upright face instead.
+    With `fit`, the texture starts at the lower left corner of each upright face instead.
     """
     half = np.asarray(size, float) / 2.0
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
@@ -221,7 +221,7 @@ def box(
 
 
 def hash_name(name: str) -> int:
-    """A number from a name that is the same in every run."""
+    """A number from a name; the same in every run."""
     value = 17
     for char in name:
         value = (value * 131 + ord(char)) % 2147483647

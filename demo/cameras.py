@@ -20,20 +20,20 @@ Bounds = dict[str, tuple[list[float], list[float]]]
 
 @dataclass(frozen=True)
 class Shot:
-    """One photo: its file name below the image folder, the camera's place and its target."""
+    """A photo: file name below the image folder, the camera's place, and its target."""
 
     name: str
     eye: Vector
     target: Vector
 
     def matrix(self) -> Matrix:
-        """Camera to world as Blender has it: the camera looks along its -Z."""
+        """Camera to world with Blender's axes: the camera looks along its -Z."""
         look = (self.target - self.eye).to_track_quat("-Z", "Y")
         return Matrix.Translation(self.eye) @ look.to_matrix().to_4x4()
 
 
 class Probe:
-    """Asks the scene by rays whether a camera stands free."""
+    """Casts rays into the scene to check whether there is free space around a camera."""
 
     def __init__(self, fov: tuple[float, float]) -> None:
         bpy.context.view_layer.update()
@@ -52,7 +52,7 @@ class Probe:
         return (spot - eye).length, normal.dot(way) > 0, obj.get("roi", "")
 
     def free(self, shot: Shot, front: float) -> bool:
-        """Room around the camera, and nothing nearer than `front` in the picture."""
+        """Whether the camera has space around it, and its picture nothing nearer than `front`."""
         around = [self.cast(shot.eye, way) for way in self.sphere]
         if min(d for d, _, _ in around) < 0.1 or sum(back for _, back, _ in around) > 12:
             return False
@@ -95,7 +95,7 @@ def wide_wishes(rng: np.random.Generator) -> Iterator[tuple[float, float, float,
 
 
 def wide_shots(probe: Probe, seed: int = 7) -> list[Shot]:
-    """The walk round the room: rings at several heights, most looking at the middle."""
+    """Photos of a walk round the room: rings at several heights, most looking at the middle."""
     rng = np.random.default_rng(seed)
     shots = []
     for k, (a, ring, height, target) in enumerate(wide_wishes(rng)):
@@ -116,9 +116,9 @@ def wide_shots(probe: Probe, seed: int = 7) -> list[Shot]:
 def close_shots(
     probe: Probe, name: str, bounds: Bounds, count: int, half: bool = False
 ) -> list[Shot]:
-    """Photos round one object: near ones at several heights, every third from further off.
+    """Photos around an object: near ones at several heights, every third from farther away.
 
-    With `half` the object stands at a wall and only its front, to the north, is photographed.
+    With `half`, the object stands at a wall, and only its front, to the north, is photographed.
     """
     low, high = (Vector(v) for v in bounds[name])
     middle, size = (low + high) / 2, (high - low).length
@@ -143,7 +143,7 @@ def close_shots(
 
 
 def table_shots(probe: Probe, count: int = 250, seed: int = 11) -> list[Shot]:
-    """Photos all around the table, from near: its top fills most of most of them."""
+    """Close photos all around the table; in most of them, its top fills most of the picture."""
     rng = np.random.default_rng(seed)
     shots: list[Shot] = []
     for k in range(count):

@@ -34,7 +34,7 @@ STATES = ("with", "without", "lamp")
 
 
 def arguments() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("out", type=Path, help="folder of the pictures")
     parser.add_argument("--photos", nargs="+", required=True, help="names of photos")
@@ -47,8 +47,8 @@ def arguments() -> argparse.Namespace:
 def room(samples: int, width: int) -> Any:
     """Build the demo's room, set it up as its photos were, and return the camera.
 
-    A path through glass needs more bounces than the photos had; what is matt keeps its two. The
-    room's lamps, which no photo shows, stay hidden from mirrors and glass too.
+    A path through glass needs more bounces than the photos had; matt surfaces keep their two. The
+    room's lamps, which no photo shows, are also hidden from mirrors and glass.
     """
     camera = prepare(samples, 80, 0)
     scene: Any = bpy.context.scene
@@ -70,7 +70,7 @@ def room(samples: int, width: int) -> Any:
 
 
 def rendered(path: Path, channels: int = 3) -> Any:
-    """(H, W, channels) of a picture of the scene as it is."""
+    """Render the scene in its current state to (H, W, channels)."""
     scene: Any = bpy.context.scene
     exr = path.with_suffix(".exr")
     scene.render.filepath = str(exr)
@@ -85,14 +85,14 @@ def rendered(path: Path, channels: int = 3) -> Any:
 
 
 def show(made: dict[str, Any], lamp: Any, state: str) -> None:
-    """Show what belongs to a state."""
+    """Show only the objects of a state."""
     for thing in made.values():
         thing.hide_render = state != "with"
     lamp.hide_render = state != "lamp"
 
 
 def index_pictures(names: list[str], poses: dict[str, Any], camera: Any, out: Path) -> None:
-    """Write which thing each pixel's centre shows: 0 none, else its number, `VASE` the vase."""
+    """Write the thing at each pixel's centre: 0 for none, else its number, `VASE` for the vase."""
     scene: Any = bpy.context.scene
     wanted = [name for name in names if not picture_file(out, name, "index").exists()]
     if not wanted:
@@ -118,7 +118,7 @@ def index_pictures(names: list[str], poses: dict[str, Any], camera: Any, out: Pa
 
 
 def _shining(number: int) -> Any:
-    """A material that shines with a number."""
+    """A material that emits a number."""
     material: Any = bpy.data.materials.new(f"index {number}")
     material.use_nodes = True
     nodes = material.node_tree.nodes
@@ -131,7 +131,7 @@ def _shining(number: int) -> Any:
 
 
 def main() -> None:
-    """Make the pictures that are not there."""
+    """Make the missing pictures."""
     args = arguments()
     args.out.mkdir(parents=True, exist_ok=True)
     camera = room(args.samples, args.width)

@@ -37,12 +37,12 @@ from PIL import ExifTags, Image
 HELD_OUT = "held_out/"
 F_NUMBER, TIME, SPEED = 2.8, Fraction(1, 60), 100
 FOCUSED_F = 1.4
-"""f-number of photos that are focused on the foreground: their blur, and no other exposure."""
+"""f-number of photos focused on the foreground; it affects only the blur, not the exposure."""
 QUALITY = 92
 
 
 def arguments() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder of the capture")
     parser.add_argument("--width", type=int, default=1280, help="of the photos, in pixels")
@@ -56,7 +56,7 @@ def arguments() -> argparse.Namespace:
 
 
 def plan(width: int) -> tuple[list[Taken], Bounds]:
-    """All photos, those without faults last, and the bounds of the boxed objects."""
+    """All photos, with the held-out ones last, and the bounds of the boxed objects."""
     bounds = objects.bounds()
     slope = SENSOR / 2 / LENS
     probe = Probe((2 * math.atan(slope), 2 * math.atan(slope * HEIGHT / WIDTH)))
@@ -65,7 +65,7 @@ def plan(width: int) -> tuple[list[Taken], Bounds]:
 
 
 def write_truth(path: Path, shots: list[Taken], bounds: Bounds, width: int) -> None:
-    """Cameras (camera to world, OpenCV axes), exposures, faults and object bounds as JSON."""
+    """Write cameras (camera to world, OpenCV axes), exposures, faults and object bounds as JSON."""
     photos = {}
     for shot in shots:
         matrix = shot.matrix()
@@ -117,7 +117,7 @@ def take(shot: Taken, camera: bpy.types.Object, path: Path) -> None:
 
 
 def place(camera: bpy.types.Object, matrix: Matrix) -> None:
-    """Put the camera somewhere, by what keyframes hold."""
+    """Place the camera by location and rotation, which keyframes store."""
     camera.location, camera.rotation_quaternion = matrix.to_translation(), matrix.to_quaternion()
 
 
@@ -133,14 +133,14 @@ def sensor(path: Path) -> np.ndarray:
 
 
 def developed(light: np.ndarray, stops: float) -> Image.Image:
-    """The picture of a camera that exposes so: bright light is clipped."""
+    """Develop light as a camera with this exposure does; bright light is clipped."""
     exposed = np.clip(light * 2.0**stops, 0.0, 1.0)
     curve = np.linspace(0, 1, 4097)
     return Image.fromarray((np.interp(exposed, linear(curve), curve) * 255 + 0.5).astype(np.uint8))
 
 
 def exif(stops: float) -> Image.Exif:
-    """The camera's EXIF: whole stops by its sensitivity, the rest by time."""
+    """The camera's EXIF: whole stops by the ISO value, the rest by the exposure time."""
     whole = math.floor(stops)
     data = Image.Exif()
     tags = data.get_ifd(ExifTags.IFD.Exif)
@@ -151,7 +151,7 @@ def exif(stops: float) -> Image.Exif:
 
 
 def develop(args: argparse.Namespace, shots: list[Taken]) -> None:
-    """Write all photos that are rendered; those that are held out as PNG."""
+    """Develop all rendered photos; held-out ones become PNG files."""
     middle = float(np.median([s.stops for s in shots if not s.name.startswith(HELD_OUT)]))
     for shot in shots:
         source = (args.out / "linear" / shot.name).with_suffix(".exr")
@@ -166,13 +166,13 @@ def develop(args: argparse.Namespace, shots: list[Taken]) -> None:
         else:
             target = args.out / args.photos / shot.name
             target.parent.mkdir(parents=True, exist_ok=True)
-            # Around the middle, so that captures of any drift are compared with the same views.
+            # Scale the drift around the middle, so that the held-out views suit any drift.
             stops = middle + args.drift * (shot.stops - middle)
             developed(light, stops).save(target, quality=QUALITY, exif=exif(stops))
 
 
 def check(shots: list[Taken], camera: bpy.types.Object, out: Path) -> None:
-    """Photos without faults are what Blender itself renders there."""
+    """Compare photos without faults with Blender's own renders."""
     worst = 0
     settings = bpy.context.scene.render.image_settings
     for shot in [shot for shot in shots if shot.plain][:3]:
@@ -204,7 +204,7 @@ def main() -> None:
         check(shots, camera, args.out)
         return
     mixed = [shots[k] for k in np.random.default_rng(0).permutation(len(shots))]
-    # Mixed, so that a part of the photos is a small capture of everything.
+    # In random order, so that part of the photos is a small capture of the whole room.
     left = [s for s in mixed if not (args.out / "linear" / s.name).with_suffix(".exr").exists()]
     for number, shot in enumerate(left[: args.most], 1):
         begun = time.time()

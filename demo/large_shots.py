@@ -16,14 +16,14 @@ from mathutils import Matrix, Vector
 from measures import HALF_X, HALF_Y
 
 STEPS, TURNS = 30, (72, 72, 60)
-"""Photos of a walk along a wall, and of the rings."""
+"""Number of photos along a wall; in each ring."""
 HEIGHTS = (0.95, 1.45, 1.95)
 STILLS, ALIKE = 20, 6
-"""Places where a person takes several photos, and how many."""
+"""Number of places where a person takes several photos; photos at each."""
 CLOSE = 24
 SHRINKS = (1.0, 0.94, 0.88, 0.82, 0.76, 0.7)
 BLURRED, FOREGROUND = 10, 12
-"""One photo in so many is blurred by the hand, is focused on the foreground."""
+"""One photo in this many is blurred by motion; one in this many is focused on the foreground."""
 DRIFT = 0.12
 """Change of exposure from photo to photo, in stops (standard deviation)."""
 
@@ -33,8 +33,8 @@ class Taken(Shot):
     """A photo as a person takes it.
 
     `roll` is the tilt in radians. While the shutter is open, the camera moves by `slide` and turns
-    by `swing` (radians about its x and y axes). `focus` is a distance in metres, or None for a lens
-    that shows all sharp. `stops` is the exposure over that of the capture.
+    by `swing` (radians about its x and y axes). `focus` is a distance in metres, or None if all is
+    sharp. `stops` is the exposure relative to the capture's.
     """
 
     roll: float = 0.0
@@ -48,14 +48,14 @@ class Taken(Shot):
         return super().matrix() @ Matrix.Rotation(self.roll, 4, "Z")
 
     def moved(self, part: float) -> Matrix:
-        """Where the camera is at a part (-0.5 to 0.5) of the exposure."""
+        """Camera to world at a moment of the exposure, -0.5 to 0.5."""
         turn = Matrix.Rotation(self.swing[0] * part, 4, "X")
         turn = turn @ Matrix.Rotation(self.swing[1] * part, 4, "Y")
         return Matrix.Translation(part * Vector(self.slide)) @ self.matrix() @ turn
 
     @property
     def plain(self) -> bool:
-        """Whether only its exposure differs from a picture of the place."""
+        """Whether the photo has no faults, apart from its exposure."""
         return self.focus is None and not any((*self.slide, *self.swing))
 
 
@@ -75,7 +75,7 @@ def large_capture(probe: Probe, bounds: Bounds, seed: int = 23) -> list[Taken]:
 
 
 def held_out(probe: Probe, bounds: Bounds, seed: int = 29) -> list[Taken]:
-    """Views of the room and of each object that no photo of the capture has, without any fault."""
+    """Faultless views of the room and of each object that are in no photo of the capture."""
     rng = np.random.default_rng(seed)
     shots = _rings(probe, rng, (8, 8, 8), turned=0.37)
     for name in bounds:
@@ -84,7 +84,7 @@ def held_out(probe: Probe, bounds: Bounds, seed: int = 29) -> list[Taken]:
 
 
 def _spoilt(shot: Taken, rng: np.random.Generator, number: int) -> Taken:
-    """Blurred, or focused on something else, or neither."""
+    """Make some photos blurred, and some focused on the foreground."""
     slide, swing = rng.normal(0, 0.004, 3), rng.normal(0, math.radians(0.35), 2)
     focus = rng.uniform(0.35, 0.6) * (shot.target - shot.eye).length
     if number % BLURRED == BLURRED // 2:
@@ -97,14 +97,14 @@ def _drift(rng: np.random.Generator, count: int) -> np.ndarray:
     stops, now = [], 0.0
     for step in rng.normal(0, DRIFT, count):
         now += step
-        if abs(now) > 1.5:  # back from the end
+        if abs(now) > 1.5:  # reflected at the limit
             now = math.copysign(3.0 - abs(now), now)
         stops.append(now)
     return np.array(stops)
 
 
 def _walks(probe: Probe, rng: np.random.Generator) -> list[Taken]:
-    """Along each wall, half a metre from it, with the other side of the room in view."""
+    """Photos along each wall, half a metre from it, with the other side of the room in view."""
     shots = []
     for wall in range(4):
         for k in range(STEPS):
@@ -124,7 +124,7 @@ def _walks(probe: Probe, rng: np.random.Generator) -> list[Taken]:
 def _rings(
     probe: Probe, rng: np.random.Generator, turns: tuple[int, ...] = TURNS, turned: float = 0.0
 ) -> list[Taken]:
-    """Around the table at several heights, most with its middle in view."""
+    """Photos around the table at several heights, most with its middle in view."""
     shots = []
     for ring, (count, height) in enumerate(zip(turns, HEIGHTS, strict=True)):
         for k in range(count):

@@ -26,7 +26,7 @@ HERE = Path(__file__).resolve().parent
 
 
 def arguments() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=HERE / "scene", help="folder of the scene")
     parser.add_argument(
@@ -46,7 +46,7 @@ def arguments() -> argparse.Namespace:
 
 
 def prepare(samples: int, quality: int, threads: int) -> bpy.types.Object:
-    """An empty scene with the render settings, and its camera."""
+    """Create an empty scene with the render settings; returns its camera."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
@@ -101,13 +101,13 @@ def plan(capture: str) -> tuple[list[cameras.Shot], cameras.Bounds]:
 
 
 def is_after_the_move(shot: cameras.Shot) -> bool:
-    """Whether the capture "moved" takes this photo after things were moved."""
+    """Whether the capture "moved" takes this photo after objects were moved."""
     kind, _, number = shot.name.removesuffix(".jpg").rpartition("_")
     return int(number) >= 40 if kind == "wide/wide" else int(number) % 2 == 1
 
 
 def write_truth(path: Path, shots: list[cameras.Shot], bounds: cameras.Bounds) -> None:
-    """Camera centres, rotations (camera to world, OpenCV axes) and object bounds as JSON."""
+    """Write camera centres, rotations (camera to world, OpenCV axes) and object bounds as JSON."""
     photos = {}
     for shot in shots:
         turn = [list(row) for row in shot.matrix().to_3x3()]
@@ -146,7 +146,7 @@ def main() -> None:
         bpy.ops.wm.save_as_mainfile(filepath=str(args.blend.resolve()))
     write_truth(args.out / "truth.json", shots, bounds)
     wanted = [s for s in shots if not args.only or s.name.removesuffix(".jpg") in args.only]
-    if args.capture == "moved":  # those after the move last
+    if args.capture == "moved":  # photos after the move come last
         wanted.sort(key=is_after_the_move)
     moved = False
     for number, shot in enumerate(wanted, 1):

@@ -25,7 +25,7 @@ from mathutils import Matrix
 
 
 def arguments() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder of the masks")
     parser.add_argument("--photos", nargs="*", default=[], help="photo names; all if none is given")
@@ -33,7 +33,7 @@ def arguments() -> argparse.Namespace:
 
 
 def paint(rois: list[str]) -> None:
-    """Make the k-th object shine in the k-th of red, green and blue, and all else black."""
+    """Make object k emit only colour k of red, green and blue, and everything else black."""
     scene = bpy.context.scene
     scene.world = None
     for obj in list(scene.objects):
@@ -49,7 +49,7 @@ def paint(rois: list[str]) -> None:
 
 
 def plain(colour: list[float]) -> bpy.types.Material:
-    """A material that shines in a colour."""
+    """A material that emits a colour."""
     name = f"plain {colour}"
     if name in bpy.data.materials:
         return bpy.data.materials[name]
@@ -71,7 +71,7 @@ def pose(camera: dict) -> Matrix:
 
 
 def rendered(matrix: Matrix, camera: bpy.types.Object) -> np.ndarray:
-    """(H, W, 3) which of the three objects each pixel shows."""
+    """Render to (H, W, 3): whether each pixel shows each of the three objects."""
     with tempfile.TemporaryDirectory() as folder:
         camera.matrix_world = matrix
         bpy.context.scene.render.filepath = path = str(Path(folder, "mask.png"))

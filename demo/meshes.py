@@ -24,7 +24,7 @@ REST = "rest of the room"
 
 
 def triangles(thing: bpy.types.Object, graph: bpy.types.Depsgraph) -> np.ndarray:
-    """An object's triangles (T, 3, 3) in the world, its modifiers applied."""
+    """An object's triangles (T, 3, 3) in the world, with its modifiers applied."""
     mesh = thing.evaluated_get(graph).to_mesh()
     mesh.calc_loop_triangles()
     points = np.empty(len(mesh.vertices) * 3, np.float32)

@@ -27,7 +27,7 @@ def build_objects(lib: Library) -> None:
 
 
 def move_things() -> None:
-    """Move what people move between photos: two chairs, a newspaper, a bowl of fruit."""
+    """Move things that people might move between photos: chairs, a newspaper, a bowl of fruit."""
     moves = {"0": (0.22, 0.1, 0.0), "1": (-0.18, 0.16, 0.0)}
     for obj in bpy.context.scene.objects:
         kind, _, rest = obj.name.partition(" ")

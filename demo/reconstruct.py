@@ -25,7 +25,7 @@ FRAME = "COLMAP model carried into the Blender world by one similarity: z up, me
 
 
 def arguments() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scene", type=Path, default=HERE / "scene", help="folder of the scene")
     parser.add_argument(
@@ -43,7 +43,7 @@ def arguments() -> argparse.Namespace:
 
 
 def solve(args: argparse.Namespace, work: Path) -> pycolmap.Reconstruction:
-    """Features, matches, incremental mapping; returns the largest model."""
+    """Find features and matches, and map incrementally; returns the largest model."""
     database, photos = work / "database.db", args.scene / "images"
     if not database.exists():
         extraction = pycolmap.FeatureExtractionOptions()
@@ -74,7 +74,7 @@ def solve(args: argparse.Namespace, work: Path) -> pycolmap.Reconstruction:
 
 
 def align(model: pycolmap.Reconstruction, truth: dict) -> np.ndarray:
-    """Carry the model into Blender's world; returns the distances that remain, in metres."""
+    """Transform the model to Blender's world; returns the cameras' remaining errors, metres."""
     images = [model.images[i] for i in model.reg_image_ids()]
     found = np.array([image.projection_center() for image in images])
     wanted = np.array([truth["photos"][image.name]["centre"] for image in images])
@@ -96,12 +96,12 @@ def boxes(truth: dict, margin: float) -> list[dict]:
 
 
 def inside(points: np.ndarray, roi: dict) -> np.ndarray:
-    """Points in the box."""
+    """Whether each point is in the box."""
     return np.all((points >= roi["min"]) & (points <= roi["max"]), axis=1)
 
 
 def choose(model: pycolmap.Reconstruction, rois: list[dict], args: argparse.Namespace) -> set[int]:
-    """The points to write: all good ones in the boxes, the others as far as the bytes go.
+    """Choose the points to write: all good ones in the boxes, others until the file is full.
 
     In the boxes, where points are few and matter most, a track of two photos is enough.
     """
@@ -124,7 +124,7 @@ def choose(model: pycolmap.Reconstruction, rois: list[dict], args: argparse.Name
 
 
 def compact(model: pycolmap.Reconstruction, kept: set[int]) -> pycolmap.Reconstruction:
-    """The same model with only the kept points and the image points that they were seen at."""
+    """Copy the model with only the kept points and their observations."""
     slim = pycolmap.Reconstruction()
     for camera in model.cameras.values():
         slim.add_camera_with_trivial_rig(pycolmap.Camera(camera.todict()))
@@ -151,7 +151,7 @@ def compact(model: pycolmap.Reconstruction, kept: set[int]) -> pycolmap.Reconstr
 
 
 def report(model: pycolmap.Reconstruction, rois: list[dict], scene: Path) -> None:
-    """Print what was found, the numbers of the README."""
+    """Print the numbers for the README."""
     camera = next(iter(model.cameras.values()))
     photos = list((scene / "images").rglob("*.jpg"))
     size = sum(p.stat().st_size for p in photos)

@@ -196,7 +196,7 @@ def door(lib: Library) -> None:
 
 
 def lamps(lib: Library) -> None:
-    """A floor lamp and a pendant, and the light that they and the window stand for."""
+    """A floor lamp and a pendant, and the light that represents them and the window."""
     pixels = tx.fabric(1024, 384, 131, (0.88, 0.80, 0.62), tx.WARM[:2] + tx.LEAVES[:3], 160)
     mat = image_material("shade", image("shade", pixels), (1.3, 0.4), emission=0.12)
     frame = place((-2.2, -0.25, 0))

@@ -166,7 +166,7 @@ def scatter(
 def jittered(
     count: int, width: int, height: int, rng: np.random.Generator
 ) -> list[tuple[float, float]]:
-    """Roughly even places: one per cell of a grid, moved at random inside the cell."""
+    """Roughly even places: one in each cell of a grid, at random inside the cell."""
     cols = max(round(math.sqrt(count * width / height)), 1)
     rows = max(round(count / cols), 1)
     places = [

@@ -97,7 +97,7 @@ def _carving(t: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _rosettes(
     t: np.ndarray, angle: np.ndarray, rng: np.random.Generator, around: int = 14, rows: int = 3
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A lattice of lozenges, each with a flower of its own."""
+    """A lattice of lozenges, each with a different flower."""
     u = angle / (2 * np.pi) * around + 0 * t
     v = (t - 0.235) / 0.34 * rows + 0 * angle
     a, b = u + v, u - v

@@ -25,11 +25,11 @@ from mathutils import Vector
 HEIGHT = 424  # encoders want multiples of 8
 RATE, SECONDS, REST = 8, 20, 1.5
 RADIUS, EYE = 1.15, 1.5  # metres from the vase, and above the floor
-SHUTTER = 0.25  # of the time from frame to frame
+SHUTTER = 0.25  # of the time between frames
 
 
 def arguments() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="the video, such as walk.mp4")
     parser.add_argument("--samples", type=int, default=4, help="Cycles samples per pixel")
@@ -38,7 +38,7 @@ def arguments() -> argparse.Namespace:
 
 
 def shot(seconds: float, vase: Vector) -> cameras.Shot:
-    """The camera at a time of the video: around the vase, which is in the middle of the picture."""
+    """The camera at a time of the video: it circles the vase, which is in the picture's middle."""
     walked = (seconds - REST) / (SECONDS - 2 * REST)
     walked = min(1.0, max(0.0, walked))
     ease = walked * walked * (3 - 2 * walked)
@@ -53,7 +53,7 @@ def shot(seconds: float, vase: Vector) -> cameras.Shot:
 
 
 def render(folder: Path, args: argparse.Namespace) -> list[Path]:
-    """The frames, as PNG files; those that are there are kept."""
+    """Render the frames as PNG files; existing ones are kept."""
     camera = make_scene.prepare(args.samples, 100, args.threads)
     render = bpy.context.scene.render
     render.resolution_y = HEIGHT
@@ -87,7 +87,7 @@ def render(folder: Path, args: argparse.Namespace) -> list[Path]:
 
 
 def encode(paths: list[Path], out: Path) -> None:
-    """H.264, as phones write it."""
+    """Encode the frames as H.264, as phones do."""
     import av
     from PIL import Image
 

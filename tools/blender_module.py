@@ -17,18 +17,18 @@ HOME = ROOT / ".venv-blender"
 VERSION = "4.5.15"
 REQUIREMENT = f"bpy=={VERSION}"
 PYTHON = (3, 11)
-# Packages that bpy needs on a Linux without a desktop, by their names in Debian and Ubuntu.
+# Packages of Debian and Ubuntu that bpy needs on a Linux without a desktop.
 LIBRARIES = (
     "libx11-6 libxext6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libice6 libgl1 libegl1"
 )
 
 
 class NoBlenderError(Exception):
-    """bpy cannot be had here; the text says why, and what would help."""
+    """bpy is not available here; the text gives the reason, and a remedy."""
 
 
 def python() -> Path:
-    """The Python that has bpy, installed now if need be.
+    """The Python that has bpy; installs it if necessary.
 
     Raises:
         NoBlenderError: it cannot be installed.
@@ -53,7 +53,7 @@ def python() -> Path:
 
 
 def own_version() -> str:
-    """Of the bpy that this Python has; empty without one."""
+    """The version of this Python's bpy; empty if it has none."""
     try:
         return metadata.version("bpy")
     except metadata.PackageNotFoundError:
@@ -61,10 +61,10 @@ def own_version() -> str:
 
 
 def working_python() -> Path:
-    """The same, where bpy has been seen to start.
+    """The Python that has bpy, after a check that bpy starts.
 
     Raises:
-        NoBlenderError: it does not.
+        NoBlenderError: bpy cannot be installed, or does not start.
     """
     program = python()
     result = subprocess.run(
@@ -78,5 +78,5 @@ def working_python() -> Path:
 
 
 def variables() -> dict[str, str]:
-    """Environment variables for bpy: nothing of a Blender that the user has."""
+    """Environment variables for bpy, without the settings of the user's own Blender."""
     return dict(os.environ) | {"BLENDER_USER_RESOURCES": str(ROOT / ".blender" / "user")}

@@ -31,13 +31,13 @@ LOADER = "ld-linux-x86-64.so.2"
 EXECUTABLE = stat.S_IXUSR | stat.S_IXGRP | stat.S_IXOTH
 
 MODULE_PYTHON = "3.13"
-"""The Python of Blender's module, from Blender 5.1 on."""
+"""Python version of Blender's module, from Blender 5.1 on."""
 MODULE_PACKAGES = ("numpy>=2.2,<3", "cattrs")
-"""What the module's own scripts import."""
+"""Packages that the module's own scripts import."""
 
-# Starts a program of another system with that system's C library. Links to it stay what they are
-# called: Python finds its own files from that. Mesa maps its cache of shaders into memory, and
-# another version of it cuts that file to another length: SIGBUS, without a cache of its own.
+# Starts a program of another system with that system's C library. The program's name stays the
+# same, because Python finds its files by it. Mesa gets its own cache: it maps the cache's file into
+# memory, and another version of Mesa would truncate the file (SIGBUS).
 PROGRAM = """#!/bin/sh
 here='{root}'
 {own}
@@ -46,7 +46,7 @@ export GBM_BACKENDS_PATH="{lib}/gbm" LIBGL_ALWAYS_SOFTWARE=1
 export MESA_SHADER_CACHE_DIR="$here/var/cache"
 exec '{lib}/{loader}' --library-path "$LIBRARIES_FIRST"'{paths}' --argv0 "$0" '{binary}' "$@"
 """
-# Of Blender alone: they would mislead another Blender, as a module of that Python.
+# Only for Blender: as variables of that Python, they would mislead Blender's module.
 BLENDERS = """\
 export BLENDER_SYSTEM_PYTHON="$here/usr" BLENDER_SYSTEM_RESOURCES="$here/usr/share/blender"
 export BLENDER_SYSTEM_SCRIPTS="$here/usr/share/blender/scripts"
@@ -59,7 +59,7 @@ exec '{python}' "$@"
 
 
 def main() -> int:
-    """Make what is missing, run the tests; pytest's exit status."""
+    """Create what is missing and run the tests; returns pytest's exit status."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--blender", help="the Blender to use")
     parser.add_argument("--suite", default="trixie", help="Debian's, or the number of a version")
@@ -80,12 +80,12 @@ def main() -> int:
 
 
 def pytest_folder() -> Path:
-    """A folder with pytest and what it needs, all pure Python, so that any Blender can use it."""
+    """A folder with pytest and its dependencies: pure Python, so that any Blender can use it."""
     return install(CACHE / "for_tests", "pytest", "filelock")
 
 
 def install(folder: Path, *arguments: str) -> Path:
-    """A folder with packages, made with these arguments of pip if it is not there."""
+    """Install packages into a folder with these arguments of pip, unless the folder exists."""
     if not folder.is_dir():
         fresh = folder.with_suffix(".part")
         shutil.rmtree(fresh, ignore_errors=True)
@@ -96,7 +96,7 @@ def install(folder: Path, *arguments: str) -> Path:
 
 
 def blender_module(version: str) -> Path:
-    """A Python that has Blender of a version as its module `bpy`."""
+    """A Python whose module `bpy` is Blender of this version."""
     program = CACHE / version / "python"
     if not program.exists():
         python = module_python()
@@ -112,14 +112,14 @@ def blender_module(version: str) -> Path:
 def module_python() -> Path:
     """A Python for Blender's module: this machine's, or Debian's."""
     name = f"python{MODULE_PYTHON}"
-    own = shutil.which(name)  # may be a stand-in for one that is not installed
+    own = shutil.which(name)  # may be a placeholder that does not run
     if own and not subprocess.run([own, "-c", ""], check=False, capture_output=True).returncode:
         return Path(own)
     return debian_blender("trixie").parent / "usr" / "bin" / name
 
 
 def debian_blender(suite: str) -> Path:
-    """The program `blender` in a folder made of a Debian suite's packages."""
+    """The program `blender` in a folder with a Debian suite's packages; creates the folder."""
     folder = CACHE / suite
     if not (folder / "blender").exists():
         for tool in ("apt-get", "dpkg-deb"):
@@ -143,7 +143,7 @@ def mirror() -> str:
 
 
 def download(suite: str, folder: Path) -> list[Path]:
-    """All packages that Blender needs there, with apt's state in `folder`."""
+    """Download Blender and all packages that it needs, with apt's state in `folder`."""
     for part in ("lists/partial", "cache/archives/partial", "none"):
         (folder / part).mkdir(parents=True)
     (folder / "status").touch()
@@ -172,7 +172,7 @@ def download(suite: str, folder: Path) -> list[Path]:
 
 
 def unpack(package: Path, folder: Path) -> None:
-    """Lay a package's files into the folder; /lib and its like are links into /usr there."""
+    """Unpack a package into the folder, in which /lib and similar folders are links into /usr."""
     for name in ("bin", "sbin", "lib", "lib64"):
         (folder / "usr" / name).mkdir(parents=True, exist_ok=True)
         if not (folder / name).is_symlink():
@@ -186,9 +186,9 @@ def unpack(package: Path, folder: Path) -> None:
 
 
 def make_programs(folder: Path) -> None:
-    """Put scripts in the places of Blender and its Python that start them from where they are."""
+    """Replace Blender and its Python by scripts that start them from this folder."""
     lib = folder / "usr" / "lib" / "x86_64-linux-gnu"
-    # BLAS, PulseAudio and others lie in folders of their own.
+    # BLAS, PulseAudio and others have their own folders.
     folders = [lib, lib.parent, *sorted(path for path in lib.iterdir() if any(path.glob("*.so*")))]
     python = min((folder / "usr" / "bin").glob("python3.[0-9]*"))
     for program in (folder / "usr" / "bin" / "blender", python):

@@ -20,7 +20,7 @@ BUILDER = "bpy/*/scripts/addons_core/bl_pkg/cli/blender_ext.py"
 
 
 def builder(blender: str | None) -> list[str]:
-    """The command line that takes `validate`, `build` and `server-generate`."""
+    """The command line to which `validate`, `build` and `server-generate` are added."""
     if blender:
         return [blender, "--command", "extension"]
     python = blender_module.python()
@@ -32,7 +32,7 @@ def builder(blender: str | None) -> list[str]:
 
 
 def build(command: list[str], out: Path) -> int:
-    """Validate, build, and list what was built; the first exit status that is not 0."""
+    """Validate, build, and list the result; returns the first exit status that is not 0."""
     root = blender_module.ROOT
     out.mkdir(exist_ok=True)
     for earlier in out.glob("roigs-*.zip"):
@@ -49,7 +49,7 @@ def build(command: list[str], out: Path) -> int:
 
 
 def main() -> int:
-    """The exit status."""
+    """Run the command; returns the exit status."""
     try:
         command = builder(sys.argv[1] if len(sys.argv) > 1 else None)
     except blender_module.NoBlenderError as error:

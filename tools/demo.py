@@ -23,13 +23,13 @@ BASELINES = ("full-scene", "full-scene-tuned")
 
 
 def call(command: list[str], variables: dict[str, str] | None = None) -> int:
-    """Run a program from the project's folder; its exit status. It hears Ctrl-C for itself."""
+    """Run a program in the project's folder; returns its exit status. It also gets Ctrl-C."""
     with subprocess.Popen(command, cwd=blender_module.ROOT, env=variables) as process:
         return process.wait()
 
 
 def main() -> int:
-    """The exit status of what failed, or 0."""
+    """Run the demo; returns the exit status of the first command that fails, or 0."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("run_dir", type=Path, help="folder of the results")
     parser.add_argument("--steps-factor", default="1", help="times the steps of the preset")
@@ -45,7 +45,8 @@ def main() -> int:
         preset = ["--preset", "draft", *factor]
         return call([*engine, str(SCENE), *rois, *preset, *compare, "--run-dir", run_dir])
 
-    # From here on, Ctrl-C stops what runs, which keeps its work; this script then ends after it.
+    # From here on, Ctrl-C stops only the running program, which saves its work; then this script
+    # ends.
     signal.signal(signal.SIGINT, lambda *_: None)
     status = call(
         [

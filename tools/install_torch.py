@@ -30,7 +30,7 @@ PIP_WITHOUT_DOWNLOAD = (23, 3)
 
 
 def wanted_torch(pyproject: Path = PYPROJECT) -> str:
-    """The requirement on torch in pyproject.toml, as pip takes it."""
+    """The requirement on torch in pyproject.toml, in pip's form."""
     project = tomllib.loads(pyproject.read_text(encoding="utf-8"))["project"]
     extras = project.get("optional-dependencies", {}).values()
     for requirement in [*project.get("dependencies", []), *(r for extra in extras for r in extra)]:
@@ -40,7 +40,7 @@ def wanted_torch(pyproject: Path = PYPROJECT) -> str:
 
 
 def pulls_cuda(report: dict[str, Any]) -> bool:
-    """Whether what pip's installation report lists is made for a graphics card."""
+    """Whether pip's installation report lists packages for GPUs."""
     for item in report.get("install", []):
         name = re.sub(r"[-_.]+", "-", item["metadata"]["name"]).lower()
         local = item["metadata"]["version"].partition("+")[2]
@@ -52,10 +52,10 @@ def pulls_cuda(report: dict[str, Any]) -> bool:
 
 
 def choose_index(report: dict[str, Any] | None, platform: str = sys.platform) -> str | None:
-    """The index to install torch from; None: the one that pip is set up with.
+    """The index to install torch from; None: the one in pip's configuration.
 
     Args:
-        report: pip's installation report; None when it could not be had.
+        report: pip's installation report; None if pip could not write one.
         platform: as `sys.platform`.
     """
     if report is None:
@@ -64,7 +64,7 @@ def choose_index(report: dict[str, Any] | None, platform: str = sys.platform) ->
 
 
 def installed(requirement: str) -> bool:
-    """Whether the wanted version, of whatever build, is in this environment."""
+    """Whether any build of the required version is in this environment."""
     try:
         version = metadata.version("torch")
     except metadata.PackageNotFoundError:
@@ -80,7 +80,7 @@ def pip(*arguments: str, capture: bool = False) -> subprocess.CompletedProcess[s
 
 
 def ask_pip(requirement: str) -> dict[str, Any] | None:
-    """The version that pip would install for the requirement; None if it cannot say."""
+    """pip's report on what it would install for the requirement; None if pip cannot tell."""
     version = tuple(int(part) for part in re.findall(r"\d+", metadata.version("pip"))[:2])
     if version < PIP_WITHOUT_DOWNLOAD:
         least = ".".join(map(str, PIP_WITHOUT_DOWNLOAD))
@@ -95,7 +95,7 @@ def ask_pip(requirement: str) -> dict[str, Any] | None:
 
 
 def main() -> int:
-    """Install torch unless it is there; pip's exit status."""
+    """Install torch unless it is installed; returns pip's exit status."""
     parser = argparse.ArgumentParser(description="Install torch as a build for the CPU.")
     parser.add_argument(
         "--index",
@@ -111,7 +111,7 @@ def main() -> int:
         index = choose_index(ask_pip(requirement))
     print(f"Installing {requirement} from {index or 'the default index'}.", flush=True)
     where = ["--index-url", index] if index else []
-    # Its thousands of modules are compiled as they are imported: most never are.
+    # Its thousands of modules are compiled when they are imported. Most never are.
     return pip("install", "--quiet", "--no-compile", *where, requirement).returncode
 
 

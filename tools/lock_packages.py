@@ -23,12 +23,12 @@ OF_TORCH = re.compile(r"(torch|triton|nvidia-[a-z0-9-]+|cuda-[a-z0-9-]+)==")
 
 
 def entries(text: str) -> list[str]:
-    """The packages of a file for pip: each a line with the version, and those of its hashes."""
+    """Split a requirements file into packages: a line with the version, and lines of hashes."""
     return re.findall(r"^\S.*\n(?:[ \t]+.*\n)*", text, flags=re.MULTILINE)
 
 
 def compiled(requirements: Sequence[str], constraints: Path | None = None) -> str:
-    """Packages that pip would install for the requirements, with hashes, without torch's own."""
+    """Packages that pip would install for the requirements, with hashes; without torch and CUDA."""
     uv = shutil.which("uv", path=str(Path(sys.executable).parent)) or shutil.which("uv")
     if uv is None:
         raise SystemExit("error: uv is not installed; run python -m pip install uv")
@@ -45,7 +45,7 @@ def compiled(requirements: Sequence[str], constraints: Path | None = None) -> st
 
 
 def main() -> None:
-    """Write all files anew."""
+    """Rewrite all files."""
     sys.path.insert(0, str(ROOT))
     from roigs_addon.engine import install_steps
 

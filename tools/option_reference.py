@@ -32,7 +32,7 @@ SHARED: tuple[type[Request], ...] = (
 
 
 def page() -> str:
-    """The page."""
+    """The text of the page."""
     parts = [HEAD]
     for group in SHARED:
         parts += [f"## {_title(group)}", "", _used(group), "", *_table(options_of(group))]

@@ -30,12 +30,12 @@ HEADERS = (
     "torch/include",
     "torch/share/cmake",
     "torch/bin/protoc*",
-    "torch/lib/*.lib",  # of Windows' linker
+    "torch/lib/*.lib",  # for Windows' linker
 )
 
 
 def unneeded(packages: Path, patterns: tuple[str, ...]) -> Iterator[Path]:
-    """Files and folders that match, none of them a link."""
+    """Yield files and folders that match a pattern, without links."""
     for pattern in patterns:
         found = sorted(packages.glob(pattern))
         yield from (path for path in found if path.exists() and not path.is_symlink())
@@ -48,7 +48,7 @@ def size(path: Path) -> int:
 
 
 def trim(packages: Path) -> int:
-    """Remove it; the number of bytes. What cannot be removed stays, for it does no harm."""
+    """Remove unneeded files; returns the number of bytes. Files that cannot be removed stay."""
     removed = 0
     for path in unneeded(packages, TESTS + HEADERS):
         before = size(path)
@@ -61,7 +61,7 @@ def trim(packages: Path) -> int:
 
 
 def main() -> int:
-    """The exit status."""
+    """Trim this environment; returns the exit status."""
     argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0]).parse_args()
     if sys.prefix == sys.base_prefix:
         print("error: This Python is not an environment of its own.", file=sys.stderr)

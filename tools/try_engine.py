@@ -25,7 +25,7 @@ BOX = {"name": "box", "min": [-0.3, -0.3, -0.3], "max": [0.3, 0.3, 0.3]}
 
 
 def commands(scene: Path) -> list[list[str]]:
-    """Arguments of the engine, one command after the other."""
+    """Arguments of the engine, for one command after the other."""
     rois = ["--rois", str(scene / "rois.json")]
     few = ["--preset", "draft", "--steps-factor", "0.004", "--device", "cpu"]
     refine = [["refine-cameras", str(scene)]] if importlib.util.find_spec("pycolmap") else []
@@ -37,7 +37,7 @@ def commands(scene: Path) -> list[list[str]]:
 
 
 def write_scene(folder: Path) -> None:
-    """A COLMAP model in text, its photos, and a box: coloured points in a cube, seen all around."""
+    """Write a text COLMAP model, photos and a box: coloured points in a cube, from all around."""
     import numpy as np
     from PIL import Image
     from scipy.spatial.transform import Rotation
@@ -57,7 +57,7 @@ def write_scene(folder: Path) -> None:
         x, y, z, w = turn.as_quat()
         images.append(f"{number} {w} {x} {y} {z} 0 {0.1 * number} 3 1 {number}.png")
         rays = seen[:, :2] / seen[:, 2:]
-        bend = 1 + 0.02 * (rays**2).sum(axis=1, keepdims=True)  # which refining finds
+        bend = 1 + 0.02 * (rays**2).sum(axis=1, keepdims=True)  # for `refine-cameras`
         pixels = FOCAL * rays * bend + centre
         images.append(" ".join(f"{u} {v} {k}" for k, (u, v) in enumerate(pixels, 1)))
         for place, track in enumerate(tracks):
@@ -85,7 +85,7 @@ def _write(path: Path, lines: list[str]) -> None:
 
 
 def run(arguments: list[str], folder: Path) -> int:
-    """One command of the engine; its exit status."""
+    """Run one command of the engine; returns its exit status."""
     done = subprocess.run(
         [sys.executable, "-m", "roigs_engine", *arguments],
         env=os.environ | {"PYTHONPATH": str(SOURCE), "PYTHONSAFEPATH": "1", "PYTHONUTF8": "1"},
@@ -107,7 +107,7 @@ def run(arguments: list[str], folder: Path) -> int:
 
 
 def main() -> int:
-    """The exit status of the first command that fails, or 0."""
+    """Run all commands; returns the exit status of the first that fails, or 0."""
     with tempfile.TemporaryDirectory(prefix="roigs-try-") as place:
         scene = Path(place)
         write_scene(scene)

@@ -14,8 +14,8 @@ from .engine_process import DONE, FAILED, Outcome
 from .moves import RUNNING, PartState, share
 from .schedule import SceneState
 
-ENOUGH = 0.01  # share of the work to be done before the time left is shown
-MOST_LINES = 12  # of running parts
+ENOUGH = 0.01  # the time left is shown after this share of the work
+MOST_LINES = 12  # lines for running parts
 BATCH_STAGE = "batch"
 EVERY = 1.0  # seconds between two updates of the board
 
@@ -38,7 +38,7 @@ class Reporter:
         self._scenes, self._context, self._alone = scenes, context, alone
         self._started, self._before = time.monotonic(), self._work_done()
         self._last = 0.0
-        self._warned: set[tuple[str, str]] = set()  # parts of a scene repeat warnings
+        self._warned: set[tuple[str, str]] = set()  # because parts of a scene repeat warnings
 
     def __enter__(self) -> Reporter:
         """Report the batch's present progress."""
@@ -126,7 +126,7 @@ class Reporter:
             *([f"{failed} failed"] if failed else []),
         ]
         left = self.seconds_left()
-        if left > 0:  # files of `outputs` count as no work
+        if left > 0:  # parts that write `outputs` count as no work
             words.append(f"about {duration(left)} left")
         return ", ".join(words)
 

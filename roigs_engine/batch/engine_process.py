@@ -16,8 +16,8 @@ from ..formats.events import Record, parse_event
 from ..machine import child_environment
 
 DONE, STOPPED, FAILED, LOST = "done", "stopped", "failed", "lost"
-"""How a part ends: well; on request; with an error of the engine; its process or machine is gone,
-and it can be tried again."""
+"""How a part ends: finished; stopped on request; with an error of the engine; with its process or
+machine lost, so that it can be retried."""
 POLL = 0.5
 LAST = 2000  # bytes at the end of standard error, searched for the reason of a failure
 
@@ -26,7 +26,7 @@ LAST = 2000  # bytes at the end of standard error, searched for the reason of a 
 class Outcome:
     """The end of a part: success, or the reason of its failure."""
 
-    state: str  # a state above
+    state: str  # `DONE`, `STOPPED`, `FAILED` or `LOST`
     reason: str = ""  # one line, for `failed` and `lost`
     node: str = ""  # the machine; empty: this one
 

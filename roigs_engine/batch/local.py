@@ -14,7 +14,7 @@ from .parts import Part
 from .staged import run_part
 
 Report = tuple[Part, "Record | Outcome"]
-SPARE = 2  # cores per part by default; with more cores, more parts run at a time
+SPARE = 2  # default cores per part; on more cores, more parts run at a time
 
 
 def default_jobs(device: str) -> int:
@@ -81,7 +81,7 @@ class LocalExecutor:
 
         try:
             outcome = run_part(part, threads, emit, self._context.should_stop)
-        except Exception as error:  # without an outcome, the batch would wait for ever
+        except Exception as error:  # without an outcome, the batch would wait forever
             reason = f"The engine cannot be started ({first_line(error):.200})."
             outcome = Outcome(state=LOST, reason=reason)
         self._reports.put((part, outcome))

@@ -17,12 +17,12 @@ from .engine_process import DONE
 from .parts import Part
 
 WAITING, RUNNING = "waiting", "running"
-BEFORE = ("photos", "undistort")  # reported work before the stages
-SLOW, SHORT = 2.0, 0.5  # times the usual time; times that of the part it makes room for
+BEFORE = ("photos", "undistort")  # work that is reported before the stages
+SLOW, SHORT = 2.0, 0.5  # x the usual time left; x the time left of the part it makes room for
 WORTH_MOVING = 60.0  # seconds left
 SEEN_SECONDS = 30.0  # of progress needed to measure a part's speed
 ENOUGH_SEEN = 3  # parts needed for a median
-MOST_NODES = 3  # on which a part may fail or be slow
+MOST_NODES = 3  # nodes on which a part may fail or be slow
 
 
 @dataclass(kw_only=True)
@@ -33,15 +33,15 @@ class PartState:
     state: str = WAITING  # `waiting`, `running`, `done`, `failed`
     lost: int = 0  # how often its process was lost
     avoid: tuple[str, ...] = ()  # nodes where it failed, or that are slow
-    cores: int = 1  # assigned to it
+    cores: int = 1  # cores assigned to it
     progress: Record = field(default_factory=dict)  # the last event with its progress
     started: float = 0.0  # `time.monotonic()` of its first event; before that, of its assignment
     first: tuple[float, float] = (0.0, 0.0)  # time and share at its first progress; zeros: none yet
-    seconds: float = 0.0  # that it took, once it is done
+    seconds: float = 0.0  # duration of a finished part
     kept: float = 0.0  # its share when it last stopped or was lost
     moving: bool = False  # whether it was asked to stop, to resume elsewhere or later
     from_slow: bool = False  # whether it moves because its machine is slow
-    made_way: bool = False  # whether it made room for a longer part; it does so once
+    made_way: bool = False  # whether it made room for a longer part, which happens at most once
     seen: bool = False  # whether it had an event; until then it may wait for a machine
 
     @property

@@ -22,7 +22,7 @@ from .schedule import SceneState
 
 IsThere = Callable[[str], bool]
 THUMBNAIL = 160  # pixels of the longer side
-MOST_PIXELS = 50_000_000  # of a picture; those of runs have a few million
+MOST_PIXELS = 50_000_000  # of a picture; pictures of runs have a few million
 MOST_KEPT = 2000  # thumbnails, of about 4 KB each
 COLUMNS = ("", "Scene", "Object", "State", "PSNR, dB", "SSIM", "Gaussians", "Training", "Files")
 CLEAR = """\

@@ -20,7 +20,7 @@ class Staging:
 
     url: str  # of the batch's folder
     base: str  # the same folder on the planning machine; the command line names it
-    options: dict[str, Any]  # of the scene, for its options file; files at addresses are copied
+    options: dict[str, Any]  # the scene's, for its options file; files at addresses are copied
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,7 @@ class Part:
     argv: tuple[str, ...]  # the engine's command line
     needs: tuple[str, ...] = ()  # names of the scene's parts that must be done before
     work: float = 0.0  # steps times megapixels, to compare parts
-    memory: int = 0  # bytes that it may take
+    memory: int = 0  # most bytes that it needs
     gpu: bool = False  # whether it uses a GPU if there is one
     stages: tuple[tuple[str, float], ...] = ()  # name and work of its stages, in order
     staging: Staging | None = None  # the places of its files, if they are on a store
@@ -52,11 +52,11 @@ class Part:
 class ScenePlan:
     """The work for one scene."""
 
-    name: str  # of the scene in the table
+    name: str  # name in the table
     objects: tuple[str, ...]  # names of its boxes
-    steps: tuple[int, ...]  # of each stage of its run; empty for photos without a model
-    parts: tuple[Part, ...]  # in an order in which they can be done
-    done: bool = False  # whether an earlier batch has done all of it
+    steps: tuple[int, ...]  # steps of each stage of its run; empty for photos without a model
+    parts: tuple[Part, ...]  # each after the parts that it needs
+    done: bool = False  # whether an earlier batch has finished it
 
     @cached_property
     def work(self) -> float:
@@ -83,7 +83,7 @@ def chains(plan: Plan) -> list[tuple[Stage, ...]]:
     for stage in plan.stages:
         for needed in stage.start.stages:
             users.setdefault(needed.name, []).append(stage.name)
-    found: dict[str, list[Stage]] = {}  # by the last stage
+    found: dict[str, list[Stage]] = {}  # last stage -> the chain
     for stage in plan.stages:
         names = {needed.name for needed in stage.start.stages}
         only = next(iter(names)) if len(names) == 1 else ""

@@ -22,10 +22,10 @@ T = TypeVar("T")
 CONNECT_SECONDS = 10.0
 LOOK_EVERY, POLL = 5.0, 0.5  # seconds
 JOIN_SECONDS, START_SECONDS = 50.0, 300.0  # to join a cluster; to start one here
-MOST_MISSED = 3  # failed checks of the head until the cluster counts as gone
+MOST_MISSED = 3  # failed checks of the head after which the cluster counts as lost
 NO_RAY = "any running Ray instance"  # in Ray's message if `auto` finds no cluster
 LOOPBACK, CLIENT = "127.0.0.1", "ray://"
-SMALL_STORE = 80 << 20  # bytes: parts pass files, not objects
+SMALL_STORE = 80 << 20  # bytes; enough, because parts pass files, not objects
 
 
 class Connection:

@@ -40,10 +40,10 @@ class RayExecutor:
         self._ray = self._connection.ray
         self._running: dict[Any, tuple[Part, float]] = {}  # reference -> part, its cores
         self._misfits: set[str] = set()
-        self._silent: dict[str, float] = {}  # node -> since when it does not answer
+        self._silent: dict[str, float] = {}  # node -> time since which it has not answered
         self._looks: dict[str, Any] = {}  # node -> reference of a running check
-        self._said: set[tuple[str, str]] = set()  # problems of nodes
-        self._fitted = time.monotonic()  # when there last was a machine that fits
+        self._said: set[tuple[str, str]] = set()  # nodes' problems already reported
+        self._fitted = time.monotonic()  # last time at which a machine fitted
         self._stopped: set[tuple[str, str]] = set()  # parts that were asked to stop
         self._looked = 0.0
         self._nodes: dict[str, dict[str, float]] = {}  # machines that fit: id -> resources
@@ -157,7 +157,7 @@ class RayExecutor:
         ConfigError: no machine fits.
         """
         self._looked = time.monotonic()
-        # A head often provides no cores: parts cannot run there.
+        # A head often provides no cores, so parts cannot run there.
         nodes = (n for n in self._ray.nodes() if n["Alive"])
         alive = {n["NodeID"]: n for n in nodes if n["Resources"].get("CPU", 0.0) >= 1}
         if not alive:

@@ -14,8 +14,8 @@ from .parts import Part
 from .staged import run_part
 
 POST_SECONDS = 1.0
-LONELY_SECONDS = 30.0  # without an answer: the batch has ended, or it starts the part again
-KEPT = ("progress",)  # of these events, only the last in a second is posted
+LONELY_SECONDS = 30.0  # without an answer: the batch has ended or is restarting the part
+KEPT = ("progress",)  # events of which only the last in a second is posted
 
 
 def look(sign: str) -> dict[str, Any]:

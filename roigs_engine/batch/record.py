@@ -23,10 +23,10 @@ VERSION = 2
 class Output:
     """A file that a batch writes beside its run folders."""
 
-    name: str  # its path in the folder of outputs
-    source: Path  # the PLY that it is made from
-    path: Path  # of the file
-    options: tuple[str, ...] = ()  # words of the command line that makes it
+    name: str  # path in the folder of outputs
+    source: Path  # the PLY that is converted
+    path: Path  # path of the file
+    options: tuple[str, ...] = ()  # words of the command line that writes it
 
 
 class BatchRecord:

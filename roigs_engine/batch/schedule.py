@@ -83,7 +83,7 @@ class Scheduler:
         }
         self._executor, self._context = executor, context
         self._retries, self._told = retries, told
-        self._slow: tuple[str, ...] = ()  # nodes that a part was moved away from
+        self._slow: tuple[str, ...] = ()  # nodes from which a part was moved
         self._after: dict[Key, float] = {}
         for plan in scenes:
             self._after |= costs_after(plan.parts, {p.key: p.work for p in plan.parts})

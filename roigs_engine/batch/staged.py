@@ -89,7 +89,7 @@ def run_part(
         return Outcome(state=FAILED, reason=str(error))
     except OSError as error:
         return Outcome(state=FAILED, reason=f"{error.strerror or error}.")
-    except Exception as error:  # otherwise the batch would wait for it for ever
+    except Exception as error:  # otherwise the batch would wait for it forever
         return Outcome(state=LOST, reason=f"{first_line(error):.200}")
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ..run.definition import Run
 
 START = 4.0  # seconds until an engine trains: it loads Python, torch and the scene
-ALIKE = 4  # stages share a measurement if their points and photos differ by less than 1 / ALIKE
+ALIKE = 4  # stages whose points and photos differ by less than 1 / ALIKE share a measurement
 
 
 @dataclass

@@ -15,12 +15,12 @@ from .records import PARAMETER_COUNT
 Observation = tuple[int, int, int]
 """Ids of the photo, of its keypoint, and of the point."""
 
-FEWEST_OBSERVATIONS = 10  # of a photo whose camera may move: fewer do not determine it
-LEFT_OUT_EVERY = 3  # points
+FEWEST_OBSERVATIONS = 10  # for a photo whose camera may move; fewer do not determine it
+LEFT_OUT_EVERY = 3  # every third point has an observation left out
 FEWEST_LEFT_OUT = 50  # observations for a comparison
 LONG_TRACK = 4  # observations; shorter tracks need all of theirs
 ENOUGH = 500  # points in a photo: more take time, but hardly improve its camera
-ITERATIONS, SETTLED = 20, 1e-5  # at most; stops if the cost falls by no larger share
+ITERATIONS, SETTLED = 20, 1e-5  # at most; relative fall of the cost at which it stops
 
 
 def adjust(
@@ -41,7 +41,7 @@ def adjust(
         distortion: whether the lenses' distortion may change.
     """
     options = colmap.BundleAdjustmentOptions()
-    solver = getattr(options, "ceres", options)  # their place since pycolmap 4, and before
+    solver = getattr(options, "ceres", options)  # since pycolmap 4, they are in `ceres`
     options.print_summary = False
     solver.loss_function_type = getattr(colmap.LossFunctionType, loss)
     solver.loss_function_scale = scale
@@ -90,7 +90,7 @@ def with_cameras_of(colmap: Any, scene: Any, fitted: Any, scale: float) -> Any:
         if image.has_pose and not rigs:
             frame = moved.frames[moved.images[key].frame_id]
             frame.set_cam_from_world(moved.images[key].camera_id, image.cam_from_world())
-    if rigs:  # then nothing has dissolved them
+    if rigs:  # the model still has them
         for key, rig in moved.rigs.items():
             for sensor in rig.non_ref_sensors:
                 rig.set_sensor_from_rig(sensor, fitted.rigs[key].sensor_from_rig(sensor))
@@ -131,7 +131,8 @@ def median_error(scene: Any, observations: Sequence[Observation]) -> float:
 
 
 FULLER, FULLEST = "OPENCV", "FULL_OPENCV"
-# Lens model -> models that it includes -> their indices of its first parameters; the rest are 0.
+# Lens model -> model that it includes -> that model's index of each of its first parameters; the
+# other parameters are 0.
 INCLUDED = {
     FULLER: {
         "SIMPLE_PINHOLE": (0, 0, 1, 2),
@@ -141,8 +142,8 @@ INCLUDED = {
     },
     FULLEST: {FULLER: tuple(range(8))},
 }
-FEWEST_PHOTOS = 5  # of a camera that gets more parameters
-REACH, SAMPLES = 2.0, 2000  # a lens is checked to this multiple of the corners; points checked
+FEWEST_PHOTOS = 5  # a camera with fewer photos gets no more parameters
+REACH, SAMPLES = 2.0, 2000  # a lens is checked up to this multiple of the corners; points checked
 
 
 def with_fuller_cameras(colmap: Any, scene: Any, model: str = FULLER) -> int:
@@ -186,7 +187,7 @@ def with_own_cameras(colmap: Any, scene: Any, photos: Collection[int]) -> Any:
         lines = [" ".join([key, *values]) for key, values in cameras.items()]
         (folder / "cameras.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
         (folder / "images.txt").write_text("\n".join(images) + "\n", encoding="utf-8")
-        for rest in ("rigs.txt", "frames.txt"):  # recreated: each photo by itself
+        for rest in ("rigs.txt", "frames.txt"):  # created anew, with each photo by itself
             (folder / rest).unlink(missing_ok=True)
         return colmap.Reconstruction(str(folder))
 

@@ -187,7 +187,7 @@ def plan_object_masks(
         for key, image in images.items()
         if (file := find(image.name)) is not None
     }
-    used = options.used and bool(found)  # this search takes a while
+    used = options.used and bool(found)  # only if needed: the next search is slow
     taken = {files.find(image.name) for image in images.values()} if used else set()
     inverted = options.objects_inverted
     return {

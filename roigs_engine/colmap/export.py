@@ -20,7 +20,7 @@ from .shown_photo import is_as_stored
 
 SCENE = "scene.json"
 COLMAP, PLACED = "colmap", "placed"
-"""Frames."""
+"""Frames of an export: of the COLMAP model, or of the world."""
 
 
 def write_export(

@@ -26,10 +26,10 @@ from ..photos.exposures import CLIPPED, LEAST_SPREAD, MOST_STOPS, relative_expos
 
 KEYS = ("key", "stops")  # of the file
 VERSION = 1  # increase it if the same photos get other exposures
-SIDE = 256  # pixels: the photos are reduced to this side
+SIDE = 256  # pixels of a reduced photo's side
 DARK, BRIGHT = 8, 245  # of 255: values outside say little about the light
-LEAST_PAIRS = 100  # of observations, needed to check EXIF
-ROUNDS = 20  # of medians of points, then of photos; they converge in about ten
+LEAST_PAIRS = 100  # pairs of observations needed to check EXIF
+ROUNDS = 20  # alternations of points' and photos' medians; they converge in about ten
 EXIF, POINTS = "EXIF", "points"
 
 
@@ -75,7 +75,7 @@ def with_exposures(
             return scene
         found = _found(scene, exif, context)
         if cache is not None:
-            with suppress(RunFolderError):  # it only saves time
+            with suppress(RunFolderError):  # the file only saves time
                 write_json(cache / EXPOSURES, {"key": key, "stops": found}, durable=False)
     if pixels:
         _tell(scene, found, exif, context)
@@ -147,7 +147,7 @@ def solve(observed: Observed, photos: int) -> Float64:
     stops = _solved(observed, photos)
     even = observed.point % 2 == 0
     halves = [_solved(observed.among(half), photos) for half in (even, ~even)]
-    chance = float(np.var(halves[0] - halves[1])) / 4  # of the mean of both
+    chance = float(np.var(halves[0] - halves[1])) / 4  # variance of the mean of both halves
     spread = float(np.var(stops))
     if spread < LEAST_SPREAD**2:
         return np.zeros(photos)

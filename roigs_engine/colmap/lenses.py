@@ -15,8 +15,8 @@ from ..model.scene import Camera, Float64, PosedImage, project
 from .library import pycolmap_module
 from .records import ONE_FOCAL, ModelCamera, lens_from_words
 
-# Models that are a pinhole if their distortion is zero (a fisheye is not), and the index of their
-# first distortion parameter.
+# Models that are a pinhole at zero distortion (a fisheye is not) -> index of the first distortion
+# parameter.
 PINHOLE_AT_ZERO = {
     "SIMPLE_PINHOLE": 3,
     "PINHOLE": 4,
@@ -29,7 +29,7 @@ PINHOLE_AT_ZERO = {
 }
 HINT_RESAMPLE = "Resample its photos to pinhole cameras first."
 BORDER = 4  # pixels by which the photo's edge is extended, for interpolation
-SIDES, EXACT = (128, 64, 32, 16, 8, 4), 0.01  # pixels: sides of squares; their largest error
+SIDES, EXACT = (128, 64, 32, 16, 8, 4), 0.01  # pixels: sides of squares; largest error in a square
 
 
 def as_pinhole(camera: ModelCamera) -> Camera | None:
@@ -89,8 +89,8 @@ def undistorted_pixels(
 
 
 Quad = tuple[tuple[int, int, int, int], tuple[float, ...]]
-"""left, top, right, bottom in the pinhole's picture; the same corners in the padded photo: x, y of
-the upper left, lower left, lower right and upper right one."""
+"""A square: left, top, right, bottom in the pinhole's picture; and its corners in the padded photo:
+x, y of the upper left, lower left, lower right and upper right one."""
 
 
 @lru_cache(maxsize=16)

@@ -64,7 +64,7 @@ def read_model(folder: Path, context: Context = QUIET) -> Model:
         raise SceneError(f"{folder} has no {points3d.name}.", "Export the 3D points as well.")
     cameras = _read(folder / f"cameras{suffix}", read_cameras)
     images = read_images(folder, context)
-    # Normally the photos list their observations. If not, the points' tracks are read.
+    # Usually, the photos list their observations. If not, read the points' tracks.
     tracks = not any((image.point_ids >= 0).any() for image in images)
     points = _read(points3d, lambda data: read_points(data, tracks, context))
     return Model(cameras, images, *points)
@@ -143,11 +143,11 @@ def _read(path: Path, parse: Callable[[bytes], T]) -> T:
 POINT_HEAD = np.dtype(
     [("id", "<i8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("length", "<u8")]
 )
-ROWS_AT_ONCE = 1 << 14  # rows gathered at a time: each of their bytes needs an index of 8 bytes
+ROWS_AT_ONCE = 1 << 14  # rows gathered at a time; each byte of a row needs an index of 8 bytes
 MOST_LINE = 16 << 20
-"""Bytes of a line of a text model: half a million observations of a photo."""
+"""Bytes of a line of a text model: enough for half a million observations of a photo."""
 FIRST_CAMERA = 32  # offset of the first camera's parameters
-FIRST_NEW = 11  # COLMAP added models from this id on after forks had used the ids
+FIRST_NEW = 11  # COLMAP added models from this id on; forks already used these ids
 MOST_PARAMETERS = 20
 SMALLEST_IMAGE = 73  # bytes of a photo in images.bin with an empty name and no observations
 OBSERVATION = np.dtype([("xy", "<f8", 2), ("id", "<i8")])
@@ -218,8 +218,8 @@ def _binary_points(data: bytes, tracks: bool, context: Context) -> Points:
     if not heads["length"].any():  # no tracks
         return heads["id"].copy(), heads["xyz"].copy(), heads["rgb"].copy(), NO_IDS, NO_IDS
     starts = np.empty(number, dtype=np.int64)
-    # Millions of iterations, so no check here: if a track ends past the end of the file, reading
-    # the next head or the check below fails.
+    # No check in this loop of millions of iterations: if a track ends past the end of the file,
+    # reading the next head or the check below fails.
     length_of = struct.Struct("<Q").unpack_from
     for row in range(number):
         starts[row] = offset
@@ -245,7 +245,7 @@ def _check_rigs(data: bytes) -> None:
     number, offset = _record_count(data, 0, 8)
     for _ in range(number):
         (_, sensors), offset = _unpack(data, offset, "II")
-        offset += 8 * (sensors > 0)  # the first has no pose
+        offset += 8 * (sensors > 0)  # the first sensor has no pose
         for _ in range(int(sensors) - 1):
             (*_, is_posed), offset = _unpack(data, offset, "iIB")
             offset += 56 * bool(is_posed)
@@ -278,7 +278,7 @@ def _text_lines(data: bytes) -> Iterator[str]:
     ValueError: the text has another encoding, or a line is far too long.
     """
     decode_text(data[:4096], replace=True)
-    for raw in io.BytesIO(data):  # one at a time: all as str would take many times the memory
+    for raw in io.BytesIO(data):  # not all lines as str: they take many times the memory
         if len(raw) > MOST_LINE:
             raise ValueError(f"a line has {len(raw) >> 20} MB")
         line = raw.decode("utf-8", "replace").removeprefix("\ufeff").strip()

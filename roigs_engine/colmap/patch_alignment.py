@@ -15,22 +15,22 @@ from numpy.typing import NDArray
 from ..kernels.bindings import kernels
 from ..model.scene import Float64
 
-HALF = 7  # a patch has 2 * HALF + 1 samples a side, a pixel of the coarser photo apart
+HALF = 7  # a patch has 2 * HALF + 1 samples a side, spaced by a pixel of the coarser photo
 _AXIS = np.arange(-HALF, HALF + 1, dtype=np.float32)
 GRID: Grey = np.stack(np.meshgrid(_AXIS, _AXIS)).reshape(2, -1)
 _WEIGHTS = np.exp(-(GRID**2).sum(axis=0) / (2 * (0.64 * HALF) ** 2))
 WEIGHTS: Grey = (_WEIGHTS / _WEIGHTS.sum()).astype(np.float32)
 
-LEAST_CONTRAST = 3.0  # standard deviation of a patch, of 255: below, noise dominates
-MOVES, BENDS = 4, 8  # iterations on the place alone, then on the shape, too
+LEAST_CONTRAST = 3.0  # least standard deviation of a patch, of 255; below, noise dominates
+MOVES, BENDS = 4, 8  # iterations that change only the place, then the shape, too
 PLAIN = 0.3  # damping of shape changes, in units of the normal equations
-LONGEST_STEP, SETTLED = 1.0, 0.03  # samples: per iteration; in the last one
-MOST_BEND = 0.1  # of a shape, per iteration
+LONGEST_STEP, SETTLED = 1.0, 0.03  # samples: largest step; largest last step of a converged patch
+MOST_BEND = 0.1  # largest change of a shape in an iteration
 LIKENESS = 0.85  # least correlation
 MOST_BENT = 1.5  # largest stretch or shrinking of the reference in one direction
-VAGUEST = 0.35  # samples: a place whose standard error may be larger is not used
-INDEPENDENT = 20.0  # effective number of samples for the standard error: neighbours correlate
-BATCH = 512  # patches at a time: many, so that threads seldom wait for the interpreter
+VAGUEST = 0.35  # samples: places with a larger standard error are not used
+INDEPENDENT = 20.0  # effective number of samples for the standard error; neighbours correlate
+BATCH = 512  # patches at a time; many, so that threads seldom wait for the interpreter
 
 
 def templates(
@@ -136,7 +136,7 @@ def _slopes(references: Grey) -> Grey:
 Grey = NDArray[np.float32]
 
 LEVELS = 5
-FIRST_BLUR, BLUR = 0.6, 1.0  # px: against patterns of grid and sensor; before each halving
+FIRST_BLUR, BLUR = 0.6, 1.0  # px: first, against the sensor's patterns; then before each halving
 LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 
 
@@ -181,7 +181,7 @@ def _patches(grey: Grey, centres: Grey, shapes: Float64) -> tuple[Grey, NDArray[
     height, width = grey.shape
     count = len(centres)
     patches = np.empty((count, GRID.shape[1]), dtype=np.float32)
-    if min(width, height) < 2:  # too small to interpolate: no patch is complete
+    if min(width, height) < 2:  # too small to interpolate, so no patch is complete
         return np.zeros_like(patches), np.zeros(count, dtype=bool)
     deviations, inside = np.empty(count, dtype=np.float32), np.empty(count, dtype=bool)
     shapes = np.ascontiguousarray(shapes, dtype=np.float32)

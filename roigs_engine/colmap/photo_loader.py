@@ -34,7 +34,7 @@ WRONG_SIZE = "wrong size"
 UNREADABLE = "unreadable"
 NO_CAMERA = "without a camera"
 DUPLICATE = "twice in the model"
-CANNOT_UNDISTORT = "cannot be undistorted"  # after the camera's model
+CANNOT_UNDISTORT = "cannot be undistorted"  # follows the camera's model in messages
 APPROXIMATE = "pycolmap is not installed: lens distortion is ignored, so cameras differ slightly."
 HINT_SHAPE = "Give the model's own photos (--images), not cropped or turned."
 HINT_SIDE = "The photos are on their side: give the model's own photos (--images)."
@@ -103,7 +103,7 @@ def _identity(path: Path) -> tuple[object, ...]:
     """
     try:
         state = path.stat()
-    except OSError:  # it has disappeared; its reader reports this
+    except OSError:  # the file has disappeared; its reader reports this
         return (path,)
     real = same_name(os.path.realpath(path))
     return state.st_dev, state.st_ino, same_name(path.name), real
@@ -150,7 +150,7 @@ class PhotoLoader:
                 continue
             names.add(name)
             photo = stored_photo(image, model, photos)
-            if photo == Skip(MISSING) and MISSING not in self.why:  # slow, so only for one
+            if photo == Skip(MISSING) and MISSING not in self.why:  # slow: once
                 photo = Skip(MISSING, *photos.missing(name))
             if isinstance(photo, Skip):
                 self._leave_out(name, photo)
@@ -226,7 +226,7 @@ class PhotoLoader:
             if content.whole is False:
                 self._skip(key, UNREADABLE)
                 continue
-            digest = content.digest + content.colours  # what decides the pixels
+            digest = content.digest + content.colours  # determines the pixels
             if key in self._plans:
                 self._plans[key] = replace(
                     self._plans[key], digest=content.digest, colours=content.colours

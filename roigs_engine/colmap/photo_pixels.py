@@ -23,7 +23,7 @@ from .photo_loader import photo_name
 from .records import ModelCamera
 
 Mask = NDArray[np.bool_]
-ROWS = 256  # of a photo, looked up at a time
+ROWS = 256  # rows of a photo looked up at a time
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -39,7 +39,7 @@ from .rotations import Cloud, StoredPhoto, find_turns
 
 MODEL_FILES = ("cameras", "images", "points3D")
 LEAST_EXTENT = 1e-20  # world units; the squares of much smaller numbers underflow
-SIMPLE_LENSES = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")  # fewer parameters than OPENCV
+SIMPLE_LENSES = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")  # with fewer parameters than OPENCV
 
 
 def load_colmap(
@@ -151,7 +151,7 @@ def model_turns(
     model: Model, folder: Path, photos: PhotoFolder, context: Context = QUIET
 ) -> dict[int, int]:
     """Find a model's turned photos (`rotations`): image id -> turn; SceneError: no points."""
-    quiet = replace(context, emit=QUIET.emit)  # the model's user reports damage
+    quiet = replace(context, emit=QUIET.emit)  # the code that uses the model reports damage
     ids, points, colors = _points(model, folder, quiet)
     cloud = Cloud(points=points, colors=colors, observed=_observations(model, ids, context))
     found = []
@@ -200,7 +200,7 @@ OTHER_MODELS = {
     "*.xml": ("perhaps Metashape's cameras", "Export them for COLMAP."),
     "database.db": ("COLMAP's matches", "Run its mapper, which writes sparse/0."),
 }
-"""Files of other software and of unfinished work, and what to do."""
+"""Files of other software and of unfinished work -> hint for the user."""
 
 
 def _no_model(path: Path) -> SceneError:

@@ -36,7 +36,7 @@ CAMERA_MODELS = (
     ("EQUIRECTANGULAR", 2),
 )
 LEAST_FOCAL = 1e-3
-"""Least focal length, in longest sides of the photo: shorter ones are damage, not a lens."""
+"""Least focal length, in units of the photo's longest side; damaged files may have shorter ones."""
 PARAMETER_COUNT = dict(CAMERA_MODELS)
 
 # Models whose parameters begin with one focal length; the others begin with fx and fy.
@@ -47,7 +47,7 @@ ONE_FOCAL = {
 NO_IDS = np.empty(0, dtype=np.int64)
 
 KNOWN_IDS = 64
-"""Ids of camera models that a newer COLMAP may write are below; others are damage."""
+"""A newer COLMAP may write ids of camera models below this; larger ones come from damaged files."""
 
 
 class UnknownCameraError(ValueError):

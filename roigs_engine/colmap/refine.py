@@ -159,7 +159,7 @@ def _explained(model: Path) -> Iterator[None]:
 def _write(scene: Any, out: Path) -> None:
     """Write all files of the model, or none."""
     try:
-        out = Path(os.path.realpath(out))  # a link that the user names
+        out = Path(os.path.realpath(out))  # the user may name a link
         out.parent.mkdir(parents=True, exist_ok=True)
         with scratch(f".{out.name}-", out.parent) as folder:
             model = folder / "model"
@@ -173,7 +173,7 @@ def _write(scene: Any, out: Path) -> None:
                     "Free some space on the disk.",
                 )
             with suppress(FileNotFoundError):
-                out.rmdir()  # it is empty
+                out.rmdir()  # the folder is empty
             model.rename(out)
     except (OSError, ValueError, RuntimeError) as error:
         reason = error.strerror if isinstance(error, OSError) else error

@@ -19,11 +19,11 @@ from . import adjustment
 from .records import same_shape
 from .track_matching import Matches, PhotoFile, Views, match_tracks
 
-LOSS_SCALE = 0.3  # px: most matches are better than 0.1
-FEW = 50  # matches: a photo with fewer also keeps its keypoints
-MANY = 100  # matches: a photo with more may have its own focal length
+LOSS_SCALE = 0.3  # px: most matches have errors below 0.1
+FEW = 50  # matches: photos with fewer also keep their keypoints
+MANY = 100  # matches: photos with this many or more may have their own focal length
 POSES, DISTORTION, FOCAL_LENGTHS = CHANGES = ("poses", "distortion", "focal lengths")
-CLEARLY = 0.97  # of the error before: more parameters must reduce it to this
+CLEARLY = 0.97  # more parameters must reduce the error by at least this factor
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,8 +25,8 @@ from .records import NO_IDS, ModelCamera, same_shape
 PHOTOS, POINTS = 4, 3000  # photos compared; points of each
 SIDE = 320  # px: the photos' longer side for the comparison
 FEWEST = 60  # points needed to decide
-CLEARLY = 0.8  # the right way has at most this share of the other's differences
-VARIED = 8.0  # least standard deviation of points' colours, of 255; below, they are not real
+CLEARLY = 0.8  # the right turn has at most this share of the other's colour differences
+VARIED = 8.0  # of 255: points' colours with less standard deviation are placeholders
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,7 +112,7 @@ def _look_turned(unclear: Sequence[StoredPhoto], cloud: Cloud, context: Context)
         for number in some:
             context.check_cancelled()
             found.append(_differences(unclear[number], cloud))
-    except SceneError:  # damaged photos and lenses are reported where they are used
+    except SceneError:  # other code reports damaged photos and lenses
         return None
     stored, tagged = (np.concatenate(way) for way in zip(*found, strict=True))
     if min(len(stored), len(tagged)) < FEWEST:

@@ -14,7 +14,7 @@ from ..photos.rotation import AS_STORED, turned_size
 from .records import ModelCamera
 from .undistort import plan_undistortion, undistorted_photo
 
-USUAL_FORMATS = ("JPEG", "MPO", "PNG", "BMP", "WEBP", "TIFF")  # that other programs read
+USUAL_FORMATS = ("JPEG", "MPO", "PNG", "BMP", "WEBP", "TIFF")  # other programs read these
 USUAL_MODES = ("1", "L", "LA", "P", "RGB", "RGBA")
 BITS, PHOTOMETRIC, PLANAR = 258, 262, 284  # tags of a TIFF
 WHITE_IS_ZERO, SEPARATE = 0, 2
@@ -32,7 +32,7 @@ def is_as_stored(path: Path) -> bool:
         with open_photo(path) as photo:
             usual = photo.format in USUAL_FORMATS and photo.mode in USUAL_MODES
             if photo.format == "TIFF":
-                tags: Any = getattr(photo, "tag_v2", {BITS: (16,)})  # none: not read by Pillow
+                tags: Any = getattr(photo, "tag_v2", {BITS: (16,)})  # none: tifffile reads it
                 usual &= max(tags.get(BITS, (1,))) <= 8
                 usual &= tags.get(PHOTOMETRIC) != WHITE_IS_ZERO and tags.get(PLANAR) != SEPARATE
             return usual and not colours_of(photo).profile

@@ -22,14 +22,14 @@ from ..photos.headers import PhotoError, photo_size
 from ..photos.parallel import decoding_bytes, in_parallel
 from .patch_alignment import GRID, Pyramid, align, templates
 
-NEW_A_PHOTO = 1000  # points searched in a photo that does not observe them yet
-MOST_WRONG = 3.0  # px: observations farther from where their point appears are wrong matches
-REACH, NEW_REACH = 3.0, 1.5  # px: of the search around a keypoint; around a projected point
+NEW_A_PHOTO = 1000  # most points searched in a photo that does not observe them yet
+MOST_WRONG = 3.0  # px: observations farther from their projected point are wrong matches
+REACH, NEW_REACH = 3.0, 1.5  # px: search radius around a keypoint; around a projected point
 NEW_LIKENESS = 0.9
-WIDEST, NARROW = 0.72, 0.9  # cosines of the angle between photos: too wide; no effect
+WIDEST, NARROW = 0.72, 0.9  # cosines of angles between photos: the widest; narrower has no effect
 COARSEST, FINEST = 8.0, 0.5  # size of a photo's pixels at the point, relative to the reference's
-RIM = 8.0  # px: nearer the photo's edge, patches are incomplete
-PYRAMID = 24  # bytes for a pixel of a photo, most of them while its levels are made
+RIM = 8.0  # px: closer to the photo's edge, patches are incomplete
+PYRAMID = 24  # bytes for each pixel of a photo, most of them while its levels are computed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,8 +55,8 @@ class _Wanted(NamedTuple):
 
     view: Int64  # see `Matches`
     point: Int64
-    start: Float64  # (M, 2) where the search starts, px
-    new: NDArray[np.bool_]  # (M,) whether no keypoint is known there
+    start: Float64  # (M, 2) start of the search, px
+    new: NDArray[np.bool_]  # (M,) the photo has no keypoint of the point yet
 
 
 class _References(NamedTuple):
@@ -87,7 +87,7 @@ def match_tracks(scene: Any, photos: Sequence[PhotoFile | None], context: Contex
     seen = _observations(scene, views, usable)
     references = _references(views, seen)
     wanted = _wanted(views, seen, references, usable, np.random.default_rng(0))
-    # The matrices are small: threads would only wait for each other.
+    # The matrices are small, so threads would only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
         places, good = _matched(views, photos, seen.points, references, wanted, context)
     found = np.flatnonzero(good)
@@ -148,7 +148,7 @@ def _references(views: Views, seen: Matches) -> _References:
         towards /= distance[:, None]
         pixel = distance / views.focals[seen_by]
         cosines = towards @ towards.T
-        # A reference suits photos from similar directions that are not much finer than it.
+        # Prefer a reference near the other photos' directions, and about as fine as they are.
         near = np.clip((cosines - WIDEST) / (NARROW - WIDEST), 0, 1)
         best = int((near * np.minimum(1, pixel[None, :] / pixel[:, None])).sum(axis=1).argmax())
         row[point], view[point] = track[best], seen_by[best]
@@ -208,7 +208,7 @@ def _matched(
     count, started = len(wanted.view), time.monotonic()
     view_of = references.view[wanted.point]
     steps = _steps(views, points, references, wanted)
-    patches = np.zeros((count, GRID.shape[1]), dtype=np.float16)  # to halve the memory
+    patches = np.zeros((count, GRID.shape[1]), dtype=np.float16)  # half the memory of float32
     usable = np.zeros(count, dtype=bool)
     places, good = np.array(wanted.start), np.zeros(count, dtype=bool)
     damaged: set[int] = set()
@@ -258,7 +258,7 @@ def _bytes(file: PhotoFile) -> int:
     """The most bytes that matching in a photo takes."""
     try:
         size = photo_size(file.path)
-    except PhotoError:  # reported when it is read
+    except PhotoError:  # reported when the photo is read
         return 1
     return decoding_bytes(file.path, size) + PYRAMID * size[0] * size[1]
 

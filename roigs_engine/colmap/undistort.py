@@ -33,10 +33,10 @@ OVERSAMPLING = 2.0
 FULL_FROM = 0.75  # from this share of the full size on, the full size is used
 _again = threading.Lock()
 CACHE_VERSION = 4  # part of each cached photo's name: increase it if the pixels change
-# Measured bytes (docs/reliability.md) for a pixel of the photo's copy at `source`'s size: during
-# resampling, in addition to decoding; and during undistortion.
+# Measured bytes (docs/reliability.md) for each pixel of the photo's copy at `source`'s size: during
+# resampling, in addition to decoding; during undistortion.
 PER_RESAMPLED, PER_SOURCE_PIXEL = 12, 13
-PER_MASKED = 16  # for a pixel of the larger of file and copy, for weights, in addition
+PER_MASKED = 16  # for weights, in addition, for each pixel of the larger of file and copy
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +120,7 @@ def plan_undistortion(
 
 def undistort_again(plan: UndistortionPlan, path: Path) -> None:
     """Replace a damaged or lost photo in the cache; raises as `undistort`."""
-    with _again:  # two threads may find the damage at the same time
+    with _again:  # two threads may detect the damage at the same time
         undistort(plan, path)
 
 

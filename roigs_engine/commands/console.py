@@ -46,10 +46,10 @@ class Console:
         self._json_lines = json_lines
         self._stop = stop or StopRequest()
         if json_lines and isinstance(sys.stdout, Stream):
-            sys.stdout.encoding = "utf-8"  # escapes for what a locale lacks would not be JSON
+            sys.stdout.encoding = "utf-8"  # other encodings' escapes would not be JSON
         self._bar: tqdm[None] | None = None
-        self._drawn = 0  # lines of a board that are on the terminal
-        self.resumes = False  # whether the same command goes on where it was stopped
+        self._drawn = 0  # lines of the board on the terminal
+        self.resumes = False  # whether the same command resumes where it was stopped
 
     def watch(self) -> None:
         """Start to watch for stop requests: signals, and standard input (JSON lines)."""
@@ -62,7 +62,7 @@ class Console:
 
     @property
     def context(self) -> Context:
-        """The context of a command's work, with this console's events and stop requests."""
+        """The context for a command's work: it sends events here, and takes stop requests."""
         person = not self._json_lines
         return Context(emit=self.emit, should_stop=self.should_stop, for_person=person)
 
@@ -76,9 +76,9 @@ class Console:
             self._show(event)
 
     def print(self, text: str) -> None:
-        """Print the command's answer: to standard output, but to standard error beside JSON.
+        """Print the command's answer to standard output, or to standard error if that has JSON.
 
-        Control characters become escapes, here and in `_line`: names come from files.
+        Control characters are escaped, here and in `_line`, because names come from files.
         """
         self.close_bar()
         text = "\n".join(map(printable, text.split("\n")))
@@ -101,7 +101,7 @@ class Console:
             case Message(text=text, level=level):
                 self._line(f"warning: {text}" if level == "warning" else text)
             case Device(reason="chosen"):
-                pass  # whoever reads this has chosen it
+                pass  # the user chose the device
             case Device():
                 self._line(f"Device: {device_in_words(asdict(event))}.")
             case Failed(message=message, hint=hint):
@@ -118,7 +118,7 @@ class Console:
     def _open_bar(self, stage: str, total: int) -> None:
         """Open a progress bar if tqdm is installed (Blender's own Python does not have it)."""
         for name in [name for name in os.environ if name.startswith("TQDM_")]:
-            del os.environ[name]  # tqdm raises at those that it cannot read
+            del os.environ[name]  # tqdm raises an error for invalid ones
         try:
             from tqdm import tqdm
         except ImportError:
@@ -138,7 +138,7 @@ class Console:
         self._bar.update(event.step - self._bar.n)
 
     def _show_board(self, lines: Sequence[str]) -> None:
-        """Draw how far a batch is, in the place of the last picture, where a terminal is."""
+        """Draw the progress of a batch over the last one, if standard error is a terminal."""
         if self._json_lines or not sys.stderr.isatty():
             return
         self._clear_board()
@@ -160,7 +160,7 @@ class Console:
             _write(text, sys.stderr)
 
     def _read_input(self) -> None:
-        """Read lines until 'stop' or the end; bypasses `sys.stdin`, whose lock would delay exit."""
+        """Read lines until 'stop' or the end, without `sys.stdin`, whose lock would delay exit."""
         rest = b""
         while True:
             try:

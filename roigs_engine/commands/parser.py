@@ -43,7 +43,7 @@ class Parser(argparse.ArgumentParser):
         self.needed: list[argparse.Action] = []
 
     def _parse_optional(self, arg_string: str) -> Any:
-        """As argparse; but what is no option, as `-y` and `-1,0,2`, is a value."""
+        """Parse as argparse, but treat unknown words such as `-y` and `-1,0,2` as values."""
         single = arg_string.startswith("-") and not arg_string.startswith("--")
         if single and arg_string not in self._option_string_actions:
             return None
@@ -54,7 +54,7 @@ class Parser(argparse.ArgumentParser):
         raise ConfigError(f"{message[:1].upper()}{message[1:]}.", f"See {self.prog} --help.")
 
     def format_help(self) -> str:
-        """The help, which shows what must be given; an options file may give that, too."""
+        """The help. It marks required options, although an options file may provide them, too."""
         for action in self.needed:
             action.required = True
         text = super().format_help()
@@ -67,7 +67,7 @@ class Parser(argparse.ArgumentParser):
 def build_parser(only: str = "") -> tuple[Parser, dict[str, Parser]]:
     """The main parser, and the parser of each command by name.
 
-    If a command is named, the others have no options: declaring all takes longer than reading.
+    With `only`, the other commands get no options: declaring all takes longer than parsing.
     """
     parser = Parser(
         prog="python -m roigs_engine",
@@ -118,7 +118,7 @@ def _add_options(parser: Parser, command: Command) -> None:
 
 
 def _facts(option: Option) -> dict[str, Any]:
-    """An option's arguments for argparse."""
+    """The arguments of argparse's `add_argument` for an option."""
     facts: dict[str, Any] = {"help": option.text().replace("%", "%%"), "dest": option.name}
     if option.hidden:
         facts["help"] = argparse.SUPPRESS
@@ -139,9 +139,9 @@ def _facts(option: Option) -> dict[str, Any]:
 
 
 def parsed(argv: Sequence[str]) -> tuple[Command, Request]:
-    """The command of a command line, and its request; ConfigError: an option or value is wrong.
+    """Parse a command line: its command and request. ConfigError: an option or value is wrong.
 
-    A scene that is an options file gives what the command line leaves out.
+    If the scene is an options file, the file provides options that the command line omits.
     """
     parser, parsers = build_parser(next((word for word in argv if word in COMMANDS), ""))
     given = vars(parser.parse_args(argv))
@@ -160,7 +160,7 @@ def parsed(argv: Sequence[str]) -> tuple[Command, Request]:
 
 
 def _with_file(command: Command, given: dict[str, Any]) -> Mapping[str, Any]:
-    """The values of the command line, and of the options file that its scene may be."""
+    """The values of the command line, and of the options file if its scene is one."""
     path = given.get("scene")
     if not isinstance(path, Path) or path.suffix.lower() != ".json":
         return given

@@ -14,16 +14,16 @@ from .stopping import INTERRUPTED, StopRequest
 from .streams import Stream, protect
 
 UNREAD = 141
-"""Exit status if the reader of standard output went away (a shell's status after SIGPIPE)."""
+"""Exit status if the reader of standard output has gone (a shell's status after SIGPIPE)."""
 
-# Bytes of addresses below which numpy does not start, or only hangs: all, and for each core.
+# Bytes of address space that numpy needs to start without hanging: in all, plus for each core.
 MIN_NUMPY, MIN_NUMPY_CORE = 256 << 20, 40 << 20
 
 
 def check_address_space(name: str, least: int, each: int) -> None:
-    """Refuse a small limit of the shell: libraries abort or hang there, beyond Python's reach.
+    """Refuse a small memory limit of the shell; libraries would abort or hang, and not raise.
 
-    EngineError: it is below `least` bytes and `each` for each core (stacks and buffers).
+    EngineError: it is below `least` bytes plus `each` for each core (stacks and buffers).
     """
     limit, needed = address_space(), least + each * usable_cores()
     if limit is not None and limit < needed:
@@ -37,7 +37,7 @@ def check_address_space(name: str, least: int, each: int) -> None:
 def run_process(work: Callable[[StopRequest], int]) -> NoReturn:
     """Do the work with streams that never fail and with signals as stop requests; then exit.
 
-    The work is given the stop request, and returns an exit status. The process ends at once:
+    The work gets the stop request and returns an exit status. The process ends at once, because
     cleaning up Python, torch and a large scene takes most of a second.
     """
     stop = StopRequest()
@@ -48,12 +48,12 @@ def run_process(work: Callable[[StopRequest], int]) -> NoReturn:
     except BaseException:
         if not stop.leaving:
             raise
-    # An interrupt may come out as any error, for example out of the middle of an import.
+    # An interrupt may turn into any error, for example in the middle of an import.
     os._exit(INTERRUPTED if stop.leaving else status)
 
 
 def _finished(work: Callable[[StopRequest], int], stop: StopRequest, output: Stream) -> int:
-    """Do the work; its exit status, or another one if its output was lost."""
+    """Do the work; returns its exit status, or another one if its output was lost."""
     try:
         check_address_space("the engine", MIN_NUMPY, MIN_NUMPY_CORE)
         status = work(stop)
@@ -62,7 +62,7 @@ def _finished(work: Callable[[StopRequest], int], stop: StopRequest, output: Str
     except EngineError as error:
         return _failed(str(error))
     except Exception as error:
-        if not is_memory_full(error):  # importing the command line, or saying what is wrong
+        if not is_memory_full(error):  # from an import, or from reporting an error
             raise
         return _failed(f"{NO_MEMORY} {more_memory()}")
     atexit._run_exitfuncs()

@@ -17,7 +17,7 @@ from types import FrameType
 INTERRUPTED = 130
 """Exit status after a second Ctrl-C."""
 LEAVING_SECONDS = 1.0
-"""How long a second Ctrl-C leaves for tidying up."""
+"""Time for cleaning up after a second Ctrl-C."""
 # A closed terminal sends SIGHUP; Windows sends SIGBREAK for Ctrl-Break and a closed console.
 NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 SIGNALS = tuple(getattr(signal, name) for name in NAMES if hasattr(signal, name))
@@ -36,10 +36,10 @@ class StopRequest:
         self._interrupts = 0
 
     def watch_signals(self) -> None:
-        """Make signals ask for a stop, and a second Ctrl-C end the command at once.
+        """Make signals request a stop, and a second Ctrl-C end the command at once.
 
-        Only Ctrl-C counts: `timeout` sends SIGTERM twice, a closed terminal SIGHUP. Where SIGHUP
-        is ignored (`nohup`), it stays so.
+        A second signal of another kind does not: `timeout` sends SIGTERM twice, a closed terminal
+        SIGHUP. If SIGHUP was ignored (`nohup`), it stays ignored.
         """
         for number in SIGNALS:
             if number == signal.SIGINT or signal.getsignal(number) is not signal.SIG_IGN:
@@ -58,15 +58,15 @@ class StopRequest:
             _say(" ".join(words))
 
     def _leave(self) -> None:
-        """Raise KeyboardInterrupt, so that temporary files and locks are removed; once.
+        """Raise KeyboardInterrupt once, so that temporary files and locks are removed.
 
-        Whatever hinders that, and a further Ctrl-C, ends the process.
+        The process ends after `LEAVING_SECONDS`, or at a further Ctrl-C.
         """
         if self.leaving:
             os._exit(INTERRUPTED)
         _say("Stopped. Saved work is kept; the same command resumes from it.")
         self.leaving = True
-        # Not a `Thread`: its locks may be held by what the signal has interrupted.
+        # Not a `Thread`: the interrupted code may hold the locks that this needs.
         _thread.start_new_thread(_end_soon, ())
         raise KeyboardInterrupt
 
@@ -77,7 +77,7 @@ def _end_soon() -> None:
 
 
 def _say(text: str) -> None:
-    """Write a line on standard error, below a progress bar that may be there."""
-    with suppress(OSError, RuntimeError):  # a plain stream refuses to be entered twice
+    """Write a line to standard error, below the progress bar if there is one."""
+    with suppress(OSError, RuntimeError):  # a plain stream refuses a write within a write
         below = sys.stderr.isatty() or getattr(sys.stderr, "in_line", False)
         sys.stderr.write(f"\n{text}\n" if below else f"{text}\n")

@@ -18,21 +18,21 @@ from typing import Any
 from .stopping import StopRequest
 
 PIECE = getattr(select, "PIPE_BUF", 512)
-"""Bytes that a pipe with any room takes without waiting."""
+"""Bytes that a pipe accepts without waiting if it has any room."""
 PATIENCE = 5
-"""Seconds in all that a stop waits for a reader that does not read."""
+"""After a stop request, total seconds to wait for a reader that does not read."""
 
 
 class Stream(io.TextIOBase):
     """A text stream without a buffer. Writing never raises; `lost` is the first error.
 
-    A reader that has gone away asks for a stop, as SIGPIPE would. After other errors (a full disk),
-    writing is tried again with the next text.
+    If the reader has gone, a stop is requested, as SIGPIPE would do. After other errors (a full
+    disk), the next text is tried again.
 
     Args:
-        raw: where bytes are written.
-        encoding: of the text; characters that it lacks are written as escapes.
-        stop: of the command.
+        raw: the stream for bytes.
+        encoding: of the text; characters that it lacks are escaped.
+        stop: the command's stop request.
     """
 
     encoding: str = "utf-8"
@@ -41,8 +41,8 @@ class Stream(io.TextIOBase):
         self.encoding = encoding
         self.lost: OSError | None = None
         self.gone = False
-        self.in_line = False  # whether the last text was the start of a line, as of a progress bar
-        self.replaced: Any = None  # kept, for it would close `raw` when it is deleted
+        self.in_line = False  # whether the last line is unfinished, such as a progress bar
+        self.replaced: Any = None  # kept, because its deletion would close `raw`
         self._raw, self._stop = raw, stop
         self._torn = False
         self._patience = PATIENCE
@@ -66,13 +66,13 @@ class Stream(io.TextIOBase):
     def _send(self, data: bytes) -> None:
         while data:
             self._wait()
-            # A Windows console decodes each piece by itself: one must not end within a character.
+            # A Windows console decodes each piece separately, so none may end within a character.
             piece = data[:PIECE] if os.name == "posix" else data
-            written = self._raw.write(piece)  # None: others have filled the pipe meanwhile
+            written = self._raw.write(piece)  # None: other writers have filled the pipe meanwhile
             data = data[written or 0 :]
 
     def _wait(self) -> None:
-        """Wait until there is room; TimeoutError: stopped, and not read for `PATIENCE` seconds."""
+        """Wait for room. TimeoutError: a stop was requested, and `PATIENCE` is used up."""
         while os.name == "posix" and not select.select([], [self._raw], [], 1.0)[1]:
             if self._stop.asked:
                 self._patience -= 1
@@ -94,23 +94,23 @@ class Stream(io.TextIOBase):
 
 
 def protect(stop: StopRequest) -> Stream:
-    """Make `sys.stdout` and `sys.stderr` streams that never fail; returns standard output.
+    """Replace `sys.stdout` and `sys.stderr` by streams that never fail; returns standard output.
 
-    Closed ones, and a closed standard input, become the null device. Otherwise the next files that
-    are opened would get their numbers, and be read and written in their place.
+    If one of these or standard input is closed, it becomes the null device. Otherwise the next file
+    that is opened would get its descriptor, and be read or written instead.
     """
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # gets the lowest number that is free
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free descriptor
     sys.stdout = _stream(sys.stdout, 1, stop)
     sys.stderr = _stream(sys.stderr, 2, stop)
     return sys.stdout
 
 
 def _stream(stream: Any, number: int, stop: StopRequest) -> Stream:
-    """A stream in the place of Python's own, which is None if it was closed."""
+    """A stream to replace Python's own, which is None if it was closed."""
     if stream is None:
         return Stream(io.FileIO(number, "w", closefd=False), "utf-8", stop)
     safe = Stream(getattr(stream.buffer, "raw", stream.buffer), stream.encoding, stop)
@@ -119,6 +119,6 @@ def _stream(stream: Any, number: int, stop: StopRequest) -> Stream:
 
 
 def _reader_is_gone(error: OSError) -> bool:
-    """Whether the reader is gone, or did not read for long enough."""
-    # Windows says EINVAL of a pipe without a reader.
+    """Whether the reader has gone, or has not read for too long."""
+    # On Windows, the error of a pipe without a reader is EINVAL.
     return isinstance(error, (BrokenPipeError, TimeoutError)) or error.errno == errno.EINVAL

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from ..app.outputs import Result
     from ..context import Context
 
-ALL = "all"  # the part of a run that does what is missing
+ALL = "all"  # the part of a run that includes everything still missing
 Say = Callable[[str], None]
 
 
@@ -22,12 +22,12 @@ Say = Callable[[str], None]
 class Command:
     """A command of the command line."""
 
-    request: type[Request]  # what it is asked for
-    does: str | Callable[[Any], str]  # `MODULE:FUNCTION` of `app`, or which for a request
-    help: str  # what it does, in a line
-    examples: tuple[str, ...]  # for the help, each what follows the command
+    request: type[Request]
+    does: str | Callable[[Any], str]  # `MODULE:FUNCTION` of `app`, or a function of the request
+    help: str  # one line
+    examples: tuple[str, ...]  # for the help; the words after the command
     torch: bool = True  # whether it needs torch, which needs much memory to start
-    as_it_goes: bool = False  # whether it is given where to print lines as they are known
+    as_it_goes: bool = False  # whether its function gets `say`, to print lines before the result
 
     @property
     def takes_file(self) -> bool:
@@ -36,7 +36,7 @@ class Command:
         return scene is not None and scene.required
 
     def run(self, request: Request, context: Context, say: Say) -> Result:
-        """Do it; returns the result."""
+        """Run the command's function; returns the result."""
         does = self.does if isinstance(self.does, str) else self.does(request)
         module, _, name = does.partition(":")
         work: Callable[..., Result] = getattr(import_module(f"..app.{module}", __package__), name)
@@ -45,7 +45,7 @@ class Command:
 
 
 def _training(request: runs.Train) -> str:
-    """Train: plan it, give it to a cluster, do parts of it, or do all here."""
+    """The function for a training: plan it, send it to a cluster, train parts or all of it."""
     if request.dry_run:
         return "train:plan_training"
     if request.cluster:

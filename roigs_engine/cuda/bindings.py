@@ -10,16 +10,16 @@ from ..kernels.bindings import AdamParameter, Camera, Gaussians, Gradients, Outp
 if TYPE_CHECKING:
     from torch import Tensor
 
-PIXELS = 256  # of a tile: threads of a block that blends
-GROUP = 128  # entries of a tile's list that a block walks with
-BUCKETS = 4  # of a group
-COLUMNS = 16  # of a splat
-MOMENTS, PLANE_MOMENTS = 9, 6  # of a slot
-PLANE_COLUMNS = 8  # of a splat's plane
+PIXELS = 256  # pixels of a tile, and threads of a block that blends it
+GROUP = 128  # entries of a tile's list that a block processes together
+BUCKETS = 4  # buckets of a group
+COLUMNS = 16  # columns of a splat
+MOMENTS, PLANE_MOMENTS = 9, 6  # moments of a slot
+PLANE_COLUMNS = 8  # columns of a splat's plane
 ROWS = 128  # Gaussians of a block
 WARP = 32
-CAMERA_VALUES = 22  # floats of a camera that are read on the card
-SHORT_TILES = 1 << 15  # with fewer tiles, their numbers and that of no tile fit 16 bits
+CAMERA_VALUES = 22  # floats of a camera that kernels read
+SHORT_TILES = 1 << 15  # with fewer tiles, tile numbers and the number for "no tile" fit 16 bits
 
 _ADDRESS = ctypes.c_void_p
 
@@ -101,7 +101,7 @@ class Loss(ctypes.Structure):
 
 
 def address(tensor: Tensor | None) -> int | None:
-    """The address of a tensor's first element on its device; None: null.
+    """The address of a tensor's first element on its device; null for None.
 
     The caller must check shape, type and strides, and keep the tensor alive until the kernel ends.
     """

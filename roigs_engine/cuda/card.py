@@ -14,10 +14,10 @@ from . import compiler, driver
 
 
 class Program:
-    """The kernels in a card's memory."""
+    """The kernels, loaded into a GPU."""
 
     def __init__(self, device: torch.device, code: bytes) -> None:
-        """Raises KernelError if the card does not take the code."""
+        """Raises KernelError if the GPU cannot load the code."""
         self._device, self._driver = device, driver.load()
         torch.cuda.init()  # type: ignore[no-untyped-call]
         index = torch.cuda.current_device() if device.index is None else device.index
@@ -26,17 +26,17 @@ class Program:
         self._kernels = self._driver.load(code, compiler.KERNELS)
 
     def launch(self, kernel: str, blocks: int, threads: int, argument: ctypes.Structure) -> None:
-        """Start a kernel with its argument, after what runs on the device's current stream."""
-        self._driver.enter(self._context)  # autograd's threads have none of their own
+        """Launch a kernel with its argument on the device's current stream."""
+        self._driver.enter(self._context)  # autograd's threads have no context of their own
         stream = torch.cuda.current_stream(self._device).cuda_stream
         self._driver.launch(self._kernels[kernel], (blocks, threads), stream, argument)
 
 
 @functools.cache
 def program(device: torch.device) -> Program:
-    """The kernels for a device; compiled, where they are not on disk.
+    """Load the kernels for a device; compiles them if they are not cached on disk.
 
-    KernelError: no compiler, no driver, or one too old; or the code cannot be loaded.
+    KernelError: the compiler or driver is missing or too old, or the code cannot be loaded.
     """
     nvrtc = compiler.load()
     driver.load().check_version(nvrtc.version)
@@ -45,12 +45,12 @@ def program(device: torch.device) -> Program:
         return Program(device, compiler.machine_code(nvrtc, target))
     except KernelError:
         with suppress(OSError):
-            compiler.cached(nvrtc, target).unlink()  # were it damaged, it would fail each time
+            compiler.cached(nvrtc, target).unlink()  # a damaged file would fail each time
         raise
 
 
 def prepare(device: torch.device, context: Context = QUIET) -> None:
-    """Compile for a device, unless that is done; a message says so first. KernelError as above."""
+    """Compile for a device if necessary, after a message; raises as `program`."""
     nvrtc = compiler.load()
     if not compiler.cached(nvrtc, compiler.architecture(device, nvrtc)).is_file():
         context.info("Compiling the GPU kernels for this card, once: some seconds.")

@@ -54,7 +54,7 @@ PATTERNS = (
     "nvidia/*/bin/*/nvrtc64_*.dll",
     "torch/lib/nvrtc64_*.dll",
 )
-"""Where wheels keep the library, below a folder of packages."""
+"""Paths of the library in wheels, below a folder of packages."""
 OPTIONS = ("--std=c++17", "--device-as-default-execution-space")
 _INTEGERS = """#pragma once
 typedef signed char int8_t;
@@ -68,13 +68,13 @@ typedef unsigned long long uint64_t;
 
 
 def source_text() -> str:
-    """The program: all kernels."""
+    """The source of the program, which includes all kernels."""
     return "".join(f'#include "{name}"\n' for name in PROGRAMS)
 
 
 @functools.cache
 def headers() -> dict[str, str]:
-    """Name -> text of all that `source_text` includes, itself or further down."""
+    """Name -> text of every file that `source_text` includes, directly or not."""
     own = [path for path in sorted(FOLDER.iterdir()) if path.suffix != ".md"]
     paths = [*own, *(SHARED_FOLDER / name for name in SHARED)]
     found = {path.name: path.read_text(encoding="utf-8") for path in paths}
@@ -92,7 +92,7 @@ def source_key() -> str:
 
 
 class Nvrtc:
-    """The loaded library; `version` is that of CUDA, such as (13, 0)."""
+    """The loaded library; `version` is its CUDA version, such as (13, 0)."""
 
     def __init__(self, path: Path) -> None:
         """Raises OSError if the library cannot be loaded."""
@@ -104,7 +104,7 @@ class Nvrtc:
         self.version = (major.value, minor.value)
 
     def architectures(self) -> list[int]:
-        """The compute capabilities that it compiles for, such as 89 for 8.9."""
+        """The compute capabilities that it supports, such as 89 for 8.9."""
         count = ctypes.c_int()
         self._call("nvrtcGetNumSupportedArchs", ctypes.byref(count))
         found = (ctypes.c_int * count.value)()
@@ -112,7 +112,7 @@ class Nvrtc:
         return list(found)
 
     def compile(self, architecture: int) -> bytes:
-        """The kernels' machine code for a compute capability, or KernelError."""
+        """Compile the kernels to machine code for a compute capability; KernelError: it fails."""
         options = [f"--gpu-architecture=sm_{architecture}", *OPTIONS]
         handle = ctypes.c_void_p()
         self._call(
@@ -162,7 +162,7 @@ def _strings(texts: Iterable[str]) -> Any:
 
 
 def libraries() -> list[Path]:
-    """NVRTC libraries in this Python's folders of packages."""
+    """Find NVRTC libraries in this Python's folders of packages."""
     found = [
         path
         for folder in filter(os.path.isabs, sys.path)
@@ -175,7 +175,7 @@ def libraries() -> list[Path]:
 
 @functools.cache
 def load() -> Nvrtc:
-    """The library; of several, that of torch's major version of CUDA, or else the newest.
+    """Load NVRTC: of several, the one with torch's major version of CUDA, else the newest.
 
     KernelError: there is none, or it cannot be loaded.
     """
@@ -195,25 +195,25 @@ def load() -> Nvrtc:
 
 
 def machine_code(compiler: Nvrtc, target: int) -> bytes:
-    """The kernels for a compute capability, from disk if they were compiled before."""
+    """The kernels' machine code for a compute capability, from the cache or compiled now."""
     path = cached(compiler, target)
     refuse_others_code(path)
     with suppress(OSError):
         return path.read_bytes()
     code = compiler.compile(target)
     with suppress(RunFolderError), atomic_write(path, durable=False) as file:
-        file.write(code)  # if it cannot be written, it is compiled again next time
+        file.write(code)  # if this fails, the next start compiles again
     return code
 
 
 def cached(compiler: Nvrtc, target: int) -> Path:
-    """The path of compiled kernels: by source, compute capability and compiler."""
+    """The cache path of compiled kernels, by source, compute capability and compiler."""
     version = ".".join(map(str, compiler.version))
     return user_cache() / "cuda" / f"{source_key()}-sm_{target}-nvrtc-{version}.cubin"
 
 
 def architecture(device: torch.device, compiler: Nvrtc) -> int:
-    """The newest compute capability of the compiler whose code runs on a card, or KernelError."""
+    """The newest compute capability that the compiler supports and the GPU runs, or KernelError."""
     major, minor = torch.cuda.get_device_capability(device)
     known = compiler.architectures()
     usable = [known for known in known if known // 10 == major and known % 10 <= minor]

@@ -18,17 +18,17 @@ from . import card
 
 CPU = torch.device("cpu")
 GPU = "gpu"
-"""Any GPU, with compute shaders; also `gpu:NAME`. Its tensors are the CPU's."""
+"""Any GPU, used by compute shaders; also `gpu:NAME`. Tensors stay in main memory."""
 Check = Callable[[torch.device, Context, bool], None]
-"""Raises KernelError if a GPU computes what it should not; or, if asked, is not faster."""
+"""Raises KernelError if a GPU computes wrong results; with True, also if it is not faster."""
 
 
 def choose_device(name: str, context: Context = QUIET, check: Check | None = None) -> torch.device:
-    """The device for `--device`: of `cpu`, `cuda`, `gpu`, `gpu:NAME` or `auto`, which looks.
+    """Choose the device for `--device`: `cpu`, `cuda`, `gpu`, `gpu:NAME` or `auto`.
 
-    `auto` takes an NVIDIA GPU, else another one if that is faster than the CPU. An event says which
-    one it is, and why. `check` tests our kernels on the GPU before they are used. KernelError: a
-    GPU was requested and cannot be used.
+    `auto` takes an NVIDIA GPU, else another GPU if that is faster than the CPU. An event reports
+    the device, and the reason. `check` tests our kernels on the GPU before they are used.
+    KernelError: a GPU was requested and cannot be used.
     """
     close_gpu()
     kind, _, wanted = name.partition(":")
@@ -56,7 +56,7 @@ def choose_device(name: str, context: Context = QUIET, check: Check | None = Non
 
 
 def check_cuda(context: Context = QUIET) -> torch.device:
-    """The GPU that torch finds; KernelError unless it has one, and kernels that draw on it."""
+    """The GPU that torch finds; KernelError if there is none, or our kernels do not run on it."""
     if torch.version.cuda is None:
         raise KernelError(
             "This torch is built without CUDA.",
@@ -70,7 +70,7 @@ def check_cuda(context: Context = QUIET) -> torch.device:
 
 
 def on_device(state: Any, device: torch.device) -> Any:
-    """The same nested dicts with their tensors on `device`; tensors already there are shared."""
+    """Copy nested dicts with all tensors on `device`; tensors already there are shared."""
     if isinstance(state, dict):
         return {key: on_device(value, device) for key, value in state.items()}
     return state.to(device) if isinstance(state, Tensor) else state
@@ -81,7 +81,7 @@ SHARE_OF_PHOTOS = 4  # photos may take 1/4 of the free GPU memory
 
 
 def card_memory(device: torch.device) -> tuple[int, int]:
-    """Bytes that this process can still take of a GPU's memory, and all that it has."""
+    """Bytes of a GPU's memory: how many this process can still use, and the total."""
     free, total = torch.cuda.mem_get_info(device)
     cached = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
     return free + cached, total
@@ -101,7 +101,7 @@ def explain_out_of_memory(doing: Callable[[], str], advice: str) -> Iterator[Non
 
 
 def smaller_side(width: int, height: int) -> int:
-    """A longest side, in pixels, to suggest instead of that of (width, height)."""
+    """A longest side to suggest for photos of (width, height), in pixels: 3/4, at least 64."""
     return max(64, max(width, height) * 3 // 4)
 
 
@@ -115,9 +115,9 @@ def _used() -> str:
 
 
 def sent(tensor: Tensor, device: torch.device) -> Tensor:
-    """The tensor on `device`. To a GPU it is copied through pinned memory, in the GPU's queue.
+    """The tensor on `device`; the copy to a GPU goes through pinned memory, in the GPU's queue.
 
-    `tensor.to(device)` would wait until the GPU has done all that is in its queue.
+    `tensor.to(device)` would wait until the GPU has finished its queue.
     """
     if device.type == "cpu" or tensor.device.type != "cpu":
         return tensor.to(device)
@@ -126,5 +126,5 @@ def sent(tensor: Tensor, device: torch.device) -> Tensor:
 
 @functools.lru_cache(maxsize=4096)
 def number(value: float, device: torch.device) -> Tensor:
-    """A float32 scalar on `device`, filled in there: nothing is copied. It must not be changed."""
+    """A float32 scalar, created on `device` without a copy. Callers must not change it."""
     return torch.full((), value, dtype=torch.float32, device=device)

@@ -29,7 +29,7 @@ class Driver:
         self.version = (version.value // 1000, version.value % 1000 // 10)
 
     def check_version(self, cuda: tuple[int, int]) -> None:
-        """Raise KernelError if code of this version of CUDA cannot run: its major one is newer."""
+        """Raise KernelError if the driver cannot run code of a newer major version of CUDA."""
         if cuda[0] > self.version[0]:
             raise KernelError(
                 f"The NVIDIA driver is for CUDA {self.version[0]}.{self.version[1]}; the kernels"
@@ -38,21 +38,21 @@ class Driver:
             )
 
     def context(self, index: int) -> ctypes.c_void_p:
-        """The context that torch uses on a device, kept alive."""
+        """The context that torch uses on a device; it is kept alive."""
         device, context = ctypes.c_int(), ctypes.c_void_p()
         self.call("cuDeviceGet", ctypes.byref(device), index)
         self.call("cuDevicePrimaryCtxRetain", ctypes.byref(context), device)
         return context
 
     def enter(self, context: ctypes.c_void_p) -> None:
-        """Make a context this thread's, unless it is."""
+        """Make a context this thread's current one, unless it already is."""
         current = ctypes.c_void_p()
         self.call("cuCtxGetCurrent", ctypes.byref(current))
         if current.value != context.value:
             self.call("cuCtxSetCurrent", context)
 
     def load(self, code: bytes, kernels: tuple[str, ...]) -> dict[str, ctypes.c_void_p]:
-        """Load machine code into the thread's context; its kernels by name."""
+        """Load machine code into the thread's context; returns name -> kernel."""
         module = ctypes.c_void_p()
         self.call("cuModuleLoadData", ctypes.byref(module), code)
         found = {}
@@ -68,7 +68,7 @@ class Driver:
         stream: int,
         argument: ctypes.Structure,
     ) -> None:
-        """Start a kernel with its one argument."""
+        """Launch a kernel with its only argument."""
         arguments = (ctypes.c_void_p * 1)(ctypes.addressof(argument))
         blocks, threads = sizes
         grid = (blocks, 1, 1, threads, 1, 1, 0)
@@ -94,7 +94,7 @@ class Driver:
 
 @functools.cache
 def load() -> Driver:
-    """The system's driver; KernelError if there is none, or it does not start."""
+    """Load the system's driver; KernelError if there is none, or it does not start."""
     try:
         library = ctypes.CDLL(LIBRARY)
     except OSError as error:
@@ -106,7 +106,7 @@ def load() -> Driver:
 
 @functools.cache
 def build() -> str:
-    """The driver's own version, such as 580.95.05; empty where it is not known."""
+    """The version of the driver itself, such as 580.95.05; empty if it is unknown."""
     name = "nvml.dll" if sys.platform == "win32" else "libnvidia-ml.so.1"
     version = ctypes.create_string_buffer(96)
     try:

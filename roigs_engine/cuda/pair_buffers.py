@@ -14,25 +14,25 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-MARGIN = 1.25  # of the number at the last visit: models change little between visits
+MARGIN = 1.25  # x the pairs in the view's last step; a model changes little between two
 LEAST_MARGIN = 4096  # pairs
 
 Number = Callable[[bool], int | None]
-"""A number on its way from the GPU: None before it is there, unless the argument says to wait.
+"""Returns a number that the GPU sends: None if it has not arrived; with True, waits for it.
 
-It is given once.
+After it has returned a number, it must not be called again.
 """
 
 
 class ArrivingNumbers:
-    """Copies scalars of a GPU to pinned memory, in the order of its queue; nobody waits."""
+    """Copies scalars from a GPU to pinned memory, in the order of its queue, without waiting."""
 
     def __init__(self) -> None:
-        # Pinned memory is dear to get: a step would take a tenth of a millisecond longer.
+        # Reuse pinned memory: allocating it would take 0.1 ms in each step.
         self._free: list[Tensor] = []
 
     def __call__(self, value: Tensor) -> Number:
-        """Start to copy a () int64."""
+        """Start the copy of a () int64."""
         host = self._free.pop() if self._free else torch.empty((), dtype=torch.int64).pin_memory()
         host.copy_(value, non_blocking=True)
         arrived = torch.cuda.current_stream(value.device).record_event()
@@ -53,14 +53,14 @@ class ArrivingNumbers:
 class PairBuffer:
     """The buffer for one view of one step."""
 
-    capacity: int | None  # pairs that it holds; None: the view is new, wait for the number
-    void: Tensor  # () bool on the GPU, whether this view or an earlier one has too many
+    capacity: int | None  # most pairs; None: the view is new, so wait for the number
+    void: Tensor  # () bool on the GPU, whether this view or an earlier one has too many pairs
     report: Callable[[Tensor | int], None]
-    """Gets the number of pairs that were counted: on the GPU, or read if `capacity` is None."""
+    """Takes the number of pairs: a tensor on the GPU, or an int if `capacity` is None."""
 
 
 class PairBuffers:
-    """The buffers of a stage's views; `read` starts to read a () int64 of the device."""
+    """The buffers of a stage's views; `read` starts to read a () int64 from the device."""
 
     def __init__(
         self, device: torch.device, read: Callable[[Tensor], Number] | None = None
@@ -71,7 +71,7 @@ class PairBuffers:
         self._coming: deque[tuple[int, Hashable, int, Number]] = deque()
 
     def buffer(self, step: int, view: Hashable) -> PairBuffer:
-        """The buffer for a view, whose name says all that changes its pairs beside the model."""
+        """The buffer for a view. `view` identifies everything but the model that affects pairs."""
         needed = self._needed.get(view)
         capacity = None if needed is None else max(int(MARGIN * needed), needed + LEAST_MARGIN)
 
@@ -86,9 +86,9 @@ class PairBuffers:
         return PairBuffer(capacity=capacity, void=self._void, report=report)
 
     def first_void(self, *, wait: bool) -> int | None:
-        """The first step that must be done again, if any is known; later ones are forgotten.
+        """The first step that must be repeated, if any is known; later reports are dropped.
 
-        With `wait`, the GPU has counted the pairs of all views.
+        `wait`: wait until the GPU has counted the pairs of all views.
         """
         while self._coming:
             step, view, capacity, number = self._coming[0]
@@ -104,11 +104,11 @@ class PairBuffers:
         return None
 
     def grow(self, factor: float) -> None:
-        """Expect so many times the pairs: there are more Gaussians."""
+        """Expect `factor` times as many pairs, because there are more Gaussians."""
         for view, needed in self._needed.items():
             self._needed[view] = int(max(factor, 1.0) * needed)
 
 
 def pair_buffers_on(device: torch.device) -> PairBuffers | None:
-    """The buffers for training on a device; None on the CPU, which makes its own."""
+    """The buffers for training on a device; None on the CPU, which allocates its own."""
     return PairBuffers(device) if device.type == "cuda" else None

@@ -25,7 +25,7 @@ class Photos(Protocol):
 def photos_on(device: torch.device, photos: Photos, limit: int | None) -> HostPhotos | DevicePhotos:
     """The photos as tensors on the device, uint8: (H, W, 3), or with a mask (H, W, 4).
 
-    `limit` is how many bytes of a GPU they may take; None: a share of what is free.
+    `limit`: most bytes of a GPU for photos; None: a share of its free memory.
     """
     if device.type == "cpu":
         return HostPhotos(photos)
@@ -41,7 +41,7 @@ class HostPhotos:
         self._photos = photos
 
     def __getitem__(self, index: int) -> Tensor:
-        """The photo, decoded now unless it was prefetched."""
+        """The photo; decodes it now unless it was prefetched."""
         return torch.from_numpy(self._photos[index])
 
     def prefetch(self, indices: Sequence[int]) -> None:
@@ -105,7 +105,7 @@ class _Uploads:
         arrived = self._stream.record_event()
 
         def wait() -> Tensor:
-            # The GPU waits, not the CPU.
+            # Only the GPU waits, not the CPU.
             now = torch.cuda.current_stream(self._device)
             now.wait_event(arrived)
             photo.record_stream(now)

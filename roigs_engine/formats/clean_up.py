@@ -70,8 +70,8 @@ def remove(run: Path) -> int:
             ) from error
         freed += size
     above = {folder for path in found for folder in path.parents if folder.is_relative_to(run)}
-    for folder in sorted(above - {run}, reverse=True):  # those within come first
-        with suppress(OSError):  # not empty
+    for folder in sorted(above - {run}, reverse=True):  # inner folders first
+        with suppress(OSError):  # the folder is not empty
             folder.rmdir()
     return freed
 

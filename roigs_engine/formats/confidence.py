@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 Float32 = NDArray[np.float32]
 
 COLUMNS = ("photos", "directions", "error")
-"""Photos that show a Gaussian, directions of 128 from which they do, error in held-out photos."""
+"""Number of photos that show a Gaussian, of their directions (of 128), error in held-out photos."""
 
 FULL = 0.95  # the brightest colour starts at this quantile of the numbers of directions
 STOPS = np.array(((0.0, 0.13, 0.31), (0.49, 0.48, 0.47), (1.0, 0.91, 0.22)))
-"""sRGB of few, some and many: from blue by grey to yellow, which all kinds of sight tell apart."""
+"""sRGB of few, some and many: blue, grey, yellow, distinguishable with any colour vision."""
 
 
 def most_directions(directions: Float32) -> float:

@@ -12,9 +12,9 @@ MAGIC = {
     b"PXR-USDC": ".usdc",
     b"#usda 1.": ".usda",
 }
-"""First bytes of files of Gaussians, where they tell the format."""
+"""First bytes of files of Gaussians, for formats that have typical ones."""
 LFS = b"version https://git-lfs"
-"""How a pointer of Git LFS begins."""
+"""First bytes of a Git LFS pointer."""
 OTHERS = {
     LFS: ("is a pointer of Git LFS", "Fetch the file: git lfs pull."),
     b"<!DOCTYPE": ("is a web page", "Download the file itself, not the page about it."),

@@ -13,10 +13,10 @@ MOST = {"means": 1e15, "quats": 1e15, "log_scales": 60.0, "sh": 1e6}
 """Largest numbers with which a Gaussian can be drawn."""
 
 FLAT = -60.0
-"""Logarithm of a size that is 0 to everyone: codebooks would be wasted on smaller ones."""
+"""Logarithm of a size that counts as 0. Smaller ones would only waste entries of codebooks."""
 
 CERTAIN = 80.0
-"""Logit of an opacity that is 1 to float32."""
+"""Logit of an opacity that is 1 in float32."""
 
 
 def drawable(arrays: Mapping[str, Floats]) -> NDArray[np.bool_]:
@@ -30,10 +30,10 @@ def drawable(arrays: Mapping[str, Floats]) -> NDArray[np.bool_]:
     good: NDArray[np.bool_] = ~np.isnan(arrays["logit_opacities"])
     for name, most in MOST.items():
         values = arrays[name]
-        # NaN is not below any number.
+        # This excludes NaN, which is not below any number.
         inside = (values if name == "log_scales" else np.abs(values)) < most
         good &= inside.all(axis=tuple(range(1, values.ndim)))
-    with np.errstate(over="ignore", invalid="ignore"):  # of numbers that were refused above
+    with np.errstate(over="ignore", invalid="ignore"):  # from numbers excluded above
         # Test the length, not the numbers: in float32, tiny numbers have length 0, too.
         good &= np.linalg.norm(arrays["quats"], axis=1) > 0
     return good

@@ -54,7 +54,7 @@ class Device:
     """The device that draws and trains, and why; one event for each command that uses it."""
 
     kind: str  # "cpu", "cuda" or "gpu"
-    name: str  # the GPU's; empty for the CPU
+    name: str  # name of the GPU; empty for the CPU
     reason: str  # "checked", "not checked", "chosen", or why a GPU is not used, without full stop
 
 
@@ -90,7 +90,7 @@ class Board:
 
 Event = StageStarted | Progress | Message | Device | Preview | Done | Failed | Board
 Record = dict[str, Any]
-"""An event as it was read: `event`, its name, and those of its fields that are present."""
+"""An event from a file: its name as `event`, and the fields that are present."""
 
 _KINDS = {"str": str, "int": int, "float": float, "bool": bool, "dict[str, str]": dict}
 FIELDS: dict[str, dict[str, type]] = {
@@ -139,7 +139,7 @@ def parse_event(line: str) -> Record | None:
     event = {"event": name}
     for key, kind in FIELDS[name].items():
         value = _typed(record.get(key), kind)
-        if isinstance(value, str) and key != "path":  # Blender's properties accept no others
+        if isinstance(value, str) and key != "path":  # Blender's properties accept only UTF-8
             value = "".join(c if c.isprintable() else " " for c in value)
         if value is not None:
             event[key] = value

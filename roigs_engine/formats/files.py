@@ -38,7 +38,7 @@ IN_THE_WAY = {
     *(errno.EEXIST, errno.ENOTEMPTY, errno.EISDIR, errno.ENOTDIR),
     *(errno.EINVAL, errno.ELOOP, errno.ENXIO),
 }
-JUNCTION = 0xA0000003  # Windows: the reparse tag of a folder's link; `stat` has it there only
+JUNCTION = 0xA0000003  # Windows: reparse tag of a link to a folder; missing in `stat` elsewhere
 
 
 def matching(folder: Path, pattern: str) -> list[Path]:
@@ -154,8 +154,7 @@ def regular(path: str, flags: int) -> int:
 
 
 MOST_HOLES, LEAST_ON_DISK = 64 << 20, 100
-"""Bytes of a file that is read whatever the disk has of it; of a larger one it has more than this
-part."""
+"""Files up to this many bytes may be sparse; of a larger file, more than 1 / this is on disk."""
 
 
 def _is_hole(descriptor: int, state: os.stat_result) -> bool:
@@ -179,8 +178,8 @@ def unlinked(path: str, flags: int) -> int:
 
 
 LARGEST = 32 << 20
-"""Bytes of a file of text that is read whole; ours have a few million at most. As nested lists,
-so many become 0.8 GB and take 20 s."""
+"""Bytes of a text file that is read whole. The engine's own have a few million at most. Parsed as
+nested lists, a file of this size takes 0.8 GB and 20 s."""
 
 
 def read_bytes(path: Path, most: int | None = LARGEST) -> bytes:
@@ -278,7 +277,7 @@ def new_temporary(path: Path) -> tuple[Path, BinaryIO, int | None]:
             file.close()
             temporary.unlink(missing_ok=True)
             raise
-        # `remove_leftovers` of another process may have come before the lock.
+        # `remove_leftovers` of another process may have removed the file before it was locked.
         if owner is None or temporary.exists():
             return temporary, file, owner
         file.close()
@@ -337,7 +336,7 @@ def _remove_leftover(path: Path) -> None:
 
 def _remove_abandoned(path: Path) -> None:
     if sys.platform == "win32" or is_link(path):
-        path.unlink()  # on Windows this fails while it is open
+        path.unlink()  # fails on Windows while the file is open
         return
     with open(path, "r+b", opener=unlinked) as file:
         try:
@@ -356,7 +355,7 @@ def write_bytes(path: Path, data: bytes, *, durable: bool = True) -> None:
 
 def write_text(path: Path, text: str, *, durable: bool = True) -> None:
     """Write UTF-8 text as `write_bytes`."""
-    # Names on disk that are not UTF-8 contain surrogates; these are written as in JSON.
+    # File names that are not UTF-8 contain surrogates; these are escaped as in JSON.
     write_bytes(path, text.encode("utf-8", "backslashreplace"), durable=durable)
 
 

@@ -17,28 +17,28 @@ from numpy.typing import NDArray
 Vectors = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Bounds = tuple[Vectors, Vectors]
-"""Lower and upper corner."""
+"""Lower and upper corner of a box."""
 
 MOST_PHOTOS, MOST_POINTS = 60, 20_000  # more do not change the result
 FEWEST_POINTS = 10
-MIDDLE = 0.4  # width of the attention around a photo's middle, in half its shorter side
-REACH = 0.3  # of the photos' distance: how far the object extends from its centre
+MIDDLE = 0.4  # width of the weights around a photo's middle, in half its shorter side
+REACH = 0.3  # how far the object extends from its centre, in units of the photos' distance
 OUTLIERS = 0.02  # share of the object's points that is ignored at each side
 STRAYS = 0.002  # the same for an object separated from its support plane
 FLOATING = 0.005  # share of the points above the object's foot that is ignored at its top
 MARGIN = 1.1  # factor on the size: some parts of the object have no points
-ROUNDS = 10  # of moving the centre to the middle of the points around it
+ROUNDS = 10  # how often the centre is moved to the middle of the points around it
 
-# Search for the support plane and for what stands on it.
+# Search for the support plane and for the objects on it.
 FARTHER = 2.0  # times the reach
 PLANES, JUDGES = 400, 4000  # planes tried, and points that they are tested on at most
 LEVEL = np.cos(np.radians(20))  # least cosine of normal and up; below it is a wall or a roof
 THICK = 0.02  # of the reach: largest distance of the plane's points from it
-CLEAR = 0.03  # of the reach: higher is above the plane
+CLEAR = 0.03  # of the reach: points higher than this are above the plane
 PLANE_SHARE = 0.25  # of the points: a plane needs at least this share
 BELOW = 0.25  # of the plane's points: with more points below it, it is not a support
-CELL = 1 / 12  # of the reach: an empty cell between them separates two objects
-SPARSE = 0.05  # of the median number around a point: sparser cells separate objects
+CELL = 1 / 12  # of the reach: size of a cell; an empty cell separates two objects
+SPARSE = 0.05  # of the median number around a point: sparser cells separate objects, too
 OBJECTS = 6  # clusters compared at most
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 REQUEST = ".json"
 COLOUR, DEPTH, INDEX, SHARE = ".png", ".tif", "-index.tif", "-share.tif"
 RANKS = 3
-"""Objects of which an answer has the share in a pixel: those with the largest ones."""
+"""Number of objects with the largest shares in a pixel that an answer lists."""
 
 
 def colour_file(out: Path) -> Path:
@@ -57,7 +57,7 @@ def tiff(values: NDArray[np.float32]) -> bytes:
         (258, short, [32] * channels),
         (259, short, [1]),  # not compressed
         (262, short, [1 if channels == 1 else 2]),  # grey or red, green, blue
-        (273, long, [0]),  # where the strip begins: below
+        (273, long, [0]),  # start of the strip; set below
         (277, short, [channels]),
         (278, long, [height]),
         (279, long, [len(data)]),

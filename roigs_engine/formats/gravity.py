@@ -18,9 +18,9 @@ LEAST_SPAN = 0.05  # directions span a plane if their second eigenvalue is this 
 ROUND = 0.25  # the same for directions all around
 LEVEL = 0.04  # directions are in a plane if their least eigenvalue is this or less
 CLEAR = 0.5  # length of the mean of unit vectors that mostly agree
-WEAK = 0.1  # the same of a mean that is too short to give a direction
-ERRORS = 3.0  # a model is level if its axis is this many standard errors from up, or nearer,
-NEAREST = np.radians(3)  # and no farther than this: with few photos the errors are large
+WEAK = 0.1  # a shorter mean gives no direction
+ERRORS = 3.0  # a model is level if its axis is at most this many standard errors from up,
+NEAREST = np.radians(3)  # and at most this angle: with few photos, the errors are large
 FEWEST = 3  # photos for an estimate with an error
 
 
@@ -58,7 +58,7 @@ def up_direction(poses: NDArray[np.float64]) -> tuple[Vector, float]:
     landscape = _normal(right, LEAST_SPAN)
     if landscape is not None:
         up, error = landscape
-        hint = mean if abs(up @ mean) >= WEAK else -forward.mean(axis=0)  # straight from above
+        hint = mean if abs(up @ mean) >= WEAK else -forward.mean(axis=0)  # photos from above
         return _along(up, hint), error
     portrait = _normal(down, ROUND)
     if portrait is not None and length < CLEAR:

@@ -27,10 +27,10 @@ Float64 = NDArray[np.float64]
 
 VERSION = 1
 FADE = 1.1
-"""By which factor a view becomes coarser while one level fades into the next."""
+"""One level fades into the next while a view becomes coarser by this factor."""
 NEAR_SHARE = 0.9
-"""The rate of a view is that of the nearest tenth of the probes."""
-MOST = 1e30  # of any unit; larger numbers are damage
+"""A view's rate is measured at the nearest tenth of the probes: this share is farther away."""
+MOST = 1e30  # in any unit; larger numbers come from damaged files
 HINT = "Make it again with `levels`."
 
 
@@ -39,19 +39,19 @@ class Level:
     """One file of a ladder."""
 
     ply: str  # relative to the run folder
-    gaussians: int  # their number
-    farther: float  # how many times coarser than the photos a view must be; 0: the first level
-    measured: dict[str, float]  # for people: name -> number
+    gaussians: int  # number of Gaussians
+    farther: float  # for views at least this many times coarser than the photos; 0: first level
+    measured: dict[str, float]  # name -> number; only for people to read
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ladder:
     """The levels of a part, the whole one first."""
 
-    box: str  # its name; empty: the surroundings
-    rate: float  # how finely the photos show it, pixels per unit of the COLMAP frame
-    probes: Float64  # (P, 3) points in the COLMAP frame that stand for the part
-    levels: tuple[Level, ...]  # `farther` grows, each at least `FADE` times the one before
+    box: str  # name of the box; empty: the surroundings
+    rate: float  # resolution of the photos on the part, pixels per unit of the COLMAP frame
+    probes: Float64  # (P, 3) points in the COLMAP frame that represent the part
+    levels: tuple[Level, ...]  # each `farther` is at least `FADE` times the one before
 
 
 def write_ladders(folder: Path, ladders: list[Ladder]) -> None:
@@ -103,7 +103,7 @@ def _ladder(record: Any) -> Ladder:
 
 def _level(record: Any) -> Level:
     ply = str(record["ply"])
-    if inner_path(ply) is None or not ply.encode().endswith(b".ply"):  # ValueError: it is no text
+    if inner_path(ply) is None or not ply.encode().endswith(b".ply"):  # ValueError: not text
         raise ValueError(f"{ply} is no PLY in the run folder")
     return Level(
         ply=ply,

@@ -31,7 +31,7 @@ from .others import says_other
 from .run_files import EVENTS, LOCK
 
 KEYS = {"pid", "started", "events_from"}
-"""Keys that all locks of engines have."""
+"""Keys in every lock file of the engine."""
 
 _held: dict[Path, BinaryIO] = {}
 """Lock files that this process holds."""
@@ -73,7 +73,7 @@ def locked(
     finally:
         del _held[path]
         _release(path, file)
-        with suppress(OSError):  # nothing but the lock was ever in it
+        with suppress(OSError):  # fails unless the folder is empty
             path.parent.rmdir()
 
 
@@ -139,14 +139,14 @@ def _hold(path: Path, warn: Callable[[str], object], option: str | None) -> Bina
                 raise BlockingIOError
             names = os.fstat(file.fileno()).st_nlink
             # The last holder may have removed the file between the lines above.
-            if _is_at(path, file) and names <= 1:  # some file systems count none
+            if _is_at(path, file) and names <= 1:  # some file systems report 0 links
                 _refuse_others(path, file, option)
                 _write_record(file, _record_of_now(path))
                 return file
-            if names > 1 and _is_at(path, file):  # a hard link: it may be another's file
+            if names > 1 and _is_at(path, file):  # a hard link, perhaps to a user's file
                 _release(path, file)
         except BaseException:
-            with suppress(OSError):  # closing it tries the failed write again
+            with suppress(OSError):  # closing tries the failed write again
                 file.close()
             raise
         file.close()
@@ -163,7 +163,7 @@ def _has_locks(folder: Path) -> bool:
 def _release(path: Path, file: BinaryIO) -> None:
     """Remove the file, unless another process has put its own there; end the lock."""
     ours = _is_at(path, file)
-    if sys.platform == "win32":  # a file that is open cannot be removed there
+    if sys.platform == "win32":  # open files cannot be removed there
         file.close()
     if ours:
         with suppress(OSError):
@@ -310,13 +310,13 @@ def _may_live(record: dict[str, Any]) -> bool:
     pid = _pid_of(record)
     if not pid or _host_of(record) != platform.node():
         return True
-    if sys.platform == "win32":  # a signal would end it there
+    if sys.platform == "win32":  # there, the signal below would end the process
         return True
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
         return False
-    except OSError:  # it is another user's
+    except OSError:  # another user's process
         pass
     return record.get("start") == _start(pid)
 

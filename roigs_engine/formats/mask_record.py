@@ -88,7 +88,7 @@ def _part(record: Mapping[str, object], key: str) -> dict[str, object]:
 
 def _unchanged(file: Path, digests: Sequence[object]) -> str:
     """The digest of a file, if it is one of these; else empty."""
-    with suppress(OSError, ValueError):  # ValueError: no file can have that name
+    with suppress(OSError, ValueError):  # ValueError: not a valid file name
         digest = sha256(file)
         return digest if digest in digests else ""
     return ""
@@ -127,6 +127,6 @@ def remove_masks(folder: Path) -> int:
         except OSError as error:
             raise cannot_write(file, error) from error
     for parent in sorted({(folder / name).parent for name in made} | {folder}, reverse=True):
-        with suppress(OSError):  # not empty
+        with suppress(OSError):  # the folder is not empty
             parent.rmdir()
     return len(made)

@@ -11,8 +11,8 @@ from pathlib import PurePosixPath, PureWindowsPath
 
 MAX_NAME = 100  # characters; endings are added to it
 LONGEST, MAX_BYTES = 87, 167  # characters and bytes of a `safe_name`; file systems allow 255 bytes
-LONG = 255  # characters of a part of a path, on any file system
-ADDED = 8  # of these, `_` and the checksum with its `-`
+LONG = 255  # characters of one path component, on any file system
+ADDED = 8  # characters of the prefix `_` and of `-` with the checksum
 WINDOWS = os.name == "nt"
 # These names open devices on Windows, with any extension.
 DEVICES = {

@@ -20,7 +20,8 @@ class NoLocksError(Exception):
 if sys.platform == "win32":
     import msvcrt
 
-    # Windows keeps others from reading locked bytes, so the lock is on a byte far behind the text.
+    # On Windows, other processes cannot read locked bytes, so the lock is on a byte far beyond the
+    # text.
     LOCKED_BYTE = 1 << 30
 
     def take(file: BinaryIO) -> bool:

@@ -12,7 +12,7 @@ from .files import LARGEST, read_bytes, regular, write_bytes
 from .text import parse_json
 
 LINE = 1 << 16
-"""Bytes of the first line of a log that are looked at."""
+"""Bytes that are checked in the first line of a log."""
 
 
 def is_other(path: Path, keys: Iterable[str], *, lines: bool = False) -> bool:
@@ -28,7 +28,7 @@ def is_other(path: Path, keys: Iterable[str], *, lines: bool = False) -> bool:
             return says_other(file.readline(LINE) if lines else file.read(LARGEST), keys)
     except FileNotFoundError:
         return False
-    except OSError:  # a folder, a pipe, or a file that may not be read
+    except OSError:  # a folder, a pipe, or an unreadable file
         return True
 
 
@@ -58,7 +58,7 @@ def write_beside(path: Path, files: Mapping[str, bytes]) -> None:
     """
     for name, data in files.items() if not os.path.lexists(path) else ():
         beside = path.with_name(name)
-        # A process that was killed before it wrote `path` has left the same.
+        # The same content may be from a process that was killed before it wrote `path`.
         if os.path.lexists(beside) and not _has(beside, data):
             raise RunFolderError(
                 f"{path} needs {beside.name} beside it, which would be replaced.",

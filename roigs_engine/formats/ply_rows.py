@@ -35,7 +35,7 @@ SCALARS = {
     "uint32": "u4", "float32": "f4", "float64": "f8",
 }  # fmt: skip
 FORMS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
-"""Formats of a PLY, and the byte order of numbers read of it."""
+"""Format of a PLY -> byte order of the numbers."""
 MAX_HEADER = 1 << 20  # bytes; some programs write all their settings into comments
 
 
@@ -82,7 +82,7 @@ def vertex_rows(
             else:
                 for start in range(0, count, ROWS):
                     rows = np.fromfile(file, row, min(ROWS, count - start))
-                    if len(rows) < min(ROWS, count - start):  # it was cut off meanwhile
+                    if len(rows) < min(ROWS, count - start):  # truncated meanwhile
                         raise _truncated(path, start + len(rows), count)
                     yield rows
     except OSError as error:
@@ -109,13 +109,13 @@ def _skip(
             file.seek(min(file.tell() + length, size))
             continue
         places = (column for _ in range(element.count) for column in columns)
-        for index, (kind, width) in enumerate(places):  # a row has a byte at least
+        for index, (kind, width) in enumerate(places):  # a row has at least one byte
             if not index % LINES:
                 check()
             values, there = 1, True
             if kind:
                 number = file.read(int(kind[1]))
-                there = len(number) == int(kind[1])  # else rows without end would follow
+                there = len(number) == int(kind[1])  # stops at the end of the file
                 signed = kind[0] == "i"
                 values = int.from_bytes(number, "big" if big else "little", signed=signed)
             if not there or values < 0 or file.seek(values * width, io.SEEK_CUR) > size:

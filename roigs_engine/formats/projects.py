@@ -7,13 +7,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 PHOTO_FOLDERS = ("images", "images_2", "images_4", "images_8")  # the first that fits is used
-VIDEOS = {  # they become photos
+VIDEOS = {  # extensions of videos; their frames become photos
     *(".mp4", ".m4v", ".mov", ".3gp", ".mkv", ".webm", ".avi"),
     *(".ts", ".mts", ".m2ts", ".m2t", ".mpg", ".mpeg"),
 }
 SPARSE = "sparse"
 INNER = ("", "colmap", "undistorted", "dense/0", "dense", "distorted")
-"""Where a project may have its model: `colmap` is nerfstudio's, `distorted` 3DGS's."""
+"""Folders in which a project may have its model; nerfstudio uses `colmap`, 3DGS `distorted`."""
 RECONSTRUCTION = "reconstruction"  # folder of `reconstruct`'s own files
 SUFFIXES = (".bin", ".txt")
 FIRST_MODEL, REFINED = "0", "refined"
@@ -21,8 +21,8 @@ CAMERAS_FILE = "cameras.bin"
 REFINED_FILES = (CAMERAS_FILE, "images.bin", "points3D.bin")  # a refined model is always binary
 IMAGES_FILES = ("images.bin", "images.txt")  # every model has one of these
 FEWEST_OBSERVED = 30
-"""COLMAP itself registers a photo only by so many points. It has fewer if they proved wrong later,
-or if lower limits were used to register it at all."""
+"""COLMAP registers a photo only with at least this many points. A photo has fewer if some were
+rejected later, or if it was registered with lower limits."""
 
 
 def model_suffix(folder: Path) -> str | None:

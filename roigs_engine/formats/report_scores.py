@@ -9,7 +9,7 @@ from .files import read_record
 from .run_files import REPORT_DATA
 
 LARGEST = 1e15
-"""No score is larger; text of it has no more digits."""
+"""Limit of scores, so that their text stays short."""
 
 
 def scores_of_result(run: Path) -> dict[str, dict[str, float]]:

@@ -24,8 +24,8 @@ NAME_HINT = (
 FORM_HINT = "Give 'min' and 'max' with 3 numbers each, or 'world_to_box' and 'half_extents'."
 FILE_HINT = 'Give --rois a JSON file with a list "rois" of {"name", "min", "max"}.'
 ENDINGS = (".compressed", ".surface")
-"""Some files of a box have these behind its name, as `vase.surface.ply`."""
-MOST_BOXES = 500  # of a file, or a run: each is looked for in each photo
+"""Suffixes after a box's name in some of its files, such as `vase.surface.ply`."""
+MOST_BOXES = 500  # in a file or a run; each box is compared with each photo
 FAR = 1e15  # world units; larger coordinates come from damaged files and overflow in float32
 
 

@@ -11,46 +11,46 @@ SPLIT = "split.json"
 LOCK = "run.lock"
 EVENTS = "events.jsonl"
 STAGES, STAGES_FILE = "stages", "stages.json"
-"""A folder for each stage, `NAME-FINGERPRINT`, and the list of those of the present settings."""
+"""Parent of the stages' folders, `NAME-FINGERPRINT`; the list of the current settings' stages."""
 EARLIER = "earlier"
 """Results of earlier settings: a folder for each, named after a hash of their manifest."""
 CACHE, UNDISTORTED, MASKS = "cache", "undistorted", "masks"  # the last two are inside the first
-EXPOSURES = "exposures.json"  # in the cache: photo -> stops by which it is levelled
+EXPOSURES = "exposures.json"  # in the cache: photo -> correction of its exposure, stops
 OBJECT_MASKS = "blender/masks"
-"""Masks of objects that Blender could not write beside the photos: a folder for each box."""
-BOXES = "rois.json"  # the box of `--roi auto`
-PROJECT = "colmap"  # the COLMAP project of a run of photos
+"""Object masks that Blender could not write beside the photos, in a folder for each box."""
+BOXES = "rois.json"  # the box that `--roi auto` found
+PROJECT = "colmap"  # the COLMAP project, if the run starts from photos
 SELECTION = "selection"  # folder with a list of photos for each box
 
 RESULT = "result.ply"
 BACKGROUND = "background.ply"  # the result without the boxes' content
 FINE, COARSE = "rois", "coarse"
-"""Folders with a PLY for each box: refined, and as the Scene-GS has it."""
+"""Folders with a PLY for each box: refined, and cut from the scene stage."""
 SURROUNDINGS = "background"
-"""Beside the boxes' meshes: the name of the mesh of all that is around them."""
+"""Name of the mesh of the surroundings, beside the meshes of the boxes."""
 PREVIEW = "preview.ply"
 REPORT, REPORT_DATA, CROPS = "report.md", "report.json", "crops"
 REPORT_PAGE = "report.html"
 LEVELS, LEVELS_FILE = "levels", "levels.json"
-"""Levels of detail: a folder for each, laid out as the run folder, and the list of them."""
-LEVELS_MADE = "made.json"  # in the folder of levels: file -> hash of its inputs, and its own
+"""Levels of detail: a folder for each, laid out as the run folder; the list of levels."""
+LEVELS_MADE = "made.json"  # in `LEVELS`: file -> hashes of its inputs and of the file
 
 STAGE, MODEL, CHECKPOINT = "stage.json", "model.ply", "checkpoint.bin"
-"""In a stage's folder: once it is done, and while it trains."""
+"""Files in a stage's folder: the first two of a finished stage, the last one during training."""
 SCENE_STAGE, JOINT_STAGE, REFINE_STAGE, OBJECT_STAGE = "scene", "joint", "refine", "object-"
-"""Names of stages; the last is followed by the box's."""
-CUTOUT_STAGE = "cutout"  # makes objects with masks look right alone
-SURFACE_STAGE = "surface"  # makes the result a surface, for a mesh alone
+"""Names of stages; the box's name follows the last one."""
+CUTOUT_STAGE = "cutout"  # makes masked objects look right without their surroundings
+SURFACE_STAGE = "surface"  # turns the result into a surface, only for meshes
 FULL_SCENE_STAGE, FULL_OBJECT_STAGE = "full-scene", "full-object-"
-"""Names of the baselines' stages; the last is followed by the box's."""
+"""Names of the baselines' stages; the box's name follows the last one."""
 TUNED_STAGE, TUNED_COARSE_STAGE = "tuned-", "tuned-coarse-"  # `scene` or `object-NAME` follows
 COMPARED = "compare-"
-"""Followed by the name of another strategy: the folder of its result, and of its stages' names."""
+"""Prefix of a compared strategy's result folder and stages; the strategy's name follows."""
 
 BATCH_LOCK, BATCH, BATCH_ROWS, BATCH_OUTPUTS = "batch.lock", "batch.json", "rows", "outputs"
-"""In the folder of a batch: its lock, what is done, a folder of options files, one of outputs."""
+"""In a batch's folder: its lock, its progress, a folder of options files, a folder of outputs."""
 CLUSTER_OPTIONS, CLUSTER_LOCK = "cluster.json", "cluster.held"
-"""Of a run on a cluster: its options file; the lock of who gives out its parts."""
+"""Of a run on a cluster: its options file; the lock of the process that schedules its parts."""
 
 RESULTS = (
     *(RESULT, BACKGROUND, FINE, COARSE),

@@ -26,7 +26,7 @@ Float64 = NDArray[np.float64]
 FILE = "roigs_placement.json"
 FAR = 1e15  # as for boxes
 MOST_CAMERAS, MOST_TRANSFORMS = 32, 8
-# Share of the largest distance of a camera from their mean: refined cameras move less.
+# Share of the cameras' largest distance from their mean. Refined cameras move less than this.
 SAME = 0.01
 HINT = "Delete it, or place the scene in Blender again."
 

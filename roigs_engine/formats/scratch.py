@@ -16,7 +16,7 @@ from . import os_lock
 from .files import is_link, matching, unlinked
 
 OWNER = ".roigs-owner"
-"""A file in each of these folders, which its process keeps locked."""
+"""A file in each scratch folder; the folder's process keeps it locked."""
 RANDOM = r"[a-z0-9_]{8}"  # what `mkdtemp` appends
 
 
@@ -51,7 +51,7 @@ def new_scratch(prefix: str, place: Path | None = None) -> tuple[Path, BinaryIO]
         folder = Path(tempfile.mkdtemp(prefix=prefix, dir=place))
         try:
             owner = open(folder / OWNER, "wb")  # noqa: SIM115 - open while the folder is there
-        except FileNotFoundError:  # another process took it for abandoned
+        except FileNotFoundError:  # another process removed it as abandoned
             continue
         with suppress(os_lock.NoLocksError):
             if not os_lock.take(owner):  # another process is about to remove it
@@ -81,6 +81,6 @@ def _remove_abandoned(folder: Path) -> None:
             if not os_lock.take(owner):
                 return
     except FileNotFoundError:
-        folder.rmdir()  # if it is empty: its process was killed before it wrote the file
+        folder.rmdir()  # if empty, its process was killed before it wrote the file
         return
     shutil.rmtree(folder, ignore_errors=True)

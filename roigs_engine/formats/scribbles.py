@@ -17,7 +17,7 @@ OBJECT, BACKGROUND = "object", "background"
 """Kinds of strokes."""
 MOST = 1e6  # pixels; larger numbers cannot be in a photo
 MOST_POINTS = 500_000
-"""Of all strokes of a file: hours of a hand's work. Each of a wide stroke takes 0.3 ms to draw."""
+"""In all strokes of a file: hours of painting. In a wide stroke, each takes 0.3 ms to draw."""
 HINT = (
     'Give --scribbles a JSON file with a list "scribbles" of {"box", "photo", "strokes"}'
     " (docs/files.md)."
@@ -38,7 +38,7 @@ class Scribble:
     """The strokes for one box on one photo, oldest first: where they cross, the later counts."""
 
     box: str
-    photo: str  # its name in the model
+    photo: str  # name in the model
     strokes: tuple[Stroke, ...]  # at least one
 
 

@@ -28,12 +28,12 @@ from .targets import PLAIN, TARGETS, Target, target_with
 Float32 = NDArray[np.float32]
 Floats = NDArray[np.float32] | NDArray[np.float64]
 REST_SIZES = {3 * ((degree + 1) ** 2 - 1) for degree in range(8)}
-"""Numbers of `f_rest` columns, by degree of SH."""
-MOST_BANDS = 16  # coefficients of a colour that are kept: up to degree 3
+"""Valid numbers of `f_rest` columns, one for each SH degree."""
+MOST_BANDS = 16  # SH coefficients kept for each colour channel: up to degree 3
 SH_C0 = 0.28209479177387814  # SH basis function of degree 0
 LEAST_FOCAL, MOST_FOCAL = 1.0, 1e7  # pixels
 ANTIALIASED = "comment SplatRenderMode: mip"
-"""Header line of Gaussians that are drawn with anti-aliasing."""
+"""Header line of a PLY whose Gaussians are drawn with anti-aliasing."""
 RENDER_MODE = re.compile(
     rb"^comment\s+(?:splatrendermode:\s*(mip|default)|antialiased\s+([01]))\s*$",
     re.IGNORECASE | re.MULTILINE,
@@ -47,7 +47,7 @@ UP_AXIS = re.compile(
 """`Vertical Axis: z` of nerfstudio, `Vertical axis: y` or `Vertical axis: X Y Z` of Brush."""
 RGB = ("red", "green", "blue")
 FILTER = "filter_3D"
-"""Property of Mip-Splatting: standard deviation of the blur in space."""
+"""Property in PLYs of Mip-Splatting: standard deviation of the 3D blur."""
 FILTER_LINE = re.compile(rb"^property\s+\S+\s+" + FILTER.encode() + rb"\s*$", re.MULTILINE)
 
 
@@ -181,7 +181,7 @@ def up_axis(path: str | Path) -> tuple[float, float, float] | None:
             found = None
             with suppress(ValueError):
                 numbers = [float(word) for word in re.split(r"[\s,]+", text.strip("()[]"))]
-                if 1e-6 < np.linalg.norm(numbers) < 1e6:  # not NaN either
+                if 1e-6 < np.linalg.norm(numbers) < 1e6:  # excludes NaN, too
                     found = numbers
     return None if found is None else (found[0], found[1], found[2])
 
@@ -232,7 +232,7 @@ def _decode(table: NDArray[np.void], path: str | Path) -> dict[str, Floats]:
             return matrix[:, [names.index(name) for name in wanted]]
         return np.stack([table[name].astype(np.float32) for name in wanted], axis=1)
 
-    # The file holds all of red, then green, then blue; here a coefficient's colours lie together.
+    # The file has all of red, then green, then blue. Here, a coefficient's colours are adjacent.
     bands = min(1 + rest // 3, MOST_BANDS)
     sh = base + [f"f_rest_{c * (rest // 3) + k}" for k in range(bands - 1) for c in range(3)]
     means: Floats = columns(["x", "y", "z"])
@@ -243,7 +243,7 @@ def _decode(table: NDArray[np.void], path: str | Path) -> dict[str, Floats]:
     if FILTER in names:
         blur = columns([FILTER])[:, 0]
         log_scales, logit_opacities = _blurred(log_scales, logit_opacities, blur)
-    if painted:  # bytes, or numbers from 0 to 1
+    if painted:  # colours as bytes, or as numbers from 0 to 1
         bytes_ = [table[name].dtype.kind != "f" for name in RGB]
         colours = (columns([*RGB]) / np.where(bytes_, 255, 1) - 0.5) / SH_C0
     else:
@@ -266,7 +266,7 @@ def _blurred(
     opacity falls as the volume grows, so the integral does not change.
     """
     log_scales, logit_opacities = log_scales.copy(), logit_opacities.copy()
-    rows = blur != 0  # the others stay as they are, flat ones included
+    rows = blur != 0  # the others do not change, not even flat ones
     before, logits = (a[rows].astype(np.float64) for a in (log_scales, logit_opacities))
     with np.errstate(all="ignore"):  # NaN stays NaN; the logarithm of an opacity of 0 is -Inf
         own = np.log(np.abs(blur[rows].astype(np.float64)))

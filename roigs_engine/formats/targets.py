@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 BLUR = 0.3
-"""Of 3DGS, px^2: each Gaussian covers at least about a pixel."""
+"""Blur of 3DGS, px^2: each Gaussian covers at least about a pixel."""
 BOX = 1 / 12
-"""The variance of a square pixel, px^2: of averaging over it."""
+"""Blur that equals averaging over a square pixel, px^2: the pixel's variance."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,8 +57,8 @@ PLAIN = Target(
     antialiased=False,
     linear_light=False,
 )
-# Blender 5.3, intern/cycles/kernel/geom/gsplat.h. Cycles averages over the pixel. This has the same
-# effect as a larger and fainter Gaussian.
+# Blender 5.3, intern/cycles/kernel/geom/gsplat.h. Cycles averages over the pixel. A larger and
+# fainter Gaussian has the same effect.
 CYCLES = Target(
     name="cycles",
     title="Blender 5.3, Cycles",

@@ -13,8 +13,8 @@ from typing import Any
 # Characters that move a terminal's cursor, end a line or reverse the order of letters.
 CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 MARGIN = 50
-"""Calls that whoever hashes or writes a value that was read may be deeper in."""
-NAMED = 4  # names that a sentence lists
+"""Levels of the call stack reserved for code that hashes or writes a parsed value."""
+NAMED = 4  # most names listed in a sentence
 UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 UTF32_MARKS = (codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)  # the first begins with one of UTF-16
 
@@ -36,7 +36,7 @@ def decode_text(data: bytes, *, replace: bool = False) -> str:
     head = data[:4]
     if head == bytes(4):
         raise ValueError("it begins with zero bytes, so it is damaged or no text")
-    # Without a mark, each ASCII character brings one zero byte in UTF-16, and three in UTF-32.
+    # Without a mark, each ASCII character adds one zero byte in UTF-16, and three in UTF-32.
     if head.startswith(UTF32_MARKS) or head.count(0) == 3:
         raise ValueError("it is UTF-32 text; save it as UTF-8")
     if head.startswith(UTF16_MARKS) or 0 in head[:2]:
@@ -63,7 +63,7 @@ def parse_json(data: bytes) -> Any:
         raise
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
-    except ValueError as error:  # Python's limit for text that becomes an integer
+    except ValueError as error:  # Python limits the digits of an integer in text
         raise ValueError("it has a number of thousands of digits") from error
 
 

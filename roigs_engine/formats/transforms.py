@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-SCALES = (1e-9, 1e9)  # of a similarity; others come from damaged files
+SCALES = (1e-9, 1e9)  # valid scales of a similarity; others come from damaged files
 UNEVEN = "it scales or shears"
-TOLERANCE = 1e-4  # of the products of axes: matrices written with five digits pass
+TOLERANCE = 1e-4  # for products of axes; accepts matrices written with five digits
 
 
 def numbers(

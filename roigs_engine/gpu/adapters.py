@@ -15,9 +15,9 @@ from typing import Any
 from ..errors import KernelError
 
 APIS = {"Vulkan": "Vulkan", "Metal": "Metal", "D3D12": "DirectX 12"}
-"""Names of wgpu's backends that have all that the shaders need."""
+"""wgpu's backends with all features that the shaders need -> names for users."""
 STORAGE_BUFFERS = 10
-"""The most that a kernel has."""
+"""Most buffers of a kernel."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,8 +27,8 @@ class Adapter:
     handle: Any  # wgpu.GPUAdapter
     name: str
     api: str
-    driver: str  # and its version
-    is_software: bool  # a processor that plays one
+    driver: str  # with its version
+    is_software: bool  # emulated by the processor
     is_integrated: bool
 
     @property
@@ -44,21 +44,21 @@ class Adapter:
 
     @property
     def gaussians(self) -> int:
-        """The number of Gaussians with SH of degree 3 that such a buffer holds."""
+        """The number of Gaussians with SH of degree 3 that fit into the largest buffer."""
         return self.largest // (4 * 48)
 
 
 @functools.cache
 def wgpu() -> Any:
-    """The package; KernelError if it is not installed, or does not load."""
+    """Import the package; KernelError if it is not installed, or does not load."""
     try:
         import wgpu
         from wgpu.backends.wgpu_native.extras import set_instance_extras
 
-        if "XDG_RUNTIME_DIR" not in os.environ:  # no desktop: a layer of Mesa's would complain
+        if "XDG_RUNTIME_DIR" not in os.environ:  # without a desktop, a layer of Mesa prints errors
             os.environ.setdefault("NODEVICE_SELECT", "1")
-        with suppress(RuntimeError):  # somebody else in this process has asked for GPUs before
-            # not OpenGL, which writes to the terminal
+        with suppress(RuntimeError):  # other code in this process has already listed the GPUs
+            # Without OpenGL, which writes to the terminal.
             set_instance_extras(backends=("Vulkan", "Metal", "DX12"))
     except (ImportError, OSError, RuntimeError) as error:
         reason = "" if isinstance(error, ModuleNotFoundError) else f" ({error})"
@@ -71,7 +71,7 @@ def wgpu() -> Any:
 
 @functools.cache
 def adapters() -> tuple[Adapter, ...]:
-    """All GPUs, the best ones first: those with their own memory. KernelError: no wgpu."""
+    """All GPUs, best first: those with their own memory. KernelError: wgpu is missing."""
     found = []
     for handle in wgpu().gpu.enumerate_adapters_sync():
         info = handle.info
@@ -88,15 +88,15 @@ def adapters() -> tuple[Adapter, ...]:
                 is_integrated=kind != "DiscreteGPU",
             )
         )
-    # a GPU with two APIs is there twice; DirectX's old compiler refuses much that others take
+    # A GPU with two APIs is listed twice. DirectX's old compiler refuses much that others accept.
     return tuple(sorted(found, key=lambda e: (e.is_software, e.is_integrated, "X" in e.api)))
 
 
 def find(name: str = "") -> Adapter:
-    """The best GPU; with a `name`, the first one whose name has it, of whatever kind.
+    """The best GPU; with `name`, the first one of any kind whose title contains it.
 
-    KernelError: there is none. A processor that plays a GPU is slower than our kernels for
-    processors: it must be named.
+    GPUs emulated by the processor must be named, because they are slower than our CPU kernels.
+    KernelError: there is no such GPU.
     """
     there = adapters()
     wanted = [

@@ -22,13 +22,13 @@ from ..kernels.build import SOURCE_FOLDER
 from .adapters import STORAGE_BUFFERS, Adapter, find, wgpu
 
 FOLDER = Path(__file__).parent / "shaders"
-PIXELS = 256  # of a tile: threads of a group that blends
+PIXELS = 256  # pixels of a tile, and threads of a group that blends it
 ROWS = 128  # Gaussians of a group
-BUCKET = 64  # entries of a tile's list that a group walks with
-MOMENTS = 9  # of a slot
+BUCKET = 64  # entries of a tile's list that a group processes together
+MOMENTS = 9  # moments of a slot
 SORT_BLOCK = 2048  # numbers that a group sorts
 DIGIT_BITS, DIGITS = 4, 16
-GROUPS_IN_ROW = 32768  # of a launch; its rows are counted apart: 65535 is the limit of both
+GROUPS_IN_ROW = 32768  # groups in a row of a launch; at most 65535 groups in a row, and rows
 SIZES = {
     "PIXELS": PIXELS,
     "ROWS": ROWS,
@@ -37,9 +37,9 @@ SIZES = {
     "SORT_BLOCK": SORT_BLOCK,
     "GROUPS_IN_ROW": GROUPS_IN_ROW,
 }
-JOB_BYTES = 256  # how far apart places in a buffer must be that kernels start from
+JOB_BYTES = 256  # alignment of offsets at which kernels use a buffer
 LEAST_BYTES = 1024
-MARGIN = 1.25  # buffers are so much larger than needed when they must grow
+MARGIN = 1.25  # a buffer that must grow gets this multiple of the needed size
 
 _SPLATS = "frame splats"
 _LISTS = f"{_SPLATS} tile_first entries ids reached checkpoints"
@@ -71,11 +71,11 @@ KERNELS: dict[str, tuple[str, str]] = {
     "adam_shapes": ("frame adam", _ADAM),
     "adam_sh": ("frame adam", _ADAM),
 }
-"""Name -> the files that it is made of, and the buffers that it uses."""
+"""Name of a kernel -> its source files, and its buffers."""
 
 
 def _constants() -> dict[str, str]:
-    """Those of the model: kernels/constants.h, in WGSL's way of writing."""
+    """The constants of kernels/constants.h: name in WGSL -> value."""
     text = (SOURCE_FOLDER / "constants.h").read_text(encoding="utf-8")
     found = {}
     for name, value in re.findall(r"constexpr \w+ k(\w+) = ([-+.\de]+)f?;", text):
@@ -85,7 +85,7 @@ def _constants() -> dict[str, str]:
 
 @functools.cache
 def source(files: str) -> str:
-    """The text of a module, with the constants in front."""
+    """The text of a module, preceded by the constants."""
     values = {**_constants(), **SIZES}
     lines = [f"const {name} = {value};\n" for name, value in values.items()]
     texts = [(FOLDER / f"{name}.wgsl").read_text(encoding="utf-8") for name in files.split()]
@@ -94,14 +94,14 @@ def source(files: str) -> str:
 
 @functools.cache
 def source_key() -> str:
-    """A hash of all shaders and of how they are launched."""
+    """A hash of all shaders, and of the sizes of launches."""
     texts = [source(files) for files, _ in sorted(KERNELS.values())]
     return hashlib.sha256("".join(texts).encode()).hexdigest()
 
 
 @functools.cache
 def _bindings(files: str) -> dict[str, int]:
-    """Name of a buffer -> its number, in the sources."""
+    """Name of a buffer -> its binding number in the sources."""
     found = re.findall(r"@binding\((\d+)\) var<[^>]*> (\w+)", source(files))
     return {name: int(number) for number, name in found}
 
@@ -110,13 +110,13 @@ class Program:
     """The kernels on a GPU.
 
     Attributes:
-        has_failed: whether it is lost, or would not do something.
+        has_failed: whether the GPU was lost, or an operation failed.
     """
 
     has_failed = False
 
     def __init__(self, adapter: Adapter) -> None:
-        """Open the GPU. KernelError: it cannot be opened, or does not take the shaders."""
+        """Open the GPU. KernelError: it cannot be opened, or does not accept the shaders."""
         self.adapter, self.library = adapter, wgpu()
         limits = {
             "max-storage-buffers-per-shader-stage": STORAGE_BUFFERS,
@@ -132,7 +132,7 @@ class Program:
                 self.pipelines[kernel] = self._compiled(kernel, files)
 
     def explained(self, doing: str) -> _Explained:
-        """A block in which wgpu's errors become one line."""
+        """Context manager that turns wgpu's errors into a KernelError; `doing`: for its message."""
         return _Explained(self, doing)
 
     def _compiled(self, kernel: str, files: str) -> Any:
@@ -149,9 +149,9 @@ class Program:
         )
 
     def read(self, encoder: Any, wanted: Sequence[tuple[Any, int, int]]) -> list[NDArray[np.uint8]]:
-        """Submit what is encoded and wait: bytes of buffers, each (buffer, first, size).
+        """Submit the encoded commands, wait, and read bytes of buffers: (buffer, first, size).
 
-        Sizes are multiples of 4. The arrays are the caller's.
+        Sizes are multiples of 4. The caller may change the arrays.
         """
         total = sum(size for _, _, size in wanted)
         if self._staging is None or self._staging.size < total:
@@ -175,7 +175,7 @@ class Program:
 
 
 class _Explained:
-    """Turns wgpu's errors into a KernelError; a full memory into a GpuMemoryError."""
+    """Turns wgpu's errors into a KernelError, or a GpuMemoryError if memory is full."""
 
     def __init__(self, program: Program, doing: str) -> None:
         self._program, self._doing = program, doing
@@ -203,9 +203,9 @@ class _Explained:
 
 
 class Memory:
-    """Named buffers of one view, which grow and are used again for the next one.
+    """Named buffers of a view. They grow, and are reused for the next view.
 
-    Memory that is new must be cleared by the driver, and needs new bind groups.
+    New buffers cost more: the driver must clear them, and they need new bind groups.
     """
 
     _idle: ClassVar[list[Memory]] = []
@@ -218,7 +218,7 @@ class Memory:
 
     @classmethod
     def take(cls, program: Program) -> Memory:
-        """The one released last, or a new one."""
+        """The memory released last, or a new one."""
         while cls._idle:
             memory = cls._idle.pop()
             if memory.program is program:
@@ -231,7 +231,7 @@ class Memory:
             self._idle.append(self)
 
     def need(self, **sizes: int) -> None:
-        """Buffers of so many bytes at least; what was in one that is too small is lost."""
+        """Provide buffers of at least these sizes, bytes; one that must grow loses its content."""
         for name, size in sizes.items():
             old = self._buffers.get(name)
             if old is not None and old.size >= size:
@@ -249,7 +249,7 @@ class Memory:
             self._buffers[name] = self.program.new_buffer(min(int(MARGIN * size), largest))
 
     def share(self, other: Memory, **names: str) -> None:
-        """Use another one's buffers, with names that no `need` has; `names`: own name -> its."""
+        """Use buffers of another memory; `names`: own name, which no `need` has -> other's name."""
         for own, name in names.items():
             if self._buffers.get(own) is not other[name]:
                 self._buffers[own] = other[name]
@@ -259,7 +259,7 @@ class Memory:
         return self._buffers[name]
 
     def write(self, name: str, *arrays: Any, at: int = 0) -> None:
-        """Copy arrays into a buffer, one behind the other; they hold multiples of 4 bytes."""
+        """Copy arrays into a buffer, one after the other; their sizes are multiples of 4 bytes."""
         buffer, queue = self._buffers[name], self.program.device.queue
         for array in arrays:
             view = memoryview(array).cast("B")
@@ -268,7 +268,7 @@ class Memory:
             at += view.nbytes
 
     def group(self, kernel: str, names: Mapping[str, str], job: int) -> Any:
-        """The bind group of a kernel; `names`: buffers that have other names than in the shader."""
+        """The bind group of a kernel; `names`: name in the shader -> buffer, where they differ."""
         files, used = KERNELS[kernel]
         key = (kernel, job, *(names.get(own, own) for own in used.split()))
         if key not in self._groups:
@@ -287,7 +287,7 @@ class Memory:
 
 
 class Commands:
-    """Launches that are collected, and run when something is read."""
+    """Collects launches, and runs them when something is read."""
 
     def __init__(self, memory: Memory) -> None:
         self._memory, self._program = memory, memory.program
@@ -302,11 +302,12 @@ class Commands:
         *,
         job: int = 0,
     ) -> None:
-        """Run a kernel with so many groups, or columns and rows of them, after those before.
+        """Add the launch of a kernel after the earlier ones.
 
         Args:
-            names: of buffers that have other ones than in the shader.
-            job: the place in the buffer of that name.
+            groups: number of groups, or (columns, rows).
+            names: name in the shader -> buffer, where they differ.
+            job: index of its arguments in the buffer `job`.
         """
         if self._pass is None:
             self._encoder = self._program.device.create_command_encoder()
@@ -318,9 +319,9 @@ class Commands:
         self._pass.dispatch_workgroups(*groups, 1)
 
     def sort(self, keys: str, values: str, count: int, bits: int, job: int) -> tuple[str, str]:
-        """Sort numbers of so many bits with their values; the names of the sorted buffers.
+        """Sort `count` keys of `bits` bits with their values; returns the sorted buffers' names.
 
-        `job` and those after it, one for each digit, are free places in the buffer of that name.
+        The buffer `job` must have a free entry for each digit, from index `job` on.
         """
         blocks = -(-count // SORT_BLOCK)
         other = f"{keys}_other", f"{values}_other"
@@ -337,12 +338,11 @@ class Commands:
         return now
 
     def set_job(self, job: int, *values: int) -> None:
-        """Set the arguments of a kernel of sort.wgsl; to be read, so once for each place and
-        run."""
+        """Set a kernel's arguments for sort.wgsl: once per index until the next `read`."""
         self._memory.write("job", struct.pack("4I", *values), at=job * JOB_BYTES)
 
     def read(self, *wanted: tuple[str, int] | tuple[str, int, int]) -> list[NDArray[np.uint8]]:
-        """Run all, and read bytes of buffers: name, size and the place of the first one."""
+        """Run all launches, and read bytes of buffers: name, size, and optionally first byte."""
         if self._pass is None:
             self._encoder = self._program.device.create_command_encoder()
         else:
@@ -357,24 +357,24 @@ _program = functools.cache(Program)
 
 
 def open_gpu(name: str = "") -> Program:
-    """Draw with a GPU from here on, see `adapters.find`. Raises KernelError."""
+    """Draw with a GPU from now on; `name` and KernelError as in `adapters.find` and `Program`."""
     close_gpu()
     _opened[:] = [_program(find(name))]
     return _opened[0]
 
 
 def close_gpu() -> None:
-    """Draw with the processor from here on."""
+    """Draw with the processor from now on."""
     if any(program.has_failed for program in _opened):
         _program.cache_clear()
     _opened.clear()
 
 
 def drawing(device: str) -> str:
-    """The backend for tensors of a device: "gpu" if a GPU draws for the CPU, else the device."""
+    """The backend for a device's tensors: "gpu" if a GPU draws for the CPU, else the device."""
     return "gpu" if device == "cpu" and _opened else device
 
 
 def opened() -> Program | None:
-    """The GPU that this process draws with; None: the processor does."""
+    """The GPU that draws for this process; None: the processor draws."""
     return _opened[0] if _opened else None

@@ -23,21 +23,21 @@ class Resident:
     """State that may be on a GPU.
 
     Attributes:
-        is_newer: whether it is on the GPU, newer than the tensors.
+        is_newer: whether the state is on the GPU, and newer than the tensors.
     """
 
     def __init__(self, state: Callable[[], Sequence[Sequence[Tensor]]], *, stays: bool) -> None:
-        """State that is not on a GPU.
+        """Begin with the state in main memory.
 
         Args:
-            state: the tensors of `NAMES`: means, quats, scales, opacities and SH each.
-            stays: whether the first step is worth the way there.
+            state: returns the tensors for each of `NAMES`: means, quats, scales, opacities, SH.
+            stays: whether the first `hold` already moves the state to the GPU.
         """
         self._state, self._is_idle, self.is_newer = state, stays, False
         self.memory: Memory | None = None
 
     def hold(self, program: Program) -> bool:
-        """Bring the state to the GPU, unless it was read since the last step."""
+        """Move the state to the GPU unless it was read since the last step; whether it is there."""
         if self.is_newer:
             return True
         if not self._is_idle:
@@ -56,7 +56,7 @@ class Resident:
         return True
 
     def settle(self) -> None:
-        """Bring it back, so that it can be read and changed. Raises KernelError."""
+        """Bring the state back, to read and change it. Raises KernelError."""
         self._is_idle = False
         if not self.is_newer:
             return

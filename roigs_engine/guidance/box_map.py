@@ -43,7 +43,7 @@ Bools = NDArray[np.bool_]
 # With 18 degrees between them, predicted and true errors agree best (notebook/guidance.md).
 DIRECTIONS = 128
 SPACING = float(np.sqrt(4 * np.pi / DIRECTIONS))  # radians, between neighbouring directions
-MIN_COSINE = 0.1  # of a patch's normal and the view; below it, the patch does not count as seen
+MIN_COSINE = 0.1  # between a patch's normal and the view; below it, the patch counts as not seen
 
 View = tuple[Camera, Float64]
 """A camera and its (4, 4) world_to_camera."""

@@ -232,7 +232,7 @@ def _picture(made: Certificate) -> Iterator[str]:
     yield (
         f'<svg viewBox="0 0 {SIDE} {SIDE + 20}" width="{SIDE}" role="img" aria-label="Directions">'
     )
-    for radius in (1.0, np.sqrt(0.5)):  # straight below, and the horizon
+    for radius in (1.0, np.sqrt(0.5)):  # straight down, and the horizon
         shown = radius * (half - 10)
         yield f'<circle cx="{half}" cy="{half}" r="{shown:.1f}" fill="none" stroke="#888"/>'
     for x, y, known in made.directions:

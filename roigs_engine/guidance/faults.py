@@ -23,7 +23,7 @@ from .known import KnownBox
 HALF = 0.5
 STOP = 1.0
 FEW = 0.1  # share of the photos: if more differ, none is an outlier
-OUTLIER = 3 * 1.4826  # median deviations: three standard deviations of a normal distribution
+OUTLIER = 3 * 1.4826  # median deviations; three standard deviations of a normal distribution
 
 BLURRED, FOCUS, EXPOSED, PLACED, UNREADABLE = (
     "blurred",

@@ -9,7 +9,7 @@ from .box_map import BoxMap
 from .photo_quality import PhotoQuality
 
 SIDES = ("-x", "+x", "-y", "+y", "-z", "+z")
-"""The sides of a box, by the axis of the box along their normal."""
+"""The sides of a box, named by the box's axis along their normal."""
 
 
 def pixel_lengths(found: BoxMap) -> Float64:

@@ -20,7 +20,7 @@ from .space import Space
 
 ALONG_LONGEST_SIDE = 24  # patches along the longest side of the box
 FEWEST = 8  # points needed for a hull
-ALONE = 4.0  # x the median distance to a point's neighbours: farther points are strays
+ALONE = 4.0  # x the median distance between neighbours; points farther from theirs are strays
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,7 +102,7 @@ def _hull(points: Float64, space: Space, side: float, context: Context) -> tuple
     points = points[spread <= ALONE * max(float(np.median(spread)), side / 2)]
     try:
         hull = ConvexHull(points)
-    except (QhullError, ValueError):  # all are in one plane, or too few are left
+    except (QhullError, ValueError):  # all points in one plane, or too few
         return nothing
     corners = points[hull.simplices]  # (F, 3, 3)
     areas = (
@@ -113,7 +113,7 @@ def _hull(points: Float64, space: Space, side: float, context: Context) -> tuple
     )
     counts = np.ceil(areas / side**2).astype(int)
     face = np.repeat(np.arange(len(counts)), counts)
-    # One sequence fills all faces evenly (Roberts 2018).
+    # A single sequence fills all faces evenly (Roberts 2018).
     share = (0.5 + np.arange(len(face))[:, None] * (0.7548776662466927, 0.5698402909980532)) % 1
     share = np.where(share.sum(axis=1, keepdims=True) > 1, 1 - share, share)
     a, b, c = corners[face, 0], corners[face, 1], corners[face, 2]

@@ -33,15 +33,15 @@ from ..photos.profiles import srgb_curve
 from .patches import Patches
 
 SIDE = 1600  # longest side of the photos for measuring, pixels
-WINDOW = 9  # pixels around a patch
-ROUNDS = 10  # of fitting; the medians converge in fewer
-SHARP = 75.0  # percentile of the photos that defines sharp
+WINDOW = 9  # side of the square around a patch, pixels
+ROUNDS = 10  # rounds of fitting; the medians converge in fewer
+SHARP = 75.0  # photos at this percentile define sharp
 FEWEST = 5  # patches needed to measure a photo
 MOST = 20_000_000  # numbers of each measure; with more photos, fewer places are used
-LEAST = 1e-8  # of energies, of values from 0 to 1
-"""Below the noise of 8 bits."""
+LEAST = 1e-8  # energy of values from 0 to 1
+"""Added to energies; it is below the noise of 8 bits."""
 DARKEST, BRIGHTEST = 8 / 255, 254 / 255
-"""Values that tell an exposure: below, half a level of 8 bits is more than a tenth of a stop."""
+"""Range of values for exposures. Below, half a level of 8 bits is more than a tenth of a stop."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,7 +97,7 @@ def measured(
     texture = np.full(len(patches), np.nan)
     texture[::step], sharp = _effects(detail[here], rho[here])
     _, over = _effects(detail[elsewhere], rho[elsewhere])
-    _, exposure = _effects(brightness, None)  # of whole photos: the box may be hidden in some
+    _, exposure = _effects(brightness, None)  # for whole photos: some may not see the box
     return PhotoQuality(
         sharpness=_resolution(sharp),
         overall=_resolution(over),
@@ -174,7 +174,7 @@ def _slope(x: Float64, y: Float64) -> float:
 def _medians(values: Float64, axis: int) -> Float64:
     """Medians that ignore NaN; NaN if there are no numbers."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # for rows without a number
+        warnings.simplefilter("ignore", RuntimeWarning)  # for rows without numbers
         return np.asarray(np.nanmedian(values, axis=axis), dtype=np.float64)
 
 

@@ -17,11 +17,11 @@ from ..photos.headers import PhotoError
 from ..selection.coverage import nearest_neighbours
 from .box_map import BoxMap
 
-NEIGHBOURS = 5  # points, itself included; the distance to the farthest is a point's size
+NEIGHBOURS = 5  # points, itself included; the distance to the farthest one is a point's size
 BACKGROUND = 40
 LARGEST = 0.012  # of the picture's width: half the side of a point
 LINE = (255, 160, 0)
-ALIKE = np.cos(np.radians(40))  # of the largest angle at the box between similar photos
+ALIKE = np.cos(np.radians(40))  # cosine of the largest angle at the box between similar photos
 Pixels = NDArray[np.uint8]
 
 

@@ -17,8 +17,8 @@ from .space import Space
 
 SPACING = np.radians(8)  # between neighbouring places, as seen from the box
 SHELLS = 4  # distances at most
-NEAR = 0.5  # of the distance to the box: reach of a person from the place of a photo
-STEEPEST = np.radians(80)  # looking straight down, a picture has no up direction
+NEAR = 0.5  # of the distance to the box: how far a person may move from a photo's place
+STEEPEST = np.radians(80)  # steeper pictures have no clear up direction
 STEP = float(np.sqrt(2))  # ratio of the distances of neighbouring shells
 
 
@@ -51,7 +51,7 @@ def looking_at(eye: Float64, target: Float64, up: Float64) -> Float64:
     """(4, 4) world_to_camera of an upright camera at `eye` that looks at `target`."""
     forward = (target - eye) / max(float(np.linalg.norm(target - eye)), 1e-300)
     right = np.cross(forward, up)
-    if np.linalg.norm(right) < 1e-6:  # straight down: any direction may be right
+    if np.linalg.norm(right) < 1e-6:  # straight down: choose any direction as right
         right = np.cross(forward, np.eye(3)[int(np.abs(forward).argmin())])
     right /= np.linalg.norm(right)
     pose = np.eye(4)

@@ -20,11 +20,11 @@ from ..selection.coverage import nearest_neighbours
 
 Bools = NDArray[np.bool_]
 
-CELLS_ALONG_DIAGONAL = 12  # of the box: objects that hide a part of it are larger than a cell
+CELLS_ALONG_DIAGONAL = 12  # of the box; objects that hide a part of it are larger than a cell
 MOST_CELLS = 1 << 22
 MOST_RAYS = 1 << 17
 NEIGHBOURS, MOST = 5, 75.0  # points, the point included; percentile over the points
-SKIPPED = 1.75  # cells at the start of a ray, about a cell's diagonal: they are the surface itself
+SKIPPED = 1.75  # cells skipped at the start of a ray, about a cell's diagonal: the surface itself
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,7 +77,7 @@ class Space:
         points = points[np.isfinite(points).all(axis=1)]
         ways = points - eye
         lengths = np.linalg.norm(ways, axis=1)
-        # One sample per cell's length, ending before the cells of the surface around the point.
+        # One sample per cell length. Samples end before the cells of the surface around the point.
         counts = np.floor(lengths / self.cell - SKIPPED).clip(0).astype(int)
         most = int(counts.max(initial=0))
         most = min(most, int(np.ceil(np.linalg.norm(np.array(self.solid.shape)))))

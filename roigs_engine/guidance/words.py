@@ -10,7 +10,7 @@ from ..model.scene import Float64
 from .places import Offset
 from .suggest import Suggestion
 
-SAME = 0.05  # of the distance to the box: a smaller offset is not worth a word
+SAME = 0.05  # of the distance to the box; smaller offsets are not mentioned
 
 
 @dataclass(frozen=True, kw_only=True)

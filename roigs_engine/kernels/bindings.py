@@ -35,7 +35,7 @@ class Gaussians(ctypes.Structure):
 def packed_gaussians(
     parameters: Sequence[Tensor], sh_degree: int, raw: bool, linear_light: bool
 ) -> Gaussians:
-    """The structure of contiguous means, quats, scales, opacities and SH, which must stay alive."""
+    """Pack contiguous means, quats, scales, opacities and SH; the caller must keep them alive."""
     addresses = (parameter.data_ptr() for parameter in parameters)
     sizes = len(parameters[0]), parameters[4].shape[1]
     return Gaussians(*addresses, *sizes, sh_degree, raw, linear_light)
@@ -155,7 +155,7 @@ SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
 
 
 def bound(kernels: ctypes.CDLL) -> ctypes.CDLL:
-    """The library, with the signatures of its functions set."""
+    """Set the signatures of the library's functions; returns the library."""
     for name, (result, arguments) in SIGNATURES.items():
         function = getattr(kernels, name)
         function.restype, function.argtypes = result, arguments
@@ -164,12 +164,12 @@ def bound(kernels: ctypes.CDLL) -> ctypes.CDLL:
 
 @functools.cache
 def kernels() -> ctypes.CDLL:
-    """The compiled kernels for this processor; KernelError if there are none."""
+    """Load the compiled kernels for this processor; KernelError if there are none."""
     return bound(library.load())
 
 
 def pointer(tensor: Tensor | None) -> int | None:
-    """The address of a CPU tensor's first element, for an argument of type c_void_p; None: null.
+    """The address of a CPU tensor's first element, as a c_void_p argument; null for None.
 
     The caller must check shape, type and strides, and keep the tensor alive during the call.
     """

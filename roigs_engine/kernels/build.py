@@ -12,7 +12,7 @@ from __future__ import annotations
 import sys
 
 if __name__ == "__main__" and not sys.flags.safe_path:
-    del sys.path[0]  # `-m` puts the working folder there, which may be a stranger's
+    del sys.path[0]  # `-m` adds the working folder, whose files may be untrusted
 
 import argparse
 import getpass
@@ -29,18 +29,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 SOURCE_FOLDER = Path(__file__).resolve().parent
-INTERFACE = ("roigs.h", "types.h")  # what callers outside of the kernels have to agree with
+INTERFACE = ("roigs.h", "types.h")  # what callers of the kernels depend on
 
 
 class BuildError(RuntimeError):
-    """The kernels cannot be built; the text is for people."""
+    """The kernels cannot be built; the text is for users."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Platform:
     """An operating system and processor family."""
 
-    triple: str  # its name for the bundled compiler
+    triple: str  # name for the bundled compiler
     suffix: str
     isas: Mapping[str, str]  # name of the instruction set -> processor level of the x86-64 psABI
 
@@ -57,23 +57,23 @@ PLATFORMS = {
     "macos-arm64": Platform(triple="aarch64-macos.11.0", suffix=".dylib", isas=_ARM64),
 }
 
-# Not -ffast-math: NaN and infinity keep their meaning, so that a broken gradient is seen. What is
-# allowed is what vectorisation needs (no errno, no floating-point traps) and fused multiply-add.
-# Sums are reassociated nowhere by the compiler: the sources spell out their vector lanes.
+# Not -ffast-math: NaN and infinity keep their meaning, so that broken gradients are noticed. The
+# flags allow only what vectorisation needs (no errno, no floating-point traps), and fused
+# multiply-add. The compiler reorders no sums: the sources spell out their vector lanes.
 FLAGS = (
     *("-std=c++17", "-O3", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast"),
     *("-fno-exceptions", "-fno-rtti", "-fvisibility=hidden"),
 )
 
-# See runtime.cpp: its `new` and `delete` are for the kernels only, not for others in the process.
+# See runtime.cpp: its `new` and `delete` are only for the kernels, not for the whole process.
 _NO_CXX_LIBRARY = ("-DROIGS_NO_CXX_LIBRARY=1", "-fvisibility-global-new-delete=force-hidden")
 
-# Not for other compilers: gcc warns about its own vector headers (its bug 105593).
+# Not for other compilers: gcc warns about its own vector headers (gcc bug 105593).
 _WARNINGS = ("-Wall", "-Wextra")
 
 
 def native_platform() -> str:
-    """The name of the platform this Python runs on, a key of `PLATFORMS`."""
+    """The platform of this Python, a key of `PLATFORMS`; BuildError: it is not supported."""
     system = {"linux": "linux", "win32": "windows", "darwin": "macos"}.get(sys.platform)
     machine = {"x86_64": "x64", "amd64": "x64", "aarch64": "arm64", "arm64": "arm64"}.get(
         platform.machine().lower()
@@ -85,22 +85,22 @@ def native_platform() -> str:
 
 
 def library_path(folder: Path, target: str, isa: str) -> Path:
-    """The path of the library of one instruction set, below an output folder."""
+    """The path of an instruction set's library, below an output folder."""
     return folder / target / f"roigs_{isa}{PLATFORMS[target].suffix}"
 
 
 def source_key() -> str:
-    """A hash of all that decides what the libraries contain: sources, and flags in this file."""
+    """A hash of the inputs of the libraries: their sources, and this file with its flags."""
     return _digest("*.cpp", "*.h", "build.py")
 
 
 def interface_key() -> str:
-    """A hash of the functions and structs that the libraries are called with."""
+    """A hash of the interface: the functions and structs that callers use."""
     return _digest(*INTERFACE)
 
 
 def is_current(folder: Path, target: str) -> bool:
-    """Whether all libraries of a platform are there, made from the sources as they are now."""
+    """Whether all libraries of a platform exist and match the current sources."""
     key = source_key()
     return all(
         library_path(folder, target, isa).is_file() and read_keys(folder, target, isa)[0] == key
@@ -109,7 +109,7 @@ def is_current(folder: Path, target: str) -> bool:
 
 
 def read_keys(folder: Path, target: str, isa: str) -> tuple[str, str]:
-    """`source_key` and `interface_key` that a library was built from; empty when unknown."""
+    """`source_key` and `interface_key` of a library's build; empty if unknown."""
     try:
         text = _key_file(library_path(folder, target, isa)).read_text(encoding="ascii")
     except OSError:
@@ -121,10 +121,10 @@ def read_keys(folder: Path, target: str, isa: str) -> tuple[str, str]:
 def build(
     folder: Path = SOURCE_FOLDER / "lib", *, target: str = "native", compiler: str = "auto"
 ) -> list[Path]:
-    """Builds what is missing or older than its sources; returns the paths of all libraries.
+    """Build all libraries unless they are current; returns their paths. Raises `BuildError`.
 
-    A library appears under its name only when it is whole, so that processes that build at the
-    same time do not disturb each other. Raises `BuildError`.
+    A library gets its name only when it is complete. So several processes may build at the same
+    time.
     """
     name = native_platform() if target == "native" else target
     if name not in PLATFORMS:
@@ -132,7 +132,7 @@ def build(
     paths = [library_path(folder, name, isa) for isa in PLATFORMS[name].isas]
     if is_current(folder, name):
         return paths
-    # before compiling: an edit meanwhile makes the result count as old
+    # Before compiling, so that sources edited meanwhile make the result outdated.
     keys = f"{source_key()}\n{interface_key()}"
     with tempfile.TemporaryDirectory(prefix="roigs-build-") as scratch:
         built = compile_all(_sources("*.cpp"), Path(scratch), name, compiler)
@@ -177,9 +177,9 @@ def _compiler_command(compiler: str, target: str) -> tuple[list[str], bool]:
 
 
 def _program(name: str) -> str | None:
-    """The full path of a compiler; never one in the working folder, which may be a stranger's.
+    """The full path of a compiler, but never one in the working folder, which may be untrusted.
 
-    There, `shutil.which` and Windows look first, and wherever PATH has a relative entry.
+    `shutil.which` and Windows search there first, and in relative entries of PATH.
     """
     if not name or os.path.dirname(name):
         return shutil.which(name) if os.path.isabs(name) else None
@@ -192,9 +192,9 @@ def _program(name: str) -> str | None:
 def compile_all(
     sources: Sequence[Path], folder: Path, target: str, compiler: str = "auto"
 ) -> dict[str, Path]:
-    """Compiles sources for a platform, in parallel: instruction set -> library in `folder`.
+    """Compile sources for a platform in parallel; returns instruction set -> library in `folder`.
 
-    Raises `BuildError`. Benchmarks measure the processor with their own sources.
+    Raises `BuildError`. Benchmarks call this with their own sources.
     """
     command, is_zig = _compiler_command(compiler, target)
     spec = PLATFORMS[target]
@@ -203,7 +203,7 @@ def compile_all(
         cache = str(_zig_cache())
         environment.update(ZIG_GLOBAL_CACHE_DIR=cache, ZIG_LOCAL_CACHE_DIR=cache)
         common = [*command, "-target", spec.triple, *FLAGS, *_NO_CXX_LIBRARY, *_WARNINGS]
-        # One processor model for all links: what zig links in is then built only once.
+        # All links have the same processor model, so zig builds its own libraries only once.
         link = [command[0], "cc", "-target", spec.triple, "-nostdlib++", "-s", "-shared"]
     else:
         common = [*command, *FLAGS]
@@ -212,7 +212,7 @@ def compile_all(
         common.append("-fPIC")
         link.append("-pthread")
     if target.startswith("linux"):
-        link.append("-Wl,-z,defs")  # an undefined symbol fails here and not when it is called
+        link.append("-Wl,-z,defs")  # undefined symbols fail here, not when they are called
 
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as workers:
         objects: dict[str, list[Path]] = {}
@@ -230,10 +230,10 @@ def compile_all(
         libraries = {isa: library_path(folder, target, isa) for isa in spec.isas}
         for isa, library in libraries.items():
             library.parent.mkdir(exist_ok=True)
-            # A macOS library holds its name: without this, that of the scratch folder's file.
+            # A macOS library contains its name. Without this, it would be the scratch file's.
             macos_name = f"-Wl,-install_name,@rpath/{library.name}"
             name = [macos_name] if target.startswith("macos") else []
-            # One after the other: they share what the first one makes zig build.
+            # One after the other, because zig builds its own libraries for the first one.
             _run([*link, *name, *map(str, objects[isa]), "-o", str(library)], environment)
     return libraries
 
@@ -243,8 +243,8 @@ def _isa_flags(isa: str, level: str, is_zig: bool) -> list[str]:
         return []
     flags = ["-mcpu=" + level.replace("-", "_") if is_zig else "-march=" + level]
     if isa == "avx512":
-        # clang and gcc prefer 256-bit vectors even where 512-bit ones exist, because of the clock
-        # of early AVX-512 processors. The kernels are dense arithmetic: full width is faster.
+        # clang and gcc prefer 256-bit vectors even if 512-bit ones exist, because early AVX-512
+        # processors lowered their clock. For the kernels' dense arithmetic, full width is faster.
         flags.append("-mprefer-vector-width=512")
     return flags
 
@@ -258,7 +258,7 @@ def _run(command: list[str], environment: dict[str, str]) -> None:
 
 
 def _zig_cache() -> Path:
-    """A folder of this user's for the compiler's cache, outside the project and the home folder."""
+    """This user's folder for the compiler's cache, outside the project and the home folder."""
     user = os.getuid() if hasattr(os, "getuid") else getpass.getuser()
     folder = Path(tempfile.gettempdir()) / f"roigs-zig-cache-{user}"
     folder.mkdir(mode=0o700, exist_ok=True)

@@ -22,16 +22,16 @@ from . import build
 ISA_VARIABLE = "ROIGS_ISA"
 PACKAGE_FOLDER = build.SOURCE_FOLDER / "lib"
 _BUILD_COMMAND = f"{Path(sys.executable).name} -m roigs_engine.kernels.build"
-_RANKING = ("generic", "avx2", "avx512")  # a processor also runs those left of its best
+_RANKING = ("generic", "avx2", "avx512")  # a processor also runs those before its best
 
 
 @functools.cache
 def load() -> ctypes.CDLL:
-    """The kernels' library for this processor, set to use all usable cores.
+    """Load the kernels' library for this processor; it uses all usable cores.
 
-    The environment variable ROIGS_ISA selects another instruction set than the best one, to measure
-    it or to work around a bug. KernelError: there is no library and no compiler to build it, or
-    ROIGS_ISA names an instruction set that is missing or cannot run here.
+    The environment variable ROIGS_ISA selects another instruction set than the best, for
+    measurements or to work around a bug. KernelError: there is no library and no compiler to build
+    it, or ROIGS_ISA names an instruction set that is missing or cannot run here.
     """
     folder = _folder_with_libraries()
     library = _opened(build.library_path(folder, _platform(), _choose_isa(folder)))
@@ -71,7 +71,7 @@ def _platform() -> str:
 
 @functools.cache
 def _folder_with_libraries() -> Path:
-    """The folder to load from; builds the libraries if there are none, or raises KernelError."""
+    """The folder to load from; builds the libraries if there are none. KernelError: that fails."""
     cache = _user_cache_folder()
     for folder in (PACKAGE_FOLDER, cache):
         if available(folder):
@@ -135,10 +135,9 @@ def _best_isa(generic_library: Path) -> str:
 
 
 def _check_age(folder: Path) -> None:
-    """Tell a developer whose compiled kernels are older than their sources how to compile them.
+    """Warn a developer if the compiled kernels are older than their sources.
 
-    A warning, as long as they are called in the same way. Otherwise a KernelError: a call would
-    read or write the wrong memory.
+    KernelError: their C interface has changed, so that a call would access the wrong memory.
     """
     keys = [build.read_keys(folder, _platform(), name) for name in available(folder)]
     if any(interface != build.interface_key() for _, interface in keys):
@@ -160,22 +159,22 @@ def _is_writable(folder: Path) -> bool:
 
 
 def _user_cache_folder() -> Path:
-    """The kernels' folder if the package's is read-only; one folder per source version."""
+    """The kernels' folder if the package's folder is read-only; one for each source version."""
     return user_cache() / "kernels" / build.source_key()
 
 
 def refuse_others_code(path: Path) -> None:
-    """Refuse a file or folder in the user's cache that others can change: what it holds is run.
+    """Refuse a file or folder in the user's cache that others can change, as its code is run.
 
     Raises:
-        KernelError: it, a folder above it, or one on the way of a link, belongs to somebody else or
-            is writable for all, or for a group that others may be in.
+        KernelError: it, a folder above it, or a folder that a link leads through belongs to
+            somebody else. Or all users can write to it, or a group that others may be in.
     """
     if not hasattr(os, "getuid"):
         return
     home, seen = user_cache(), set[Path]()
     ways = [(place, False) for place in (path, *path.rglob("*"))]
-    for way, beyond in ways:  # it grows by where links lead
+    for way, beyond in ways:  # the list grows by the targets of links
         for place in (way, *way.parents):
             if place in seen:
                 continue
@@ -197,7 +196,7 @@ def refuse_others_code(path: Path) -> None:
 
 @functools.cache
 def _is_shared(group: int) -> bool:
-    """Whether others may be in a group: it is neither root's nor the one of this user alone."""
+    """Whether others may be in a group: it is neither root's nor this user's private group."""
     import grp
     import pwd
 
@@ -210,7 +209,7 @@ def _is_shared(group: int) -> bool:
 
 
 def user_cache() -> Path:
-    """The folder of what can be made again: compiled kernels, and what was found out about them."""
+    """The user's cache folder, for compiled kernels and the results of their checks."""
     if sys.platform == "win32":
         root = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
     elif sys.platform == "darwin":

@@ -49,26 +49,26 @@ from .parts import (
     views_at,
 )
 
-LEVELS = 5  # with the whole one
-HELD = 8  # one view in so many is measured on and not trained on
-FEW = 16  # with fewer photos, all are trained on, and measured on are views between them
+LEVELS = 5  # including the whole part
+HELD = 8  # one view in this many is held out of training, to measure
+FEW = 16  # with fewer photos, training uses all, and views between them are held out
 MOST_BETWEEN = 60
 STEPS = 500
-SHARE = 0.5  # if fewer of the views, mean, show a Gaussian, a part is trained for longer
-LONGEST = 4.0  # times as long
-FAINTEST = 1 / 255  # blending weight with which a view shows a Gaussian
+SHARE = 0.5  # if a Gaussian is in fewer of the views on average, a part trains for longer
+LONGEST = 4.0  # times as long at most
+FAINTEST = 1 / 255  # least blending weight with which a view shows a Gaussian
 LEAST = 64  # Gaussians of a level
 GREY = 0.5
-STEP = 2 ** (1 / 3)  # between two distances that are measured
+STEP = 2 ** (1 / 3)  # ratio of two measured distances
 NEAREST, FARTHEST = STEP, 8.0
 APART = FADE**2
-"""Factor from where a level begins to where the next may: between two fades is one level alone."""
-ENOUGH = 40.0  # dB; a mean error of 2.5 of 255
+"""Least ratio of the distances at which two levels begin, so that their fades do not overlap."""
+ENOUGH = 40.0  # dB; an RMS error of 2.5 of 255
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Views:
-    """The views to train on, and those to measure on."""
+    """The views for training, and the views held out to measure."""
 
     train: list[View]
     held: list[View]
@@ -86,10 +86,10 @@ def make_levels(
     """Make the levels of a run's result; existing valid ones are kept.
 
     Args:
-        folder: of the run, locked.
-        images: its photos, of which only the cameras are used, in the frame.
-        levels: how many, with the whole one.
-        steps: to train each for.
+        folder: the run folder, locked.
+        images: the run's photos, in the frame; only their cameras are used.
+        levels: number of levels, including the whole result.
+        steps: training steps for each level.
 
     Raises:
         RunFolderError: there is no result, or it is damaged.
@@ -108,7 +108,7 @@ def make_levels(
 
 
 def training_views(images: Sequence[PosedImage]) -> Views:
-    """The photos' cameras and views between them, some of the photos' held back."""
+    """The photos' cameras, and views between them; some are held out."""
     few = len(images) < FEW
     held = [] if few else list(images[HELD // 2 :: HELD])
     trained = [image for image in images if image not in held]
@@ -123,7 +123,7 @@ def training_views(images: Sequence[PosedImage]) -> Views:
 
 @dataclass(frozen=True)
 class _Maker:
-    """Makes the levels of one part after the other."""
+    """Makes the levels of the parts, one part at a time."""
 
     folder: Path
     frame: LocalFrame
@@ -132,7 +132,7 @@ class _Maker:
     context: Context
 
     def ladder(self, part: Part, levels: int) -> Ladder:
-        """The ladder of a part, with at most `levels` levels; trains what is not there."""
+        """The ladder of a part, with at most `levels` levels; trains missing ones."""
         made: dict[str, Gaussians] = {}
         start: Gaussians | None = part.gaussians
         for level in range(1, levels):
@@ -153,13 +153,13 @@ class _Maker:
             rungs.append(Level(ply=ply, gaussians=count, farther=begin, measured=psnrs))
         return Ladder(
             box=part.box,
-            rate=(part.rate or 1.0) * self.frame.scale,  # without a photo, it has one level
+            rate=(part.rate or 1.0) * self.frame.scale,  # a part that no photo shows has one level
             probes=part.probes / self.frame.scale + self.frame.origin,
             levels=tuple(rungs),
         )
 
     def _level(self, part: Part, ply: str, start: Gaussians, level: int) -> Gaussians | None:
-        """A level's Gaussians: read if they were made from the same, else trained and written."""
+        """A level's Gaussians: read if made from the same inputs, else trained and written."""
         record = self.folder / run_files.LEVELS / run_files.LEVELS_MADE
         inputs = {
             "whole": content_digest(self.folder / part.ply),
@@ -171,7 +171,7 @@ class _Maker:
         }
         digest = json_digest(inputs)
         path = own_file(self.folder, ply)
-        with suppress(RunFolderError, OSError):  # it is lost or damaged
+        with suppress(RunFolderError, OSError):  # missing or damaged
             if read_record(record).get(ply) == [digest, sha256(path)]:
                 return replace(Gaussians.load_ply(path, self.frame), photo_focal=None)
         made = make_level(
@@ -187,9 +187,10 @@ class _Maker:
 
 
 def coarseness(level: int) -> float:
-    """The ratio of the photos' resolution to that of the views that level `level` is made for.
+    """How many times coarser than the photos the training views of level `level` are.
 
-    Half the Gaussians serve 4^(1/3) times the distance: an eighth of them 4 times.
+    Each level has half the Gaussians of the one before, for 4^(1/3) times its distance. So an
+    eighth of the Gaussians serves 4 times the distance.
     """
     return float(4 ** (level / 3))
 
@@ -203,10 +204,10 @@ def make_level(
     steps: int = STEPS,
     context: Context = QUIET,
 ) -> Gaussians | None:
-    """A level of a part, from 1; None if it is stopped, or no view shows the part so coarsely.
+    """Train a level of a part, from 1; None if stopped, or no view can show the part so coarsely.
 
-    It starts from the level before, or the whole. `steps` are those of a part each of whose
-    Gaussians is shown by `SHARE` of the views; it trains for longer if fewer show them.
+    It starts from the level before, or the whole part. `steps` is for parts whose Gaussians are
+    each in `SHARE` of the views; if they are in fewer, it trains for longer.
     """
     coarser = coarseness(level)
     small = views_at(part, views, coarser)
@@ -248,10 +249,11 @@ def make_level(
 def contributions(
     gaussians: Gaussians, views: list[View], context: Context = QUIET
 ) -> tuple[Tensor, float]:
-    """(N,) how much each Gaussian contributes to the views, on the CPU; in which share of them.
+    """(N,) contribution of each Gaussian to the views, on the CPU; the mean share of views.
 
-    The product of its largest blending weight and the root of their sum: what is bright in one view
-    counts, and what fills many. The share is the mean over the Gaussians.
+    The contribution is the largest blending weight times the root of the sum of weights. So a
+    Gaussian counts if it is bright in one view, and if it fills many. The share is that of the
+    views that show a Gaussian, averaged over the Gaussians.
     """
     model = gaussians.to(torch.device(context.device))
     most, total, shown = (model.means.new_zeros(len(model)) for _ in range(3))
@@ -265,7 +267,7 @@ def _image(view: View, number: int) -> PosedImage:
     camera, pose = view
     return PosedImage(
         name=f"view {number}",
-        path=Path(),  # its pixels are drawn
+        path=Path(),  # there is no file: its pixels are rendered
         camera=camera,
         world_to_camera=pose,
     )
@@ -273,16 +275,16 @@ def _image(view: View, number: int) -> PosedImage:
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """A model at a distance: PSNRs, dB, mean over views."""
+    """PSNRs of a level at a distance, dB, mean over views."""
 
-    coarser: float  # than the photos, see `formats.levels`
-    whole: float  # of the whole part drawn as viewers draw it, against the truth
-    level: float  # of the level against the truth
-    between: float  # of the level against the whole part as viewers draw it
+    coarser: float  # how many times coarser than the photos, see `formats.levels`
+    whole: float  # the whole part as viewers draw it, against the truth
+    level: float  # the level against the truth
+    between: float  # the level against the whole part as viewers draw it
 
 
 def distances() -> list[float]:
-    """The distances that are measured, in those of the photos."""
+    """The measured distances, as multiples of the photos' distance."""
     count = round(math.log(FARTHEST / NEAREST, STEP)) + 1
     return [NEAREST * STEP**k for k in range(count)]
 
@@ -291,7 +293,7 @@ def distances() -> list[float]:
 def measure(
     part: Part, levels: Sequence[Gaussians], views: Sequence[View], context: Context = QUIET
 ) -> list[list[Measured]]:
-    """For each level, how it looks at each distance that the views can show."""
+    """Measure each level at each distance that the views can show."""
     device = torch.device(context.device)
     whole, models = part.gaussians.to(device), [level.to(device) for level in levels]
     found: list[list[Measured]] = [[] for _ in levels]
@@ -317,7 +319,7 @@ def measure(
 
 
 def farther(records: Sequence[Measured]) -> Measured | None:
-    """The nearest distance from which on a level does; None: nowhere."""
+    """The least distance from which a level is always good enough; None: there is none."""
     good: Measured | None = None
     for record in reversed(records):
         if record.level < min(record.whole, ENOUGH):
@@ -327,7 +329,7 @@ def farther(records: Sequence[Measured]) -> Measured | None:
 
 
 def spaced(steps: Sequence[float]) -> list[float]:
-    """Distances at which levels begin, far enough apart."""
+    """Increase distances where levels begin to at least `APART` times the one before."""
     return list(accumulate(steps, lambda before, step: max(step, APART * before)))
 
 

@@ -29,11 +29,11 @@ from ..model.scene import Camera, Float64, PosedImage
 from ..rasterize.view import View, render_view
 
 PROBES = 256
-FARTHEST = 1e9  # of a probe, units of the frame
-LEAST_WEIGHT = -80.0  # of a Gaussian among the probes, as a logarithm
+FARTHEST = 1e9  # limit of a probe's coordinates, units of the frame
+LEAST_WEIGHT = -80.0  # logarithm of a Gaussian's least weight when probes are chosen
 CAPTURE = 0.75
-"""A part's rate is this quantile of its photos' rates: nearer photos hold what the others lack."""
-MARGIN = 0.06  # around what the part covers, of its size
+"""A part's rate is this quantile of its photos' rates: near photos have detail that others lack."""
+MARGIN = 0.06  # margin around the part in a picture, as a share of its size
 SMALLEST = 12  # pixels; smaller pictures of a part teach little
 BLACK, WHITE = 0.0, 1.0
 
@@ -42,20 +42,20 @@ BLACK, WHITE = 0.0, 1.0
 class Part:
     """A part of a result."""
 
-    box: str  # its name; empty: the surroundings
-    ply: str  # of all its Gaussians, relative to the run folder
+    box: str  # name of the box; empty: the surroundings
+    ply: str  # the file with all its Gaussians, relative to the run folder
     gaussians: Gaussians  # in the frame
-    probes: Float64  # (P, 3) points in the frame that stand for it
-    rate: float  # how finely its photos show it, pixels per unit of the frame; 0: none does
+    probes: Float64  # (P, 3) points in the frame that represent the part
+    rate: float  # resolution of its photos, pixels per unit of the frame; 0: no photo shows it
 
 
 def parts_of_run(folder: Path, images: Sequence[PosedImage], frame: LocalFrame) -> list[Part]:
-    """The parts of a run's result that have Gaussians; its photos are in the frame.
+    """Read the parts of a run's result, without empty ones; `images` are in the frame.
 
     RunFolderError: there is no result, or a file is damaged.
     """
     files = {"": folder / run_files.BACKGROUND}
-    boxes: set[str] | None = None  # not known
+    boxes: set[str] | None = None  # unknown
     with suppress(RunFolderError, KeyError, TypeError):
         boxes = {str(roi["name"]) for roi in read_json(folder / run_files.MANIFEST)["rois"]}
     files |= {
@@ -72,7 +72,7 @@ def parts_of_run(folder: Path, images: Sequence[PosedImage], frame: LocalFrame) 
         )
     parts = []
     for box, path in sorted(files.items()):
-        # drawn with the pixels that each picture has
+        # Without `photo_focal`, each picture is drawn for its own pixel size.
         gaussians = replace(Gaussians.load_ply(path, frame), photo_focal=None)
         probes = _probes(gaussians) if len(gaussians) else np.zeros((0, 3))
         if not len(probes):
@@ -92,7 +92,7 @@ def rate_of(probes: Float64, view: View) -> float:
 
 
 def clip_matrix(camera: Camera) -> Float64:
-    """(4, 4) from the camera's frame to clip space, with w the depth."""
+    """(4, 4) from the camera's frame to clip space; w is the depth."""
     c, matrix = camera, np.zeros((4, 4))
     matrix[0, 0], matrix[0, 2] = 2 * c.fx / c.width, 2 * c.cx / c.width - 1
     matrix[1, 1], matrix[1, 2] = 2 * c.fy / c.height, 2 * c.cy / c.height - 1
@@ -101,10 +101,10 @@ def clip_matrix(camera: Camera) -> Float64:
 
 
 def _probes(gaussians: Gaussians) -> Float64:
-    """Some of its Gaussians, large and opaque ones more likely: they fill more of a picture."""
+    """(P, 3) centres of random Gaussians; large and opaque ones, which fill more, are likelier."""
     areas = torch.topk(gaussians.log_scales.double(), 2, dim=1).values.sum(dim=1)
     opacities = torch.nn.functional.logsigmoid(gaussians.logit_opacities.double())
-    logs = (areas + opacities).numpy()  # the weights themselves may be 0 or no numbers
+    logs = (areas + opacities).numpy()  # the weights themselves could underflow or overflow
     means: Float64 = gaussians.means.numpy().astype(np.float64)
     good = np.isfinite(logs) & (np.abs(means) < FARTHEST).all(axis=1)
     logs, means = logs[good], means[good]
@@ -117,10 +117,10 @@ def _probes(gaussians: Gaussians) -> Float64:
 
 
 def views_at(part: Part, views: Sequence[View], coarser: float) -> list[View]:
-    """The views at the size that shows the part `coarser` times as coarsely as its photos.
+    """Resize views so that they show the part `coarser` times as coarsely as its photos.
 
-    Each is cropped to the part. Views that show it more coarsely as they are, or hardly, are left
-    out.
+    Each view is cropped to the part. Views that already show it more coarsely, or hardly show it,
+    are left out.
     """
     found = []
     for camera, pose in views:
@@ -135,7 +135,7 @@ def views_at(part: Part, views: Sequence[View], coarser: float) -> list[View]:
 
 
 def small_picture(gaussians: Gaussians, view: View, samples: int, background: float) -> Tensor:
-    """(H, W, 3) of a model, with `samples` x `samples` samples per pixel of the view."""
+    """Render a model to (H, W, 3), with `samples` x `samples` samples per pixel of the view."""
     camera, pose = view
     large = camera.resized(camera.width * samples, camera.height * samples)
     colour = gaussians.means.new_full((3,), background)
@@ -144,12 +144,12 @@ def small_picture(gaussians: Gaussians, view: View, samples: int, background: fl
 
 
 def samples_for(coarser: float) -> int:
-    """Samples per pixel and axis that show a part at least as finely as its photos."""
+    """Samples per pixel and axis, so that a part is sampled at least as finely as by its photos."""
     return max(1, math.ceil(coarser - 1e-6))
 
 
 class TeacherPictures:
-    """The pictures of a part, as photos for the trainer; drawn once, kept as bytes."""
+    """Pictures of a part that serve as the trainer's photos; rendered once, kept as bytes."""
 
     def __init__(
         self,
@@ -159,7 +159,7 @@ class TeacherPictures:
         coarser: float,
         context: Context = QUIET,
     ) -> None:
-        """Args: `views` of `views_at` with `coarser`, and the background behind each."""
+        """Args: `views`: from `views_at` with `coarser`; `backgrounds`: grey behind each view."""
         device = torch.device(context.device)
         model, samples = part.gaussians.to(device), samples_for(coarser)
         self._pictures = []
@@ -172,11 +172,11 @@ class TeacherPictures:
         return self._pictures[index]
 
     def prefetch(self, indices: Sequence[int]) -> None:
-        """Nothing: all are there."""
+        """Do nothing: all pictures are in memory."""
 
 
 def _window(part: Part, camera: Camera, pose: Float64) -> tuple[float, float, float, float]:
-    """x0, y0, x1, y1: the pixels that nearly all of the part's centres lie in, with a margin."""
+    """x0, y0, x1, y1: the rectangle with nearly all of the part's centres, and a margin, pixels."""
     local = part.gaussians.means.double().numpy() @ pose[:3, :3].T + pose[:3, 3]
     local = local[local[:, 2] > 0]
     x = camera.fx * local[:, 0] / local[:, 2] + camera.cx
@@ -195,7 +195,7 @@ def _window(part: Part, camera: Camera, pose: Float64) -> tuple[float, float, fl
 
 
 def _cropped(camera: Camera, window: tuple[float, float, float, float], factor: float) -> Camera:
-    """The camera of the window, `factor` times its size."""
+    """The camera for a window, scaled by `factor`."""
     x0, y0, x1, y1 = window
     return Camera(
         width=int(factor * (x1 - x0)),
@@ -208,10 +208,10 @@ def _cropped(camera: Camera, window: tuple[float, float, float, float], factor: 
 
 
 class LevelledResult:
-    """The result of a run, part by part, each in the level that a view needs.
+    """The result of a run, with each part in the level that a view needs.
 
-    Files are read when they are first needed, and kept. `quality` is that of `shown_levels`.
-    RunFolderError: there are no levels, or a file is damaged.
+    Files are read when they are first needed, and kept in memory. `quality` is as in
+    `shown_levels`. RunFolderError: there are no levels, or a file is damaged.
     """
 
     def __init__(
@@ -231,7 +231,7 @@ class LevelledResult:
         self._read: dict[str, Gaussians] = {}
 
     def gaussians(self, camera: Camera, world_to_camera: Float64) -> Gaussians:
-        """The Gaussians that a view needs, in the frame."""
+        """The Gaussians for a view, in the frame."""
         parts = []
         for ladder in self._ladders:
             rate = rate_of(ladder.probes, (camera, world_to_camera))

@@ -110,7 +110,7 @@ class BoxMasks:
                 photo, strokes = self.photos[image.name], self.strokes.get(image.name, ())
                 file, given = files.find(photo.name, beside=False), None
                 if file is not None and file.relative_to(self.folder).as_posix() not in made:
-                    given = photo.of_file(read_mask(file, photo.size))  # the user's
+                    given = photo.of_file(read_mask(file, photo.size))  # the user's mask
                 views.append(view_of(photo, self.roi, part, image.world_to_camera, strokes, given))
         if not any(view.is_scribbled or view.given is not None for view in views):
             raise ConfigError(
@@ -169,7 +169,7 @@ def masked_photos(
     return [*names, *more[: max(0, LEAST_PHOTOS - len(names))]]
 
 
-VERSION = 2  # increase it if the same inputs give other masks
+VERSION = 2  # increase it if masks from the same inputs change
 Strokes = Mapping[str, tuple[Stroke, ...]]
 
 

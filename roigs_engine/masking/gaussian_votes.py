@@ -21,7 +21,7 @@ from .views import ON_BACKGROUND, ON_OBJECT, Mask, View
 
 Votes = tuple[Tensor, Tensor]
 EDGE = 0.03  # width of a mask's outline, in the object's size
-HEARD = 1.0  # least sum of votes, in pixels, to count for a Gaussian
+HEARD = 1.0  # least sum of votes for a Gaussian to count, in pixels
 
 
 class GaussianVotes(Knowledge):
@@ -46,7 +46,7 @@ class GaussianVotes(Knowledge):
         self._count(view, view.seeds == ON_OBJECT, view.seeds == ON_BACKGROUND, 1.0)
 
     def learn(self, view: View, mask: Mask, weight: float = 1.0) -> None:
-        # Pixels at its outline do not vote: they also show a little of Gaussians on the far side.
+        # Pixels at the outline do not vote: they also show a little of Gaussians on the far side.
         edge = max(2.0, EDGE * math.sqrt(mask.sum()))
         self._count(view, eroded(mask, edge), eroded(~mask, edge), weight)
 

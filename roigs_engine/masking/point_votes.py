@@ -17,10 +17,10 @@ from .propagation import Knowledge, Prior, eroded
 from .views import FREE, ON_OBJECT, Mask, View
 
 Numbers = NDArray[np.float64]
-NEAREST = 5  # points that decide for a pixel
-LEVELS, SMOOTHING = 16, 0.7  # of each channel's histogram; standard deviation of its smoothing
+NEAREST = 5  # nearest points that decide on a pixel
+LEVELS, SMOOTHING = 16, 0.7  # levels of a channel's histogram; standard deviation of its smoothing
 EDGE = 2.0  # pixels at a mask's outline that do not vote
-TRUST, UNKNOWN = 0.5, 0.4  # see `Prior`: between points, nothing is certain
+TRUST, UNKNOWN = 0.5, 0.4  # see `Prior`; pixels between points are never certain
 EVERY = 7  # every n-th pixel of strokes counts as a point
 
 
@@ -83,7 +83,8 @@ class PointVotes(Knowledge):
         """
         column, row, inside = self._places(view, self._points)
         seen = self._observed[view.name]
-        # A background point may be hidden by the object. The object's own are in its silhouette.
+        # Background points vote only if seen, because the object may hide them. The object's own
+        # points are always in its silhouette.
         used = inside & ((votes > 0) | ((votes < 0) & (True if seen is None else seen)))
         across, down, there = self._places(view, self._around[view.name])
         stroke_rows, stroke_columns = (each[::EVERY] for each in np.nonzero(view.seeds != FREE))

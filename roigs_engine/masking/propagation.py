@@ -21,9 +21,9 @@ from ..model.scene import Float64
 from .views import ON_BACKGROUND, ON_OBJECT, Mask, View, opencv
 
 STAGE = "masks"
-FIRST_BAND, WIDE_BAND, BAND = 0.5, 0.08, 0.04  # see `cut`: strokes alone; on the way; at the end
+FIRST_BAND, WIDE_BAND, BAND = 0.5, 0.08, 0.04  # see `cut`; for strokes alone, then, at the end
 PERSON = 3.0  # weight of a mask that the user made or scribbled on
-AGREEMENTS = 1  # rounds in which all photos vote on each
+AGREEMENTS = 1  # rounds in which all photos vote on each photo's mask
 
 
 class Knowledge(Protocol):
@@ -120,12 +120,12 @@ def _nearest_first(views: Sequence[View], begun: Sequence[View], centre: Float64
 Floats = NDArray[np.float32]
 SURE_BACKGROUND, SURE_OBJECT, MAYBE_BACKGROUND, MAYBE_OBJECT = range(4)  # OpenCV's numbers
 ROUNDS = 5
-CERTAIN = 0.9  # of a pixel's weight
+CERTAIN = 0.9  # a probability above this counts as certain
 DOUBT = 0.5  # weight of a guess for unknown parts
 LEAST_INSIDE = 0.35  # least likelihood of unknown pixels, if strokes run around the object
 LEAST_OUTSIDE = 0.02  # least share of the box's silhouette beyond strokes around the object
 RAMP = 0.03  # standard deviation of the outline's place, in the object's size
-ISLAND, HOLE = 0.03, 0.003  # smaller ones, as shares of the object, are removed
+ISLAND, HOLE = 0.03, 0.003  # as shares of the object; smaller ones are removed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -174,7 +174,7 @@ def _likelihood(view: View, prior: Prior) -> Floats:
     guessed = prior.unknown * (0.5 * prior.in_box - prior.in_object)
     found = prior.in_object + DOUBT * guessed
     if fenced(view).any():
-        # Not less beyond the strokes: GrabCut would take a step there for the object's outline.
+        # The same beyond the strokes: GrabCut would mistake a step there for the object's outline.
         least = LEAST_INSIDE * prior.unknown
         found = np.maximum(found, least + (1 - least) * prior.in_object) * (prior.in_box > 0.5)
     size = math.sqrt((prior.in_object > 0.5).sum())

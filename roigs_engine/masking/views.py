@@ -20,11 +20,11 @@ Mask = NDArray[np.bool_]
 Seeds = NDArray[np.uint8]
 
 SIDE = 640  # longest side of the working part, pixels
-MARGIN = 0.15  # around the box's silhouette, in its size
-MOST_WIDTH = 32767  # of a line, pixels; OpenCV draws no wider ones
-SMOOTHING = 4, 20  # of fine texture: pixels, and levels of colour
+MARGIN = 0.15  # margin around the box's silhouette, in units of its size
+MOST_WIDTH = 32767  # pixels; OpenCV draws no wider lines
+SMOOTHING = 4, 20  # reach of the smoothing of fine texture: pixels, and levels of colour
 FREE, ON_OBJECT, ON_BACKGROUND = 0, 1, 2
-"""Values of seeds."""
+"""Values of a pixel in the seeds."""
 
 
 def opencv() -> Any:
@@ -180,7 +180,7 @@ def draw_strokes(photo: PhotoPixels, part: Part, strokes: tuple[Stroke, ...]) ->
     seeds = np.zeros((down, across), dtype=np.uint8)
     for stroke in strokes:
         places, unit = photo.to_camera(stroke.points)
-        local = (places - (part.x, part.y)) * part.scale - 0.5  # OpenCV: centres at integers
+        local = (places - (part.x, part.y)) * part.scale - 0.5  # OpenCV has centres at integers
         shift = 4
         lines = [
             np.round(line * (1 << shift)).astype(np.int32) for line in _pieces(local) if len(line)

@@ -7,7 +7,7 @@ import numpy as np
 from .scene import Float64, Int64
 
 LEAF = 64
-"""Most points of a leaf; a leaf has at least half as many, if there are so many."""
+"""Most points in a leaf. Each leaf has at least half as many, unless there are fewer in all."""
 
 
 def leaves_of(points: Float64) -> list[Int64]:

@@ -17,7 +17,7 @@ from .roi import OrientedBox
 from .scene import Float64, SfmScene
 
 BASE = 16.0  # a scene's extent in its local frame is from 1 to BASE
-FAR = 1000.0  # local units; up to here, float32 resolves a fraction of a pixel
+FAR = 1000.0  # local units; closer, float32 resolves a fraction of a pixel
 STEP = 64.0  # local units; the origin is a multiple of this
 
 
@@ -61,7 +61,7 @@ class LocalFrame:
         good = means[np.isfinite(means).all(axis=1)]
         if len(good) == 0:
             return cls.world()
-        with np.errstate(over="ignore"):  # in a damaged file; the frame is then the world
+        with np.errstate(over="ignore"):  # overflow in a damaged file: the frame is then the world
             distances = np.linalg.norm(good - np.median(good, axis=0), axis=1)
         return cls.around(good, float(np.median(distances)))
 

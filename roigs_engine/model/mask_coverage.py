@@ -49,7 +49,7 @@ def _small(mask: PhotoMask, camera: Camera) -> NDArray[np.uint8]:
     return np.asarray(mask.small[np.ix_(rows, columns)])
 
 
-HALF = 128  # least value of a small mask's pixel that shows the object
+HALF = 128  # least value of an object's pixel in a small mask
 
 
 def with_useful_masks(

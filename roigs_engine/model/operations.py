@@ -25,7 +25,7 @@ def crop(gaussians: Gaussians, roi: OrientedBox, rois: Sequence[OrientedBox]) ->
 
 
 Owners = Callable[[Gaussians, Sequence[OrientedBox]], Tensor]
-"""A model and the boxes -> (N,) the index of the box that owns each Gaussian, -1 for none."""
+"""A model and the boxes -> (N,) index of each Gaussian's box, -1 for none."""
 
 
 def merge(
@@ -45,10 +45,10 @@ def merge(
 
 
 LEAST = 0.2
-"""Of the light that comes through a Gaussian, what is below this changes evenly with the density.
+"""Below this transmittance, the fade of a Gaussian is linear in the density, not a power.
 
-With powers alone, opaque Gaussians would come and go in the first steps of a fade: the largest
-changes between the frames of a fly-in were twice as large.
+With powers alone, opaque Gaussians would appear and vanish in the first steps of a fade: in a
+fly-in, the largest changes between frames were twice as large.
 """
 
 

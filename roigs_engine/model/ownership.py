@@ -102,13 +102,13 @@ class Partition:
         labels = self.owner[near]
         votes = np.zeros((len(positions), int(self.owner.max(initial=0)) + 1))
         rows = np.arange(len(positions))
-        for rank in range(count):  # a tie goes to the nearer points
+        for rank in range(count):  # in a tie, the nearer points win
             votes[rows, labels[:, rank]] += 1 + 0.5**rank / count
         return np.asarray(votes.argmax(axis=1), dtype=np.int64)
 
     @cached_property
     def _tree(self) -> Any:
-        from scipy.spatial import cKDTree  # Blender's Python, which reads plans, may lack scipy
+        from scipy.spatial import cKDTree  # here, because Blender's Python may lack scipy
 
         return cKDTree(self.points)
 

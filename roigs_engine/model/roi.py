@@ -17,7 +17,7 @@ from ..formats.rois import RoiRecord, read_rois, roi_record
 from .scene import Camera, Float64, SfmScene, origin
 
 NEAR_SHARE = 1e-3  # near plane for clipping a box, in units of the box's diagonal
-# The 12 edges of a box whose corner k has the sign bits of k (x = bit 0, y = bit 1, z = bit 2).
+# The 12 edges of a box. The bits of k are the signs of corner k (x = bit 0, y = bit 1, z = bit 2).
 EDGES = tuple((a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit)
 AREA_SIDE = 256  # longer side of the thumbnail for measuring a silhouette's area, pixels
 
@@ -86,7 +86,7 @@ class OrientedBox(RoiRecord):
         focal, centre = (camera.fx, camera.fy), (camera.cx, camera.cy)
         pixels = visible[:, :2] / visible[:, 2:] * focal + centre
         hull = convex_hull(pixels)
-        return hull if len(hull) >= 3 else None  # fewer: the projection is a line or a point
+        return hull if len(hull) >= 3 else None  # with fewer, the projection is a line or a point
 
     def camera_inside(self, world_to_camera: Float64) -> bool:
         """Whether the camera's centre lies inside the box."""
@@ -145,7 +145,7 @@ def convex_hull(points: Float64) -> Float64:
 
     Corners that exist only due to rounding are dropped; points on a line give fewer than three.
     """
-    order = sorted(map(tuple, points.tolist()))  # Python's numbers: few points, many photos
+    order = sorted(map(tuple, points.tolist()))  # Python numbers are faster for few points
     slack = 1e-14 * float(np.ptp(points, axis=0).max()) ** 2
 
     def half(walk: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
@@ -153,7 +153,7 @@ def convex_hull(points: Float64) -> Float64:
         for point in walk:
             while len(chain) > 1:
                 (x, y), (ax, ay), (bx, by) = chain[-2], chain[-1], point
-                # A turn to the left: twice the triangle's area.
+                # Twice the triangle's area, positive for a turn to the left.
                 if (ax - x) * (by - y) - (ay - y) * (bx - x) > slack:
                     break
                 chain.pop()

@@ -19,7 +19,7 @@ Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
 USUAL_REACH = 3.0  # cameras farther than this (see `reaches`) do not count for the extent
-ONE_POSITION = 1e-5  # of the distance to the points: closer cameras are at one position
+ONE_POSITION = 1e-5  # of the distance to the points; cameras closer together are at one position
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,5 +259,5 @@ def reaches(centres: Float64) -> Float64:
     most = np.sort(distances)[int(0.9 * (len(distances) - 1))]
     with np.errstate(divide="ignore", invalid="ignore"):
         relative: Float64 = distances / most
-    relative[distances == 0] = 0.0  # and not NaN where `most` is 0
+    relative[distances == 0] = 0.0  # instead of NaN where `most` is 0
     return relative

@@ -20,7 +20,7 @@ STRAY = "with a camera far from all others"
 OUTLIER_REACH = 10.0  # a camera farther than this (see `scene.reaches`) is suspect
 FEW_POINTS = 10  # with fewer observed points, a suspect camera is an outlier
 LEAST_EXTENT = 0.05  # of a photo's points: standard deviation as share of its width
-FAR_POINT = 1000.0  # outliers are farther than this x cameras' extent or points' median distance
+FAR_POINT = 1000.0  # x cameras' extent or points' median distance: farther points are outliers
 
 
 def without_outliers(scene: SfmScene) -> SfmScene:
@@ -40,7 +40,7 @@ def without_outliers(scene: SfmScene) -> SfmScene:
 def _outlier_cameras(scene: SfmScene) -> NDArray[np.bool_]:
     """(V,) whether each photo's camera is an outlier."""
     centres = scene.centres()
-    if len(centres) < 3:  # with two, either may be wrong
+    if len(centres) < 3:  # with two cameras, either may be wrong
         return np.zeros(len(centres), dtype=bool)
     far = reaches(centres) > OUTLIER_REACH
     if far.any() and len(scene.points):
@@ -91,7 +91,7 @@ def _without_far_points(scene: SfmScene) -> SfmScene:
     )
 
 
-FEW = 5  # photos of a box; with fewer, most of its surface is seen once or never
+FEW = 5  # photos of a box; with fewer, most of its surface is in at most one photo
 
 
 def scene_warnings(scene: SfmScene, rois: Sequence[OrientedBox]) -> list[str]:

@@ -21,16 +21,16 @@ from .leaves import leaves_of
 from .roi import OrientedBox
 from .scene import Float64, Int64, PosedImage, SfmScene
 
-NEAREST_NAMED = 3  # points in the error about an empty box
+NEAREST_NAMED = 3  # points listed in the error about an empty box
 OTHER_UNITS = 3.0  # a box this many times as large as all points is in other units
-# The depth test without tracks: cells along the image's longer side; the number of points in front
-# that hide a point (one could be an outlier); how far in front they must be, in diagonals of the
-# box, or in extents of the scene.
+# For the depth test without tracks: cells along the image's longer side; number of points in front
+# that hide a point (a single one could be an outlier); how far in front they must be, in diagonals
+# of the box, or in extents of the scene.
 DEPTH_CELLS = 64
 OCCLUDERS = 2
 DEPTH_SLACK = 0.1
 MAX_OCCLUDERS = 100_000  # scene points in the depth test
-# Of a box: above these, only every second, third ... of its points is used.
+# Limits for a box: above these, only every second, third ... of its points is used.
 MAX_POINTS, MAX_OBSERVATIONS = 100_000, 20_000_000
 MAX_PROJECTED = 400_000_000  # occluders x photos: the same limit for the depth test
 EVERYWHERE = np.full(2, -np.inf), np.full(2, np.inf)
@@ -199,7 +199,7 @@ def _by_depth(
             continue
         target_cell, size = _cells(image, pixels), _cell_size(image)
         looked_at[target_cell] = True
-        # Most occluders are behind or beside all targets: do not sort these into cells.
+        # Do not sort occluders that are behind or beside all targets, as most are.
         window = pixels.min(axis=1) - size, pixels.max(axis=1) + size
         farthest = float(target_depth.max() - slack)
         near = occluders.near(image, farthest, window)
@@ -209,7 +209,7 @@ def _by_depth(
         looked_at[target_cell] = False
         cell, depth = cell[kept], depth[kept]
         order = np.argsort(depth)
-        order = order[np.argsort(cell[order], kind="stable")]  # by radix: 16 bits
+        order = order[np.argsort(cell[order], kind="stable")]  # radix sort for 16 bits
         counts = np.bincount(cell, minlength=len(looked_at))
         # An extra occluder behind all others stands for missing ones in a cell.
         cell, depth = np.append(cell[order], np.uint16(last)), np.append(depth[order], np.inf)
@@ -263,7 +263,7 @@ def _projected(
     local = pose[:3, :3] @ points + pose[:3, 3:]
     rows = np.flatnonzero((local[2] > 0) & (local[2] < farthest))
     x, y, depth = (values[rows] for values in local)
-    with np.errstate(all="ignore"):  # at the camera
+    with np.errstate(all="ignore"):  # points at the camera
         x, y = x / depth * camera.fx + camera.cx, y / depth * camera.fy + camera.cy
     (left, top), (right, bottom) = window
     within = (x >= max(left, 0)) & (x < camera.width) & (x <= right)

@@ -106,7 +106,7 @@ class PhotoCache:
         """Decode the photo, set the result of the running `future`, and cache the photo."""
         try:
             pixels = load_masked(self._images[index])
-        except BaseException as error:  # raised where the future is read
+        except BaseException as error:  # reading the future raises it
             with self._lock:
                 self._forget(index, future)
             future.set_exception(error)

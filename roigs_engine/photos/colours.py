@@ -44,11 +44,11 @@ from .profiles import (
 # EXIF tags: the photo's table, its colour space, the interoperability table, its index
 EXIF_IFD, COLOUR_SPACE, INTEROPERABILITY_IFD, INDEX = 0x8769, 0xA001, 0xA005, 1
 SAYS_SRGB, SAYS_ADOBE = 1, 2
-GAMMA, GAMMA_TOLERANCE = 1 / 2.2, 0.05  # of a PNG in sRGB, as libpng decides
+GAMMA, GAMMA_TOLERANCE = 1 / 2.2, 0.05  # a PNG within these is sRGB, as in libpng
 ROUNDING = 2  # of 255: profiles of sRGB differ by up to this
 MOST_PROFILE = 8 << 20  # bytes; printers' profiles with tables have about 3 MB
 LATTICE = 17  # values of each channel at which a profile is compared with sRGB
-BLACK_POINT: Any = 0x2000  # LittleCMS's flag, which has no name in Pillow 10.1
+BLACK_POINT: Any = 0x2000  # flag of LittleCMS; Pillow 10.1 has no name for it
 MODES = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK", "Lab ": "LAB"}
 Conversion = Callable[[Image.Image], Image.Image]
 
@@ -94,7 +94,7 @@ def to_srgb(pixels: Image.Image, colours: Colours) -> Image.Image:
     if convert is None:
         return pixels if pixels.mode == "RGB" else pixels.convert("RGB")
     converted = convert(pixels)
-    converted.info = {}  # it has the old profile
+    converted.info = {}  # this removes the old profile
     return converted
 
 
@@ -191,7 +191,7 @@ def _profile(photo: Image.Image) -> bytes | Space:
             if code := png_chunk(file, b"cICP", end=b"IDAT"):
                 return space_of_code(code[0], code[1], limited=code[3] == 0)
     embedded: bytes | None = photo.info.get("icc_profile", b"")
-    if embedded is None:  # parts of it are missing, or it cannot be unpacked
+    if embedded is None:  # incomplete, or cannot be decompressed
         raise ProfileError("an incomplete profile")
     if photo.format == "JPEG2000":
         embedded = _of_jpeg2000(path)

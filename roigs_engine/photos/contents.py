@@ -34,7 +34,7 @@ class Content:
     size: int  # bytes of the file
     modified: int  # this and the next: the file's two times, ns
     changed: int
-    digest: str = ""  # hash of its bytes, 32 hexadecimal digits; empty: they cannot be read
+    digest: str = ""  # hash of its bytes, 32 hexadecimal digits; empty: unreadable
     whole: bool | None = None  # whether the photo can be decoded and is complete; None: not known
     colours: str = ""  # the treatment of its colour space, see `colours`; empty: it is sRGB
     exposure: float | None = None  # in stops, as `exif_exposure`
@@ -42,7 +42,8 @@ class Content:
 
 
 UNREAD = Content(size=-1, modified=0, changed=0, whole=False)
-"""Of a file that could not be read this time; no file has its stamp."""
+"""The content of a file that could not be read this time. No file has this stamp, so the file is
+read again."""
 
 
 def read_contents(
@@ -110,7 +111,7 @@ def _stamp(path: Path) -> Content:
 
 def _read(path: Path, check: bool, context: Context) -> Content:
     """Hash the file, and decode the photo if `check`."""
-    from .colours import colours_in_words  # needs Pillow, which reading cameras does not
+    from .colours import colours_in_words  # imports Pillow, which cameras do not need
     from .decode import check_whole
     from .exposures import exif_exposure
 
@@ -173,5 +174,5 @@ def _remembered(path: Path) -> dict[str, Content]:
         return {}
     try:
         return {name: Content(**content) for name, content in photos.items()}
-    except (TypeError, AttributeError):  # written by a person, checksum included
+    except (TypeError, AttributeError):  # edited by hand, with a valid checksum
         return {}

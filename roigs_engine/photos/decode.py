@@ -78,7 +78,7 @@ def decode(
         PhotoError: the file is missing or cannot be decoded.
     """
     if counted is not None and size is not None:
-        pixels = decode(path, turn=turn)  # reduced decoding would mix colours
+        pixels = decode(path, turn=turn)  # decoding at reduced size would mix colours
         return pixels if pixels.shape[1::-1] == size else _resized(pixels, size, counted())
     if turn != AS_STORED:
         return turned(decode(path, size and turned_size(size, turn)), turn)
@@ -124,7 +124,7 @@ def _resized(
     scale = pixels.shape[1] / size[0], pixels.shape[0] / size[1]
     for top, left in itertools.product(range(0, size[1], TILE), range(0, size[0], TILE)):
         tile = result[top : top + TILE, left : left + TILE]
-        # The tile's source pixels, and those around them that the filter reaches.
+        # The source pixels of the tile, and the pixels around them that the filter reaches.
         start = [side * k for side, k in zip((left, top), scale, strict=True)]
         end = [a + k * n for a, k, n in zip(start, scale, tile.shape[1::-1], strict=True)]
         reach = [math.ceil(LANCZOS * max(k, 1)) + 1 for k in scale]
@@ -206,7 +206,7 @@ def averaged(pixels: Pixels, n: int) -> Pixels:
 
 
 def _load(image: PosedImage, size: tuple[int, int]) -> Pixels:
-    if image.remake is None:  # otherwise the engine made the file
+    if image.remake is None:  # otherwise, the engine wrote the file
         check_unchanged(image.path, image.file_digest)
     counted = image.mask.whole if image.mask else None
     try:
@@ -235,7 +235,7 @@ def _decoded(photo: Image.Image, colours: Colours) -> tuple[Image.Image, Colours
         eight = ((deep.astype(np.uint32) + 128) // 257).astype(np.uint8)
         return Image.fromarray(eight[..., 0] if kind == "L" else eight), colours
     if photo.mode == "F":
-        values = np.nan_to_num(np.array(photo), copy=False)  # one copy of a large photo
+        values = np.nan_to_num(np.array(photo), copy=False)  # only one copy of a large photo
         np.multiply(values.clip(0, 1, out=values), 255, out=values)
         pixels = Image.fromarray(values.round(out=values).astype(np.uint8))
     elif photo.mode.startswith("I"):  # "I" also holds 16 bits
@@ -287,7 +287,7 @@ def deep_values(photo: Image.Image) -> Deep | None:
         return np.asarray((values * 65535).round().astype(np.uint16)[..., None])
     if photo.mode.startswith("I"):
         values = np.asarray(photo)
-        if re.search(r"I;32[BN]?\b", stored):  # unsigned; signed ones hold 16 bits in a wider type
+        if re.search(r"I;32[BN]?\b", stored):  # unsigned; signed types contain only 16 bits
             values = values.view(np.uint32) >> 16
         elif "I;12" in stored:
             values = values.astype(np.uint32) * 65535 // 4095
@@ -347,7 +347,7 @@ def tone_if_deep(photo: Image.Image) -> str:
 
 NOISE = np.random.default_rng(0).integers(1, 255, 1 << 15, dtype=np.uint8).tobytes()
 END = b"\xff\xd9"
-RESTART_INTERVAL, RESTARTS = 0xDD, range(0xD0, 0xD8)  # markers: of the headers, within the data
+RESTART_INTERVAL, RESTARTS = 0xDD, range(0xD0, 0xD8)  # JPEG markers: in the headers; in the data
 
 
 def check_whole(path: Path) -> str:
@@ -355,7 +355,7 @@ def check_whole(path: Path) -> str:
     with open_photo(path) as photo:
         kind = photo.format
         if kind == "PNG":
-            photo.verify()  # the checksums of all its parts; decoding checks those of pixels
+            photo.verify()  # checks the checksums of all chunks; decoding checks only the pixels'
     with open_photo(path) as photo:
         if kind not in ("JPEG", "MPO"):
             return tone_if_deep(photo)

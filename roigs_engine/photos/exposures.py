@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from .profiles import srgb_curve, srgb_values
 
-LEAST_SPREAD = 0.1  # stops; where exposures differ by less, photos stay as they are
+LEAST_SPREAD = 0.1  # stops; if exposures differ by less, photos are not changed
 CLIPPED = 235  # of 255: above this, tone curves compress or clip values
 MOST = 255
 EXIF_IFD, TIME, APERTURE, ISO = 0x8769, 0x829A, 0x829D, 0x8827  # EXIF 3.0, 4.6.5
 BASE_ISO = 100
-MOST_STOPS = 40  # of any camera, from night to sunlight
+MOST_STOPS = 40  # limit for any camera, from night to sunlight
 Key = TypeVar("Key")
 
 

@@ -23,14 +23,14 @@ UNREAD = {
     *(".pef", ".raf", ".raw", ".rw2", ".rwl", ".sr2", ".srf", ".srw", ".x3f"),
     *(".avif", ".exr", ".gif", ".hdr", ".jfif", ".jxl", ".psd", ".tga"),
 }
-"""Formats of cameras and of other pictures, which are not read."""
+"""Extensions of raw photos and other pictures that are not read."""
 MASK_ENDS = (".mask.png",)
-"""How the names of masks end that lie among the photos (`mask_paths`)."""
+"""Endings of the names of masks among the photos (`mask_paths`)."""
 
 
 MOST_FILES = 300_000
-"""Files in a folder of photos; a whole disk has more, and takes minutes to look at."""
-EACH_FOLDER = 20  # files: a folder takes as long to list as these
+"""Most files in a folder of photos. A whole disk has more, and listing it takes minutes."""
+EACH_FOLDER = 20  # files: listing a folder takes as long as listing these
 
 
 def is_mask(name: str) -> bool:
@@ -112,7 +112,7 @@ class PhotoFolder:
         path = self.folder / name.replace("\\", "/")
         if not self._exists:
             return f"there is no folder {self.folder}", HINT_FOLDER
-        with contextlib.suppress(OSError, ValueError):  # no file can have the name
+        with contextlib.suppress(OSError, ValueError):  # not a valid file name
             if path.is_dir():
                 return f"{path} is a folder", HINT_FOLDER
             if path.is_symlink():
@@ -153,7 +153,7 @@ class PhotoFolder:
                 return None
             if os.path.isfile(os.path.join(self.folder, spelling)):
                 path = self.folder / spelling
-                return path if path.is_relative_to(self.folder) else None  # a drive, on Windows
+                return path if path.is_relative_to(self.folder) else None  # other drive (Windows)
         return self._by_key.get(same_name(name))
 
     def others(self, names: Iterable[str]) -> list[str]:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 PNG = b"\x89PNG\r\n\x1a\n"
-FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "JPEG2000", "PPM")  # as Pillow calls them
+FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "JPEG2000", "PPM")  # Pillow's names
 PNG_END = b"IEND"
 ORIENTATION = 0x0112  # EXIF and TIFF tag
 TURN = "turn"  # key under which `open_photo` stores a TIFF's tag
@@ -100,7 +100,7 @@ def png_chunk(file: BinaryIO, kind: bytes, end: bytes = PNG_END) -> bytes:
             return file.read(length)
         if found == end:
             break
-        file.seek(length + 4, 1)  # the checksum too
+        file.seek(length + 4, 1)  # skips the checksum, too
     return b""
 
 
@@ -113,7 +113,7 @@ def check_complete(path: Path) -> None:
     try:
         with open(path, "rb", opener=regular) as file:
             start = file.read(len(PNG))
-            # The headers of a JPEG may hold a small copy of the photo, with its own end marker.
+            # A JPEG's headers may contain a small copy of the photo, with its own end marker.
             headers = 0
             if start.startswith(b"\xff\xd8"):
                 list(jpeg_segments(file))
@@ -124,7 +124,7 @@ def check_complete(path: Path) -> None:
         raise unreadable(path, error) from error
     mark = PNG_END if start == PNG else JPEG_END if start.startswith(b"\xff\xd8") else b""
     if mark not in tail:
-        with open_photo(path) as photo, suppress(MemoryError):  # then it cannot be checked
+        with open_photo(path) as photo, suppress(MemoryError):  # a photo this large is not checked
             photo.load()
 
 
@@ -169,7 +169,7 @@ def _opened(path: Path) -> Image:
         photo: Image.Image = Image.open(path, formats=FORMATS)
         try:
             tiff.check_tags(io.BytesIO((photo.info.get("exif") or b"").removeprefix(EXIF)))
-        except ValueError:  # the pixels are good
+        except ValueError:  # the pixels are still usable
             del photo.info["exif"]
         if photo.format == "JPEG2000":
             with open(path, "rb", opener=regular) as file:
@@ -181,7 +181,7 @@ def _opened(path: Path) -> Image:
             tiff.check_parts(photo)
             if photo.format == "TIFF" and (tag := photo.getexif().get(ORIENTATION, 1)) != 1:
                 photo.info[TURN] = tag
-                photo.getexif()[ORIENTATION] = 1  # Pillow turns only TIFFs by it
+                photo.getexif()[ORIENTATION] = 1  # Pillow itself would turn TIFFs
                 photo._size = getattr(photo, "_tile_size", photo.size)
             return photo
         photo.close()

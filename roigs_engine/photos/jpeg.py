@@ -13,8 +13,8 @@ PROGRESSIVE = {0xC2, 0xC6, 0xCA, 0xCE}
 BARE = {0x01, *range(0xD0, 0xD8)}
 JPEG_END, SCAN = b"\xff\xd9", b"\xff\xda"
 PER_PIXEL, BESIDE = 8, 64 << 20
-"""Bytes that a JPEG may have for each pixel, and besides: for headers, and a film behind it."""
-MOST_SCANS = 100  # of a JPEG; each may change all pixels. Usual files have up to 20
+"""Most bytes of a JPEG for each pixel; for headers and an appended film."""
+MOST_SCANS = 100  # scans of a JPEG, each of which may change all pixels; usual files have up to 20
 
 
 def jpeg_size(file: BinaryIO) -> tuple[int, int]:
@@ -68,7 +68,7 @@ def jpeg_segments(file: BinaryIO) -> Iterator[int]:
             (marker,) = file.read(1) or (0,)
         if marker in BARE:
             continue
-        if marker in (0xD9, 0xDA):  # the end, or the pixels
+        if marker in (0xD9, 0xDA):  # end of the file, or start of the pixels
             return
         at = file.tell()
         yield marker

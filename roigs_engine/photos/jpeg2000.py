@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from typing import BinaryIO
 
 START = b"\xff\x4f\xff\x51"
-"""How a codestream begins."""
+"""First bytes of a codestream."""
 SIZE = 38
-"""Bytes that follow, up to the number of channels (A.5.1)."""
+"""Bytes after `START`, up to and including the number of channels (A.5.1)."""
 MOST_TILES = 1 << 14
-"""Each takes 12 kB while it is decoded, however small it is."""
+"""Each tile of any size takes 12 kB during decoding."""
 
 
 def boxes(file: BinaryIO, at: int, end: int) -> Iterator[tuple[bytes, int, int]]:

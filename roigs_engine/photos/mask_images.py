@@ -22,9 +22,9 @@ from .rotation import AS_STORED, turned, turned_size
 
 Mask = NDArray[np.bool_]
 
-MOST_PIXELS = 50_000_000  # of a mask that is larger than its photo
-OPAQUE = 128  # least alpha of a pixel that counts
-ALL, HALF = 255, 128  # least value of a resampled pixel that is in the mask
+MOST_PIXELS = 50_000_000  # limit for masks larger than their photo
+OPAQUE = 128  # least alpha of an opaque pixel
+ALL, HALF = 255, 128  # least value of a resampled pixel in the mask
 HINT = "Save it again as a PNG, remove it, or use no masks (--no-masks)."
 OBJECT_HINT = "Save it again as a PNG, or remove it."
 
@@ -73,7 +73,7 @@ def has_alpha(path: Path) -> bool:
     try:
         with open_photo(path) as photo:
             return bool(photo.has_transparency_data)
-    except Exception:  # decoding it reports the error
+    except Exception:  # decoding reports the error
         return False
 
 
@@ -105,7 +105,7 @@ def _all_covered(mask: Mask, height: int) -> Mask:
     """Resample the mask (h, W) to `height`; a pixel counts if all rows that it touches count."""
     rows = np.arange(height)
     first, end = rows * len(mask) // height, -(-(rows + 1) * len(mask) // height)
-    # A pixel's rows: all before the next one's first row, and its own last row.
+    # A pixel covers the rows up to the next pixel's first row, and its own last row.
     return np.asarray(np.logical_and.reduceat(mask, first, axis=0) & mask[end - 1])
 
 
@@ -196,7 +196,7 @@ def _check(path: Path, image: Image.Image, photo: tuple[int, int]) -> None:
 
 def _bright(image: Image.Image) -> Mask:
     """(H, W) whether pixels of an opened file are neither black nor transparent."""
-    deep = deep_values(image)  # 1 of 65,535 is not black
+    deep = deep_values(image)  # at full depth: 1 of 65,535 is not black
     alpha = opacity(image)
     if deep is None:
         deep = np.asarray(image.convert("RGBA"))[..., :3]

@@ -20,7 +20,7 @@ from ..formats.projects import RECONSTRUCTION
 from .files import MASK_ENDS, PhotoFolder, is_mask
 
 MASKS = "masks"
-"""The folder's name."""
+"""Name of the masks' folder."""
 ANYTHING = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".gif"}
 
 
@@ -31,10 +31,10 @@ class MaskOptions:
     folder: Path | None = None  # of the masks; None: `masks` beside the photos' folder
     inverted: bool = False  # in files, black marks used pixels; alpha channels are not inverted
     used: bool = True  # False: no masks are used
-    boxes: tuple[str, ...] = ()  # whose masks of objects are used, from the folders `masks/BOX`
+    boxes: tuple[str, ...] = ()  # boxes whose object masks are used, from the folders `masks/BOX`
     other_boxes: bool = False  # whether the scene has more boxes than these
-    objects_inverted: bool = False  # black marks the objects
-    objects: Path | None = None  # folder of masks of objects for photos with none in `folder`
+    objects_inverted: bool = False  # in object masks, black marks the object
+    objects: Path | None = None  # folder of object masks for photos without one in `folder`
 
     def check(self) -> None:
         """Raise ConfigError if `folder` is not a folder."""

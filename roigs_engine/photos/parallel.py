@@ -17,9 +17,9 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 MOST = 8  # threads
-SHARE = 2  # all threads take at most 1/2 of the machine's memory, unless one needs more
+SHARE = 2  # all threads use at most 1/2 of the machine's memory, unless a single one needs more
 # Measured bytes for each pixel of a photo during decoding, including Pillow's 4 for the result.
-PER_PIXEL = 8  # a progressive JPEG, a compressed TIFF
+PER_PIXEL = 8  # for a progressive JPEG or a compressed TIFF
 HEAVY = {".jp2": 20, ".webp": 17}
 
 

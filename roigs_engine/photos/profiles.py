@@ -17,7 +17,7 @@ Deep = NDArray[np.uint16]
 Curve = Callable[[Values], Values]
 """Encoded values, 0 to 1 -> linear light, 1 for white."""
 Primaries = tuple[float, float, float, float, float, float, float, float]
-"""x and y of red, green, blue and white."""
+"""Chromaticities x and y of red, green, blue and white."""
 
 D65 = (0.3127, 0.3290)
 SRGB: Primaries = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, *D65)
@@ -37,9 +37,9 @@ PRIMARIES: dict[int, tuple[str, Primaries]] = {  # ITU-T H.273, table 2
     22: ("EBU Tech. 3213", (0.630, 0.340, 0.295, 0.605, 0.155, 0.077, *D65)),
 }
 PQ, HLG = 16, 18
-REFERENCE_WHITE = 203.0  # cd/m2 of PQ and HLG that become white: ITU-R BT.2408
-HLG_PEAK = 1000.0  # cd/m2 of HLG's reference screen: ITU-R BT.2100
-PART = 1 << 18  # pixels that are converted at once
+REFERENCE_WHITE = 203.0  # cd/m2 in PQ and HLG that become white (ITU-R BT.2408)
+HLG_PEAK = 1000.0  # cd/m2 of HLG's reference screen (ITU-R BT.2100)
+PART = 1 << 18  # pixels converted at once
 WHITE = 65535
 # CIE XYZ of ICC's white, and Bradford's matrix, which adapts other whites to it (ICC.1, annex E).
 D50 = np.array([0.9642, 1.0, 0.8249])
@@ -78,8 +78,8 @@ def hlg_screen(values: Values) -> Values:
 
 
 LIKE_SRGB = (1, 6, 7, 11, 12, 13, 14, 15)
-"""Curves of cameras that are close to BT.709's. Their signals are shown on sRGB screens as they
-are, by browsers, players and editors, so they count as sRGB's."""
+"""Curves of cameras that are close to BT.709's. Browsers, players and editors show such signals
+unchanged on sRGB screens, so they count as sRGB."""
 CURVES: dict[int, tuple[str, Curve]] = {  # H.273, table 3
     **dict.fromkeys(LIKE_SRGB, ("", srgb_curve)),
     4: ("gamma 2.2", lambda v: v**2.2),
@@ -153,7 +153,7 @@ def space_of(primaries: Primaries, curve: Curve, *, limited: bool = False) -> Sp
         values = ((255 * values - 16) / 219).clip(0, 1)
     with np.errstate(all="ignore"):
         matrix = np.linalg.inv(to_d50(SRGB)) @ to_d50(primaries)
-    if not np.abs(matrix).max() < 100:  # nor NaN
+    if not np.abs(matrix).max() < 100:  # refuses NaN, too
         raise ValueError("primaries that span no colour space")
     return Space((curve(values).astype(np.float32),) * 3, matrix.astype(np.float32))
 
@@ -183,7 +183,7 @@ def space_of_profile(icc: bytes) -> Space | None:
     """
     (count,) = struct.unpack_from(">I", icc, 128)
     entries = [struct.unpack_from(">4sII", icc, 132 + 12 * k) for k in range(count)]
-    whole = memoryview(icc)  # tags may share their data: no copies
+    whole = memoryview(icc)  # without copies: many tags may share the same data
     tags = {name: whole[start : start + size] for name, start, size in entries}
     if icc[20:24] != b"XYZ " or any(name[:3] in (b"A2B", b"D2B") for name in tags):
         return None
@@ -198,7 +198,7 @@ def space_of_profile(icc: bytes) -> Space | None:
         to_xyz = np.array(xyz, dtype=np.float64).T / 65536
         black = (to_xyz @ [curve[0] for curve in curves])[1]
         matrix = (np.linalg.inv(to_d50(SRGB)) @ to_xyz).astype(np.float32)
-    compensated = [(curve - black) / (1 - black) for curve in curves]  # for the black point
+    compensated = [(curve - black) / (1 - black) for curve in curves]  # black point compensation
     if not np.isfinite(compensated).all():
         return None
     return Space(tuple(curve.astype(np.float32) for curve in compensated), matrix)
@@ -218,7 +218,7 @@ def _curve(tag: memoryview) -> Values:
     g, a, b, c, d, e, f = [*map(float, numbers), *[0.0] * (7 - len(numbers))]
     if kind == 0:
         return np.asarray(values**g)
-    if kind < 3:  # c is added to both parts
+    if kind < 3:  # these add c in both parts of the curve
         d, e, f, c = -b / a, c, c, 0.0
     power = np.maximum(a * values + b, 0) ** g + e
     return np.asarray(np.where(values >= d, power, c * values + f).clip(0, 1))

@@ -39,7 +39,7 @@ def rotation_tag(path: Path) -> int:
         if start.startswith(b"\xff\xd8"):
             tag = _of_jpeg(file)
         elif start == PNG:
-            data = png_chunk(file, b"eXIf")  # may follow the pixels
+            data = png_chunk(file, b"eXIf")  # it may be after the pixels
             tag = _of_exif(data.removeprefix(EXIF)) if data else AS_STORED
         elif start[:2] in (b"II", b"MM") or start.startswith(b"RIFF"):
             with open_photo(path) as photo:

@@ -37,22 +37,22 @@ MINISWHITE, MINISBLACK, RGB, PALETTE, CMYK, YCBCR, CIELAB, ICCLAB = 0, 1, 2, 3, 
 ASSOCIATED, UNASSOCIATED = 1, 2
 UNSIGNED, FLOAT = 1, 3
 ZSTD, JPEG = 50000, (6, 7)
-# None, CCITT, LZW, Deflate, PackBits, LZMA: libtiff in Pillow reads these.
+# No compression, CCITT, LZW, Deflate, PackBits, LZMA: libtiff in Pillow reads these.
 COMPRESSIONS = {1, 2, 3, 4, 5, *JPEG, 8, 32773, 32946, 34925, ZSTD}
 CHANNELS = {MINISWHITE: 1, MINISBLACK: 1, RGB: 3, PALETTE: 1, CMYK: 4, CIELAB: 3, ICCLAB: 3}
 MODES = {RGB: "RGB", PALETTE: "RGB", CMYK: "CMYK", CIELAB: "LAB", ICCLAB: "LAB", YCBCR: "RGB"}
 MOST_PAGES = 64
-MOST_SIDE = 4096  # of a tile, unless the page is larger
+MOST_SIDE = 4096  # pixels of a tile's side, unless the page is larger
 MOST_BYTES = 1_450_000_000  # of a decoded page: 178 million pixels of 4 x 2 bytes
 PADDING = 16  # pixels that a codec may add to a strip
 JPEG_2000, WEBP, PNG = (33003, 33004, 33005, 34712), 50001, 34933
 READ = COMPRESSIONS | {*JPEG_2000, WEBP, PNG}
 TYPE_BYTES = np.array([0, 1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8, 4, 0, 0, 8, 8, 8])
 """Bytes of a value, by the number of its type (TIFF 6.0, section 2, and BigTIFF)."""
-MOST_TAGS = 4096  # of a page
-MOST_LOOKS = 1024  # lists of tags read: of pages, of pages below them, of EXIF data
-MOST_PLACES = 1 << 22  # numbers in a page's lists: places of strips, tiles and pages below
-LISTS, BELOW = (273, 279, 324, 325, 330), (330, 34665, 34853, 40965)  # BELOW: of other pages
+MOST_TAGS = 4096  # tags of a page
+MOST_LOOKS = 1024  # lists of tags that are read: of pages, of pages below them, of EXIF data
+MOST_PLACES = 1 << 22  # numbers in a page's lists: offsets of strips, tiles and pages below
+LISTS, BELOW = (273, 279, 324, 325, 330), (330, 34665, 34853, 40965)  # tags: lists; further pages
 HINT = "Save it as a TIFF of 8 or 16 bits, grey or RGB, or as PNG."
 Result = TypeVar("Result")
 
@@ -116,7 +116,7 @@ def check_tags(file: BinaryIO) -> None:
         return
     big, size = head[2:4] in (b"+\0", b"\0+"), file.seek(0, io.SEEK_END)
     kind = _Kind(order, big, size, set())
-    with suppress(struct.error):  # the data are cut off
+    with suppress(struct.error):  # truncated data
         (at,) = struct.unpack_from(order + ("8xQ" if big else "4xI"), head)
         for page in range(MOST_PAGES):
             at = _check_directory(file, at, kind, 0 if page else 2) if at else 0
@@ -241,7 +241,7 @@ class TiffPhoto(ImageFile.ImageFile):
 
 def _package(name: str, path: Path) -> Any:
     library = package(name, f"Reading the TIFF {path}", otherwise=HINT)
-    logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)  # errors are raised as well
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)  # it raises errors anyway
     return library
 
 
@@ -384,7 +384,7 @@ def _mode(page: Any) -> str:
 def _values(page: Any) -> NDArray[Any]:
     """(H, W, channels) stored values of a page."""
     values: NDArray[Any] = page.asarray()
-    if page.axes.startswith("S"):  # planes
+    if page.axes.startswith("S"):  # separate planes
         values = np.moveaxis(values, 0, -1)
     return values.reshape(page.imagelength, page.imagewidth, -1)
 
@@ -410,7 +410,7 @@ def _straight(page: Any, kind: type[np.unsignedinteger[Any]], factor: int) -> ND
     for part, made in zip(parts_of(values), parts_of(result), strict=True):
         if part.dtype.kind == "f":
             part = np.nan_to_num(part, nan=0, posinf=1, neginf=0)
-        with np.errstate(over="ignore"):  # a float64 beyond float32 is white
+        with np.errstate(over="ignore"):  # float64 beyond float32's range is white
             scaled = np.clip(part.astype(np.float32) / white, 0, 1) * np.float32(255)
         if int(page.photometric) == MINISWHITE:
             scaled[..., 0] = 255 - scaled[..., 0]
@@ -426,7 +426,7 @@ def _white(values: NDArray[Any], bits: int) -> float:
     """The value of white in a page: the largest one of its bits."""
     if values.dtype.kind in "bf":
         return 1.0
-    # Some programs write 16 bits as signed 32; by its type, such a photo would be black.
+    # Some programs write 16-bit values as signed 32-bit ones. In that range, they would be black.
     if values.dtype == np.int32 and values.max(initial=0) <= 65535:
         return 65535.0
     return float(2.0 ** (bits - (values.dtype.kind == "i")) - 1)
@@ -435,7 +435,7 @@ def _white(values: NDArray[Any], bits: int) -> float:
 def _lab(values: NDArray[Any], *, signed: bool) -> Image.Image:
     """Convert L*a*b* of 8 or 16 bits to Pillow's LAB, from bytes with signed a* and b*."""
     high = (values.view(np.uint16) >> 8 if values.dtype.itemsize == 2 else values).astype(np.uint8)
-    if not signed:  # ICC's: an offset of 128
+    if not signed:  # ICC's encoding has an offset of 128
         high[..., 1:] ^= 128
     height, width = high.shape[:2]
     return Image.frombytes("LAB", (width, height), high.tobytes(), "raw", "LAB")

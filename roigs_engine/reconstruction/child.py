@@ -102,13 +102,13 @@ def _result(
 
     def read() -> None:
         """Queue the child's lines, then None."""
-        with suppress(ValueError, OSError):  # closed
+        with suppress(ValueError, OSError):  # the pipe is closed
             for line in output:
                 lines.put(line)
         lines.put(None)
 
     threading.Thread(target=read, daemon=True).start()
-    with suppress(OSError):  # it has ended; reported below
+    with suppress(OSError):  # the process has ended; reported below
         child.stdin.write(json.dumps(task).encode() + b"\n")
         child.stdin.flush()
     last: Record = {}
@@ -122,7 +122,7 @@ def _result(
         if line is None:
             raise _ended(child.wait(), log)
         record: Record = {}
-        with suppress(ValueError, TypeError):  # a line that is no record
+        with suppress(ValueError, TypeError):  # not a record
             record = dict(json.loads(line))
         if "error" in record and not record.get("hint") and _is_full(log):
             raise _ended(1, log)

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 
 STAGE = "convert photos"
 FOREIGN = {*HEIC, ".webp", ".jp2"}  # pycolmap's wheels cannot read these
-TIFF = {".tif", ".tiff"}  # it reads some of these differently
+TIFF = {".tif", ".tiff"}  # pycolmap reads some of these differently
 QUALITY = 95
 ORIENTATION = 0x0112  # EXIF tag
-BYTES = 20 * 50_000_000  # for converting a large photo
+BYTES = 20 * 50_000_000  # memory for converting a large photo
 RECORD = "converted.json"
 SRGB = " sRGB"  # after the digest of a photo whose colours were also converted
 
@@ -127,7 +127,7 @@ def _as_jpeg(source: Path) -> bytes:
     with _opened(source) as photo:
         exif = photo.getexif()
         if heic:
-            exif.pop(ORIENTATION, None)  # it is turned as it is read
+            exif.pop(ORIENTATION, None)  # reading has already turned it
         if colours_of(photo).profile:
             say_srgb(exif)
         to_rgb(photo).save(file, format="JPEG", quality=QUALITY, subsampling=0, exif=exif)

@@ -19,14 +19,14 @@ from ..formats.text import first_line
 
 # COLMAP splits lines of pairs at the first space, and skips lines that begin with #.
 HIDDEN = {" ": "\x1f", "#": "\x1e"}
-PAIR_BASE = 2147483647  # COLMAP's: a pair's id is smaller id * base + larger id
+PAIR_BASE = 2147483647  # in COLMAP, a pair's id is smaller id * base + larger id
 FEWEST_INLIERS = 15  # matches of a pair for COLMAP's mapper
 # COLMAP's kinds of pairs. PANORAMIC: the camera only turned, or saw a plane (these cannot always be
 # told apart). STILL: the matches do not move in the picture, like a watermark or a background.
 PANORAMIC = (5, 6)
 STILL = (7,)
 COMPUTES = re.compile(r"\bVIRTUAL\b|\bAS\s*\(|(blob|printf|format)\s*\(|/\*|--", re.IGNORECASE)
-"""In what makes a table or an index: computed values, and comments, which may hide them."""
+"""Matches SQL of a table or an index with computed values, or with comments that may hide them."""
 Pair = tuple[str, str]
 
 

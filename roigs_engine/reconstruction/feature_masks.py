@@ -31,9 +31,9 @@ RECORD = "masks.json"
 class Kept:
     """The record of a mask in the folder."""
 
-    digest: str  # hash of everything that decides it
-    sha256: str  # of its file, as it was written
-    photos: str  # the folder of its photos; relative if it is in the project
+    digest: str  # hash of all inputs
+    sha256: str  # hash of the file, as the engine wrote it
+    photos: str  # folder of the photos; relative if it is in the project
 
 
 def write_masks(

@@ -41,8 +41,8 @@ from .photo_checks import Photo, unread_in_words
 IMAGES, DATABASE, REPORT = PHOTO_FOLDERS[0], "database.db", "reconstruction.md"
 WORK, EARLIER = RECONSTRUCTION, "earlier"
 RECORD, PHOTOS = "state.json", "photos"
-"""The record, in the engine's own folder, and its key of the photos."""
-VERSION = 1  # of the record; increase it if features or matches of older engines are unusable
+"""The record's file, in the engine's own folder, and its key for the photos."""
+VERSION = 1  # increase it if features or matches of older engines become unusable
 
 
 class Folder:
@@ -93,7 +93,7 @@ class Folder:
             own_folder(self.root, SPARSE, self.model.name)
             refuse_linked_folders(self.work(), self.log, *self._replaced())
             self._bring_back()
-            if is_new:  # from now on, files with our names are ours
+            if is_new:  # from now on, files with the engine's names are the engine's
                 write_json(self._record, {"version": VERSION, PHOTOS: {}})
             yield
 
@@ -123,7 +123,7 @@ class Folder:
                 why = "Photos were changed or removed, so features are found again."
         if why:
             self.forget()
-            state["apart"] = True  # the model's ids of photos and features differ
+            state["apart"] = True  # the ids of photos and features differ from the model's
         state |= {"version": VERSION, "features": features, PHOTOS: digests}
         write_json(self._record, state)
         return why
@@ -282,7 +282,7 @@ class Folder:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 os.link(os.path.realpath(photo.path), target)
                 continue
-            # Hard links are not possible on all file systems, nor between two of them.
+            # Some file systems have no hard links, and none links to another file system.
             with (
                 atomic_write(target, durable=False) as copy,
                 open(photo.path, "rb", opener=regular) as file,

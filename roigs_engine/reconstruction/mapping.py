@@ -14,9 +14,9 @@ from .folder import Folder
 
 MAPPING = "mapping"
 FEWEST = 3  # photos of a model
-JOINED = 0.5  # of a photo's points in its own model: with fewer here, its place is unreliable
+JOINED = 0.5  # a photo with less than this share of its own model's points is placed unreliably
 Options = dict[str, dict[str, Any]]
-"""Values of pycolmap's options by the part that has them; "": the pipeline's own."""
+"""Part of pycolmap's options -> name -> value; "": the options of the pipeline itself."""
 # All cameras are adjusted once when the model has grown by 30 %, with non-redundant points only.
 # COLMAP's defaults (10 %, five times, all points) take twice as long for equally exact cameras.
 # All threads work on small adjustments, too (notebook/reconstruction.md).
@@ -30,7 +30,8 @@ FAST: Options = {
     },
     "mapper": {"ba_global_ignore_redundant_points3D": True},
 }
-# COLMAP's own limits come first; lower ones are for starting at all, or adding photos to a model.
+# COLMAP's own limits are tried first. Lower ones start models that would not start otherwise, or
+# add photos to a model.
 STRICT: Options = {"": {"min_model_size": FEWEST, "max_num_models": 10}, "mapper": {}}
 LOW_TO_ADD = {"abs_pose_min_num_inliers": 12, "abs_pose_min_inlier_ratio": 0.15}
 LOW_TO_BEGIN = {"init_min_num_inliers": 30, "init_min_tri_angle": 2.0}
@@ -64,7 +65,7 @@ def map_models(
     snapshots.mkdir(parents=True, exist_ok=True)
     own = {"snapshot_path": str(snapshots), "snapshot_frames_freq": max(20, total // 10)}
     options = STRICT | {"": STRICT[""] | own}
-    # The last but one snapshot is always complete.
+    # The second-to-last snapshot is always complete.
     older = sorted(path for path in snapshots.iterdir() if path.is_dir())[-2:-1]
     start = str(older[0]) if older else ""
     found = _map(folder, out / "first", options, settings, total, context, start)
@@ -108,7 +109,7 @@ def map_rest(
         for name, points in model.photos.items()
         if name not in best.photos
     }
-    # A photo from another model was added, but observes far fewer points than there.
+    # A photo from another model was added, but observes far fewer points than in that model.
     if found and any(found[0].photos.get(k, n) < JOINED * n for k, n in others.items()):
         kept = [name for name in names if name not in others]
         found = low("apart", LOW | {"": LOW[""] | {"image_names": kept}})

@@ -22,7 +22,7 @@ from .database import Pair
 FEW = 30  # photos up to which all pairs are matched
 OVERLAP = 5  # photos before and after, in the order of names
 LOOPS = 5  # similar photos that each ordered photo is also matched with
-JUMPS = 5  # farther photos, for ordered ones: `OVERLAP` + 2, 4, 8, ... photos ahead
+JUMPS = 5  # farther photos of an ordered one's pairs: `OVERLAP` + 2, 4, 8, ... photos ahead
 
 
 def all_pairs(names: Sequence[str]) -> list[Pair]:
@@ -61,7 +61,7 @@ STAGE = "compare photos"
 LARGEST = 600  # features of a photo to compare
 MAX_RATIO, MAX_ANGLE = 0.8, 0.7  # COLMAP's limits for the angles between matching descriptors
 ALL_PAIRS = 300  # photos up to which every pair is compared
-SHORTLIST = 100  # photos that each is compared with if there are more
+SHORTLIST = 100  # above `ALL_PAIRS`, each photo is compared with this many
 WORDS, SAMPLE = 64, 100_000
 
 Descriptors = NDArray[np.uint8]

@@ -22,7 +22,7 @@ from ..photos.parallel import decoding_bytes, in_parallel
 STAGE = "look at photos"
 LOOK_SIDE = 1024  # px of the longest side, to measure sharpness
 EXIF_IFD = 0x8769
-# EXIF tags: maker, model; in another table, focal length, the same for 35 mm film, lens.
+# EXIF tags: maker, model; in another table, focal length, equivalent on 35 mm film, lens.
 DEVICE_TAGS, LENS_TAGS = (0x010F, 0x0110), (0x920A, 0xA405, 0xA434)
 
 
@@ -30,12 +30,12 @@ DEVICE_TAGS, LENS_TAGS = (0x010F, 0x0110), (0x920A, 0xA405, 0xA434)
 class Photo:
     """A usable photo."""
 
-    name: str  # below the folder, with `/`
-    path: Path  # its file
-    digest: str  # hash of its bytes
+    name: str  # path below the folder, with `/`
+    path: Path  # the file
+    digest: str  # hash of the bytes
     size: tuple[int, int]  # width and height, px, as in the file: orientation tags are ignored
     device: str  # maker, model, focal lengths and lens, to identify cameras; "": unknown
-    sharpness: float  # share of fine detail in its contrast; comparable within one set of photos
+    sharpness: float  # fine detail as a share of the contrast; comparable within a set of photos
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,11 +45,11 @@ class Found:
     photos: tuple[Photo, ...]
     unreadable: tuple[str, ...]
     copies: Mapping[str, str]
-    """Name -> name of the photo with the same bytes, which is used."""
+    """Name -> name of an identical photo that is used instead."""
     unread: Mapping[str, int] = field(default_factory=dict)
-    """Format, as `.NEF` -> how many photos have it, which were not looked at."""
+    """Extension such as `.NEF` -> number of photos of this format; they were not read."""
     masks: Mapping[str, str] = field(default_factory=dict)
-    """Name -> hash of the photo's mask: features are found only where it is not black."""
+    """Name -> hash of the photo's mask; no features are found where the mask is black."""
 
 
 def look_at(files: Mapping[str, Path], remembered: Path, context: Context) -> Found:
@@ -126,8 +126,8 @@ def fine_detail(grey: NDArray[np.float32] | NDArray[np.uint8]) -> float:
     return float(second.var() / max(float(grey.var()), 1.0))
 
 
-SMALL = 480  # px of the longest side, below which features are few
-BLURRED = 0.2  # of the median sharpness
+SMALL = 480  # px of the longest side; smaller photos have few features
+BLURRED = 0.2  # of the median sharpness; photos below this are blurred
 
 
 def warnings_of(found: Found) -> list[str]:

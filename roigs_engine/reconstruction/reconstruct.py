@@ -32,8 +32,8 @@ from .report import NOTHING, Reconstruction, as_markdown, findings, warnings_of_
 from .video import take_frames
 
 FEATURES, MATCHING = "features", "matching"
-OF_FEATURES = ("max_side", "features", "cameras", "camera_model")  # options that decide features
-# Measured bytes of a thread: for each pixel of the searched photo, and of the file.
+OF_FEATURES = ("max_side", "features", "cameras", "camera_model")  # options that change features
+# Measured bytes of a thread: for each pixel of the resized photo; for each pixel of the file.
 SEARCHED, DECODED = 320, 8
 REST_PAIRS = 20_000  # most pairs to try for unregistered photos
 
@@ -58,8 +58,8 @@ def find_features(folder: Folder, found: Found, request: Reconstruct, context: C
         "groups": groups,
         "threads": threads_in_memory(found.photos, request.max_side, threads_of(request)),
         "max_side": request.max_side,
-        # Few photos have little overlap and few pairs: more features find more there, and cost
-        # less.
+        # Few photos have little overlap, where more features find more, and few pairs, where they
+        # cost less.
         "features": request.features or (MANY if total <= FEW_PHOTOS else USUAL),
         "camera_model": request.camera_model,
         "masks": str(folder.masks) if found.masks else "",
@@ -95,7 +95,7 @@ def match(
     listed = folder.work("pairs.txt")
     write_text(listed, "".join(map(database.pair_line, missing)), durable=False)
     task = {"work": "match", "database": str(folder.database), "pairs": str(listed), **settings}
-    tables = ("matches", "two_view_geometries")  # matching and verifying are half the work each
+    tables = ("matches", "two_view_geometries")  # matching and verifying take half each
     _run(task, folder, MATCHING, tables, len(there) + len(missing), context)
 
 
@@ -212,7 +212,7 @@ def reconstruct(
     folder, video = Folder(request.out), is_video(source)
     if request.frames and not video:
         raise ConfigError(f"{source} is no video.", "Leave out --frames.")
-    if video and request.pairs == "auto":  # frames follow one another
+    if video and request.pairs == "auto":  # frames are in order
         request = replace(request, pairs="ordered")
     files = {} if video else folder.photos_of(source)
     with folder.held(context.warn):

@@ -13,27 +13,27 @@ from .database import FEWEST_INLIERS, PANORAMIC, STILL, Pair
 from .mapping import Mapped
 from .photo_checks import Found, blurred, small, warnings_of
 
-GROUP = 3  # photos; smaller unconnected groups are not a place
-# Shares of the pairs. In real scenes with walls and tables, a plane explains up to 54 % of them.
+GROUP = 3  # photos; smaller unconnected groups do not count as a place
+# Shares of the pairs. In real scenes with walls and tables, a plane explains up to 54 % of pairs.
 ONE_PLACE, BEHIND = 0.9, 0.5
 NOTHING = "No two photos could be registered: their matches are too few, or all are from one place."
 FEW_FEATURES = 200
 HIGH_ERROR = 1.5  # px
 FEW_POINTS = 100  # observed by a photo
-WEAK = 0.2  # of the registered photos: a warning if more have few points
-SHARE = 0.9  # of the photos: a warning if fewer are registered
+WEAK = 0.2  # of the registered photos: warns if more than this share have few points
+SHARE = 0.9  # of the photos: warns if fewer than this share are registered
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reconstruction:
     """The result of a reconstruction."""
 
-    found: Found  # the photos, and those that were left out
+    found: Found  # the photos, used and skipped
     features: Mapping[str, int]  # name -> number of features
     matched: Mapping[Pair, int]  # two names -> number of verified matches
-    models: list[Mapped]  # the largest first, it is the result; empty: no photos were registered
-    seconds: Mapping[str, float]  # wall-clock of each step
-    warnings: Sequence[str] = ()  # from the matches, see `warnings_of_matches`
+    models: list[Mapped]  # largest first, which is the result; empty: no photos were registered
+    seconds: Mapping[str, float]  # step -> wall-clock time
+    warnings: Sequence[str] = ()  # on the matches, see `warnings_of_matches`
 
     @property
     def missing(self) -> list[str]:
@@ -168,7 +168,7 @@ def as_markdown(result: Reconstruction) -> str:
     lines = ["# Reconstruction", "", _summary(result), ""]
     lines += [f"- {text}" for text in (*warnings_of(result.found), *result.warnings)]
     if result.models:
-        told = [text for _, text in findings(result)[1:]]  # the last table has weak photos
+        told = [text for _, text in findings(result)[1:]]  # the last table lists weak photos
         lines += [f"- {text}" for text in told if text not in _unreliable(result)]
     lines += ["", "| | |", "|---|---|"]
     lines += [f"| photos registered | {len(result.registered)} of {len(result.found.photos)} |"]

@@ -37,12 +37,12 @@ from .photo_checks import BLURRED, fine_detail
 from .video_colours import Colours, colours_of, to_srgb
 
 CONTAINERS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg"
-"""FFmpeg's names of what `projects.VIDEOS` are."""
-ENDS_EARLY = 0.98  # of the number of frames in the file's header
-NARROWEST, WIDEST = 0.25, 4.0  # pixels, width by height
+"""FFmpeg's names of the formats in `projects.VIDEOS`."""
+ENDS_EARLY = 0.98  # of the frames that the header promises; a file with fewer is truncated
+NARROWEST, WIDEST = 0.25, 4.0  # ratio of a pixel's width and height
 CONVERT = "Copy it again, or convert it to MP4."
 FLAGGING = ("h264", "mpeg1video", "mpeg2video", "vc1")  # codecs that flag each interlaced frame
-# FFmpeg's field orders: the field shown first
+# FFmpeg's field order -> the field shown first.
 INTERLACED = {2: "tff", 3: "bff", 4: "bff", 5: "tff"}
 Pixels = NDArray[np.uint8]
 
@@ -78,11 +78,11 @@ class Video:
         try:
             with open(self.path, "rb", opener=regular):
                 pass  # refuses pipes and devices: reading them might never end
-            # The prefix prevents names such as "concat:..." from being interpreted. The list of
-            # formats prevents playlists with a video's name from naming other files.
+            # The prefix keeps FFmpeg from interpreting names such as "concat:...". The list of
+            # formats excludes playlists that have a video's name and refer to other files.
             name, only = f"file:{self.path.absolute()}", {"format_whitelist": CONTAINERS}
             most = {"max_pixels": str(MAX_PIXELS)}
-            # Metadata may not be valid text, and are not needed.
+            # Metadata are not needed, and may be invalid text.
             with self._av.open(
                 name, options=most, container_options=only, metadata_errors="replace"
             ) as file:
@@ -143,7 +143,7 @@ class Video:
             if graph is None and not unflagged and not frame.interlaced_frame:
                 yield frame
                 continue
-            if tags.name == "hevc":  # its pictures are single fields
+            if tags.name == "hevc":  # each picture is a single field
                 text = f"{self.path} is interlaced HEVC, which is not supported."
                 raise SceneError(text, "Convert it to progressive video.")
             self.deinterlaced = True
@@ -207,16 +207,16 @@ def _upright(pixels: Pixels, display: Any) -> Pixels:
 
 
 LOOK, WRITE = "look at the video", "write frames"
-FARTHEST = 1e6  # longer sides: no camera moves so far
-VERSION = 2  # of the record; increase it if other frames would be chosen
+FARTHEST = 1e6  # in longer sides of the picture; no camera moves so far
+VERSION = 2  # increase it if other frames would be chosen
 STEP = 0.05  # of the picture's longer side: motion of the picture between photos
 FEWEST, MOST = 30, 300  # photos, if their number is not given
 STILL = 0.004  # of the picture's longer side: frames with less motion count as equal
-APART = 0.4  # of the step between photos: the least distance of two
+APART = 0.4  # of the step between photos: least distance of two photos
 SHARP_SIDE, MOVED_SIDE, BLOCK = 640, 256, 64  # px
 FAR = 0.15  # of a block: after this motion, a later frame becomes the reference
-COARSE = 0.1  # cycles per px: finer detail counts less in the motion
-TEXTURE = 3.0  # grey levels: the least contrast of a block to measure its motion
+COARSE = 0.1  # cycles per px: finer detail has less weight in the motion
+TEXTURE = 3.0  # grey levels: least contrast of a block whose motion is measured
 QUALITY = 95
 RECORD = "video.json"
 _FRAME = re.compile(r"frame_\d{6,}\.jpg")
@@ -276,7 +276,7 @@ def _seen(video: Video, folder: Folder, context: Context) -> list[Seen]:
     seen = _remembered(record)
     if not seen:
         seen = look(video, context)
-        for made_before in _frames_in(folder):  # by another version
+        for made_before in _frames_in(folder):  # frames of another version
             made_before.unlink()
         rows = [[frame.moved, frame.sharpness] for frame in seen]
         record = {"version": VERSION, "video": digest, "frames": rows, "damaged": video.damaged}
@@ -345,7 +345,7 @@ def _block_shift(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
     spectrum = np.fft.rfft2(other) * np.conj(np.fft.rfft2(one))
     spectrum /= np.maximum(np.abs(spectrum), 1e-9)
     fine = np.hypot(np.fft.fftfreq(one.shape[0])[:, None], np.fft.rfftfreq(one.shape[1]))
-    spectrum *= np.exp(-((fine / COARSE) ** 2))  # a blurred frame has no fine detail
+    spectrum *= np.exp(-((fine / COARSE) ** 2))  # blurred frames have no fine detail
     response = np.fft.irfft2(spectrum, one.shape)
     peak = np.unravel_index(int(response.argmax()), response.shape)
     signed = [int(k) - n if k > n // 2 else int(k) for k, n in zip(peak, one.shape, strict=True)]
@@ -382,7 +382,7 @@ def _write(video: Video, missing: Mapping[int, Path], context: Context) -> None:
         context.check_cancelled()
         if number in missing:
             with atomic_write(missing[number], durable=False) as file:
-                assert video.colours is not None  # a frame came
+                assert video.colours is not None  # set by the first frame
                 picture = Image.fromarray(picture_of(frame, video.ratio, video.colours))
                 picture.save(file, format="JPEG", quality=QUALITY, subsampling=0)
             done += 1

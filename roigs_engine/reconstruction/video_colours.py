@@ -30,13 +30,13 @@ from ..photos.profiles import (
 Pixels = NDArray[np.uint8]
 Light = NDArray[np.float64]
 
-UNKNOWN = (0, 2, 3)  # reserved or unspecified
+UNKNOWN = (0, 2, 3)  # values that are reserved or unspecified
 MATRICES = {1: "BT.709", 4: "FCC", 5: "BT.601", 6: "BT.601", 7: "SMPTE 240M", 9: "BT.2020"}
 DERIVED = {1: 1, 5: 5, 6: 6, 9: 9}  # H.273's matrix 12 follows from the primaries
 
-WHITE, PEAK = REFERENCE_WHITE, HLG_PEAK  # cd/m2; most PQ masters have this peak, too
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB: BT.709
-# Of libswscale: SWS_BILINEAR, SWS_ACCURATE_RND, SWS_FULL_CHR_H_INT
+WHITE, PEAK = REFERENCE_WHITE, HLG_PEAK  # cd/m2; most PQ masters also have this peak
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB (BT.709)
+# Flags of libswscale: SWS_BILINEAR, SWS_ACCURATE_RND, SWS_FULL_CHR_H_INT.
 BILINEAR, ACCURATE, ALL_CHROMA = 2, 0x40000, 0x2000
 
 
@@ -187,8 +187,8 @@ def to_srgb(frame: Any, colours: Colours, width: int) -> Pixels:
         return np.asarray(made.to_ndarray())
 
     if colours.plain:
-        # Without these flags, grey gets a tint of up to 3 of 255. For ordinary video, the tint is 2
-        # at most; its values stay as in earlier versions.
+        # Without these flags, grey gets a tint of up to 3 of 255. For ordinary video, it is at most
+        # 2, and the values stay as in earlier versions.
         ordinary = colours.matrix == 1 and not colours.full and frame.format.name == "yuv420p"
         return rgb("rgb24", BILINEAR if ordinary else BILINEAR | ACCURATE | ALL_CHROMA)
     deep = rgb("rgb48le", BILINEAR | ACCURATE)  # libswscale has a bug with ALL_CHROMA here

@@ -33,11 +33,11 @@ from .database import (
 
 Task = dict[str, Any]
 NEEDED = ("FeatureExtractionOptions", "FeatureMatchingOptions", "match_image_pairs")
-DISTANCE = 2.0  # from cameras to the points that they see, scene units; an estimate of metres
+DISTANCE = 2.0  # from cameras to their points, scene units; so a unit is roughly a metre
 SHARES = (0.25, 0.4, 0.6, 0.8)  # least shares of inliers for RANSAC; the first is COLMAP's
 LAID = 0.02  # of the photos' extent: tolerance for a photo's place in two models
-LAYERS = 200  # of the height, in the search for the floor
-FLOOR = 3.0  # x the points of the median filled layer: a layer with more may be the floor
+LAYERS = 200  # layers of height, in the search for the floor
+FLOOR = 3.0  # x the points of the median filled layer; a layer with more may be the floor
 LOWEST = 0.02  # share of the points below the floor, if no layer stands out
 
 
@@ -158,7 +158,7 @@ def map_photos(colmap: Any, task: Task) -> list[dict[str, Any]]:
             grows, start = False, ""
     try:
         registered = _model(colmap, start).num_reg_images() if start else 0
-    except SceneError:  # the snapshot is damaged, as after a power cut
+    except SceneError:  # the snapshot is damaged, for example by a power cut
         start, registered = "", 0
 
     def step() -> None:
@@ -293,7 +293,7 @@ def floor(heights: Vector, top: float) -> float:
     return float(np.quantile(heights, LOWEST))
 
 
-REPLIES = 1  # the standard output that the parent reads; `main` moves it
+REPLIES = 1  # descriptor of the output that the parent reads; `main` moves it
 WORK = {"extract": extract, "match": match, "map": map_photos}
 
 

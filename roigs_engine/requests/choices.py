@@ -17,7 +17,7 @@ METHOD_ITEMS = (
     ("fvs", "Farthest views", "Viewpoints as far apart as possible"),
     ("random", "Random", "Random photos, for comparison"),
 )
-"""Methods that select photos: word, name, description."""
+"""Methods for selecting photos: word, name, description."""
 METHODS = tuple(word for word, _, _ in METHOD_ITEMS)
 PRESETS = ("draft", "paper", "standard")
 STRATEGY_ITEMS = (
@@ -38,7 +38,7 @@ BASELINES = ("full-scene", "full-object", "full-scene-tuned", "full-object-tuned
 COMPARISONS = (*BASELINES, *STRATEGIES)
 DEVICES = ("auto", "cpu", "cuda", "gpu")
 AXES = ("-y", "y", "z")
-"""Axes that may point up in a file of Gaussians."""
+"""Possible up axes of a file of Gaussians."""
 PAIR_ITEMS = (
     ("auto", "Auto", "All pairs if there are few photos, otherwise the most similar ones"),
     ("all", "All", "Every pair: slow with many photos"),
@@ -53,11 +53,11 @@ CAMERA_ITEMS = (
 PAIRS, CAMERAS = (tuple(item[0] for item in items) for items in (PAIR_ITEMS, CAMERA_ITEMS))
 CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 
-MOST_STEPS = 1_000_000  # of a stage by itself
-MAX_SEED = (1 << 32) - 1  # what numpy takes
-MAX_SIDE = 1 << 20  # pixels; a larger camera means a damaged file
+MOST_STEPS = 1_000_000  # of a single stage
+MAX_SEED = (1 << 32) - 1  # numpy's limit
+MAX_SIDE = 1 << 20  # pixels; a larger camera comes from a damaged file
 MAX_DOWNSCALE = 1_000_000
-MAX_FACTOR = 1000  # of the steps: a larger one is a typing error
+MAX_FACTOR = 1000  # of the steps; a larger one is a typing error
 MOST_BLOCKS = 64
 MIN_VIEWS = 4
-"""Photos that must show what is before the boxes; else it is a floater."""
+"""Fewest photos that show a Gaussian in front of the boxes; with fewer, it is a floater."""

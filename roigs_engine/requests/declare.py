@@ -21,9 +21,10 @@ from .values import Kind
 
 OPTION = "option"
 NOT_IN_FILES = ("cluster", "run_dir", "out")
-"""Options that an options file may not give: where to connect, and where to write.
+"""Options that an options file must not set: the cluster, and where to write.
 
-The file may be somebody else's, and a cluster runs programs on the computer that connects to it.
+The file may come from an untrusted person, and a cluster can run programs on a computer that
+connects to it.
 """
 
 
@@ -38,20 +39,20 @@ class Option:
             Python have it.
     """
 
-    kind: Kind  # of its values
+    kind: Kind  # kind of the values
     help: str  # a phrase; `{default}` stands for the default
-    name: str = ""  # of the field, and the key in an options file
-    default: Any = None  # if it is not given
+    name: str = ""  # name of the field, and key in an options file
+    default: Any = None  # the value if it is not given
     required: bool = False  # whether it must be given
-    heading: str = ""  # of its group in the help
-    flags: tuple[str, ...] | None = None  # the usual one first; empty: it is given by its place
+    heading: str = ""  # heading of its group in the help
+    flags: tuple[str, ...] | None = None  # the usual one first; empty: a positional argument
     repeat: bool = False  # whether it may be given several times; the field is a tuple
     several: bool = False  # whether several values may follow it; the field is a tuple
     excludes: str = ""
-    decides: bool = True  # whether it decides results, so that a run folder keeps it
+    decides: bool = True  # whether it affects results, so that a run folder stores it
     hidden: str = ""
-    label: str = ""  # its name in Blender's panel; empty: it is not there
-    tooltip: str = ""  # its description there
+    label: str = ""  # name in Blender's panel; empty: not in the panel
+    tooltip: str = ""  # description in the panel
 
     @property
     def many(self) -> bool:
@@ -60,17 +61,17 @@ class Option:
 
     @property
     def usage(self) -> str:
-        """Its name for messages: the flag, or what stands for a value that is given by place."""
+        """The option's name in messages: the flag, or the placeholder of a positional argument."""
         return self.flags[0] if self.flags else self.kind.metavar or self.name
 
     def text(self) -> str:
-        """The help with the default in it."""
+        """The help, with the default filled in."""
         return self.help.replace("{default}", f"{self.default}")
 
     def checked(self, value: Any, where: str) -> Any:
-        """A value of JSON, TOML or Python, converted; arrays and numbers of numpy are Python's.
+        """Convert a value from JSON, TOML or Python, also numpy's arrays and numbers.
 
-        ConfigError: it does not fit; the message says `where` it stands.
+        ConfigError: the value is invalid; `where` begins the message.
         """
         value = value.tolist() if hasattr(value, "tolist") else value
         try:
@@ -83,7 +84,7 @@ class Option:
 
 
 def option(kind: Kind, text: str, default: Any = None, **facts: Any) -> Any:
-    """A field of a request; `facts` are those of `Option`."""
+    """Declare a field of a request; `facts` are other attributes of `Option`."""
     if facts.get("repeat") or facts.get("several"):
         default = default or ()
     if facts.get("required"):
@@ -93,7 +94,7 @@ def option(kind: Kind, text: str, default: Any = None, **facts: Any) -> Any:
 
 
 def argument(kind: Kind, text: str) -> Any:
-    """A field of a request that must be given, on the command line by its place."""
+    """Declare a required field of a request; on the command line, a positional argument."""
     return option(kind, text, required=True, flags=())
 
 
@@ -115,7 +116,7 @@ class Request:
     options_file: Path | None = None
 
     def __init_subclass__(cls, heading: str = "") -> None:
-        """Args: heading: of the options that this class declares, in the help."""
+        """Args: heading: the heading in the help for options that this class declares."""
         cls.heading = heading
 
     def __post_init__(self) -> None:
@@ -132,13 +133,13 @@ class Request:
 
     @classmethod
     def of(cls, values: Mapping[str, Any], **more: Any) -> Self:
-        """A request of the values by name that it has; others are left out."""
+        """Create a request from name -> value; names that it does not have are ignored."""
         known = options_of(cls)
         return cls(**{name: v for name, v in ({**values, **more}).items() if name in known})
 
 
 def options_of(request: type[Request]) -> dict[str, Option]:
-    """The options of a request by name: those of its groups in their order, then its own."""
+    """Name -> option of a request: first those of its groups, in order, then its own."""
     known: Any = request
     return _declared(known)
 
@@ -166,7 +167,7 @@ def _declared(request: Any) -> dict[str, Option]:
 
 
 def refuse_both(request: type[Request], given: Mapping[str, Any], where: str) -> None:
-    """Raise ConfigError if two of the given options exclude one another."""
+    """Raise ConfigError if two of the given options exclude each other."""
     taken: dict[str, str] = {}
     for name, known in options_of(request).items():
         if known.excludes and given.get(name) not in (None, False, ()):
@@ -176,7 +177,7 @@ def refuse_both(request: type[Request], given: Mapping[str, Any], where: str) ->
 
 
 def settings_of(request: Request) -> dict[str, Any]:
-    """The options that decide the results, as an options file has them; paths are absolute."""
+    """The options that affect results, as in an options file, with absolute paths."""
     found = {}
     for name, known in options_of(type(request)).items():
         value = getattr(request, name)
@@ -187,23 +188,23 @@ def settings_of(request: Request) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """A value as JSON has it: an absolute path as text, a tuple as a list."""
+    """Convert a value for JSON: a path to absolute text, a tuple to a list."""
     if isinstance(value, Path):
         return os.path.abspath(value)
     return list(value) if isinstance(value, tuple) else value
 
 
 def read_options(path: Path, request: type[Request], given: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of an options file by name, without those that exclude one of `given`.
+    """Read name -> value of an options file, without options that exclude one of `given`.
 
     Args:
-        path: of the JSON file.
-        request: whose options it may have.
-        given: options that win over the file.
+        path: the JSON file.
+        request: the request that has the options.
+        given: options that override the file.
 
     Raises:
-        ConfigError: the file cannot be read, has no scene, has an unknown key, one twice or one of
-            `NOT_IN_FILES`, has two options that exclude one another, or a value does not fit.
+        ConfigError: the file cannot be read, or has no scene. A key is unknown, repeated or in
+            `NOT_IN_FILES`. Two options exclude each other, or a value is invalid.
     """
     record = read_json(path, ConfigError, "docs/files.md describes options files.")
     if not isinstance(record, dict) or not isinstance(record.get("scene"), str):
@@ -230,7 +231,7 @@ def read_options(path: Path, request: type[Request], given: Mapping[str, Any]) -
                 f"The options file {path} has both '{keys[name]}' and '{key}', which are one key.",
                 "Remove one.",
             )
-        if value is not None:  # null: as if the key were missing
+        if value is not None:  # null counts as a missing key
             values[name] = known[name].checked(value, f"'{key}' in {path}")
     refuse_both(request, values, f"The options file {path}")
     taken = {known[name].excludes for name in given if name in known} - {""}

@@ -12,7 +12,7 @@ from .values import DIR, FILE, FLAG, PATH, Choice, Name, PathName, integer
 
 MOST_FEATURES, LARGEST_SIDE, MOST_NEIGHBOURS, MOST_FRAMES = 32_768, 8_192, 1_000, 10_000
 MOST_SUGGESTED = 100
-FEW_PHOTOS, MANY, USUAL = 40, 8192, 2048  # photos, and their features; more photos have the usual
+FEW_PHOTOS, MANY, USUAL = 40, 8192, 2048  # up to 40 photos get MANY features each, more get USUAL
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,30 +13,30 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-MOST = (1 << 31) - 1  # of counts: a larger one is a typing error
-FAR = 1e15  # coordinates: larger ones are no place
+MOST = (1 << 31) - 1  # largest count; a larger one is a typing error
+FAR = 1e15  # limit of coordinates
 AUTO = "auto"
 SECRET = re.compile(r"//[^/@\s]*:(?!\d+/)[^@\s]*@|https?://[^/\s]*@|://.*\?", re.IGNORECASE)
-"""User and password in an address, a token, or a query: these are signatures, of any store."""
+"""Finds secrets in an address: user and password, a token, or a query, which may be a signature."""
 HIDDEN = re.compile(r"(?<=://)[^@\s]*(?=@)|(?<=\?)[^\s\"'<>]+")
-"""What is not shown of these: user and password, and the query."""
+"""The parts of these that are not shown: user and password, and the query."""
 SCHEME = re.compile(r"([a-z][a-z0-9+.-]+)://", re.IGNORECASE)
 LONGEST = 2000
-"""Letters of an address, and of a text that is searched for one: the search takes the square."""
+"""Most letters of an address, or of a text that is searched for one; the search is quadratic."""
 ALMOST = re.compile(r"[a-z][a-z0-9+.-]+:|::", re.IGNORECASE)
-"""How addresses without `://` begin. One letter is a drive of Windows."""
+"""Matches the beginning of addresses without `://`; a single letter is a drive on Windows."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Number:
     """An integer or a number in a range."""
 
-    low: float  # the range; both belong to it
+    low: float  # `low` to `high`, inclusive
     high: float
     integer: bool = False  # whether it must be an integer
-    above: bool = False  # `low` does not belong to the range
-    zero: bool = False  # 0 is allowed too, though it is below the range
-    metavar: str = "N"  # what stands for the value in the help
+    above: bool = False  # whether `low` itself is excluded
+    zero: bool = False  # whether 0 is also allowed, below the range
+    metavar: str = "N"  # placeholder for the value in the help
 
     def __call__(self, text: str) -> Any:
         try:
@@ -193,17 +193,17 @@ PATH, DIR, FILE = PathName(), PathName("DIR"), PathName("FILE")
 
 
 def is_url(text: object) -> bool:
-    """Whether a path is an address of a store, `s3://bucket/scans`, or begins as none may."""
+    """Whether a text is an address of a store, such as `s3://bucket/scans`."""
     return isinstance(text, str) and "://" in text
 
 
 def begins_as_url(text: object) -> bool:
-    """Whether it is an address, or would be one with `://`."""
+    """Whether a text is an address, or looks like one without `://`."""
     return is_url(text) or (isinstance(text, str) and ALMOST.match(text) is not None)
 
 
 def refuse_secret(url: str) -> None:
-    """Raise ArgumentTypeError if an address has a password or key, which would be shown."""
+    """Raise ArgumentTypeError if an address is too long, or has a password or key."""
     if len(url) > LONGEST:
         raise ArgumentTypeError(f"it is too long for an address ({len(url):,} letters)")
     if SECRET.search(url):
@@ -214,17 +214,17 @@ def refuse_secret(url: str) -> None:
 
 
 def without_secrets(text: str) -> str:
-    """The text, or the beginning of a long one, without passwords and queries of addresses."""
+    """Remove passwords and queries of addresses from a text; a long text is shortened."""
     if len(text) > LONGEST:
         words, space, last = text[:LONGEST].rpartition(" ")
-        # An address whose end is not known may have a password in it.
+        # An address that is cut off may contain a password.
         text = f"{words}{space}{'...' if '//' in last else last}"
     return HIDDEN.sub("...", text) if SECRET.search(text) else text
 
 
 def shown(value: object) -> str:
-    """The value for a message, on one line, not too long, without secrets."""
+    """Format a value for a message: on one line, shortened, without secrets."""
     try:
         return f"{without_secrets(repr(value)):.60}"
-    except ValueError:  # an integer of thousands of digits
+    except ValueError:  # an integer with thousands of digits
         return "a number of thousands of digits"

@@ -16,7 +16,7 @@ from ..selection.config import SelectionConfig
 from ..training.config import TrainConfig, check_limits, limited, miniature, with_steps
 from ..training.mechanisms.floater_pruning import FloaterPruning
 
-AUTO_BLOCKS = 0  # as many as this machine's memory needs
+AUTO_BLOCKS = 0  # the number is derived from this machine's memory
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +123,7 @@ class RunConfig:
         record = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
         record["selection"] = dataclasses.asdict(self.selection)
         record |= {"scene": self.scene.to_dict(), "roi": self.roi.to_dict()}
-        del record["groups"]  # the manifest has them, also if they are derived from the photos
+        del record["groups"]  # the manifest always has them, also if derived from the photos
         return record
 
     def scaled(self, factor: float) -> RunConfig:

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from .memory import MemoryPlan
 
 MANIFEST_VERSION = 4  # increase it if an older run folder cannot be resumed
-FEWEST = 24  # photos of a block: with fewer, its surroundings are guessed
-USELESS = 0.9  # of the photos in the median block: above this, blocks save almost nothing
+FEWEST = 24  # photos of a block; with fewer, nothing determines its surroundings
+USELESS = 0.9  # of all photos, in the median block: above this share, blocks save almost nothing
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,7 +86,7 @@ class Run:
 
     def memory(self, context: Context = QUIET) -> MemoryPlan:
         """Estimate the memory of the run; SceneError if this machine or its GPU has too little."""
-        from .memory import layout_memory, with_card  # with torch
+        from .memory import layout_memory, with_card  # imports torch
 
         plan = layout_memory(self.scene, self.layout, self.config, context.photo_memory)
         return with_card(plan, self.scene, self.layout, context)
@@ -152,7 +152,7 @@ def define_run(
     if len(scene.points) == 0:
         raise SceneError("The model has no 3D points.", "Triangulate it in COLMAP first.")
     for roi in rois:
-        check_has_points(scene, roi)  # its message is in the world's frame
+        check_has_points(scene, roi)  # its message has coordinates of the world's frame
     scene = with_useful_masks(scene, rois, context)
     frame = LocalFrame.of_scene(scene)
     local, boxes = frame.scene(scene), tuple(frame.box(roi) for roi in rois)
@@ -270,7 +270,7 @@ def _by_memory(scene: SfmScene, layouts: _Layouts, config: RunConfig, context: C
 
 def _needed(scene: SfmScene, layout: Layout, config: RunConfig, context: Context) -> float:
     """Bytes that training needs; infinite if even its start does not fit."""
-    from .memory import layout_memory  # with torch
+    from .memory import layout_memory  # imports torch
 
     settings = replace(config, blocks=1)
     try:

@@ -18,8 +18,8 @@ from .plan import Plan
 from .strategies import plan_run
 
 HEAD = ("stage", "photos", "size", "steps", "starts from", "Gaussians", "minutes", "")
-LEFT = (0, 4, 7)  # columns of text
-MOST_NAMES = 3  # of stages in a cell of the table
+LEFT = (0, 4, 7)  # left-aligned columns of text
+MOST_NAMES = 3  # names of stages in a cell of the table
 
 
 def describe_plan(

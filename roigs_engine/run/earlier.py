@@ -24,7 +24,7 @@ def set_aside(run: Path, digest: str) -> None:
     """
     place = _place(run, digest)
     found = [name for name in RESULTS if os.path.lexists(run / name)]
-    if any(os.path.lexists(place / name) for name in found):  # only if a manifest was deleted
+    if any(os.path.lexists(place / name) for name in found):  # after a manifest was deleted
         _move(place, _free(place))
     for name in found:
         _move(run / name, place / name)

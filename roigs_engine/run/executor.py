@@ -38,7 +38,7 @@ class Executor:
         self.run, self.context = run, context
         self._preview_seconds = preview_seconds
         self._memory = run.memory(context)
-        self._keeps = run.layout.blocks is None  # models in memory; those of blocks are too large
+        self._keeps = run.layout.blocks is None  # models of blocks are too large to keep
         self._named: set[str] = set()
         self._results: dict[str, StageResult] = {}
         self._models: dict[str, Gaussians] = {}
@@ -52,7 +52,7 @@ class Executor:
             RunFolderError: a stage's folder cannot be read or written.
             TrainingError: a stage diverged twice.
         """
-        for output in plan.outputs:  # links are refused before hours of training
+        for output in plan.outputs:  # refuse links before hours of training
             for name in (run_files.FINE, run_files.COARSE):
                 own_folder(self.run.folder, output.folder, name)
         self.list_stages(plan)
@@ -80,7 +80,7 @@ class Executor:
         return self._results[stage.name]
 
     def _train(self, stage: Stage, folder: StageFolder) -> StageResult:
-        for needed in stage.start.stages:  # before the stage's own photos take memory
+        for needed in stage.start.stages:  # first, before the stage's own photos take memory
             self.result(needed)
         data = self._data(stage)
         config = stage.config.measured(data, self.context)

@@ -28,7 +28,7 @@ from .manifest import claim, from_json, manifest_difference, read_manifest
 from .plan import Plan, Stage
 from .strategies import plan_run, plan_surface
 
-PATIENCE = 60.0  # seconds; after its parent was killed, an engine still writes a checkpoint
+PATIENCE = 60.0  # seconds; an engine whose parent was killed still writes a checkpoint
 POLL = 0.5
 STAGE_LOCKS = "*.lock"
 
@@ -138,7 +138,7 @@ def train_surface(run: Run, context: Context = QUIET) -> Gaussians | None:
         Stopped: on request; a checkpoint was written.
         TrainingError: the stage diverged twice.
     """
-    plan = plan_surface(run, replace(context, emit=QUIET.emit))  # its messages were shown before
+    plan = plan_surface(run, replace(context, emit=QUIET.emit))  # its messages were already shown
     executor = Executor(run, context)
     *_, result, surface = plan.models
     if any(isinstance(executor.status(stage), int) for stage in result.source.stages):

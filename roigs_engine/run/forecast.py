@@ -40,15 +40,11 @@ from .definition import Run
 from .executor import Executor
 from .plan import POINTS, Plan, Source, Stage
 
-# A densification adds the share GROWTH to a small model, and less to a larger one: half of it to a
-# model of HALF Gaussians. Measured in two scenes whose growth differs by a factor of 2
-# (notebook/densification.md).
-
-WORTH_SAYING = 2000  # steps; an estimate takes as long as a few hundred of them
+WORTH_SAYING = 2000  # steps left; an estimate takes as long as a few hundred steps
 PER_GAUSSIAN = 62 * 4  # bytes in a PLY with SH of degree 3
-PER_STATE = 4 * 62 * 4  # in a checkpoint: parameters, two moments, the mean of models
+PER_STATE = 4 * 62 * 4  # bytes in a checkpoint: parameters, two moments, the mean of models
 CHECKPOINTS = 3  # the last one, the one before, and the one being written
-OUTPUTS = 4  # models' sizes: whole, without boxes, the boxes' Gaussians, a preview
+OUTPUTS = 4  # size of the outputs, in models: result, background, the boxes' Gaussians, preview
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +72,7 @@ class Forecast:
 
     stages: Sequence[StageForecast]  # in the order of training
     evaluation: float  # seconds to evaluate all models
-    device: str  # that trains, in words
+    device: str  # the training device, in words
 
     def counting_down(self, context: Context) -> Context:
         """A context that adds the time to the end of the run to each stage's progress."""
@@ -133,7 +129,7 @@ def forecast(run: Run, plan: Plan, context: Context) -> Forecast:
             )
         ends[stage.name] = found.end
         stages.append(found)
-    # Time to render the test photos with each stage's model, and to compare them.
+    # The time to render and compare the test photos, for each stage's model.
     tests = RENDER_SHARE * len(run.measured)
     return Forecast(
         stages=stages,
@@ -176,6 +172,9 @@ def disk_space(run: Run, expected: Forecast) -> Message:
     return disk_message(needed, run.folder)
 
 
+# A densification adds the share GROWTH to a small model, and less to a larger one: half of it to a
+# model of HALF Gaussians. Measured in two scenes whose growth differs by a factor of 2
+# (notebook/densification.md).
 GROWTH, HALF, SATURATION = 0.4, 100_000, 1.3
 TRAINED = 0.3  # of that growth, outside the boxes of a trained model (35 % on kumamon)
 PRUNED = 0.3  # share of the Gaussians that importance pruning removes (24 to 39 % in two scenes)

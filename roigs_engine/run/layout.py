@@ -43,7 +43,7 @@ class Cell:
             photos.
     """
 
-    label: str  # begins the names of its stages; empty: the whole scene
+    label: str  # prefix of its stages' names; empty: the whole scene
     photos: tuple[str, ...]  # names of its training photos
     rois: tuple[OrientedBox, ...]
     points: Int64  # rows of the sparse points that its photos observe
@@ -63,8 +63,8 @@ class Layout:
     """The cells of a run."""
 
     groups: Groups  # names of the boxes that are trained together
-    blocks: Split | None = None  # the cells of the Scene-GS; None: it is one stage
-    cells: Split | None = None  # the cells of the stages after it; None: it is one stage
+    blocks: Split | None = None  # cells of the scene stage; None: it is not divided
+    cells: Split | None = None  # cells of the stages after it; None: they are not divided
     seen: Mapping[str, Set[str]] = field(default_factory=dict)  # box -> the photos that see it
 
 
@@ -109,7 +109,7 @@ def given_groups(config: RunConfig, rois: Sequence[OrientedBox]) -> Groups | Non
         ConfigError: they do not name each box once.
     """
     names = [roi.name for roi in rois]
-    if config.strategy != "joint":  # each box has a stage of its own
+    if config.strategy != "joint":  # each box has its own stage
         return (tuple(names),)
     if config.groups and sorted(name for group in config.groups for name in group) != sorted(names):
         raise ConfigError(

@@ -29,14 +29,14 @@ from ..photos import contents
 from .definition import MANIFEST_VERSION
 from .earlier import bring_back, set_aside
 
-CONTENTS = "contents"  # the key of the photos' digests
+CONTENTS = "contents"  # key of the photos' digests
 CACHED = {
     f"{CACHE}/{contents.FILE}": contents.KEYS,
     f"{CACHE}/{EXPOSURES}": exposures.KEYS,
 }
-"""What is remembered of photos: file of a run folder -> the keys that it has."""
-FIRST = ("sizes", CONTENTS)  # compared first: other differences may follow from these
-LEFT_OUT = ("config", "selection", "mechanisms")  # keys that texts leave out of a setting's path
+"""Files in a run folder with stored facts on photos -> their keys."""
+FIRST = ("sizes", CONTENTS)  # compared first: these may cause other differences
+LEFT_OUT = ("config", "selection", "mechanisms")  # keys omitted from a setting's path in messages
 OTHER_SCENE = "its photos are those of another scene"
 MOST_TEXT = 120  # characters; a longer text only says that the setting changed
 
@@ -127,7 +127,7 @@ def refuse_foreign_files(folder: Path) -> None:
     if (folder / MANIFEST).exists() or is_run_folder(folder):
         return
     if {"evaluate_on", "test"} <= read_record(folder / SPLIT).keys():
-        return  # a run folder without manifest: its results are verified and kept
+        return  # a run folder without manifest; its results are verified and kept
     names = (*RESULTS, PREVIEW, PROVENANCE)
     there = next((folder / name for name in names if (folder / name).exists()), None)
     # An engine killed at its start leaves only these.

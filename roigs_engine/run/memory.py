@@ -30,19 +30,19 @@ from .plan import Stage
 
 PER_JOINED = 1450  # bytes per Gaussian to join and write models (measured: four of 400,000)
 PER_GAUSSIAN = 2800  # bytes: parameters, gradients, moments, and copies during densification
-PER_PIXEL = 80  # bytes at least, of the largest photo: render, gradient, the loss's images
-PER_PAIR = 100  # bytes: a Gaussian's place in a tile's list, its gradient there (kernels/view.h)
-PAIRS = 200  # in a tile, if Gaussians are larger than tiles; real scenes had up to 190
+PER_PIXEL = 80  # bytes at least, for the largest photo: render, gradient, the loss's images
+PER_PAIR = 100  # bytes: a Gaussian's entry in a tile's list, its gradient there (kernels/view.h)
+PAIRS = 200  # pairs in a tile, if Gaussians are larger than tiles; real scenes had up to 190
 PER_PIXEL_AT_MOST = 120 + PER_PAIR * PAIRS // TILE**2
-PER_DENSIFICATION = 30_000  # Gaussians added by one, on average; the largest of four scenes
+PER_DENSIFICATION = 30_000  # Gaussians that one adds on average, in the scene with most (of four)
 AHEAD = 3  # photos in memory at least: the one in use, and two decoded ahead
 DEFAULT_SHARE = 4  # the cache takes at most 1/4 of the machine's memory
 CARD_PER_GAUSSIAN = 850  # bytes: parameters and moments, statistics, results of a step
 CARD_PER_GAUSSIAN_EDITED = 1600  # bytes during densification: with copies, without a step's results
-CARD_PER_PIXEL = 110  # of the largest photo: pictures, gradients, half-filled groups' checkpoints
-CARD_PER_PAIR = 180  # of a Gaussian and a tile: its place in lists, its moments, the checkpoints
-CARD_BUFFER = 1.25  # cuda.pair_buffers: buffers are larger than the number of pairs
-CARD_CACHE = 1.2  # torch keeps freed blocks of other sizes
+CARD_PER_PIXEL = 110  # for the largest photo: pictures, gradients, half-filled groups' checkpoints
+CARD_PER_PAIR = 180  # for a Gaussian in a tile: its place in lists, its moments, the checkpoints
+CARD_BUFFER = 1.25  # cuda.pair_buffers allocates more than the number of pairs
+CARD_CACHE = 1.2  # torch also keeps freed blocks of other sizes
 CARD_PER_PIXEL_AT_MOST = CARD_PER_PIXEL + int(CARD_PER_PAIR * PAIRS * CARD_BUFFER) // TILE**2
 CARD_AHEAD = 3  # photos on the GPU at least: the one in use, and two sent ahead
 
@@ -51,10 +51,10 @@ CARD_AHEAD = 3  # photos on the GPU at least: the one in use, and two sent ahead
 class CardPlan:
     """The expected GPU memory of a run, in bytes."""
 
-    free: int  # of the GPU, before the training
-    total: int  # of the GPU
-    photos: int  # of the photos kept there, at most
-    training: int  # all except photos, for the largest photo and `count` Gaussians
+    free: int  # free memory of the GPU before the training
+    total: int  # the GPU's memory
+    photos: int  # limit for photos kept on the GPU
+    training: int  # everything except photos, for the largest photo and `count` Gaussians
     count: int  # the largest number of Gaussians expected (not bytes)
 
     def messages(self) -> list[Message]:
@@ -81,10 +81,10 @@ class MemoryPlan:
     machine: int  # memory of the machine
     photos: int  # all photos of the run, decoded
     cache: int  # limit for decoded photos kept at a time
-    picture: int  # training on the largest photo
-    end: int  # the largest number of Gaussians expected
+    picture: int  # for training on the largest photo
+    end: int  # for the largest number of Gaussians expected
     count: int  # that number (not bytes)
-    joined: int = 0  # joining and drawing the models of blocks; 0: there are no blocks
+    joined: int = 0  # for joining and drawing the models of blocks; 0: there are no blocks
     blocks: int = 1  # number of blocks; the other numbers are for the largest one
     card: CardPlan | None = None  # for the GPU that trains; None: the CPU trains
     gpu_holds: int | None = None  # Gaussians that buffers of `gpu.program`'s GPU hold; None: no GPU
@@ -190,7 +190,7 @@ def stage_memory(
     points = round(share * len(scene.points))
     try:
         own = plan_memory(stage.images, points, config, cache, share=share)
-    except SceneError:  # too large for this machine; perhaps not for the one that trains it
+    except SceneError:  # too large for this machine, perhaps not for the one that trains
         return machine_memory()
     joins = stage.start.base is not None  # it starts from the joined models of all blocks
     return replace(own, joined=whole.joined if joins else 0).total

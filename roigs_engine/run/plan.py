@@ -45,7 +45,7 @@ class Source:
     rows: Int64 | None = None  # of the sparse points, for `points`; None: all
     partition: Partition | None = None  # of the inputs, for `cells`
     images: tuple[PosedImage, ...] = ()  # the photos, for `seen`
-    share: float = 1.0  # of the sparse points that these observe; only for estimates
+    share: float = 1.0  # share of the sparse points that these observe; only for estimates
 
     @property
     def stages(self) -> tuple[Stage, ...]:
@@ -73,7 +73,7 @@ class Stage:
     config: TrainConfig
     start: Source
     order: PhotoOrder
-    extent: float  # of the scene, world units
+    extent: float  # extent of the scene, world units
     seed: int  # for the positions of split Gaussians
     rois: tuple[OrientedBox, ...] = ()  # boxes that limit densification and masks
 
@@ -116,7 +116,7 @@ class PlannedModel:
 
     name: str  # unique among the rows of a box
     source: Source
-    stages: tuple[Stage, ...] = ()  # its stages that all boxes share
+    stages: tuple[Stage, ...] = ()  # stages that all boxes share
     by_roi: dict[str, tuple[Stage, ...]] = field(default_factory=dict)  # box -> its own stages
 
     @property

@@ -25,7 +25,8 @@ from ..training.mechanisms.warm_restarts import WarmRestarts
 from .config import RunConfig
 
 REFINE_SHARE = 0.2  # of the box stage's steps, for the joint refinement (notebook/paper.md)
-KEPT = ("baseline_densify", "test_every", "evaluate_on", "seed", "blocks")  # by `in_strategy`
+# Settings that `in_strategy` keeps.
+KEPT = ("baseline_densify", "test_every", "evaluate_on", "seed", "blocks")
 
 
 def paper_recipe() -> RunConfig:
@@ -105,13 +106,13 @@ def _box_mechanisms(steps: int) -> tuple[Mechanism, ...]:
     return (
         MaskedSteps(reinvested=0.5, view_weighting=1.5),
         MeasuredShRate(),
-        # 3 would make up for the fewer steps, but is worse if SH learn fast.
+        # A factor of 3 would compensate for the fewer steps, but is worse if SH learn fast.
         SurroundingsRate(factor=2.0),
         BoxDensityControl(
             start=0,
             until=steps // 3,
             grad_threshold=6e-5,
-            outside_threshold=8e-4,  # 4 x 3DGS's
+            outside_threshold=8e-4,  # 4 x the threshold of 3DGS
             budget=32.0,
             reset_every=0,
         ),
@@ -125,7 +126,7 @@ def _box_mechanisms(steps: int) -> tuple[Mechanism, ...]:
 
 PRESETS: dict[str, Callable[[], RunConfig]] = {
     "paper": paper_recipe,
-    # Higher threshold: in 4,000 steps, the Scene-GS would get more Gaussians than it needs.
+    # A higher threshold: in 4,000 steps, the Scene-GS would get more Gaussians than it needs.
     "standard": lambda: joint_recipe("standard", 4000, 4500, scene_threshold=3e-4),
     "draft": lambda: joint_recipe("draft", 2000, 3000),
 }

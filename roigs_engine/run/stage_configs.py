@@ -21,9 +21,9 @@ from ..training.mechanisms.warm_restarts import WarmRestarts
 from .config import RunConfig
 from .presets import in_strategy, joint_recipe
 
-# Whole photos for surroundings, as a share of the steps of a stage with masks. There, a third of
-# the steps use whole photos. The masks of the others show much of the area behind the boxes, which
-# may be in another block.
+# Steps on whole photos for surroundings, as a share of the steps of a stage with masks. There, a
+# third of the steps use whole photos. The masks of the other steps show much of the area behind the
+# boxes, which may be in another block.
 WHOLE_SHARE = 0.6
 CUTOUT_SHARE = 0.6  # steps of the cutout stage, as a share of the box stage's
 SURFACE_SHARE = 0.15  # the same for the surface stage

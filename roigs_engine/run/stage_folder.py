@@ -48,7 +48,7 @@ from ..training.trainer import Trainer
 from .earlier import move_damaged
 
 CHECKPOINT_SECONDS = 60.0
-MOST = 1 << 40  # steps, Gaussians, seconds
+MOST = 1 << 40  # limit for steps, Gaussians and seconds
 CHECKSUM = "checksum"
 
 
@@ -64,7 +64,7 @@ class StageRecord:
     seconds: float  # of training, without checkpoints and evaluation
     cpu_seconds: float  # the same in CPU time of all threads, for comparisons on a busy machine
     steps: int
-    gaussians: int  # their number
+    gaussians: int  # number of Gaussians
     device: str  # the type of device that trained it: `cpu`, `cuda`, `gpu`
     model_sha256: str  # of the model's file, in hexadecimal digits
 
@@ -159,12 +159,12 @@ def folder_of(run: Path, name: str, fingerprint: str) -> Path:
 class StageFolder:
     """The folder in which a stage is trained; its PLYs are in the world's frame."""
 
-    name: str  # of the stage, shown to the user
+    name: str  # name of the stage, shown to the user
     folder: Path  # `folder_of` the stage
     fingerprint: str
-    frame: LocalFrame = field(default_factory=LocalFrame.world)  # in which the stage is trained
+    frame: LocalFrame = field(default_factory=LocalFrame.world)  # the frame for training
     preview: Path = Path(run_files.PREVIEW)  # file for the preview of the current Gaussians
-    preview_seconds: float = 0.0  # seconds of training between two previews; 0: none
+    preview_seconds: float = 0.0  # seconds of training between two previews; 0: no previews
     named: set[str] = field(default_factory=set)  # photos already named in a warning; updated
 
     @property
@@ -201,7 +201,7 @@ class StageFolder:
             return None
         if result is None:
             return None
-        remove_checkpoint(self._checkpoint)  # left if the engine was killed at the very end
+        remove_checkpoint(self._checkpoint)  # it is left if the engine was killed at the very end
         gaussians = counted(result.record.gaussians, "Gaussian")
         context.info(f"{self.name}: finished in an earlier training; its {gaussians} are used.")
         return result
@@ -267,7 +267,7 @@ class StageFolder:
             trainer = Trainer(start(), data, config, context)
 
         def write_preview() -> None:
-            with suppress(RunFolderError):  # on Windows, while the file is read
+            with suppress(RunFolderError):  # on Windows, while another program reads the file
                 check_held(self.folder)
                 _model(trainer).save_ply(self.preview, self.frame)
                 context.emit(Preview(path=str(self.preview)))
@@ -278,7 +278,7 @@ class StageFolder:
         ]
         try:
             is_done = trainer.run(context, stage=self.name, callbacks=callbacks)
-        except KernelError:  # full memory, or a GPU that is lost
+        except KernelError:  # out of memory, or a lost GPU
             if trainer.is_between_steps:
                 with suppress(KernelError, RuntimeError):  # out of memory again, or a broken GPU
                     self._save(trainer)
@@ -311,7 +311,7 @@ class StageFolder:
         values = asdict(record)
         write_json(self.folder / run_files.STAGE, values | {CHECKSUM: json_digest(values)})
         remove_checkpoint(self._checkpoint)
-        # In another frame, the file has rounded values. Use these, like a resumed run does.
+        # In another frame, the file has rounded values. Use these, as a resumed run does.
         trained = model if self.frame.is_world else None
         return StageResult(
             name=self.name, record=record, model_path=path, frame=self.frame, trained=trained

@@ -166,7 +166,7 @@ def trained_on(
     alone = bool(config.chosen(CutoutSteps, SurfaceLosses))
     stages = []
     for index, cell in enumerate(cells.cells):
-        if alone and base is not None and not cell.rois:  # no object: it does not change
+        if alone and base is not None and not cell.rois:  # without objects, it does not change
             stages.append(base.inputs[index])
             continue
         own = photos.of(cell)

@@ -131,8 +131,8 @@ def _object_stage(photos: PhotoSets, scene: Source, roi: OrientedBox) -> Stage:
     run = photos.run
     by_name = {image.name: image for image in photos.images}
     images = tuple(by_name[name] for name in photos.selection(roi).names)
-    start = None  # the sparse points, an ablation of the paper
-    if run.config.roi_init == "box":  # another ablation
+    start = None  # start from the sparse points: an ablation of the paper
+    if run.config.roi_init == "box":  # another ablation of the paper
         start = Source(kind=CROP, base=scene, rois=(roi,))
     elif run.config.roi_init == "scene":
         start = seen_part(run, scene, images)

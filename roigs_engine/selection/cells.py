@@ -26,11 +26,11 @@ from ..model.visibility import observed_points
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-SHOWN = 0.15  # a photo trains a cell that fills at least this share of it
+SHOWN = 0.15  # a photo trains a cell if the cell fills at least this share of it
 GRID = 24  # places across and down a photo, for finding the nearest points
-FEWER = 0.5  # a point leaves its cell if another's photos observe it more than 1 / this as often
+FEWER = 0.5  # a point changes cells if another's photos observe it more than 1 / this as often
 LEAST = 0.5  # each side of a cut has at least this part of its share of the observations
-NEAR = 0.9  # share of the positions that decide the axis of a cut; the farthest ones do not
+NEAR = 0.9  # share of the positions, the nearest ones, that determine the axis of a cut
 Bools = NDArray[np.bool_]
 
 
@@ -116,7 +116,7 @@ def ground_cells(views: Views, count: int) -> tuple[Int64, Int64]:
     cameras, points = len(scene.images), len(scene.points)
     places = ground(scene, np.concatenate([scene.points, scene.centres()]))
     observations = views.times(np.ones(cameras, bool))
-    weights = np.zeros((points + cameras, 2))  # of points and of cameras
+    weights = np.zeros((points + cameras, 2))  # columns: points, cameras
     weights[:points, 0] = observations / max(observations.sum(), 1)
     weights[points:, 1] = 1 / max(cameras, 1)
     cells = np.zeros(points + cameras, dtype=np.int64)
@@ -206,7 +206,7 @@ def rows_named(scene: SfmScene, names: Sequence[str]) -> Bools:
     return np.array([image.name in wanted for image in scene.images], dtype=bool)
 
 
-SHARED = 0.25  # boxes are near if this share of one's photos also see the other
+SHARED = 0.25  # boxes are near if this share of one box's photos also see the other box
 ALL = "all"
 Groups = tuple[tuple[str, ...], ...]
 

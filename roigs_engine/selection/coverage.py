@@ -69,7 +69,7 @@ class Coverage:
         if shown.any():
             weight[~shown] = 0.0
         used = np.bincount(slot, minlength=len(weight) * DIRECTIONS) > 0
-        self._slot = (np.cumsum(used) - 1)[slot]  # (N,) among the slots that are used
+        self._slot = (np.cumsum(used) - 1)[slot]  # (N,) index among the used slots
         self._worth = weight[point] * share  # (N,)
         self._held = np.zeros(int(used.sum()))
         np.maximum.at(self._held, self._slot, self._worth)
@@ -179,7 +179,7 @@ def nearest_neighbours(points: Float64, count: int, context: Context = QUIET) ->
     found = np.empty((len(points), count), dtype=np.int64)
     for leaf in leaves:
         context.check_cancelled()
-        centre = points[leaf].mean(axis=0)  # scalar products give exact distances near zero
+        centre = points[leaf].mean(axis=0)  # near zero, distances are exact
         own = points[leaf] - centre
         farthest = np.partition(_squared(own, own), count - 1, axis=1)[:, count - 1]
         bounds = np.maximum(farthest, 0.0)

@@ -28,7 +28,7 @@ VOXELS_ALONG_LONGEST_SIDE = 16
 def voxel_indices(points: Float64, roi: OrientedBox) -> Int64:
     """(P, 3) points in the box -> (P,) voxel of each, 0..n-1 over the n occupied voxels."""
     edge = 2 * roi.half_extents.max() / VOXELS_ALONG_LONGEST_SIDE
-    offset = (roi.to_box(points) + 1) * roi.half_extents  # 0 .. side, per axis
+    offset = (roi.to_box(points) + 1) * roi.half_extents  # 0 to the side length, per axis
     cells = np.ceil(2 * roi.half_extents / edge - 1e-9).clip(1).astype(np.int64)
     cell = np.clip(np.floor(offset / edge).astype(np.int64), 0, cells - 1)
     flat = np.ravel_multi_index((cell[:, 0], cell[:, 1], cell[:, 2]), tuple(cells.tolist()))
@@ -82,7 +82,7 @@ class DensityOccupancy:
         """Make S empty."""
         self._points.clear()
         self._voxels.clear()
-        self._counts = 0, 0  # seen points and voxels
+        self._counts = 0, 0  # numbers of seen points and voxels
 
     @property
     def product(self) -> int:

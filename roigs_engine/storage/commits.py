@@ -32,7 +32,7 @@ COMMITS, OBJECTS, LEASES = ".commits", ".objects", ".leases"
 TIDIED = re.compile(rf"{re.escape(COMMITS)}/[^/]+\.json|{re.escape(OBJECTS)}/[0-9a-f]{{64}}")
 VERSION = 2
 KEY = "ROIGS_STORE_KEY"
-"""Environment variable: a secret of all machines, with which commits are signed."""
+"""Environment variable: the secret that signs commits, the same on all machines."""
 Entry = dict[str, Any]
 
 
@@ -91,8 +91,8 @@ class StoredRun:
         for name in published_files(folder):
             if name not in self._had and wanted(name):
                 (folder / name).unlink(missing_ok=True)
-        for path in sorted(folder.rglob("*/"), reverse=True):  # those above come later
-            with suppress(OSError):  # not empty
+        for path in sorted(folder.rglob("*/"), reverse=True):  # inner folders first
+            with suppress(OSError):  # the folder is not empty
                 path.rmdir()
 
     def publish(self, folder: Path, part: str, *, last: bool, names: Iterable[str] = ()) -> None:
@@ -163,7 +163,7 @@ class StoredRun:
             size = file.tell()
             at = name or f"{OBJECTS}/{sha}"
             target = f"{self._place}/{at}"
-            # A file under its own name may have been changed on the store.
+            # A file with its plain name may have changed on the store.
             if name or not self._has(target, size):
                 file.seek(0)
                 self._found.makedirs(target.rsplit("/", 1)[0], exist_ok=True)

@@ -62,7 +62,7 @@ class Lease:
 
         If the store does not answer, the last answer counts: `EXPIRY` is long enough for that.
         """
-        with suppress(Exception):  # each kind of store has errors of its own
+        with suppress(Exception):  # stores raise various errors
             self._lost = self._lost or self._name not in self._names()
         return not self._lost
 
@@ -93,7 +93,7 @@ class Lease:
         self._write(CLAIM)
         others = self._others()
         if any(state == HELD and self._seen[name][2] > 0 for name, state in others.items()):
-            raise LeaseTakenError  # it has changed: it is alive
+            raise LeaseTakenError  # it has changed, so its process is alive
         if HELD in others.values() or any(name < self._name for name in others):
             return False
         self._write(HELD)
@@ -101,8 +101,8 @@ class Lease:
             if any(name < self._name for name in others):
                 return False
             if HELD not in others.values():
-                break  # greater claims, which see this one
-            self._write(HELD)  # a greater name is about to give way
+                break  # the others are claims with greater names; they see this one and give way
+            self._write(HELD)  # a holder with a greater name is about to give way
             time.sleep(min(POLL, self._beat))
         return True
 
@@ -112,14 +112,14 @@ class Lease:
         for name in self._names():
             if name == self._name:
                 continue
-            if self._should_stop():  # there may be thousands
+            if self._should_stop():  # the loop may be long: there may be thousands of files
                 raise LeaseTakenError
             try:
                 content = bytes(self._found.cat_file(f"{self._folder}/{name}"))
                 state = str(parse_json(content)["state"])
             except FileNotFoundError:
                 continue
-            except (ValueError, KeyError, TypeError):  # half written
+            except (ValueError, KeyError, TypeError):  # partly written
                 content, state = b"", CLAIM
             before, since, changes = self._seen.get(name, (content, now, 0))
             if content != before:

@@ -16,7 +16,7 @@ from .quota import alone, claim, enforce_quota, keep, limit
 from .urls import FileSystem, StoreError, file_system, folder_of, guarded
 
 SCENES, FILES, INDEX, LOCK = "scenes", "files", "index.json", "copy.lock"
-LONGEST = 255  # bytes; file systems allow no longer file name
+LONGEST = 255  # bytes of a file name, on any file system
 
 
 def mirror(url: str, context: Context) -> Path:
@@ -82,7 +82,7 @@ def _listed(found: FileSystem, place: str, url: str) -> dict[str, list[Any]]:
             text = f"{name!a:.100}, a name at {url:.100}, cannot name a file here."
             raise ConfigError(text, "Rename it there.")
         if inner_path(name):
-            with suppress(FileNotFoundError):  # a link of a web page that leads nowhere
+            with suppress(FileNotFoundError):  # a broken link of a web page
                 known = facts.get("size") is not None
                 files[name] = sign(facts if known else found.info(paths[name]))
     return files

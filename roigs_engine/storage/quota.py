@@ -25,16 +25,16 @@ from ..formats.run_files import LOCK as RUN_LOCK
 from .urls import home
 
 KINDS = ("scenes/*", "runs/*/*", "batches/*")
-"""Where copies are, each a folder: of scenes, of run folders, and of what a batch's page needs."""
+"""Patterns of the copies' folders: scenes, run folders, and files for a batch's page."""
 COPY = re.compile(r"[0-9a-f]{20}")
-"""Names of folders that `urls.folder_of` makes."""
+"""Folder names from `urls.folder_of`."""
 MARK = ".roigs-copy"
-"""A file in each of them."""
+"""A file in each copy."""
 REMOVED, LOCK = ".roigs-removed", "quota.lock"
 LIMIT_VARIABLE = "ROIGS_CACHE_GB"
 LIMIT = 50.0  # GB
 WAIT = 0.5
-IN_USE = 3600.0  # seconds for which a used copy is kept: an engine may be at work on it
+IN_USE = 3600.0  # seconds after its last use for which a copy is kept: an engine may use it
 
 
 def limit() -> float:
@@ -50,7 +50,7 @@ def limit() -> float:
 
 def claim(context: Context, *folders: Path) -> None:
     """Create folders for copies and mark them as used; call `keep` within `IN_USE` seconds."""
-    with alone(home(), LOCK, context):  # `enforce_quota` must not remove them meanwhile
+    with alone(home(), LOCK, context):  # keeps `enforce_quota` from removing them meanwhile
         for folder in folders:
             make_copy(folder)
             os.utime(folder)
@@ -91,11 +91,11 @@ def enforce_quota(context: Context = QUIET) -> None:
             left -= disk_size([folder])
             if left < 0 and time.time() - copies[folder] > IN_USE:
                 removed.mkdir(exist_ok=True)
-                with suppress(OSError):  # on Windows, a file of it is open
+                with suppress(OSError):  # on Windows, if a file in it is open
                     folder.rename(removed / uuid.uuid4().hex)
     for folder in matching(removed, "[0-9a-f]" * 32):
         shutil.rmtree(folder, ignore_errors=True)
-    with suppress(OSError):  # it has other files
+    with suppress(OSError):  # the folder has other files
         removed.rmdir()
 
 

@@ -20,13 +20,13 @@ from ..formats.text import first_line
 from ..requests.values import SCHEME, SECRET, without_secrets
 
 LOST = ("memory",)
-"""Kinds of addresses that are in the memory of this process."""
+"""Kinds of addresses for data in the memory of this process."""
 STORES = (
     *("s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss", "oci", "hdfs", "webhdfs"),
     *("http", "https", "webdav", "ftp", "sftp", "ssh", "smb", "hf", "file", *LOST),
 )
-"""Kinds of addresses that are used: a table may be somebody else's, and fsspec knows some kinds,
-such as `dask`, whose servers can run programs here."""
+"""Allowed kinds of addresses. A batch table may come from an untrusted person, and fsspec supports
+some kinds, such as `dask`, whose servers can run programs on this machine."""
 PACKAGES = {
     "s3fs": ("s3", "s3a"),
     "gcsfs": ("gs", "gcs"),
@@ -40,21 +40,21 @@ PACKAGES = {
     "smbprotocol": ("smb",),
     "huggingface_hub": ("hf",),
 }
-"""What fsspec needs for which kinds of addresses."""
+"""Package that fsspec needs -> kinds of addresses."""
 ENDPOINTS = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3")
-"""Environment variables: the address of a server of S3."""
+"""Environment variables with the address of an S3 server."""
 HOME = "ROIGS_CACHE"
-"""Environment variable: the folder of this machine's copies."""
+"""Environment variable with the folder for this machine's copies."""
 
 
 SILENT = 120.0
-"""Seconds after which a store counts as one that does not answer."""
+"""Seconds without an answer after which a store counts as unreachable."""
 SLOWEST = 64_000
-"""Bytes that a store takes in a second at the least, or it does not answer."""
+"""Bytes per second: an upload gets the time for this rate in addition to `SILENT`."""
 GRACE, UPLOAD = 5.0, 60.0
-"""Seconds that a call goes on after a stop was requested; of `upload`, which saves work."""
+"""Seconds for which a call continues after a stop request; for `upload`, which saves work."""
 READS = ("cat_file", "find", "get_file", "info")
-"""Calls that say by FileNotFoundError that a file is missing."""
+"""Calls that raise FileNotFoundError if a file is missing."""
 
 
 class StoreError(RunFolderError):
@@ -96,7 +96,7 @@ class FileSystem:
         self, found: Any, url: str, own: str = "", should_stop: Callable[[], bool] = lambda: False
     ) -> None:
         self._found, self._url, self._own, self.should_stop = found, url, own, should_stop
-        self._grace = {True: UPLOAD, False: GRACE}  # of uploads, of other calls
+        self._grace = {True: UPLOAD, False: GRACE}  # whether it is an upload -> seconds
 
     def __getattr__(self, name: str) -> Any:
         method = getattr(self._found, name)
@@ -138,7 +138,7 @@ class FileSystem:
         def over() -> bool:
             nonlocal since, size, heard
             now = time.monotonic()
-            if gets and (there := _size(gets)) != size:  # it grows
+            if gets and (there := _size(gets)) != size:  # the file grows
                 size, heard = there, now
             since = min(since, now) if self.should_stop() else since
             if math.isinf(since) and now - heard > patience:
@@ -229,7 +229,7 @@ def file_system(
             f"{url:.200} needs {wanted}, which is not installed in {sys.executable}.",
             f"Install it ({sys.executable} -m pip install {wanted}), or use a folder.",
         ) from error
-    except Exception as error:  # file systems raise many kinds of errors for addresses
+    except Exception as error:  # fsspec's file systems raise many kinds of errors
         raise ConfigError(
             f"{url:.200} cannot be used ({reason(error)}).", "Use an address that fsspec knows."
         ) from error

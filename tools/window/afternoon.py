@@ -26,7 +26,7 @@ COLOURS = ("+dither", "-colors", "96")
 PICTURE_SIDE = ("-resize", "800x")
 VASE = "vase"
 MONKEY = (-0.45, 0.05, 0.85)
-"""Where the mesh goes: where the vase was."""
+"""Place of the mesh: the vase's former place."""
 FRAMES = 3
 
 BEGIN = """
@@ -48,15 +48,15 @@ TRAINED = f"{FACTS}.run(bpy.context.scene).result"
 
 
 class Afternoon:
-    """The steps, one after another, in one window and then in a second one."""
+    """The steps, one after the other, first in one window, then in a second one."""
 
     def __init__(self, blender: Blender, folder: Path, out: Path) -> None:
-        """`folder` keeps everything that is made, `out` gets the pictures."""
+        """Args: `folder`: for all files that are made; `out`: for the pictures."""
         self.blender, self.folder, self.out = blender, folder, out
         self.done = 0
 
     def step(self, name: str, work: Callable[[], None], *, mouse: bool = True) -> None:
-        """Do a step, time it, and photograph the window after it."""
+        """Do a step, time it, and take a picture of the window after it."""
         self.done += 1
         start = time.monotonic()
         try:
@@ -73,7 +73,7 @@ class Afternoon:
         print(f"{name:<24}{seconds:7.1f} s", flush=True)
 
     def keys(self, *keys: str) -> None:
-        """Press keys over the 3D view, one after another."""
+        """Press keys over the 3D view, one after the other."""
         self.blender.screen.do("mousemove", str(SIZE[0] // 3), str(SIZE[1] // 3))
         self.blender.pause(0.3)
         for key in keys:
@@ -86,7 +86,7 @@ class Afternoon:
         self.blender.until("not bpy.data.is_dirty")
 
     def close_render(self) -> None:
-        """Close the window of the render with Escape, and go back to the 3D view."""
+        """Close the render's window with Escape, and return to the 3D view."""
         where = self.blender.screen.place_of("Render").split("+")
         width, height = map(int, where[0].split("x"))
         centre = int(where[1]) + width // 2, int(where[2]) + height // 2
@@ -96,7 +96,7 @@ class Afternoon:
         self.blender.until("len(manager().windows) == 1")
 
     def typed(self, *words: str) -> None:
-        """A transform: a key, an axis, a number and Enter."""
+        """Type a transform: a key, an axis, a number and Enter."""
         *keys, number = words
         self.keys(*keys)
         self.blender.type(number)
@@ -117,19 +117,19 @@ class Afternoon:
         self.blender.until(f"bpy.context.scene.roigs.{name} == {value}")
 
     def until_idle(self) -> None:
-        """Wait until the engine has ended; an error fails."""
+        """Wait until the engine has ended; WindowError: it had an error."""
         self.blender.until(f"not {BUSY}", 3600)
         error = self.blender.ask(f"{STATE}.error")
         if error:
             raise WindowError(str(error))
 
     def ask(self, code: str) -> Any:
-        """The value of an expression inside Blender."""
+        """Evaluate an expression inside Blender."""
         return self.blender.ask(code)
 
 
 def expect(good: object, text: str) -> None:
-    """Fail with a text unless something is so."""
+    """Raise WindowError with a text unless a value is true."""
     if not good:
         raise WindowError(text)
 
@@ -324,7 +324,7 @@ def next_day(story: Afternoon) -> None:
 
 
 def main() -> int:
-    """Spend it."""
+    """Run all steps."""
     options = parser(__doc__)
     options.add_argument("--out", type=Path, default=REPOSITORY / "docs" / "pictures" / "afternoon")
     options.add_argument("--side", type=int, default=320, help="of the photos, in pixels (320)")

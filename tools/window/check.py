@@ -31,7 +31,7 @@ failures: list[str] = []
 
 
 def check(text: str, good: bool) -> None:
-    """Print and note how it went."""
+    """Print the result of a check; a bad one is also added to `failures`."""
     print(f"{'good' if good else 'BAD '} {text}", flush=True)
     if not good:
         failures.append(text)
@@ -64,7 +64,7 @@ def stopped(blender: Blender, pid: int, what: str, since: float) -> None:
 
 
 def settings(blender: Blender, run: Path, steps: float) -> None:
-    """Small photos, few steps."""
+    """Set small photos and few steps."""
     blender.ask(
         f"s = bpy.context.scene.roigs; s.run_dir = {str(run)!r}; s.max_side = 160;"
         f" s.steps_factor = {steps}"
@@ -72,9 +72,9 @@ def settings(blender: Blender, run: Path, steps: float) -> None:
 
 
 def handled(blender: Blender, event: str, place: tuple[int, int]) -> tuple[float, float]:
-    """Click; seconds until its effect was noted inside: wall clock, and Blender's processor time.
+    """Click; returns seconds until Blender noted the effect: wall clock, and its processor time.
 
-    On a busy machine only the second number is meaningful.
+    On a busy machine, only the second number is meaningful.
     """
     before = blender.ask("time.process_time()")
     since = blender.click(place)
@@ -109,7 +109,7 @@ def start_training(blender: Blender) -> int:
 
 
 def first_window(blender: Blender, folder: Path) -> None:
-    """Import, select, train; response times, Esc, stop, continue, a killed engine."""
+    """Import, select and train; check response times, Esc, stop, continue, a killed engine."""
     prepare(blender)
     import_demo(blender)
     load_boxes(blender)

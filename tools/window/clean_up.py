@@ -37,7 +37,7 @@ WIDE = "wide/wide_020.jpg"
 """A photo of the table with vase and tin."""
 
 SELECT, DELETE = 0.55, 0.8
-"""Where in the sidebar's width the two buttons of a tool are."""
+"""Places of a tool's two buttons, as shares of the sidebar's width."""
 
 IN_WINDOW = "bpy.context.preferences.view.filebrowser_display_type = 'SCREEN'"
 
@@ -52,7 +52,7 @@ CHOSEN = (
 
 
 def check(text: str, good: bool) -> None:
-    """Print how it went; raises WindowError if it did not."""
+    """Print the result of a check; WindowError: it is bad."""
     print(f"{'good' if good else 'BAD '} {text}", flush=True)
     if not good:
         raise WindowError(text)
@@ -94,7 +94,7 @@ def clean_up(blender: Blender, picture: Callable[..., None]) -> None:
     brush(blender, "mousedown")
     picture("8-brush", (340, 520))
     blender.screen.do("mouseup", "1")
-    with suppress(WindowError):  # said below
+    with suppress(WindowError):  # checked below
         blender.until(f"{COUNT} < {left}", 60)
     erased = left - blender.ask(COUNT)
     check(f"the brush erased {erased:,}", erased > 0)
@@ -105,7 +105,7 @@ def clean_up(blender: Blender, picture: Callable[..., None]) -> None:
 
 
 def confidence(blender: Blender, picture: Callable[..., None]) -> None:
-    """Ask the photos, look at the heat map, switch it off."""
+    """Measure confidence from the photos, look at the heat map, switch it off."""
     blender.click(blender.find("roigs.find_confidence", x=0.2))
     blender.until(f"{BUSY}", 180)
     blender.until(f"not {BUSY}", 600)
@@ -133,7 +133,7 @@ def brush(blender: Blender, button: str) -> None:
 
 
 def leave_and_return(blender: Blender, folder: Path, picture: Callable[..., None]) -> None:
-    """Export as SPZ, then import that into an empty file."""
+    """Export as SPZ, then import the file into an empty scene."""
     path = folder / "objects.spz"
     blender.click(blender.find("roigs.export_gaussians", x=0.8))
     blender.until("file_browser() is not None")
@@ -164,7 +164,7 @@ def leave_and_return(blender: Blender, folder: Path, picture: Callable[..., None
 
 
 def main() -> int:
-    """Do it, with pictures."""
+    """Run the checks, with pictures."""
     options = parser(__doc__)
     options.add_argument("--run", type=Path, required=True, help="a finished run of the demo")
     options.add_argument("--out", type=Path, default=REPOSITORY / "docs" / "pictures")

@@ -20,9 +20,9 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 INSIDE = Path(__file__).with_name("inside.py")
 PROGRAMS = ("Xvfb", "xdotool", "import", "convert")
 STEP = 9
-"""Pixels between places where a button is looked for; half of one's height."""
+"""Pixels between places that are searched for a button; half of a button's height."""
 COVERED = 26
-"""Pixels at the sidebar's top that the editor's header may cover: a click there is not its."""
+"""Pixels at the sidebar's top that the editor's header may cover, so clicks miss the sidebar."""
 
 
 class WindowError(Exception):
@@ -50,11 +50,11 @@ class Screen:
         self.variables = os.environ | {"DISPLAY": self.display, "LIBGL_ALWAYS_SOFTWARE": "1"}
 
     def do(self, *command: str) -> None:
-        """`xdotool` with these words."""
+        """Run `xdotool` with these words."""
         subprocess.run(["xdotool", *command], env=self.variables, check=True)
 
     def picture(self, path: Path, crop: str = "", *options: str) -> None:
-        """The screen, as PNG with a small palette; `crop` is ImageMagick's WxH+X+Y."""
+        """Write the screen as a PNG with a small palette; `crop` is ImageMagick's WxH+X+Y."""
         path.parent.mkdir(parents=True, exist_ok=True)
         whole = path.with_suffix(".whole.png")
         subprocess.run(["import", "-window", "root", whole], env=self.variables, check=True)
@@ -63,7 +63,7 @@ class Screen:
         whole.unlink()
 
     def place_of(self, name: str) -> str:
-        """ImageMagick's WxH+X+Y of the window with a title."""
+        """The place of the window with this title, as ImageMagick's WxH+X+Y."""
         found = subprocess.run(
             ["xdotool", "search", "--name", name, "getwindowgeometry", "--shell"],
             env=self.variables,
@@ -75,7 +75,7 @@ class Screen:
         return "{WIDTH}x{HEIGHT}+{X}+{Y}".format(**values)
 
     def close(self) -> None:
-        """End it."""
+        """End the screen."""
         self._process.terminate()
         self._process.wait()
 
@@ -93,14 +93,14 @@ class Blender:
         arguments: tuple[str, ...] = (),
         variables: dict[str, str] | None = None,
     ) -> None:
-        """Start it, and wait until it answers.
+        """Start Blender, and wait until it answers.
 
         Args:
             program: Blender's executable.
-            screen: where its window appears; as large as the screen.
+            screen: the screen for its window, which fills it.
             resources: folder for its settings and extensions.
-            log: file for what it prints.
-            arguments: more of them, a .blend file for instance.
+            log: file for its output.
+            arguments: more arguments, such as a .blend file.
             variables: more environment variables.
         """
         self.screen, self.log = screen, log
@@ -134,12 +134,12 @@ class Blender:
         self.kill()
 
     def kill(self) -> None:
-        """End it at once."""
+        """End Blender at once."""
         self.process.kill()
         self.process.wait()
 
     def quit(self) -> None:
-        """Quit it with Ctrl-Q, as a user does; the file must be saved."""
+        """Quit Blender with Ctrl-Q, as a user does; the file must be saved."""
         self.press("ctrl+q")
         try:
             self.process.wait(60)
@@ -147,10 +147,10 @@ class Blender:
             raise WindowError("Blender did not quit at Ctrl-Q") from None
 
     def ask(self, code: str, seconds: float = 60.0) -> Any:
-        """The value of an expression inside Blender; statements give None.
+        """Evaluate an expression inside Blender; statements return None.
 
         Raises:
-            WindowError: it failed there, or no answer came in time.
+            WindowError: it failed there, or there was no answer in time.
         """
         assert self.process.stdin is not None
         self._number += 1
@@ -174,7 +174,7 @@ class Blender:
                 return value
 
     def until(self, code: str, seconds: float = 60.0) -> float:
-        """Wait until an expression is true; returns the seconds that it took."""
+        """Wait until an expression is true; returns the seconds it took."""
         start = time.monotonic()
         while not self.ask(code, max(60.0, seconds)):
             if time.monotonic() - start > seconds:
@@ -183,18 +183,18 @@ class Blender:
         return time.monotonic() - start
 
     def pause(self, seconds: float) -> None:
-        """Let it draw."""
+        """Wait, so that Blender can draw."""
         time.sleep(seconds)
 
     def find(self, command: str, x: float = 0.5) -> tuple[int, int]:
-        """Where in the sidebar the button is that calls a command, `roigs.train_roi` for instance.
+        """Find the sidebar's button for a command such as `roigs.train_roi`; returns its place.
 
         Args:
             command: a part of the Python command.
-            x: where in the sidebar's width to look.
+            x: the column to search, as a share of the sidebar's width.
 
         Raises:
-            WindowError: there is none.
+            WindowError: there is no such button.
         """
         before = self._found.get((command, x))
         if before is not None and command in self._command_at(*before):
@@ -219,9 +219,9 @@ class Blender:
         self.screen.do("type", "--delay", "30", "--", text)
 
     def choose(self, path: Path) -> None:
-        """Choose a folder or a file in the file browser that is open, and confirm with Enter.
+        """Choose a folder or file in the open file browser, and confirm with Enter.
 
-        The path is set as if it had been typed; the file browser must be in the main window.
+        The path is set as if typed. The file browser must be in the main window.
         """
         self.until("file_browser() is not None and file_browser().spaces.active.params")
         folder, name = (path, "") if path.is_dir() else (path.parent, path.name)
@@ -237,15 +237,15 @@ class Blender:
         self.until("file_browser() is None")
 
     def scroll(self, steps: int) -> None:
-        """Turn the wheel over the sidebar; up when negative."""
+        """Turn the wheel over the sidebar; negative `steps` scroll up."""
         left, top, _, height = self.ask("sidebar()")
-        self.screen.do("mousemove", str(left + 5), str(top + height // 2))  # beside any list
+        self.screen.do("mousemove", str(left + 5), str(top + height // 2))  # avoids lists
         button = "5" if steps > 0 else "4"
         self.screen.do("click", "--repeat", str(abs(steps)), "--delay", "10", button)
         time.sleep(0.5)
 
     def click(self, place: tuple[int, int]) -> float:
-        """Click there; returns the time (seconds since 1970) at which the button went down."""
+        """Click a place; returns the time of the press, seconds since 1970."""
         self.screen.do("mousemove", str(place[0]), str(place[1]))
         time.sleep(0.2)
         now = time.time()
@@ -253,7 +253,7 @@ class Blender:
         return now
 
     def press(self, *keys: str) -> float:
-        """Press keys; returns when."""
+        """Press keys; returns the time, seconds since 1970."""
         now = time.time()
         self.screen.do("key", *keys)
         return now
@@ -270,7 +270,7 @@ class Blender:
 
 
 def built_extension(program: Path, folder: Path) -> Path:
-    """The extension as a zip in a folder."""
+    """Build the extension as a zip in a folder."""
     _extension(program, {}, "build", "--source-dir", REPOSITORY, "--output-dir", folder)
     (archive,) = folder.glob("*.zip")
     return archive

@@ -23,29 +23,29 @@ from .scenario import BUSY, SCENE, STATE, addon, import_demo, parser, prepare, w
 
 SIZE = (920, 656)
 TOP = 26
-"""Height of Blender's menu bar, in pixels; it is cropped."""
+"""Height of Blender's menu bar, pixels; it is cropped."""
 OBJECT = "vase"
 LIMIT = 1_500_000
-"""The largest file, in bytes."""
+"""Largest size of the file, bytes."""
 WIDTH = 800
-"""Of the film, in pixels; the window is larger, so that its panels fit."""
+"""Width of the film, pixels; the window is larger, so that its panels fit."""
 QUALITIES = (60, 45, 40, 36, 33, 30, 26, 20)
 
 BOX_FRAMES, ORBIT_FRAMES = 10, 24
 ORBIT = 55.0
-"""Degrees that the view turns to each side."""
+"""Degrees by which the view turns to each side."""
 TRAINING_SECONDS = 4.0
-"""Between two frames of the training, at least."""
+"""Least time between two frames of the training."""
 TRAINING_FRAMES = 26
-"""Frames of the training that are kept, at equal distances."""
+"""Number of frames of the training that are kept, evenly spaced."""
 VIEW = (60.0, 22.0, 0.72)
-"""Where the object is looked at from: azimuth and elevation in degrees, and the distance."""
+"""View of the object: azimuth and elevation in degrees, distance in metres."""
 FAR = 1.6
-"""The distance from which the film begins, in metres."""
+"""Distance of the view at the start of the film, metres."""
 SLIDE = 4
-"""Frames in which the object moves to the middle, when the sidebar has gone."""
+"""Number of frames in which the object moves to the middle, after the sidebar has closed."""
 ASIDE = 0.09
-"""How far beside the object the view aims, in metres: the sidebar covers its right side."""
+"""Distance beside the object at which the view aims, metres: the sidebar covers its right side."""
 
 LOOK = """
 import math, mathutils
@@ -73,12 +73,12 @@ def fit(item, low, high, share):
         [[a + (b - a) * share for a, b in zip(one, two)] for one, two in zip(first, last)])
 """
 WIDTHS = f"[p.pixel for p in {addon('viewport.draw')}.painter()._pictures.values()]"
-"""Code for how many pixels wide the pixels of the pictures are: 1 when they are drawn in full."""
+"""Code for the width of the pictures' pixels in the window's pixels; 1: at full resolution."""
 
 
 @dataclass
 class Film:
-    """Frames of the window, and how long each is shown."""
+    """Frames of the window, and the duration of each."""
 
     blender: Blender
     folder: Path
@@ -100,12 +100,12 @@ class Film:
     def aim(
         self, centre: list[float], distance: float, turn: float = 0.0, aside: float = ASIDE
     ) -> None:
-        """Look at a point in the world from `VIEW`, turned by degrees."""
+        """Look at a point in the world from `VIEW`, turned by `turn` degrees."""
         azimuth, elevation, _ = VIEW
         self.blender.ask(f"aim({centre}, {azimuth + turn}, {elevation}, {distance}, {aside})")
 
     def thin(self, first: int, count: int) -> None:
-        """Keep `count` of the frames from `first` on, at equal distances."""
+        """Keep `count` evenly spaced frames of those from `first` on."""
         last = len(self.images) - 1
         count = min(count, last - first + 1)
         kept = [first + round(k * (last - first) / max(1, count - 1)) for k in range(count)]
@@ -118,10 +118,10 @@ class Film:
         return image.resize((WIDTH, height), Image.Resampling.LANCZOS)
 
     def save(self, path: Path) -> int:
-        """Write the film as an animated WebP that repeats; returns its bytes.
+        """Write the film as an animated WebP that repeats; returns its size in bytes.
 
         Raises:
-            WindowError: it is too large in every quality.
+            WindowError: it is too large at every quality.
         """
         first, *others = (self._scaled(image) for image in self.images)
         for quality in QUALITIES:
@@ -164,7 +164,7 @@ def box(film: Film, low: list[float], high: list[float]) -> None:
 
 
 def train(film: Film) -> None:
-    """Train; a frame every few seconds."""
+    """Train, and take a frame every few seconds."""
     blender = film.blender
     blender.click(blender.find("roigs.train_roi", x=0.3))
     blender.screen.do("mousemove", "3", "450")
@@ -197,7 +197,7 @@ def orbit(film: Film, middle: list[float]) -> None:
 
 
 def main() -> int:
-    """Make it."""
+    """Make the film."""
     options = parser(__doc__)
     options.add_argument("--out", type=Path, default=REPOSITORY / "docs" / "pictures" / "film.webp")
     options.add_argument("--frames", type=Path, required=True, help="folder for the frames")

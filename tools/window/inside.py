@@ -20,11 +20,11 @@ import bpy
 
 lines: queue.SimpleQueue[str] = queue.SimpleQueue()
 events: list[tuple[float, float, str]] = []
-"""(seconds since 1970, processor seconds of Blender, text): what was noted with `note`."""
+"""What `note` recorded: (seconds since 1970, processor seconds of Blender, text)."""
 
 
 def note(text: str) -> None:
-    """Remember that something happened now."""
+    """Record that something happened now."""
     events.append((time.time(), time.process_time(), text))
 
 
@@ -42,7 +42,7 @@ def view() -> dict[str, Any]:
 
 
 def call(operator: str, **values: object) -> None:
-    """Run an operator over the 3D view, to its end."""
+    """Run an operator over the 3D view; returns when it has finished."""
     group, name = operator.split(".")
     with bpy.context.temp_override(**view()):
         getattr(getattr(bpy.ops, group), name)(**values)
@@ -54,14 +54,14 @@ def part(area: bpy.types.Area, kind: str) -> bpy.types.Region:
 
 
 def sidebar() -> tuple[int, int, int, int]:
-    """Left, top, width and height of the sidebar, in pixels from the window's top left."""
+    """Left, top, width and height of the sidebar, pixels from the window's upper left corner."""
     found = view()
     region, window = part(found["area"], "UI"), found["window"]
     return region.x, window.height - region.y - region.height, region.width, region.height
 
 
 def under_mouse() -> str:
-    """The Python command of the button under the mouse, or a field's data path; or nothing."""
+    """The Python command of the button under the mouse, or a field's data path, or empty."""
     found = view()
     manager().clipboard = ""
     names = ("copy_python_command_button", "copy_data_path_button")
@@ -74,13 +74,13 @@ def under_mouse() -> str:
 
 
 def file_browser() -> bpy.types.Area | None:
-    """The area in which a file browser is open, in any window."""
+    """The area with an open file browser, in any window."""
     areas = (a for w in manager().windows for a in w.screen.areas if a.type == "FILE_BROWSER")
     return next(areas, None)
 
 
 def answer() -> float:
-    """Blender's timer: do what has been asked."""
+    """Run the received code; a timer of Blender's calls this."""
     while not lines.empty():
         number, code = json.loads(lines.get())
         try:
@@ -99,7 +99,7 @@ def answer() -> float:
 
 
 def read() -> None:
-    """A thread: standard input into the queue; Blender ends with it."""
+    """Put the lines of standard input into the queue; runs in a thread that ends with Blender."""
     for line in sys.stdin:
         lines.put(line)
 

@@ -40,9 +40,9 @@ from .scenario import (
 
 FAR = 4.0
 FARTHEST, NEAREST = 5.0, 1.0
-"""Of the fly-in."""
+"""Distances of the fly-in, as multiples of the photos'."""
 SIZE, SHOWN, CROP = (1200, 800), 1.5, "675x778+525+0"
-"""Of the window; of the picture."""
+"""Size of the window; distance and crop of the picture."""
 PHOTOS = [f"wide/wide_{number:03}.jpg" for number in (3, 17, 31, 45)]
 TIMES = 7
 MOST_CHANGE = 0.01
@@ -155,7 +155,7 @@ def change(distance, name):
 
 
 def prepared(blender: Blender, run: Path) -> None:
-    """Load the result; nothing else is visible."""
+    """Load the result, and hide everything else."""
     prepare(blender)
     import_demo(blender)
     load_boxes(blender)
@@ -173,7 +173,7 @@ def prepared(blender: Blender, run: Path) -> None:
 
 
 def from_afar(blender: Blender) -> bool:
-    """Gaussians and time with levels and without; whether they are faster by as much."""
+    """Print Gaussians and time with and without levels; whether levels are fast enough."""
     blender.ask(f"go({FAR})", 120)
     seconds = {}
     for levels in (True, False):
@@ -199,7 +199,7 @@ def from_afar(blender: Blender) -> bool:
 
 
 def at_photos(blender: Blender) -> None:
-    """PSNR against the whole model in small pictures."""
+    """Print the PSNR against the whole model in small pictures."""
     found = [blender.ask(f"psnr({photo!r}, {FAR})", 300) for photo in PHOTOS]
     mean, count, every = np.mean(found, axis=0)
     print(
@@ -210,7 +210,7 @@ def at_photos(blender: Blender) -> None:
 
 
 def photograph(blender: Blender, path: Path) -> None:
-    """The panel, open, beside the scene from as far as some levels are drawn."""
+    """Take a picture of the open panel beside the scene, at a distance that uses levels."""
     blender.ask(LOOK)
     blender.ask("[item.hide_set(True) for item in details] and None")  # finding buttons is faster
     open_result_panel(blender, "roigs.make_levels", x=0.5)
@@ -219,19 +219,19 @@ def photograph(blender: Blender, path: Path) -> None:
     blender.screen.do("mousemove", "3", "450")
     blender.until("draw.painter().idle()", 120)
     show_result(blender)
-    blender.screen.do("mousemove", "3", "450")  # away from the sidebar: no tooltip
+    blender.screen.do("mousemove", "3", "450")  # away from the sidebar, to avoid a tooltip
     blender.pause(3.0)
     blender.screen.picture(path, CROP, *COLOURS)
 
 
 def fly(blender: Blender, distances: list[float], *, levels: bool) -> np.ndarray[Any, Any]:
-    """(frames, 3): what `change` says of each frame."""
+    """(frames, 3) results of `change` for each frame."""
     blender.ask(f"use({levels})")
     return np.array([blender.ask(f"change({d}, '{levels}')", 300) for d in distances])
 
 
 def fly_in(blender: Blender, frames: int) -> bool:
-    """Fly with levels and without; whether no switch is seen."""
+    """Fly in with and without levels; whether no switch between levels is visible."""
     first, last = (float(blender.ask(f"away({times})", 120)) for times in (FARTHEST, NEAREST))
     distances = np.geomspace(first, last, frames).tolist()
     with_levels = fly(blender, distances, levels=True)
@@ -267,7 +267,7 @@ def main() -> int:
 
 
 def copied(run: Path, folder: Path) -> Path:
-    """The files of a run that the add-on reads, with their times: Blender writes into it."""
+    """Copy the files of a run that the add-on reads, with their times; Blender changes the copy."""
     folder.mkdir()
     for name in ("rois", "coarse", "levels"):
         shutil.copytree(run / name, folder / name)

@@ -29,7 +29,7 @@ FILES = ("manifest.json", "background.ply", "result.ply", "split.json", "coarse"
 VIEWPORT, SPLATS = addon("viewport.draw"), addon("scene.splats")
 PREVIEW = "__import__('pathlib').Path({!r})"
 WARM, STRAY = 12, 0.05
-"""Cycles before memory is compared, and by what share it may differ from then on."""
+"""Cycles before memory is compared; largest relative difference from then on."""
 
 TURN = """
 area = view()["area"]
@@ -39,7 +39,7 @@ area.spaces.active.region_3d.view_rotation = turn @ area.spaces.active.region_3d
 area.tag_redraw()
 """
 PUSH = "call('ed.undo_push', message={!r})"
-"""Operators that scripts call make no undo steps."""
+"""Code that creates an undo step; operators called by scripts create none."""
 
 EDIT = """
 item = next(o for o in bpy.data.objects if o.roigs.kind == "SPLATS" and o.visible_get())
@@ -49,7 +49,7 @@ call("ed.undo_push", message="Move")
 
 
 def begin(blender: Blender, scene: Path, run: Path) -> None:
-    """A new file with a scene."""
+    """Open a new file, and import a scene."""
     blender.ask("bpy.ops.wm.read_homefile(app_template='')")
     blender.pause(1.0)
     prepare(blender)
@@ -59,14 +59,14 @@ def begin(blender: Blender, scene: Path, run: Path) -> None:
 
 
 def replace(run: Path, source: Path) -> None:
-    """Give the run's Gaussians new files, as a training does."""
+    """Replace the run's files of Gaussians, as a training does."""
     for target in run.rglob("*.ply"):
         shutil.copyfile(source / target.relative_to(run), target.with_suffix(".part"))
         target.with_suffix(".part").replace(target)
 
 
 def settle(blender: Blender) -> None:
-    """Wait until the viewport has read and sorted, and has been drawn."""
+    """Wait until the viewport has read and sorted the Gaussians, and has drawn."""
     blender.pause(0.3)
     blender.until(f"{VIEWPORT}._painter is None or {VIEWPORT}._painter.idle()", 120)
     blender.pause(0.4)
@@ -96,13 +96,13 @@ def cycle(blender: Blender, run: Path, source: Path) -> None:
 
 
 def resident(pid: int) -> float:
-    """Megabytes of a process in memory."""
+    """Resident memory of a process, MB."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def watch(blender: Blender, run: Path, given: argparse.Namespace) -> list[float]:
-    """Megabytes after each cycle."""
+    """Resident memory after each cycle, MB."""
     sizes = []
     for number in range(given.cycles):
         if number % (given.new_file or given.cycles) == 0:
@@ -115,7 +115,7 @@ def watch(blender: Blender, run: Path, given: argparse.Namespace) -> list[float]
 
 
 def main() -> int:
-    """Watch it."""
+    """Run the cycles, and compare memory."""
     options = parser(__doc__)
     options.add_argument("--run", type=Path, required=True, nargs="+", help="finished runs")
     options.add_argument("--scene", type=Path, default=SCENE, help="its COLMAP project")

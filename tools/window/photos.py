@@ -46,15 +46,15 @@ bpy.app.handlers.depsgraph_update_post.append(watch)
 """
 MATCHING = f"{BUSY} and {STATE}.stage == 'matching' and {STATE}.step > {{}}"
 KILLED_AT = 120
-"""Pairs that are matched when Blender is killed."""
+"""Blender is killed after this number of matched pairs."""
 FRAME = ("KP_Decimal", *["KP_Subtract"] * 4)
 """Keys that show the box beside the sidebar."""
 CUBE, NOTHING = (577, 470), (300, 800)
-"""Places in the window."""
+"""Places in the window, pixels."""
 
 
 def copied(folder: Path, source: Path, count: int) -> Path:
-    """A folder with so many photos of another one; 0: all, also those in its folders."""
+    """Copy `count` photos of another folder; 0: all, also those in its subfolders."""
     photos = folder / ROOM
     if not count:
         return Path(shutil.copytree(source, photos))
@@ -83,7 +83,7 @@ def measured(blender: Blender) -> None:
         f" load {load:.1f} on {cores} cores",
         flush=True,
     )
-    shared = load > 2 * cores  # others keep Blender waiting too
+    shared = load > 2 * cores  # other programs also delay Blender
     expect(max(processor if shared else clock) <= ANSWER_SECONDS, "a click took too long")
 
 
@@ -154,7 +154,7 @@ def finish(story: Afternoon, photos: Path) -> None:
 
 
 def train(story: Afternoon, side: int) -> None:
-    """Box around the subject, cameras, training, result."""
+    """Make a box around the subject, select cameras, train, and look at the result."""
     blender = story.blender
 
     def box() -> None:
@@ -187,7 +187,7 @@ def train(story: Afternoon, side: int) -> None:
 
 
 def drop(story: Afternoon, photos: Path) -> None:
-    """Drop photos of another folder on the view."""
+    """Drop photos from another folder on the view."""
     blender, other = story.blender, photos.with_name(OTHER)
 
     def dropped() -> None:
@@ -202,7 +202,7 @@ def drop(story: Afternoon, photos: Path) -> None:
 
 
 def main() -> int:
-    """Go there."""
+    """Run all steps."""
     options = parser(__doc__)
     options.add_argument("--out", type=Path, default=REPOSITORY / "docs" / "pictures" / "photos")
     options.add_argument("--source", type=Path, default=SCENE / "images" / "wide", help="of photos")

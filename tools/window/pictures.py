@@ -29,7 +29,7 @@ DRAWING = addon("viewport.draw")
 SURFACE_BELOW = 28
 """Pixels from the button Export to the header of the panel Surface."""
 COLOURS = ("+dither", "-colors", "128")
-"""For small files; the loss is not visible."""
+"""Options for small files; the loss is invisible."""
 
 LOOK = """
 bpy.context.preferences.view.ui_scale = 0.85
@@ -42,7 +42,7 @@ call("preferences.addon_show", module="bl_ext.user_default.roigs")
 
 
 def select(blender: Blender, kind: str) -> None:
-    """Select the objects of a kind, which then fill the view."""
+    """Select the objects of a kind, and make them fill the view."""
     blender.ask(
         f"[o.select_set(o.roigs.kind == {kind!r}) for o in bpy.context.scene.objects] and None"
     )
@@ -58,7 +58,7 @@ def look_at_boxes(blender: Blender) -> None:
 
 
 def show_result(blender: Blender) -> None:
-    """Only Gaussians in the view, and the last panel beside them."""
+    """Show only Gaussians in the view, and the last panel beside them."""
     blender.ask(
         "space = view()['area'].spaces.active\n"
         "space.overlay.show_overlays = space.show_gizmo = False"
@@ -69,7 +69,7 @@ def show_result(blender: Blender) -> None:
 
 
 def show_mesh(blender: Blender) -> None:
-    """The vase's mesh alone, on a plane of its own, in the Rendered view; its panel is open."""
+    """Show only the vase's mesh, on its own plane, in the Rendered view, with its panel open."""
     blender.ask("call('roigs.show_alone', name='vase Mesh')")
     column, row = blender.find("roigs.export_gaussians", x=0.8)
     blender.click((column, row + SURFACE_BELOW))
@@ -80,16 +80,16 @@ def show_mesh(blender: Blender) -> None:
     blender.ask("call('roigs.select_gaussians', name='vase Mesh')")
     blender.ask("view()['area'].spaces.active.shading.type = 'RENDERED'")
     blender.scroll(100)
-    blender.pause(60.0)  # shaders
+    blender.pause(60.0)  # Blender compiles shaders
 
 
 def story(blender: Blender, out: Path, run: Path, max_side: int, *, trained: bool) -> None:
-    """Go from the empty file to the result, which is trained unless the run folder has one."""
+    """Go from the empty file to the result; trains it unless the run folder has one."""
 
     def picture(name: str, crop: str = "780x958+260+0") -> None:
         blender.screen.do("mousemove", "3", "450")
         blender.pause(2.0)
-        blender.ask("view()['area'].tag_redraw()")  # panels take two drawings to find their places
+        blender.ask("view()['area'].tag_redraw()")  # panels need two redraws to find their places
         blender.pause(4.0)
         blender.screen.picture(out / f"{name}.png", crop, *COLOURS)
 
@@ -102,7 +102,7 @@ def story(blender: Blender, out: Path, run: Path, max_side: int, *, trained: boo
     blender.ask("call('view3d.zoom', delta=1)")
     blender.ask(f"s = bpy.context.scene.roigs; s.max_side = {max_side}")
     picture("1-scene", "1040x780+0+0")
-    blender.ask(f"bpy.context.scene.roigs.test_every = {8 * trained}")  # as `make demo` has it
+    blender.ask(f"bpy.context.scene.roigs.test_every = {8 * trained}")  # as in `make demo`
 
     load_boxes(blender)
     look_at_boxes(blender)
@@ -128,7 +128,7 @@ def story(blender: Blender, out: Path, run: Path, max_side: int, *, trained: boo
     show_result(blender)
     picture("5-result")
 
-    if blender.ask("'vase Mesh' in bpy.data.objects"):  # the run has it
+    if blender.ask("'vase Mesh' in bpy.data.objects"):  # the run already has a mesh
         show_mesh(blender)
         picture("16-mesh", "1040x958+0+0")
         blender.ask("call('roigs.show_surface', name='vase Mesh', way='GAUSSIANS')")
@@ -144,13 +144,13 @@ def story(blender: Blender, out: Path, run: Path, max_side: int, *, trained: boo
 
     blender.screen.do("mousemove", *(str(side // 2) for side in SIZE))  # the window opens there
     blender.ask(PREFERENCES)
-    blender.screen.do("mousemove", "3", "450")  # no tooltip
+    blender.screen.do("mousemove", "3", "450")  # to avoid a tooltip
     blender.pause(2.0)
     picture("6-preferences", blender.screen.place_of("Preferences"))
 
 
 def main() -> int:
-    """Make them."""
+    """Make the pictures."""
     options = parser(__doc__)
     options.add_argument("--out", type=Path, default=REPOSITORY / "docs" / "pictures")
     options.add_argument("--max-side", type=int, default=240, help="of the photos in training")

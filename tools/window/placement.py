@@ -48,14 +48,14 @@ failures: list[str] = []
 
 
 def check(text: str, good: bool) -> None:
-    """Print and note how it went."""
+    """Print the result of a check; a bad one is also added to `failures`."""
     print(f"{'good' if good else 'BAD '} {text}", flush=True)
     if not good:
         failures.append(text)
 
 
 def floor_points(blender: Blender) -> list[int]:
-    """Three sparse points far apart in the picture of the view from above, low in the scene."""
+    """Three sparse points low in the scene, far apart in the view from above."""
     rows: list[tuple[int, list[float], float]] = blender.ask(
         "[(k, on_screen(k), place(k).z) for k in range(0, len(cloud().data.vertices), 7)]"
     )
@@ -77,12 +77,12 @@ def click_point(blender: Blender, row: int) -> None:
 
 
 def picked(blender: Blender) -> Any:
-    """The points that are marked."""
+    """The marked points."""
     return blender.ask(f"[tuple(point) for point in {PICKS}.picked]")
 
 
 def work(blender: Blender, project: Path, pictures: Path | None) -> None:
-    """All checks."""
+    """Run all checks."""
     prepare(blender)
     blender.ask(INSIDE)
     blender.ask(f"call('roigs.import_colmap', directory={str(project)!r})", 120)
@@ -132,7 +132,7 @@ def work(blender: Blender, project: Path, pictures: Path | None) -> None:
     blender.pause(0.5)
     size = blender.ask("size()")
     blender.ask("bpy.context.window_manager.operators[-1].properties.length = 3.0")
-    blender.ask("call('ed.undo_redo')")  # what a change in the panel of F9 does
+    blender.ask("call('ed.undo_redo')")  # as a change in the F9 panel does
     blender.pause(0.5)
     factor = blender.ask("size()") / size
     check(f"another length scales from where it was: {factor:.3f}", abs(factor - 3) < 1e-3)
@@ -157,7 +157,7 @@ def work(blender: Blender, project: Path, pictures: Path | None) -> None:
 
 
 def main() -> int:
-    """Exit status."""
+    """Run the checks; returns the exit status."""
     given = parser(__doc__)
     given.add_argument("--pictures", type=Path, help="folder for two pictures")
     options = given.parse_args()

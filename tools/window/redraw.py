@@ -50,14 +50,14 @@ TIMES = 7
 
 
 def show(blender: Blender, text: str, code: str) -> None:
-    """Print what some drawings took."""
+    """Print the median times of several redraws."""
     times = [blender.ask(code) for _ in range(TIMES)]
     clock, processor = (statistics.median(column) for column in zip(*times, strict=True))
     print(f"{text:<22} {clock:.2f} s, {processor:.2f} s of processor time", flush=True)
 
 
 def measure(blender: Blender, run: Path) -> bool:
-    """Print everything; whether a view that rests is drawn in full."""
+    """Print all measurements; whether the viewport reports no problems."""
     blender.ask(PREPARE)
     folder = f"__import__('pathlib').Path({str(run)!r})"
     blender.ask(f"{SPLATS}.show_results(bpy.context.scene, {folder}) and None", 120)

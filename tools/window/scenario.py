@@ -17,7 +17,7 @@ TAB = "ROI-GS"
 
 
 def addon(module: str) -> str:
-    """Code for a module of the add-on, for `Blender.ask`."""
+    """Code for `Blender.ask` that gives a module of the add-on."""
     return f"__import__('sys').modules['bl_ext.user_default.roigs.roigs_addon.{module}']"
 
 
@@ -36,11 +36,11 @@ bpy.context.scene.view_settings.view_transform = "Standard"
 """
 
 ABOVE_TRAIN = {"roigs.scribble": 52, "roigs.select_cameras": 78, "roigs.suggest_photos": 104}
-"""Button -> pixels from the field **Preset** up to the header of its closed sub-panel."""
+"""Button -> pixels from the field **Preset** up to the header of the button's closed sub-panel."""
 
 
 def parser(text: str | None) -> argparse.ArgumentParser:
-    """A parser with the options that all of them have."""
+    """A parser with the options that all scenarios share."""
     made = argparse.ArgumentParser(description=text)
     made.add_argument("blender", type=Path, help="Blender's executable")
     made.add_argument("--engine-python", type=Path, required=True, help="a Python with torch")
@@ -49,7 +49,7 @@ def parser(text: str | None) -> argparse.ArgumentParser:
 
 @contextmanager
 def window(given: argparse.Namespace, width: int, height: int) -> Iterator[Blender]:
-    """The Blender of `parser`'s options with the extension, in a window of that size."""
+    """Start the Blender of `parser`'s options with the extension, in a window of this size."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         resources = with_extension(given.blender, folder)
@@ -70,7 +70,7 @@ def window(given: argparse.Namespace, width: int, height: int) -> Iterator[Blend
 
 @contextmanager
 def pictured_failure(blender: Blender, out: Path) -> Iterator[None]:
-    """If the block fails, `out` gets a picture of the window, and the end of the log is shown."""
+    """If the block fails, write a picture of the window to `out`, and print the end of the log."""
     try:
         yield
     except Exception:
@@ -95,7 +95,7 @@ def show_tab(blender: Blender) -> None:
 
 
 def import_demo(blender: Blender) -> None:
-    """Import the demo scene, as the file browser would."""
+    """Import the demo scene, as from the file browser."""
     blender.ask(f"call('roigs.import_colmap', directory={str(SCENE)!r})")
     blender.ask("call('view3d.view_all')")
 
@@ -106,11 +106,11 @@ def load_boxes(blender: Blender) -> None:
 
 
 def open_panel(blender: Blender, command: str, x: float, above: tuple[str, float]) -> None:
-    """Open the sub-panel with a button by a click on its header.
+    """Open the sub-panel that contains a button, by a click on the panel's header.
 
     Args:
-        command: the button's, see `Blender.find`.
-        x: where in the sidebar's width it is.
+        command: the button's command, see `Blender.find`.
+        x: the button's place, as a share of the sidebar's width.
         above: command and place of the last button above the header.
     """
     column, row = blender.find(above[0], x=above[1])
@@ -136,5 +136,5 @@ def open_photos_panel(blender: Blender, command: str, x: float) -> None:
 
 
 def open_result_panel(blender: Blender, command: str, x: float) -> None:
-    """Open the sub-panel of step 5 with a button: its header is below the export."""
+    """Open the sub-panel of step 5 that contains a button; its header is below the export."""
     open_panel(blender, command, x, ("roigs.export_gaussians", 0.8))

@@ -45,7 +45,7 @@ DEMO = Path(__file__).with_name("scribbles.json")
 DEMO_PHOTOS = tuple(f"close/vase_{number:02}.jpg" for number in (0, 3, 5, 7, 9, 10))
 
 WAIT = 3600
-"""Seconds for the training."""
+"""Seconds allowed for the training."""
 
 OVERLAY = addon("viewport.photo_overlay")
 STROKES = "sum(len(__import__('json').loads(s.strokes)) for s in BOX.roigs.scribbles)"
@@ -60,10 +60,10 @@ class Story:
 
     Attributes:
         scene: a copy of the scene's folder, with `images` and `rois.json`.
-        box: its name.
-        photos: that get masks.
-        first: the strokes to begin with, on one of these.
-        correction: strokes on another of these.
+        box: name of the box.
+        photos: the photos that get masks.
+        first: the first strokes, on one of these photos.
+        correction: strokes on another of these photos.
     """
 
     scene: Path
@@ -74,7 +74,7 @@ class Story:
 
     @classmethod
     def of(cls, given: argparse.Namespace, scene: Path) -> Story:
-        """The story that the command line asks for."""
+        """The story for the command line's options."""
         found = [each for each in read_scribbles(given.scribbles) if each.box == given.box]
         if len(found) != 2:
             raise SystemExit(f"{given.scribbles} needs two scribbles of box '{given.box}'.")
@@ -96,7 +96,7 @@ def strokes(blender: Blender) -> int:
 def places(
     blender: Blender, size: tuple[int, int], points: NDArray[np.float64]
 ) -> list[tuple[str, str]]:
-    """Where pixels of the photo, of that size, are on the screen."""
+    """The places on the screen of pixels of a photo of this size."""
     blender.ask(
         "with bpy.context.temp_override(**view()):\n"
         f"    shown = {OVERLAY}.frame_of(bpy.context)\n"
@@ -128,12 +128,12 @@ def drag(
         blender.pause(0.25)
     blender.screen.do("mouseup", "1")
     blender.until(f"{STROKES.replace('BOX', BOX)} == {before + 1}", 20)
-    if around:  # only now: a busy Blender asks which keys are held when it comes to the press
+    if around:  # only now: a busy Blender reads the held keys when it handles the press
         blender.screen.do("keyup", "ctrl")
 
 
 def draw(blender: Blender, story: Story, scribble: Scribble) -> None:
-    """Draw all strokes of a scribble on the photo that is shown."""
+    """Draw all strokes of a scribble on the photo in the view."""
     for stroke in scribble.strokes:
         around = stroke.kind == BACKGROUND
         drag(blender, story.size(scribble.photo), stroke.points, around=around)
@@ -213,7 +213,7 @@ def step(blender: Blender) -> None:
 
 
 def train(blender: Blender, box: str, side: int, run: Path, shot: Callable[[str], None]) -> None:
-    """Train on the masks, and look at the object without what it stands on."""
+    """Train with the masks, and look at the object without its support."""
     blender.ask(f"bpy.context.scene.roigs.run_dir = {str(run)!r}")
     blender.ask(f"bpy.context.scene.roigs.max_side = {side}")
     blender.pause(2.0)
@@ -246,7 +246,7 @@ def train(blender: Blender, box: str, side: int, run: Path, shot: Callable[[str]
 
 
 def options() -> argparse.ArgumentParser:
-    """The command line."""
+    """Parse the command line."""
     made = parser(__doc__)
     made.add_argument("--run", type=Path, required=True, help="a finished run of the scene")
     made.add_argument("--out", type=Path, default=REPOSITORY / "docs" / "pictures")
@@ -259,7 +259,7 @@ def options() -> argparse.ArgumentParser:
 
 
 def main() -> int:
-    """Do it, with pictures."""
+    """Run the story, with pictures."""
     given = options().parse_args()
     if given.photo is None:
         given.photo = DEMO_PHOTOS if given.scribbles == DEMO else ()

@@ -32,13 +32,13 @@ from .scenario import (
 
 SIZE = (1280, 980)
 PHOTO, OTHER = "wide/wide_045.jpg", "wide/wide_005.jpg"
-"""From there, the first three things are put on the table; from the other side the monkey, whose
-place the vase hides, and there renders are made."""
+"""Photos whose cameras look at the table. From the first, the first three things are placed. From
+the other side, the monkey is placed, because the vase hides its place, and renders are made."""
 SURFACE, STAGE = ("roigs.export_gaussians", 0.8, 50), ("roigs.export_gaussians", 0.8, 72)
 RELIGHT = ("roigs.make_surface", 0.5, 47)
-"""Headers of closed panels: a button above, where in the sidebar's width, pixels below it."""
+"""Header of a closed panel: button above it, that button's share of the width, pixels below it."""
 LIMIT = 0.015
-"""Metres, 3 pixels: how far from its place a thing may stand, and above or below the table."""
+"""Largest error of a thing's place, also above or below the table; metres, 3 pixels."""
 RENDERING = "bpy.app.is_job_running('RENDER')"
 
 INSIDE = f"""
@@ -75,7 +75,7 @@ def select(name):
         item.select_set(item.name == name)
     bpy.context.view_layer.objects.active = scene().objects[name]
 """
-"""For the driver: the modules of this repository, with the add-on under its short name."""
+"""Code for the driver: imports this repository's modules, with the add-on by its short name."""
 
 MAKE = """
 made = things.put_things()
@@ -84,7 +84,7 @@ goals = {name: (*middle(name), things.TABLE) for name in made}
 for number, thing in enumerate(made.values()):
     thing.location = 3 + number, 0, 0
 """
-"""The things, far from their places."""
+"""Code that makes the things, far from their places."""
 
 SINCE = f"""
 before["images"] = sorted({{*before["images"], {Path(OTHER).name!r}}})
@@ -92,8 +92,8 @@ before["objects"] = sorted({{*before["objects"], "lamp"}})
 before["materials"] = sorted({{*before["materials"], "vase Mesh Relit"}})
 before["lamps"] = {{"lamp": True}}
 """
-"""What has come since, and stays: the photo that was looked at, the lamp, as Blender makes it, and
-the relit vase."""
+"""Code that adds to `before` what has been added since and stays: the photo in the view, the lamp
+as Blender makes it, and the relit vase."""
 
 OWN = """
 stage_cases.own_things(bpy, scene())
@@ -101,22 +101,22 @@ scene().view_layers["Extra"].use = False
 scene().render.engine, scene().cycles.use_denoising = "CYCLES", True
 scene().render.resolution_percentage = 100
 """
-"""Settings of a user: a world, a view layer, a node in the compositor."""
+"""Code that makes a user's own settings: a world, a view layer, a node in the compositor."""
 
 
 class Story:
     """The steps in one window."""
 
     def __init__(self, blender: Blender, out: Path) -> None:
-        """`out` gets the pictures."""
+        """Args: `out`: folder for the pictures."""
         self.blender, self.out = blender, out
 
     def ask(self, code: str) -> Any:
-        """The value of an expression inside Blender."""
+        """Evaluate an expression inside Blender."""
         return self.blender.ask(code)
 
     def picture(self, name: str) -> None:
-        """The picture of the window."""
+        """Take a picture of the window."""
         self.blender.screen.do("mousemove", "3", "450")
         self.blender.pause(3.0)
         self.blender.screen.picture(self.out / f"{name}.png")
@@ -133,7 +133,7 @@ class Story:
         self.blender.pause(1.0)
 
     def until_done(self, picture: str = "") -> float:
-        """Wait for the engine, with a picture of its progress; returns seconds."""
+        """Wait for the engine, with a picture of its progress; returns the seconds."""
         began = time.monotonic()
         self.blender.until(BUSY, 60)
         if picture:
@@ -153,7 +153,7 @@ class Story:
             self.blender.pause(1.5)
 
     def until_state(self, name: str, text: str) -> None:
-        """Wait until all settings are as they were when they got a name inside Blender."""
+        """Wait until all settings are as in the stored state `name` inside Blender."""
         try:
             self.blender.until(f"state() == {name}", 20)
         except WindowError:
@@ -163,7 +163,7 @@ class Story:
 
 
 def stand(story: Story) -> None:
-    """All things, one click each; the first one is undone and done again."""
+    """Place all things, one click each; undo and redo the first."""
     story.ask(MAKE)
     story.ask("bpy.ops.ed.undo_push(message='things')")
     story.ask("before = state()")
@@ -181,7 +181,7 @@ def stand(story: Story) -> None:
 
 
 def look_through(story: Story, photo: str) -> None:
-    """Look through a photo's camera, at the result."""
+    """Look at the result through a photo's camera."""
     blender = story.blender
     blender.ask(f"call('roigs.look_through', photo={photo!r})")
     blender.until(f"not {BUSY}", 120)
@@ -209,7 +209,7 @@ def put(story: Story, name: str, picture: str) -> None:
 
 
 def switches(story: Story) -> None:
-    """Light at the cursor, shadows again, reflections off and on."""
+    """Measure light at the cursor, redo shadows, switch reflections off and on."""
     story.ask("scene().cursor.location = (0, 0, 0.9)")
     story.button("where='CURSOR'", 0.5)
     check(f"Light From Scene: {story.until_done():.0f} s", True)
@@ -223,7 +223,7 @@ def switches(story: Story) -> None:
 
 
 def relight(story: Story) -> None:
-    """The lamp beside the vase, which is relit."""
+    """Add a lamp beside the vase, and relight the vase."""
     story.ask("things.put_lamp()")
     story.open(SURFACE)
     story.open(RELIGHT)
@@ -233,7 +233,7 @@ def relight(story: Story) -> None:
 
 
 def f12(story: Story, name: str) -> None:
-    """Render by the key, with pictures of the window, and save the render."""
+    """Render with F12, with pictures of the window, and save the render."""
     blender, began = story.blender, time.monotonic()
     story.over_view("F12")
     blender.until(RENDERING, 60)
@@ -250,8 +250,8 @@ def f12(story: Story, name: str) -> None:
 
 
 def remove(story: Story) -> None:
-    """Remove by a click, then Ctrl-Z."""
-    # A render has the lamp shine on captured surfaces. That is no step of undo; the next one does.
+    """Remove the stage by a click, then undo with Ctrl-Z."""
+    # A render makes the lamp shine on captured surfaces. That creates no undo step; the next does.
     story.ask("staged = {**state(), 'lamps': {'lamp': True}}")
     story.blender.scroll(100)  # below the long panel of surfaces
     story.button("roigs.remove_stage", 0.5)
@@ -263,7 +263,7 @@ def remove(story: Story) -> None:
 
 
 def main() -> int:
-    """Do it, with pictures."""
+    """Run the story, with pictures."""
     options = parser(__doc__)
     options.add_argument("--run", type=Path, required=True, help="a finished run of the demo")
     options.add_argument("--out", type=Path, default=Path("build/window"))
@@ -287,7 +287,7 @@ def main() -> int:
 
 
 def begin(story: Story, run: Path) -> None:
-    """The demo's result, looked at through a photo's camera, and settings of a user."""
+    """Open the demo's result, look through a photo's camera, and make a user's own settings."""
     blender = story.blender
     prepare(blender)
     blender.ask(LOOK + IN_WINDOW)

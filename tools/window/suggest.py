@@ -49,7 +49,7 @@ def suggest(blender: Blender, out: Path) -> None:
 
 
 def main() -> int:
-    """Do it, with a picture."""
+    """Run the steps, with a picture."""
     options = parser(__doc__)
     options.add_argument("--out", type=Path, default=Path("build/window"))
     given = options.parse_args()
