@@ -73,7 +73,7 @@ class Running:
         return None
 
     def row_rates(self, *, whole: bool) -> Tensor | None:
-        """(N,) float32 factors on learning rates in a step on a `whole` photo or not; None for 1."""
+        """(N,) float32 factors on learning rates, for a step on a `whole` photo or not; None: 1."""
         return None
 
     def surface_loss(
