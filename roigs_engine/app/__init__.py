@@ -2,5 +2,5 @@
 
 `train(Train(scene=..., roi=["auto"], run_dir=...))` does the same as the command `train`: it holds
 the lock, writes manifest, provenance and log, resumes, and returns the paths of the results.
-Without a context, nothing is shown; events go to `Context.emit`.
+Events go to `Context.emit`. Without a context, nothing is shown.
 """

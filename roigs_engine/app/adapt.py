@@ -1,4 +1,4 @@
-"""Adapts a finished model to another renderer by a short stage that draws as this renderer does."""
+"""Adapts a finished model to another renderer, by a short stage that draws like this renderer."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from ..training.stage_data import StageData
 
 STAGE = "adapt"
-SAMPLE = 1000  # Gaussians of a model that are looked for in the photos
+SAMPLE = 1000  # Gaussians of a model that are searched for in the photos
 
 
 def adapt(request: Adapt, context: Context = QUIET) -> Result:
-    """Train a finished model on its photos, drawn as the target draws, and write it.
+    """Train a finished model on its photos, drawn like the target, and write it.
 
     Raises:
         EngineError: an input cannot be used.
@@ -84,7 +84,7 @@ def adapt(request: Adapt, context: Context = QUIET) -> Result:
 def adapted(
     model: Gaussians, data: StageData, target: Target, steps: int, context: Context = QUIET
 ) -> Gaussians:
-    """The model, on the CPU, after steps on whole photos, row by row; Stopped on request.
+    """Return the model on the CPU after steps on whole photos, rows in order; Stopped on request.
 
     For a target without anti-aliasing, it starts with opacities that are right on average.
     """
@@ -99,15 +99,15 @@ def adapted(
     trainer = Trainer(model, data, adaptation(model, target, steps), context)
     if not trainer.run(context, stage=STAGE):
         context.check_cancelled()
-    in_order = morton_order(model.means).argsort()  # the trainer's rows are in that order
+    in_order = morton_order(model.means).argsort()  # undoes the trainer's order of rows
     made = trainer.gaussians.to(CPU).rows(in_order)
     return replace(made, photo_focal=data.photo_focal)
 
 
 def adaptation(model: Gaussians, target: Target, steps: int) -> TrainConfig:
-    """The settings of the stage (notebook/blender.md): rates that fall, no densification.
+    """Return the settings of the stage (notebook/blender.md): falling rates, no densification.
 
-    Positions are right already and move slowly; all else has to change much in few steps.
+    Positions are already right and move slowly; everything else must change much in few steps.
     """
     from ..training.config import TrainConfig
     from ..training.mechanisms.falling_rates import FallingRates
@@ -146,7 +146,7 @@ def _with_source(request: Adapt, source: RunSource) -> Adapt:
 
 @contextmanager
 def _undistorted() -> Iterator[Path]:
-    """A folder for undistorted photos, removed in the end; EngineError: there can be none."""
+    """Create a folder for undistorted photos, removed at the end; EngineError if this fails."""
     try:
         folder, owner = new_scratch("roigs-adapt-")
     except OSError as error:
@@ -178,7 +178,7 @@ def _training_photos(
 
 
 def _check_shown(model: Gaussians, images: Sequence[PosedImage], request: Adapt) -> None:
-    """Raise SceneError if no photo shows the model, as far as a sample of it tells."""
+    """Raise SceneError if no photo shows any Gaussian of a sample of the model."""
     from ..rasterize.inputs import NEAR
 
     means = model.means[:: -(-len(model) // SAMPLE) or 1].double().numpy()

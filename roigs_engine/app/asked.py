@@ -36,17 +36,17 @@ if TYPE_CHECKING:
 class Asked:
     """A training as requested, before the scene is read."""
 
-    request: Train  # with the COLMAP project that photos become as its scene
-    photos: Path | None  # the photos that it is made of; None: the scene has a model
-    config: RunConfig  # the preset with the options; blocks and groups are not yet in it
-    boxes: BoxSource  # where they come from
+    request: Train  # for photos, its scene is the COLMAP project that they become
+    photos: Path | None  # photos to make the project from; None if the scene has a model
+    config: RunConfig  # the preset with the options; without blocks and groups
+    boxes: BoxSource  # the source of the boxes
     compare: tuple[str, ...] = ()  # models to compare with
     evaluated: bool = False  # whether test photos are rendered and compared
-    parts: tuple[str, ...] = ()  # of the run, if it is not to be done in one go
+    parts: tuple[str, ...] = ()  # parts of the run to do; empty for all
 
     @staticmethod
     def of(request: Train) -> Asked:
-        """The training of a request; EngineError: options do not fit one another, or the folder."""
+        """Resolve a request; EngineError if options contradict each other or the folder."""
         config = run_config(request)
         evaluated = isinstance(request, TrainAndEvaluate)
         if evaluated and config.test_every == 0:
@@ -71,16 +71,16 @@ class Asked:
 
     @staticmethod
     def of_run(folder: Path, scene: Path | None, **given: Any) -> Asked:
-        """The training that a run folder was made by.
+        """Resolve the training that made a run folder.
 
         Args:
             folder: of the run.
-            scene: where its scene is; None: where it was.
+            scene: present place of its scene; None for the place at its training.
             given: options of `Train` instead of the run's own.
 
         Raises:
-            RunFolderError: it is no run folder.
-            ConfigError: it does not say how it was made, or its scene is not where it was.
+            RunFolderError: it is not a run folder.
+            ConfigError: it has no record of its settings, or its scene was moved.
         """
         if not clean_up.is_run_folder(folder):
             raise RunFolderError(
@@ -103,7 +103,7 @@ class Asked:
         training = replace(training, scene=found, images=None if scene else training.images)
         manifest = folder / run_files.MANIFEST
         if read_record(manifest).get("rois"):
-            # The file that was given may be gone by now, or have other boxes.
+            # The original boxes file may be gone by now, or have other boxes.
             training = replace(training, rois=manifest, roi=(), only=())
         return Asked.of(training)
 
@@ -113,13 +113,13 @@ class Asked:
         return self.photos is None or bool(model_folders(self.request.scene))
 
     def inputs(self, rois: Sequence[OrientedBox] | None) -> dict[str, Any]:
-        """Boxes, settings and manual photos for `define_run`; nothing while there are no boxes."""
+        """Return boxes, settings and manual photos for `define_run`; empty without boxes."""
         if rois is None:
             return {}
         folder, lists = self.request.run_dir, self.request.selection
         names = [roi.name for roi in rois]
         blocks = self.request.blocks or 1
-        if blocks == AUTO:  # what was chosen before stays, on whatever machine the run resumes
+        if blocks == AUTO:  # a resumed run keeps its blocks on any machine
             blocks = _blocks_before(folder) or AUTO_BLOCKS
         groups = parsed_groups(self.request.group, names) if self.request.group else ()
         config = replace(self.config, blocks=int(blocks), groups=groups)
@@ -131,7 +131,7 @@ class Asked:
         return {"rois": rois, "config": config, "manual": load_manual(lists, rois)}
 
     def context(self, context: Context) -> Context:
-        """The context with its device and memory for photos."""
+        """Return the context with its device and memory for photos."""
         cache = self.request.image_cache
         memory = None if cache is None else int(1e6 * cache)
         return replace(on_device(context, self.request.device), photo_memory=memory)
@@ -143,18 +143,18 @@ class Asked:
         pixels: bool = True,
         check: Callable[[SfmScene], None] | None = None,
     ) -> SfmScene:
-        """The scene, with the masks of photos and of the boxes' objects; see `load_scene`."""
+        """Load the scene, with the masks of photos and of the boxes' objects; see `load_scene`."""
         from ..photos.contents import FILE as CONTENTS
 
         cache: Path | None = self.request.run_dir / run_files.CACHE
-        # Of a plan, what is in the photos matters only if there are results to compare them with.
+        # For a plan, the photos' contents matter only if there are results to compare with.
         if not pixels and cache and not (cache / CONTENTS).exists():
             cache = None
         masks = mask_options(self.request, self.boxes.names, self.request.run_dir)
         return load_scene(self.request, context, cache, pixels=pixels, check=check, masks=masks)
 
     def trained(self, context: Context) -> tuple[Run, Context]:
-        """As `defined`, for a run that was trained; a warning if its scene has changed since."""
+        """Define a trained run as `defined` does; warn if its scene has changed since."""
         return self.defined(context, check=partial(warn_of_other_cameras, self.request.run_dir))
 
     def defined(
@@ -164,14 +164,14 @@ class Asked:
         pixels: bool = True,
         check: Callable[[SfmScene, Context], None] | None = None,
     ) -> tuple[Run, Context]:
-        """The run, its folder unopened, and the context with its device.
+        """Define the run without opening its folder; return it and the context with its device.
 
-        Without `pixels`, it is defined by its cameras alone, and nothing is written. `check` is
-        called with the scene.
+        Without `pixels`, the run is defined by its cameras alone, and nothing is written. `check`
+        is called with the scene.
         """
         from ..run.definition import define_run
 
-        inputs = self.inputs(self.boxes.given)  # what is wrong with them is said first
+        inputs = self.inputs(self.boxes.given)  # first, to report their errors early
         context = self.context(context)
         scene = self.scene(context, pixels=pixels)
         if check is not None:
@@ -181,7 +181,7 @@ class Asked:
 
 
 def run_config(request: Train) -> RunConfig:
-    """The preset with the options of a request; without blocks and groups."""
+    """Return the preset with the options of a request, without blocks and groups."""
     config = preset(request.preset)
     if request.strategy and request.strategy != config.strategy:
         config = replace(in_strategy(config, request.strategy), preset=config.preset)
@@ -203,7 +203,7 @@ def _given(request: Train, *names: str) -> dict[str, Any]:
 
 
 def _blocks_before(folder: Path) -> int:
-    """The blocks of the run in a folder; 0: there is none, or it is not cut."""
+    """Return the number of blocks of the run in a folder; 0 without a run or blocks."""
     with suppress(RunFolderError, AttributeError):
         found = read_json(folder / run_files.MANIFEST).get("config", {}).get("blocks", 0)
         return found if isinstance(found, int) and 1 < found <= MOST_BLOCKS else 0
@@ -211,7 +211,7 @@ def _blocks_before(folder: Path) -> int:
 
 
 def _is_photos(request: Train) -> bool:
-    """Whether the scene is photos; ConfigError if the run folder or boxes do not fit that."""
+    """Whether the scene is photos; ConfigError if the run folder or boxes contradict this."""
     if not is_photos(request.scene):
         return False
     if request.run_dir.resolve().is_relative_to(request.scene.resolve()):

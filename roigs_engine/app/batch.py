@@ -1,4 +1,4 @@
-"""A batch: trains the scenes of a table, several at a time, here or on a cluster."""
+"""Trains the scenes of a table as a batch, several at a time, here or on a cluster."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from ..batch.schedule import Executor, SceneState
     from ..formats.events import Record
 
-PAGE_SECONDS = 10.0  # between two pages while the batch goes on
+PAGE_SECONDS = 10.0  # least time between two pages while the batch runs
 TABLE = "batch.toml"
 MACHINES = (1, 2, 5, 10)
 HEAD = ("scene", "objects", "stages", "steps", "memory", "minutes", "")
@@ -42,7 +42,7 @@ HEAD = ("scene", "objects", "stages", "steps", "memory", "minutes", "")
 
 @dataclass(frozen=True, kw_only=True)
 class Batched(Result):
-    """The result of a batch: a folder or an address, its page, and why scenes failed."""
+    """The result of a batch: a folder or an address, its page, and the reasons of failures."""
 
     runs: str
     report: str
@@ -65,7 +65,7 @@ class Batched(Result):
 
 
 def run_batch(request: Batch, context: Context = QUIET) -> Result:
-    """Write a table, print its plan, or do it.
+    """Write a table, or show its plan, or run it.
 
     Raises:
         EngineError: the table or the folder cannot be used.
@@ -109,7 +109,7 @@ def run_batch(request: Batch, context: Context = QUIET) -> Result:
 
 
 def _place(request: Batch, context: Context) -> tuple[Path, Store | None]:
-    """The folder of the batch, here, and the store that it is on; ConfigError for wrong options."""
+    """Return the batch's folder here, and its store if any; ConfigError for wrong options."""
     if request.only:
         raise ConfigError(
             "--only chooses boxes, and a batch is of scenes.",
@@ -133,7 +133,7 @@ def _place(request: Batch, context: Context) -> tuple[Path, Store | None]:
 
 
 def _chosen(table: Table, scenes: Sequence[str]) -> list[Row]:
-    """The table's rows, or those that `--scene` names; ConfigError if it names another."""
+    """Return the table's rows, or those named by `--scene`; ConfigError for an unknown name."""
     names = [row.name for row in table.rows]
     unknown = [name for name in scenes if name not in names]
     if unknown and not table.wrong:
@@ -143,7 +143,7 @@ def _chosen(table: Table, scenes: Sequence[str]) -> list[Row]:
 
 
 def _record(folder: Path, store: Store | None, rows: Sequence[Row]) -> BatchRecord:
-    """The record of earlier batches."""
+    """Return the record of earlier batches."""
     from ..batch.record import BatchRecord
 
     if store is None:
@@ -153,7 +153,7 @@ def _record(folder: Path, store: Store | None, rows: Sequence[Row]) -> BatchReco
 
 
 def _refuse_foreign_files(record: BatchRecord, rows: Sequence[Row], store: Store | None) -> None:
-    """Raise ConfigError if a batch would replace files that are not a batch's."""
+    """Raise ConfigError if the batch would replace files that no batch has written."""
     if record.was_there:
         return
     place, names = str(record.folder), (REPORT_PAGE, BATCH, BATCH_OUTPUTS)
@@ -213,7 +213,7 @@ def _execute(
             written_at = time.monotonic()
             try:
                 write_page()
-            except EngineError as error:  # the work goes on
+            except EngineError as error:  # the batch continues
                 context.warn(f"The batch's page is out of date. {error}")
 
     def write_page() -> None:
@@ -239,7 +239,7 @@ def _note(
     store: Store | None,
     context: Context,
 ) -> None:
-    """Write down what a part has finished; raises as `BatchRecord.add`."""
+    """Record the files of a finished part; raises as `BatchRecord.add` does."""
     outputs = {output.name: output for output in outputs_of(row, scene.plan.objects)}
     if part in outputs:
         record.add_output(row.name, outputs[part])
@@ -268,7 +268,7 @@ def _planned(table: Table, rows: Sequence[Row], record: BatchRecord, context: Co
 
 
 def _plan_text(scenes: Sequence[ScenePlan], seconds: Mapping[Key, float], measured: int) -> str:
-    """A row for each scene, and the time on so many machines like this one."""
+    """Return a table with a row for each scene, and times for several numbers of machines."""
     from ..batch.times import makespan
 
     rows = [HEAD, *(_plan_row(scene, seconds) for scene in scenes)]

@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from ..run.plan import Plan, Stage
 
 OUTPUT_MEMORY = 4 * ENGINE
-MOST_SHOWN = 100  # mistakes of a table
-TEST_WORK = 10.0  # steps that rendering and comparing a test photo is worth
-PHOTOS_WORK = 1000.0  # of photos without a model: not known, and long
+MOST_SHOWN = 100  # most mistakes of a table that are shown
+TEST_WORK = 10.0  # work of rendering and comparing a test photo, in steps
+PHOTOS_WORK = 1000.0  # work of photos without a model: unknown, but long
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Planned:
-    """A row's plan, and what it was made from while that is needed; None without a model."""
+    """A row's plan, with the run and its plan of stages; both are None without a COLMAP model."""
 
     scene: ScenePlan
     run: Run | None
@@ -41,9 +41,9 @@ class Planned:
 
 
 def plan_row(row: Row, record: BatchRecord, context: Context) -> Planned:
-    """The plan of a row; EngineError: it cannot be done.
+    """Plan a row; EngineError if it cannot be done.
 
-    Nothing is written, and nothing said: its engines say it again.
+    This writes nothing and emits no messages: the engines of its parts will emit them.
     """
     from ..run.memory import stage_memory
     from ..run.strategies import plan_run
@@ -61,13 +61,13 @@ def plan_row(row: Row, record: BatchRecord, context: Context) -> Planned:
     plan = plan_run(run, asked.compare, context)
     cut = cuts(plan) if row.kind is TrainAndEvaluate else []
     largest = max(i.camera.width * i.camera.height for i in run.scene.images) / 1e6
-    rest = (("", TEST_WORK * len(run.measured) * largest),)  # no stage: the evaluation
+    rest = (("", TEST_WORK * len(run.measured) * largest),)  # the evaluation, which is no stage
     own = rest if cut else (*works(plan.stages), *rest)
     memory = {PREPARE: whole.total, WHOLE: whole.joining if cut else whole.total}
     for stage in plan.stages:
         given = (run.train_scene, run.config, whole, context.photo_memory)
         memory[stage.name] = stage_memory(stage, *given)
-    # `auto` blocks are those of this machine, on all machines.
+    # On all machines, `auto` blocks are those of this machine.
     parts = _parts(row, run.config.blocks, cut, own, memory) + _output_parts(row, outputs)
     done = record.is_done(row.name, row.digest, run, files_of_run(row, names))
     missing = [output for output in outputs if done and not record.has_output(row.name, output)]
@@ -86,7 +86,7 @@ def plan_row(row: Row, record: BatchRecord, context: Context) -> Planned:
 def checked_plans(
     table: Table, rows: Sequence[Row], record: BatchRecord, context: Context
 ) -> tuple[str, list[ScenePlan]]:
-    """The device of the rows, and their plans; ConfigError after warnings of the mistakes."""
+    """Return the device of the rows, and their plans; ConfigError after warnings of mistakes."""
     device, scenes, wrong = "cpu", [], list(table.wrong)
     for row in rows:
         context.check_cancelled()
@@ -114,7 +114,7 @@ def _parts(
     own: tuple[tuple[str, float], ...],
     memory: Mapping[str, int],
 ) -> tuple[Part, ...]:
-    """The parts of a row's run: for each chain of `cut`, and the last with its `own` work."""
+    """Return the parts of a row's run: one per chain of `cut`, and the last with its `own` work."""
     evaluated = row.kind is TrainAndEvaluate
     command = ["run" if evaluated else "train", str(row.options_file)]
     command += ["--run-dir", str(row.run_dir), *(["--update"] if row.update else [])]
@@ -139,7 +139,7 @@ def _parts(
     firsts = [chain for chain in cut if not needs(chain)]
     found = [part(PREPARE, (), ())] if len(firsts) > 1 else []
     opened = tuple(other.name for other in found)
-    for chain in cut:  # a stage that all others wait for prepares the folder, too
+    for chain in cut:  # a first stage that all others need also prepares the folder
         before = (PREPARE,) if firsts == [chain] else ()
         found.append(part(chain[-1].name, needs(chain) or opened, works(chain), *before))
     found.append(part(WHOLE, tuple(other.name for other in found), own))
@@ -157,14 +157,14 @@ def _staging(row: Row) -> Staging | None:
 
 
 def files_of_run(row: Row, objects: Sequence[str]) -> list[Path]:
-    """The files of a row's run that others read, beside its result and report."""
+    """Return the files of a row's run that others read, besides its result and report."""
     run = row.run_dir
     levels = [run / run_files.LEVELS_FILE] if row.options.get("levels") else []
     return [*(_of_object(run, name) for name in objects), *levels]
 
 
 def outputs_of(row: Row, objects: Sequence[str]) -> list[Output]:
-    """The files that a row writes beside its run folder, of the result and of each object."""
+    """Return the files that a row writes beside its run folder, of the result and each object."""
     run, out = row.run_dir, row.run_dir.parent / run_files.BATCH_OUTPUTS
     found = [(f"{row.name}{suffix}", run / run_files.RESULT) for suffix in row.outputs]
     found += [
@@ -180,7 +180,7 @@ def outputs_of(row: Row, objects: Sequence[str]) -> list[Output]:
 def _output_parts(
     row: Row, outputs: Iterable[Output], needs: tuple[str, ...] = (WHOLE,)
 ) -> tuple[Part, ...]:
-    """A part for each output; `needs` is empty if the run is done."""
+    """Return a part for each output; `needs` is empty if the run is done."""
     return tuple(
         Part(
             scene=row.name,

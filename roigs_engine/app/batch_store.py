@@ -1,4 +1,4 @@
-"""A batch whose run folders or scenes are on a store (docs/many.md, section Storage)."""
+"""Batches with run folders or scenes on a store (docs/many.md, section Storage)."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ SHOWN = (MANIFEST, REPORT_DATA, REPORT_PAGE, f"{CACHE}/{CONTENTS}")
 
 
 class Store:
-    """The folder of a batch on a store (`url`), and a copy here of what its page needs."""
+    """The folder of a batch on a store (`url`), with a local copy of the files for its page."""
 
     def __init__(self, url: str, context: Context) -> None:
-        """ConfigError: the address cannot be used. RunFolderError: the copy here is a link."""
+        """Open the store; ConfigError for a bad address, RunFolderError if the copy is a link."""
         refuse_lost(url)
         self.url = url
         self.folder = folder_of(url, BATCHES)
@@ -43,7 +43,7 @@ class Store:
 
     @contextmanager
     def held(self, context: Context) -> Iterator[None]:
-        """Be the one batch that works there; RunFolderError if there is another."""
+        """Hold the lease of the only batch that works there; RunFolderError if another does."""
 
         def waits() -> None:
             context.info("Another batch was at work there: waiting for a minute, if it is gone.")
@@ -60,7 +60,7 @@ class Store:
             ) from error
 
     def open(self, names: Iterable[str]) -> None:
-        """Copy here the record of earlier batches, and of each run what that needs."""
+        """Download the record of earlier batches, and the files of each run that it needs."""
         here = self.folder / BATCH
         here.unlink(missing_ok=True)
         listed = self._found.find(f"{self._place}/{BATCH}", detail=True)
@@ -70,11 +70,11 @@ class Store:
             self.fetch(name)
 
     def file_of_others(self, names: Sequence[str], runs: Sequence[str]) -> str | None:
-        """The first file or folder there that a batch would replace; None: all is a batch's.
+        """Return the first file there that a batch would replace; None if all are a batch's.
 
         Args:
             names: of a batch's own files and folders.
-            runs: names of the folders of its runs, in which engines have files with a dot first.
+            runs: names of its run folders, in which engines write files that begin with a dot.
         """
         others = []
         for run in runs:
@@ -86,18 +86,18 @@ class Store:
         return next(iter([*own, *others]), None)
 
     def _listed(self, name: str) -> list[str]:
-        """The files at or below a place of the batch's folder, by their names in it."""
+        """Return the files at or below a place of the batch's folder, by their names in it."""
         with suppress(FileNotFoundError):
             found = sorted(map(str, self._found.find(f"{self._place}/{name}")))
             return [path[len(self._place) :].strip("/") for path in found]
         return []
 
     def run(self, name: str) -> StoredRun:
-        """A run folder on the store."""
+        """Return a run folder on the store."""
         return stored_run(self.url, name, self._should_stop)
 
     def fetch(self, name: str) -> None:
-        """Copy here what the page and the record need of a run."""
+        """Download the files of a run that the page and the record need."""
 
         def wanted(file: str) -> bool:
             self._there.add(f"{name}/{file}")
@@ -106,22 +106,22 @@ class Store:
         self.run(name).fetch(own_folder(self.folder, name), wanted)
 
     def is_there(self, name: str) -> bool:
-        """Whether a run that was fetched has a file, by its name in the batch's folder."""
+        """Whether a fetched run has a file, by its name in the batch's folder."""
         return name in self._there
 
     def stamp(self, name: str) -> list[Any]:
-        """A mark that changes with a file of the batch's folder; OSError if the file is gone."""
+        """Return a mark that changes with a file of the batch's folder; OSError if it is gone."""
         return sign(self._found.info(f"{self._place}/{name}"))
 
     def put(self, *names: str) -> None:
-        """Publish files of the batch's folder, by their names."""
+        """Upload files of the batch's folder, by their names."""
         for name in names:
             if (self.folder / name).is_file():
                 self._found.put_file(str(self.folder / name), f"{self._place}/{name}")
 
 
 class StoredRecord(BatchRecord):
-    """The state of a batch on a store, from hashes and marks of its files; needs no copy here."""
+    """The state of a batch on a store, from hashes and marks of its files, without local copies."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
@@ -137,9 +137,9 @@ class StoredRecord(BatchRecord):
 def localized(
     rows: Sequence[Row], store: Store | None, cluster: str | None, context: Context
 ) -> tuple[list[Row], list[Wrong]]:
-    """The rows with folders of this machine for addresses; those that cannot be had are wrong.
+    """Replace addresses in rows by folders of this machine; return the rows, and wrong ones.
 
-    The parts are done on `cluster`; None: here.
+    The parts run on `cluster`; None for this machine.
     """
     found, wrong = [], []
     for row in rows:

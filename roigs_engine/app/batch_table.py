@@ -28,16 +28,16 @@ from .inputs import is_photos
 DEFAULTS, SCENES = "defaults", "scenes"
 OUTPUTS, OBJECT_OUTPUTS = "outputs", "object_outputs"
 NO_KEYS = {"run_dir", "update", "dry_run", "part", "threads", "cluster"}
-OF_OUTPUTS = {"up", "from_up", "sh_degree"}  # options of `convert`
+OF_OUTPUTS = {"up", "from_up", "sh_degree"}  # options of `convert` for the outputs
 NO_RESULT = {"device", "image_cache", "preview_seconds"}  # these options change no result
 HEADER, KEY = re.compile(r"\s*\[{1,2}([^\]]*)\]"), re.compile(r"\s*(\"[^\"]*\"|'[^']*'|[\w-]+)\s*=")
-MOST_TABLE = 4 << 20  # bytes, of some 20,000 scenes; TOML is read in 2 s a million
+MOST_TABLE = 4 << 20  # bytes, for some 20,000 scenes; reading TOML takes 2 s per million bytes
 BETWEEN_KEYS, MOST_PARTS = re.compile(r"[^\w\s.\"'-]"), 200
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wrong:
-    """A wrong line of the table: its number, and what is wrong with it."""
+    """A wrong line of the table: its number, and the mistake."""
 
     line: int
     text: str
@@ -48,28 +48,28 @@ class Row:
     """A scene of the table."""
 
     name: str  # of its run folder
-    line: int  # where it begins in the file
+    line: int  # its first line in the file
     options: dict[str, Any]  # of `run`, as in an options file; paths are absolute
-    run_dir: Path  # its run folder, in that of the batch
-    options_file: Path  # gets the options, for its engines
+    run_dir: Path  # its run folder, in the batch's folder
+    options_file: Path  # file of the options, for its engines
     outputs: tuple[str, ...] = ()  # suffixes of files to write of the result
-    object_outputs: tuple[str, ...] = ()  # the same of each object
+    object_outputs: tuple[str, ...] = ()  # suffixes of files to write of each object
     output_options: dict[str, Any] = field(default_factory=dict)  # of `convert`, for these files
-    kind: type[Train] = TrainAndEvaluate  # of request that it is
-    store: str = ""  # address of the batch's folder, if that is on a store
-    elsewhere: bool = False  # whether it is done on other machines, with other devices
-    asked: dict[str, Any] | None = None  # as in the table, if addresses there became folders here
+    kind: type[Train] = TrainAndEvaluate  # class of its request
+    store: str = ""  # address of the batch's folder, if it is on a store
+    elsewhere: bool = False  # whether it runs on other machines, with other devices
+    asked: dict[str, Any] | None = None  # the table's options, if addresses became folders here
     update: bool = True  # whether its run folder may have another run
 
     @property
     def request(self) -> Train:
-        """The request that plans the row here, whoever does it."""
+        """Return the request that plans the row here, even if other machines run it."""
         more = {"device": "cpu"} if self.elsewhere else {}
         return self.kind.of(self.options, run_dir=self.run_dir, update=self.update, **more)
 
     @property
     def digest(self) -> str:
-        """Of everything that decides what its run makes."""
+        """Return a digest of everything that decides its results."""
         decides = {k: v for k, v in (self.asked or self.options).items() if k not in NO_RESULT}
         return json_digest(decides)
 
@@ -79,8 +79,8 @@ class Table:
 
     Attributes:
         path: the file.
-        rows: its scenes, those without a wrong line.
-        wrong: what is wrong.
+        rows: its scenes without a wrong line.
+        wrong: the wrong lines.
     """
 
     def __init__(self, path: Path, folder: Path) -> None:
@@ -143,7 +143,7 @@ class Table:
         self.rows.append(row)
 
     def _check_outputs(self) -> None:
-        """Two scenes must not write one file, nor a file where the other has its objects'."""
+        """Refuse two scenes that write the same file, or a file in place of another's folder."""
         taken: dict[str, str] = {}
         for row in self.rows:
             places = [f"{row.name}{suffix}" for suffix in row.outputs]
@@ -164,7 +164,7 @@ class Table:
             raise ConfigError(found, f"Add [{SCENES}.NAME] with its scene.")
 
     def _values(self, record: Mapping[str, Any], place: tuple[str, ...]) -> dict[str, Any]:
-        """The values of a part of the table by the options' names."""
+        """Return the checked values of a part of the table, by option names."""
         found: dict[str, Any] = {}
         for key, value in record.items():
             name, where = key.replace("-", "_"), (*place, key)
@@ -184,7 +184,7 @@ class Table:
                 except EngineError as error:
                     self._say(where, str(error))
                     continue
-                if isinstance(checked, Path):  # starts at the folder of the table
+                if isinstance(checked, Path):  # relative to the folder of the table
                     checked = Path(os.path.normpath(self._folder / checked))
                 found[name] = checked
         if found.get("masks") and found.get("no_masks"):
@@ -211,7 +211,7 @@ class Table:
         self.wrong.append(Wrong(line=self._line(place), text=text))
 
     def _line(self, place: tuple[str, ...]) -> int:
-        """The line of a key, or of what it is in; 1 if it is written in another way."""
+        """Return the line of a key, or of its table; 1 if it is written in another way."""
         while place:
             if place in self._lines:
                 return self._lines[place]
@@ -235,7 +235,7 @@ def _read(path: Path) -> tuple[str, dict[str, Any]]:
 
 
 def _first_lines(text: str) -> dict[tuple[str, ...], int]:
-    """The first line of each key, and of what it is in."""
+    """Return the first line of each key and table."""
     found: dict[tuple[str, ...], int] = {}
     place: tuple[str, ...] = ()
     for number, line in enumerate(text.splitlines(), start=1):
@@ -253,8 +253,8 @@ def _first_lines(text: str) -> dict[tuple[str, ...], int]:
 
 # --- tables of what a folder has ---
 
-BARE = re.compile(r"[A-Za-z0-9_-]+")  # keys that TOML wants no quotes for
-DEPTH = 3  # folders below the given one that are looked into
+BARE = re.compile(r"[A-Za-z0-9_-]+")  # keys that need no quotes in TOML
+DEPTH = 3  # levels of folders that are searched
 HEAD = """\
 # The scenes of a batch. Start it with: python -m roigs_engine batch {name} --run-dir runs/{stem}
 # Paths start at the folder of this file. Every option of `run` may stand in [defaults], for all
@@ -269,15 +269,15 @@ preset = "draft"
 
 
 def write_table(path: Path, folder: Path) -> int:
-    """Write the table of a folder's scenes; returns their number.
+    """Write the table of a folder's scenes; return their number.
 
     Args:
         path: the table, which must not exist.
-        folder: its scenes are COLMAP projects, or folders of photos, below it.
+        folder: with COLMAP projects or folders of photos below it.
 
     Raises:
         ConfigError: the table exists, or the folder has no scene.
-        RunFolderError: it cannot be written.
+        RunFolderError: the table cannot be written.
     """
     if path.exists():
         raise ConfigError(f"{path} exists.", "Choose another name, or delete it.")
@@ -299,7 +299,7 @@ def write_table(path: Path, folder: Path) -> int:
 
 
 def _scenes(folder: Path, depth: int) -> Iterator[Path]:
-    """The scenes at and below a folder, sorted; none within another."""
+    """Yield the scenes at and below a folder, sorted; none is within another."""
     if model_folders(folder) or (_has_photos(folder) and is_photos(folder)):
         yield folder
         return
@@ -312,13 +312,13 @@ def _scenes(folder: Path, depth: int) -> Iterator[Path]:
 
 
 def _has_photos(folder: Path) -> bool:
-    """Whether photos are right in the folder, or in its folder `images`."""
+    """Whether photos are directly in the folder, or in its folder `images`."""
     places = [place for place in (folder, folder / "images") if place.is_dir()]
     return any(p.suffix.lower() in EXTENSIONS | HEIC for each in places for p in each.iterdir())
 
 
 def _free_name(folder: Path, scene: Path, taken: set[str]) -> str:
-    """A name for the scene's run folder: its folders' names, and a number if that is taken."""
+    """Return a name for the scene's run folder: its folders' names, with a number if taken."""
     parts = scene.relative_to(folder).parts or (Path(os.path.abspath(scene)).name,)
     name = safe_name("-".join(parts))
     if is_of_batch(name):
@@ -347,9 +347,9 @@ def _table_row(name: str, scene: Path, home: Path) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A TOML string; JSON's are, but for surrogates, which no TOML file can hold."""
+    """Return a TOML string. JSON's escapes are valid; surrogates are not, and are replaced."""
     text = json.dumps(text.encode("utf-8", "replace").decode(), ensure_ascii=False)
-    return text.replace("\x7f", "\\u007f")  # JSON takes it as it is, TOML does not
+    return text.replace("\x7f", "\\u007f")  # JSON allows it unescaped, TOML does not
 
 
 def _shell(name: str) -> str:

@@ -1,4 +1,4 @@
-"""Certificates of boxed objects: one page each, and a section in their run's reports."""
+"""Writes certificates of boxed objects: one page each, and a section in their run's reports."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Certified(Result):
 
 
 def certify(request: Certify, context: Context = QUIET) -> Certified:
-    """Write a certificate of each box; EngineError if the scene, a box or the run is unusable."""
+    """Write a certificate for each box; EngineError if the scene, a box or the run is unusable."""
     from ..guidance.certificate import certificate, certificate_page
     from ..guidance.known import known_box
     from ..model.mask_coverage import with_useful_masks
@@ -68,7 +68,7 @@ def certify(request: Certify, context: Context = QUIET) -> Certified:
 
 @dataclass(frozen=True, kw_only=True)
 class _Run:
-    """A run folder's facts about its objects; all are empty without a run folder."""
+    """A run folder's facts about its objects; all empty without a run folder."""
 
     folder: Path | None
     tests: tuple[str, ...]
@@ -96,14 +96,14 @@ class _Run:
         )
 
     def scores(self, box: str) -> dict[str, float]:
-        """The numbers of the run's own model, the last row, on its test photos."""
+        """Return the scores of the run's own model on its test photos."""
         from ..guidance.certificate import SCORES
 
         found = self.all_scores.get(box, {})
         return {k: float(found[k]) for k, _, _ in SCORES if k in found}
 
     def facts(self, box: str) -> dict[str, str]:
-        """Software, settings, dates and hashes."""
+        """Return software, settings, dates and hashes of a box's result."""
         if self.folder is None:
             return {}
         entries = _listed(self.provenance.get("entries"), dict)
@@ -128,12 +128,12 @@ class _Run:
 
 
 def _listed(value: Any, kind: type) -> list[Any]:
-    """The values of a kind in a list of a run's record, which may hold anything."""
+    """Return the values of a type in a list of a run's record, which may hold anything."""
     return [each for each in value if isinstance(each, kind)] if isinstance(value, list) else []
 
 
 def _add_to_reports(run: Path, made: Sequence[Certificate]) -> None:
-    """Put the certificates at the end of the run's reports, in place of earlier ones."""
+    """Append the certificates to the run's reports, replacing earlier ones."""
     from ..evaluation.report import markdown_text
     from ..guidance.certificate import section
 

@@ -19,12 +19,12 @@ KEPT = ("compare", "device", "preview_seconds", "image_cache")
 
 
 def train_on_cluster(request: Train, context: Context) -> Trained:
-    """Do a run on the cluster that it names; every machine must see its folders.
+    """Train on the request's cluster; every machine must see its folders.
 
     The context gets the events of the parts, as if the run were here.
 
     Raises:
-        ConfigError: an option is for one machine.
+        ConfigError: an option is for a single machine.
         RunFolderError: a part failed.
         Stopped: on request; checkpoints were written.
     """
@@ -65,7 +65,7 @@ def train_on_cluster(request: Train, context: Context) -> Trained:
 
 
 def _row(request: Train) -> Row:
-    """The run as a row of a batch; its folder has a name, which the texts of a failure show."""
+    """Return the run as a row of a batch; messages about failures show its folder's name."""
     kept = {key: plain(getattr(request, key)) for key in KEPT if hasattr(request, key)}
     kept = {key: value for key, value in kept.items() if value is not None}
     home = request.run_dir.absolute()

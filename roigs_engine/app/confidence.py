@@ -29,9 +29,9 @@ PLY, NUMPY = ".ply", ".npy"
 
 
 def find_confidence(request: Confidence, context: Context = QUIET) -> Result:
-    """Find what a run's photos know of each Gaussian; EngineError: an input cannot be used.
+    """Measure how well a run's photos cover each Gaussian; EngineError for unusable input.
 
-    The training photos say from where it is seen, the test photos how wrong it is.
+    The training photos give the directions from which it is seen, the test photos its error.
     """
     suffix = request.out.suffix.lower()
     if suffix not in (PLY, NUMPY):
@@ -77,7 +77,7 @@ def find_confidence(request: Confidence, context: Context = QUIET) -> Result:
 
 
 def _heated(gaussians: Gaussians, directions: Float32) -> Gaussians:
-    """The Gaussians with the colours of a heat map, alike from all sides."""
+    """Return the Gaussians in the colours of a heat map, the same from all sides."""
     import torch
 
     from ..model.gaussians import SH_C0

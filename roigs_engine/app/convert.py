@@ -1,4 +1,4 @@
-"""Converts files of Gaussians: to other formats, rotated, cropped, or several merged."""
+"""Converts files of Gaussians to other formats; rotates, crops and merges them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ STREAMED = "lod-meta.json"
 
 
 def convert(request: Convert, context: Context = QUIET) -> Result:
-    """Read the models, make them one, and write it; EngineError: input or options do not fit."""
+    """Read the models, merge them, and write the result; EngineError for unusable input."""
     refuse_run_files(request.out)
     if request.source.suffix.lower() == ".glb" and gltf.is_mesh(request.source):
         return _mesh(request)
@@ -130,7 +130,7 @@ def _write_streamed(request: Convert, context: Context) -> Result:
 
 
 def _warn_of_light(target: Target, form: FileFormat, context: Context) -> None:
-    """Warn that a format cannot record in which light to blend."""
+    """Warn that a format cannot record blending in linear light."""
     context.warn(
         f"{form.title} cannot record that these Gaussians are made for {target.title}: other "
         "programs will show them too dark. Adapt them to these programs first (`adapt`)."

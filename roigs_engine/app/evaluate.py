@@ -1,4 +1,4 @@
-"""Evaluation of any PLYs on test photos: scores, tables, pictures."""
+"""Evaluates any PLYs on test photos: scores, tables, pictures."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SPLIT_HINT = "Use a run's split.json."
 
 
 def evaluate(request: Evaluate, context: Context = QUIET) -> Evaluated:
-    """Render the test photos with every model, and compare; EngineError: an input is wrong."""
+    """Render the test photos with every model, and compare; EngineError for wrong input."""
 
     from ..evaluation import evaluate as evaluation_module
     from ..evaluation.views import EvaluatedModel
@@ -88,7 +88,7 @@ def write_evaluation(
     folder: Path,
     context: Context,
 ) -> str:
-    """Write report, crops and page to a folder; returns the table as Markdown."""
+    """Write report, crops and page to a folder; return the table as Markdown."""
     from ..evaluation.crops import comparisons, write_crops
     from ..evaluation.report import format_markdown, write_report
     from ..evaluation.report_html import write_page
@@ -101,7 +101,7 @@ def write_evaluation(
 
 
 def _there(wanted: Sequence[str], photos: str, scene: SfmScene, context: Context) -> list[str]:
-    """The wanted test photos that can be used, in the scene's order; warns if some cannot."""
+    """Return the usable ones of the test photos, in the scene's order; warn of the others."""
     names = set(wanted)
     found = [image.name for image in scene.images if image.name in names]
     if len(found) < len(names):
@@ -112,7 +112,7 @@ def _there(wanted: Sequence[str], photos: str, scene: SfmScene, context: Context
 
 
 def _check_test_photos(test: Sequence[str], split: Path | None, cameras: SfmScene) -> None:
-    """Raise ConfigError if the split names photos of another scene, or none that can be used."""
+    """Raise ConfigError if the split has photos of another scene, or only unusable ones."""
     lost = {name for names in cameras.skipped.values() for name in names}
     unknown = sorted(set(test) - {image.name for image in cameras.images} - lost)
     if unknown:
@@ -128,10 +128,10 @@ def _check_test_photos(test: Sequence[str], split: Path | None, cameras: SfmScen
 
 
 def _split_of_run(models: Sequence[Path], context: Context) -> Path | None:
-    """The split of the run that all models are from; None, with a warning, if they are from none.
+    """Return the split of the run that made all models; None, with a warning, without one.
 
-    A model of a run lies in its folder, or in one or two folders below. The run does not know the
-    photos of its stages of earlier settings.
+    A model of a run lies in its folder, or one or two folders below. The split does not hold for
+    stages of earlier settings.
     """
     found = {_split_beside(path.absolute()) for path in models}
     split = found.pop()
@@ -146,7 +146,7 @@ def _split_of_run(models: Sequence[Path], context: Context) -> Path | None:
 
 
 def _split_beside(model: Path) -> Path | None:
-    """The split of the run that a model is from; None: it is from none, or an earlier one."""
+    """Return the split of the run that made a model; None without one, or for an old stage."""
     for run in list(model.parents)[:3]:
         if (run / SPLIT).is_file():
             of_stage = model.is_relative_to(run / STAGES)
@@ -156,7 +156,7 @@ def _split_beside(model: Path) -> Path | None:
 
 
 def held_out(model: Path) -> set[str]:
-    """Names of the photos that the run of a model tests on; none, if it is from none."""
+    """Return the names of the test and validation photos of a model's run; none without a run."""
     split = _split_beside(model.absolute())
     if split is None:
         return set()
@@ -166,7 +166,7 @@ def held_out(model: Path) -> set[str]:
 
 
 def _read_split(path: Path) -> tuple[str, list[str]]:
-    """Whether a run is evaluated on test or on validation photos, and their names."""
+    """Return whether a run is evaluated on test or on validation photos, and their names."""
     hint = SPLIT_HINT
     record = read_json(path, ConfigError, hint)
     record = record if isinstance(record, dict) else {}

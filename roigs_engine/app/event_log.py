@@ -1,4 +1,4 @@
-"""Log of a run folder: events.jsonl has every event as a JSON line, and how the work ended."""
+"""Log of a run folder: events.jsonl has every event as a JSON line, and the end of the work."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from ..machine import NO_MEMORY, is_memory_full, more_memory
 
 
 class EventLog:
-    """Passes events on to a context, and writes them down once the folder is known.
+    """Passes events on to a context, and logs them once the folder is known.
 
-    The last event has `outputs`: name -> path of what was made.
+    The last event has `outputs`: name -> path of each file made.
     """
 
     def __init__(self, context: Context) -> None:
@@ -37,7 +37,7 @@ class EventLog:
         return self._path is not None
 
     def open(self, folder: Path) -> None:
-        """Write to `folder`/events.jsonl from now on, with what was kept; RunFolderError if not."""
+        """Log to `folder`/events.jsonl, earlier events too; RunFolderError on failure."""
         if self._path is not None:
             return
         path = folder / EVENTS
@@ -50,16 +50,16 @@ class EventLog:
             self._append("\n".join(self._early))
 
     def emit(self, event: Event) -> None:
-        """Pass an event on, and write it down."""
+        """Pass an event on, and log it."""
         self.note(event)
         self._context.emit(event)
 
     def note(self, event: Event) -> None:
-        """Write an event down."""
+        """Log an event."""
         if self._path is None:
             self._early.append(to_json(event))
         elif self._file is not None:
-            with suppress(RunFolderError):  # the folder is another process's by now
+            with suppress(RunFolderError):  # another process has taken over the folder
                 check_held(self._path)
                 self._append(to_json(event))
 
@@ -84,7 +84,7 @@ class EventLog:
 
 @contextmanager
 def logged(context: Context) -> Iterator[tuple[Context, EventLog]]:
-    """A context whose events are logged, and its log; the block's end is the log's last event."""
+    """Give a context whose events are logged, and its log; at the end, log how the block ended."""
     log = EventLog(context)
     try:
         yield replace(context, emit=log.emit), log
@@ -102,7 +102,7 @@ def logged(context: Context) -> Iterator[tuple[Context, EventLog]]:
 
 
 def failure(error: Exception) -> Failed | None:
-    """The words for an error of the engine, a file, or full memory; None: it is a bug."""
+    """Return the event of an error of the engine, a file, or full memory; None for a bug."""
     if isinstance(error, EngineError):
         return Failed(message=error.message, hint=error.hint)
     if is_memory_full(error):

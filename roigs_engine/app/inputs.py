@@ -1,4 +1,4 @@
-"""Scene, boxes, masks and device of a request."""
+"""Loads scene, boxes, masks and device of a request."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 def use_threads(threads: int | None) -> None:
     """Set the threads of the CPU kernels, if a number is given."""
-    if threads is not None:  # else do not load the kernels: they may not run here
+    if threads is not None:  # otherwise, do not load the kernels: they may not run here
         from ..kernels.library import set_threads
 
         set_threads(threads)
@@ -43,7 +43,7 @@ def import_torch(context: Context) -> None:
 
 
 def on_device(context: Context, device: str) -> Context:
-    """The context with a device, for which it sets the process up; KernelError: it is missing."""
+    """Return the context with a device, and prepare the process for it; KernelError without it."""
     import_torch(context)
     from ..cuda.device import choose_device
     from ..training.gpu_check import check_once
@@ -53,7 +53,7 @@ def on_device(context: Context, device: str) -> Context:
 
 
 def load_model(path: Path, frame: LocalFrame, context: Context) -> Gaussians:
-    """The Gaussians of a PLY in a frame, on the context's device; raises as `read_ply`."""
+    """Load the Gaussians of a PLY in a frame, on the context's device; errors as in `read_ply`."""
     import torch
 
     from ..model.gaussians import Gaussians
@@ -75,14 +75,14 @@ def load_scene(
     check: Callable[[SfmScene], None] | None = None,
     masks: MaskOptions | None = None,
 ) -> SfmScene:
-    """The scene of a request, which has one.
+    """Load the scene of a request.
 
     Args:
         cache: folder for undistorted photos; None: only cameras are needed, not pixels.
         pixels: False if only cameras, and what `cache` knows of the photos, are needed.
         contents: see `load_colmap`.
         check: called with the cameras before any photo is decoded.
-        masks: which to use; None: those of `mask_options`, without masks of objects.
+        masks: which to use; None for those of `mask_options`, without object masks.
     """
     from ..colmap.exposures import with_exposures
     from ..colmap.project import load_colmap
@@ -125,11 +125,12 @@ def _without(scene: SfmScene, photos: Sequence[str], context: Context) -> SfmSce
 def mask_options(
     request: object, boxes: Iterable[str] = (), run: Path | None = None
 ) -> MaskOptions:
-    """The masks that a request wants; the defaults if it has no such options.
+    """Return a request's mask options; the defaults if it has none.
 
     Args:
-        boxes: names of those whose masks of objects are used, unless the request refuses them.
-        run: the run folder; its masks of objects are used, unless a folder of masks is given.
+        request: any request.
+        boxes: names of the boxes whose object masks are used, unless the request refuses them.
+        run: the run folder; its object masks are used, unless a folder of masks is given.
 
     Raises:
         ConfigError: `object_masks` names no folder.
@@ -161,7 +162,7 @@ def is_photos(scene: Path) -> bool:
 
 
 def count_photos(folder: Path) -> int:
-    """The number of photos below a folder."""
+    """Return the number of photos below a folder."""
     return len(PhotoFolder(folder, EXTENSIONS | HEIC).others([]))
 
 
@@ -169,7 +170,7 @@ def count_photos(folder: Path) -> int:
 
 
 def boxes_of(request: Boxes, *, required: bool = True) -> list[OrientedBox]:
-    """The boxes of a request.
+    """Return the boxes of a request.
 
     Raises:
         RoiError: there is no box, or too many, two share a name, or `only` names an unknown one.
@@ -193,7 +194,7 @@ def boxes_of(request: Boxes, *, required: bool = True) -> list[OrientedBox]:
 
 
 def _only(rois: list[OrientedBox], wanted: Sequence[str]) -> list[OrientedBox]:
-    """The wanted boxes, all if none is named; RoiError if there is none of a name."""
+    """Return the wanted boxes, or all if none is named; RoiError for an unknown name."""
     names = [roi.name for roi in rois]
     for name in wanted:
         if name not in names:
@@ -206,13 +207,13 @@ def _only(rois: list[OrientedBox], wanted: Sequence[str]) -> list[OrientedBox]:
 class BoxSource:
     """The boxes of a request that may leave them to the scene (`--roi auto`)."""
 
-    given: list[OrientedBox] | None  # the boxes; None: one around what most photos show
-    file: Path | None  # where that box is kept, and read again; None: nowhere
-    only: tuple[str, ...]  # names of the boxes that are used; empty: all
+    given: list[OrientedBox] | None  # the boxes; None for one around the main object
+    file: Path | None  # file of the automatic box, read again later; None to keep none
+    only: tuple[str, ...]  # names of the boxes to use; empty for all
 
     @staticmethod
     def of(request: Boxes, folder: Path | None) -> BoxSource:
-        """The source of a request's boxes; `folder` keeps one that is found. See `boxes_of`."""
+        """Return the source of a request's boxes (`boxes_of`); `folder` keeps an automatic box."""
         file = folder and folder / run_files.BOXES
         if AUTO not in request.roi:
             return BoxSource(given=boxes_of(request), file=None, only=())
@@ -222,19 +223,19 @@ class BoxSource:
 
     @property
     def names(self) -> list[str]:
-        """The names of the boxes, which are known before the scene."""
+        """Return the names of the boxes, which are known before the scene."""
         rois = self._kept if self.given is None else self.given
         return [AUTOMATIC_NAME] if rois is None else [roi.name for roi in rois]
 
     def boxes(self, scene: SfmScene) -> list[OrientedBox]:
-        """The boxes; raises as `load_rois` and `automatic_box`, RoiError for an unknown `only`."""
+        """Return the boxes; errors: `load_rois`, `automatic_box`; RoiError for a bad `only`."""
         if self.given is not None:
             return self.given
         kept = self._kept
         return _only([automatic_box(scene)] if kept is None else kept, self.only)
 
     def keep(self, rois: Sequence[OrientedBox], context: Context) -> None:
-        """Write the box that was found to the file, where a person can change it, and say so."""
+        """Write an automatic box to the file, where the user can change it, and report it."""
         if self.given is not None:
             return
         known = self.file is not None and self.file.exists()
@@ -251,5 +252,5 @@ class BoxSource:
 
     @property
     def _kept(self) -> list[OrientedBox] | None:
-        """The box found before."""
+        """Return the automatic box of an earlier call, if its file exists."""
         return load_rois(self.file) if self.file is not None and self.file.exists() else None

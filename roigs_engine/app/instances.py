@@ -1,4 +1,4 @@
-"""JSON lists of models, with poses and looks (docs/files.md)."""
+"""Reads JSON lists of models, with poses and looks (docs/files.md)."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 HINT = "docs/files.md describes requests."
 LIST = ".json"
 MOST_INDEX = 2**15 - 1  # as in Blender
-MOST = 2.0**20  # gain of a colour: 16 stops of a tint of 16
-FAR = 1e15  # as for boxes
-COPIES = 3  # of all models in memory at once
+MOST = 2.0**20  # largest gain of a colour: 16 stops times a tint of 16
+FAR = 1e15  # largest valid number in a matrix, as for boxes
+COPIES = 3  # copies of all models in memory at once
 
 
 class InstanceRecord(NamedTuple):
@@ -45,11 +45,11 @@ class InstanceRecord(NamedTuple):
     file: str  # of its Gaussians
     matrix: Float64  # (4, 4) from its own world to that of the list
     gains: tuple[float, float, float] = (1.0, 1.0, 1.0)  # factors on red, green and blue
-    density: float = 1.0  # how much of it is there, above 0 and at most 1, see `faded`
-    object_index: int = 0  # of the object that it is, or is a part of
+    density: float = 1.0  # above 0 and at most 1, see `faded`
+    object_index: int = 0  # index of its object
 
     def of(self, gaussians: Gaussians, frame: LocalFrame, into: Float64 | None = None) -> Instance:
-        """The model that its file holds, in the list's world, or `into` another (4, 4)."""
+        """Return the file's model in the list's world, or in another by `into` (4, 4)."""
         from ..rasterize.instances import Instance
 
         return Instance(
@@ -63,7 +63,7 @@ class InstanceRecord(NamedTuple):
 
 
 def read_list(path: Path, context: Context = QUIET) -> tuple[list[InstanceRecord], Float64 | None]:
-    """The models of a list, and (N, 4, 4) world_to_camera of its photos, in the list's world.
+    """Read the models of a list, and (N, 4, 4) world_to_camera of its photos in the list's world.
 
     ConfigError: the file cannot be read, or is malformed.
     """
@@ -77,7 +77,7 @@ def read_list(path: Path, context: Context = QUIET) -> tuple[list[InstanceRecord
 
 
 def refuse_much(wanted: Sequence[InstanceRecord]) -> None:
-    """Raise ConfigError if the models, as often as each is listed, need more than the memory."""
+    """Raise ConfigError if all listed models, with repetitions, need too much memory."""
     sizes = {name: disk_size([Path(name)]) for name in {item.file for item in wanted}}
     if len(wanted) > 1:
         refuse_beyond_memory(
@@ -88,7 +88,7 @@ def refuse_much(wanted: Sequence[InstanceRecord]) -> None:
 
 
 def refuse_beyond_memory(needed: int, what: str, advice: str) -> None:
-    """Raise ConfigError if so many bytes are more than the memory; `what`: "3 models need"."""
+    """Raise ConfigError if so many bytes exceed the memory; `what` is, say, "3 models need"."""
     if needed > (memory := machine_memory()):
         raise ConfigError(
             f"{what} {in_gb(needed)} of memory; this machine has {in_gb(memory)}.", advice
@@ -96,14 +96,14 @@ def refuse_beyond_memory(needed: int, what: str, advice: str) -> None:
 
 
 def listed_models(path: Path) -> list[InstanceRecord]:
-    """The models of a list, or the one of a PLY; ConfigError as for `read_list`."""
+    """Return the models of a list, or the one of a PLY; ConfigError as for `read_list`."""
     if path.suffix.lower() == LIST:
         return read_list(path)[0]
     return [InstanceRecord(str(path), np.eye(4))]
 
 
 def instances(record: Any, folder: Path, context: Context = QUIET) -> list[InstanceRecord]:
-    """The models of a record's `models`; relative paths start at `folder`.
+    """Return the models of a record's `models`; relative paths start at `folder`.
 
     TypeError, ValueError, OverflowError: it is malformed.
     """
@@ -126,7 +126,7 @@ def instances(record: Any, folder: Path, context: Context = QUIET) -> list[Insta
 def drawable_model(
     path: Path, say: Callable[[str], None], check: Check
 ) -> tuple[Gaussians, LocalFrame]:
-    """The Gaussians of a PLY that can be drawn, and the frame they are in; `say` is told of others.
+    """Read the drawable Gaussians of a PLY, and their frame; `say` gets a line about others.
 
     `check` is called while reading.
 
@@ -146,7 +146,7 @@ def drawable_model(
 def as_one(
     wanted: Sequence[InstanceRecord], frame: LocalFrame, context: Context
 ) -> tuple[Gaussians, NDArray[np.bool_]]:
-    """All models as one in a frame, and which rows of the files can be drawn: those it has.
+    """Merge all models in a frame; also return which rows of the files can be drawn.
 
     Raises:
         RunFolderError: a file is missing or damaged.
@@ -177,9 +177,10 @@ def as_one(
 
 
 def _alike(models: list[Instance]) -> list[Instance]:
-    """All made for the same target, that of most Gaussians.
+    """Set all models' target to that of most Gaussians.
 
-    They are judged as one model, which has one; it matters little for what hides what.
+    They are used as one model, which has one target. This hardly changes which Gaussians hide
+    others.
     """
     counts: Counter[Target] = Counter()
     for model in models:
@@ -189,14 +190,14 @@ def _alike(models: list[Instance]) -> list[Instance]:
 
 
 def _needed(item: Any, name: str, whose: str) -> Any:
-    """A value of a JSON object; ValueError if it is not there."""
+    """Return a value of a JSON object; ValueError if it is missing."""
     if name not in item:
         raise ValueError(f"{whose} has no '{name}'")
     return item[name]
 
 
 def _affine(rows: Any) -> Float64:
-    """A matrix of a request; ValueError unless it can be inverted."""
+    """Parse a matrix of a request; ValueError unless it can be inverted."""
     matrix = numbers(rows, (4, 4), "matrix", FAR)
     if (matrix[3] != (0, 0, 0, 1)).any() or np.linalg.matrix_rank(matrix[:3, :3]) < 3:
         raise ValueError("matrix must be affine, and no scale may be zero")
@@ -204,7 +205,7 @@ def _affine(rows: Any) -> Float64:
 
 
 def _gains(record: Any) -> tuple[float, float, float]:
-    """The gains of a request; ValueError unless pictures can have them."""
+    """Parse the gains of a request; ValueError if they are out of range."""
     red, green, blue = numbers(record, (3,), "gains").tolist()
     if not 0 <= min(red, green, blue) <= max(red, green, blue) <= MOST:
         raise ValueError(f"gains must be from 0 to {MOST:g}")
@@ -212,7 +213,7 @@ def _gains(record: Any) -> tuple[float, float, float]:
 
 
 def _density(number: Any) -> float:
-    """The density of a request; ValueError unless it fades."""
+    """Parse the density of a request; ValueError if it is out of range."""
     density = float(number)
     if not 0 < density <= 1:  # catches NaN too
         raise ValueError("density must be a number above 0, at most 1")
@@ -220,7 +221,7 @@ def _density(number: Any) -> float:
 
 
 def _object_index(number: Any) -> int:
-    """The object index of a request; ValueError unless Blender has such."""
+    """Parse the object index of a request; ValueError if Blender does not allow it."""
     if type(number) is not int or not 0 <= number <= MOST_INDEX:
         raise ValueError(f"object_index must be a whole number from 0 to {MOST_INDEX}")
     return number

@@ -52,7 +52,7 @@ def make_masks(request: Masks, context: Context = QUIET) -> Result:
     opencv()
     use_threads(request.threads)
     context = on_device(context, request.device)
-    scene = load_colmap(  # photos are decoded when they are worked on
+    scene = load_colmap(  # photos are decoded later, one by one
         request.scene,
         images=request.images,
         masks=MaskOptions(used=False),
@@ -91,7 +91,7 @@ class _Maker:
     model: Gaussians | None
 
     def make(self, roi: OrientedBox, scribbles: Mapping[str, Scribble], context: Context) -> Path:
-        """Make the masks of a box, by the strokes on each photo; returns their folder."""
+        """Make the masks of a box from the strokes on each photo; return their folder."""
         from ..colmap.photo_pixels import photo_pixels
         from ..colmap.project import find_model
         from ..masking.box_masks import BoxMasks, basis_digest, masked_photos
@@ -119,7 +119,7 @@ class _Maker:
         return folder
 
     def _knowledge(self, roi: OrientedBox, context: Context) -> Knowledge:
-        """The model, or points, that carry masks from photo to photo."""
+        """Return the model, or points, that carry masks from photo to photo."""
         frame = self.frame
         if self.model is None:
             from ..masking.point_votes import PointVotes

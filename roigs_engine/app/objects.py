@@ -1,4 +1,4 @@
-"""Objects of trained models: composes them, cuts them out of their boxes, finds floaters."""
+"""Composes objects of trained models, cuts them out of their boxes, and finds floaters."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def _say_owned(
     images: Sequence[PosedImage],
     context: Context,
 ) -> None:
-    """Say of each box how many of its Gaussians are the object's."""
+    """Report for each box how many of its Gaussians are the object's."""
     for index, (roi, whole) in enumerate(zip(rois, owned, strict=True)):
         photos = sum(roi.name in image.objects for image in images)
         if not photos:

@@ -19,30 +19,30 @@ from ..requests.values import shown
 class Result:
     """The result of a command; each field with a path is a file or folder that it wrote."""
 
-    files: dict[str, Path] = field(default_factory=dict)  # more of these, by name
+    files: dict[str, Path] = field(default_factory=dict)  # more files or folders, by name
     text: str = ""  # the command's answer on standard output
 
     @property
     def error(self) -> EngineError | None:
-        """The failure of a part of the work, after the rest was done."""
+        """Return the failure of a part of the work if the rest was done; None without one."""
         return None
 
     @property
     def outputs(self) -> dict[str, str]:
-        """Name -> path of all that was written."""
+        """Return name -> path of all files and folders written."""
         named = {each.name: getattr(self, each.name) for each in fields(self)}
         found = {name: value for name, value in named.items() if isinstance(value, Path)}
         return {name: str(path) for name, path in (found | self.files).items()}
 
     def with_places(self, *lines: str) -> Self:
-        """The result; its text is these lines, and what was written where."""
+        """Return the result with these lines as its text, followed by the outputs' paths."""
         places = (f"{what + ':':10}{path}" for what, path in self.outputs.items())
         return replace(self, text="\n".join([*lines, *places]))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluated(Result):
-    """An evaluation's report, page and pictures, and its table as Markdown; None: there is none."""
+    """An evaluation's report, page, pictures, and table as Markdown; None without an evaluation."""
 
     report: Path | None = None
     page: Path | None = None
@@ -50,7 +50,7 @@ class Evaluated(Result):
     table: str = ""
 
     def with_evaluation(self, folder: Path, table: str) -> Self:
-        """The result with the evaluation in a folder; the table begins its text."""
+        """Return the result with the evaluation in a folder; its text begins with the table."""
         report, page = folder / run_files.REPORT, folder / run_files.REPORT_PAGE
         pictures = folder / run_files.CROPS
         found = replace(self, report=report, page=page, pictures=pictures, table=table)
@@ -66,18 +66,17 @@ class Trained(Evaluated):
 
 
 def result_in(folder: Path, table: str | None) -> Trained:
-    """The paths of a run folder; `table` is of the evaluation, None: there is none."""
+    """Return the paths of a run folder; `table` is the evaluation's, None without one."""
     found = Trained(result=folder / run_files.RESULT, rois=folder / run_files.FINE)
     return found if table is None else found.with_evaluation(folder, table)
 
 
 def refuse_run_files(out: Path | None, *, option: str = "--out") -> None:
-    """Refuse a place where a command may replace the own files of a run.
+    """Refuse an output path where a command would replace a run's own files.
 
     Args:
-        out: where the command writes, if it does. Other folders in a run folder, such as
-            `renders`, are free.
-        option: the one that names `out`. A `--run-dir` may be a run folder, but not lie in another.
+        out: the output path, if any. Other folders in a run folder, such as `renders`, are allowed.
+        option: the option of `out`. A `--run-dir` may be a run folder, but not lie in another.
 
     Raises:
         ConfigError: it is a run folder, or one of its own files or folders.
@@ -102,7 +101,7 @@ def refuse_inputs(
 
 
 def named_files(option: str, texts: Iterable[str], form: str) -> dict[str, Path]:
-    """Name -> path of an option's values such as `NAME=FILE`; `form` says how they are written.
+    """Parse an option's values such as `NAME=FILE` into name -> path; `form` is for errors.
 
     ConfigError: a name or a path is missing, or a name occurs twice.
     """
@@ -120,14 +119,14 @@ def named_files(option: str, texts: Iterable[str], form: str) -> dict[str, Path]
 
 
 def _is_same(path: Path, other: Path) -> bool:
-    """Whether two names stand for one file."""
+    """Whether two paths are one file."""
     with suppress(OSError):
         return os.path.samefile(path, other)
     return False
 
 
 def _run_folder(out: Path, *, above: bool) -> Path | None:
-    """The run folder that `out` is, or that has it among its own files."""
+    """Return the run folder that `out` is, or whose own file it is; None if neither."""
     out = Path(os.path.realpath(out))
     for folder in out.parents if above else (out, *out.parents):
         if _is_there(folder, LOCK) or _is_there(folder, MANIFEST, SPLIT):

@@ -1,4 +1,4 @@
-"""Panoramas of a scene's light, in linear light, as the world of another program."""
+"""Draws panoramas of a scene's light, in linear light, for the world of another program."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MOST_PLACES = 40_000  # on the background mesh
 
 
 def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
-    """Draw the light that comes to each point; the text says how bright its highlights are.
+    """Draw the light that arrives at each point; the text reports the brightness of highlights.
 
     EngineError: an input cannot be used, or nothing is seen from a point.
     """
@@ -81,7 +81,7 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
         factors = brightness(light, place, surfaces, *given)
         shone = shading(light, factors, place, objects, surfaces, given=given != (None, None))
         save_light(file, shone.light)
-        # A mirror would show light from where no photo looked as a bright cap.
+        # A mirror would show added light in unseen directions as a bright cap.
         save_light(run_files.mirrored(file), light.brightened(shone.factors.highlights))
         lines.append(_line(at, light, shone, given))
         context.info(lines[-1])
@@ -91,7 +91,7 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
 
 
 def _files(request: Panorama) -> list[Path]:
-    """The files to write, one for each point."""
+    """Return the files to write, one for each point."""
     out = request.out
     if out.suffix.lower() != ENDING:
         raise ConfigError(f"{out} is no {ENDING} file.", f"Use {out.with_suffix(ENDING)}.")
@@ -101,7 +101,7 @@ def _files(request: Panorama) -> list[Path]:
 
 
 def _boxes(folder: Path, names: tuple[str, ...]) -> list[OrientedBox]:
-    """The boxes of a run folder of these names; RoiError: it has none of that name."""
+    """Return a run folder's boxes of these names; RoiError for an unknown name."""
     if not names:
         return []
     record = read_record(folder / run_files.MANIFEST).get("rois")
@@ -117,7 +117,7 @@ def _boxes(folder: Path, names: tuple[str, ...]) -> list[OrientedBox]:
 def _models(
     request: Panorama, folder: Path, context: Context
 ) -> tuple[list[InstanceRecord], Float64]:
-    """The models, in a world in which z is up, and (4, 4) from the frame of the points to it."""
+    """Return the models in a world with z up, and (4, 4) from the points' frame to it."""
     upright = np.eye(4)
     if request.model.suffix.lower() == LIST:
         records, _ = read_list(request.model, context)
@@ -134,13 +134,13 @@ def _models(
 
 
 def _background(folder: Path, records: list[InstanceRecord]) -> Surfaces | None:
-    """Places on the run's background mesh; None: there is no mesh."""
+    """Sample places on the run's background mesh; None without a mesh."""
     path = folder / run_files.FINE / f"{run_files.SURROUNDINGS}.glb"
     return _surfaces(path, folder, records) if path.is_file() else None
 
 
 def _objects(folder: Path, records: list[InstanceRecord], context: Context) -> list[Surfaces]:
-    """Places on the meshes of the run's boxes; those of earlier versions are left out."""
+    """Sample places on the meshes of the run's boxes; unreadable meshes are left out."""
     found = []
     for path in sorted((folder / run_files.FINE).glob("*.glb")):
         if path.stem == run_files.SURROUNDINGS:
@@ -153,7 +153,7 @@ def _objects(folder: Path, records: list[InstanceRecord], context: Context) -> l
 
 
 def _surfaces(path: Path, folder: Path, records: list[InstanceRecord]) -> Surfaces:
-    """Places on a mesh of a run, in the world of the models."""
+    """Sample places on a mesh of a run, in the world of the models."""
     import torch
 
     from ..lighting.highlights import Surfaces
@@ -178,7 +178,7 @@ def _line(
     shone: Shading,
     given: tuple[float | None, float | None],
 ) -> str:
-    """The results at a point: factors of the light that photos cannot show, in words."""
+    """Describe the light at a point, with the factors of light that photos cannot show."""
     place = ", ".join(f"{value:.4g}" for value in at)
     factors, sides, white = shone.factors, shone.sides, shone.white
     how = "estimated from the scene's shading" if factors.told else "a typical value"

@@ -1,4 +1,4 @@
-"""Renders trained models: from given cameras, and for compositing in another program."""
+"""Renders trained models from given cameras, and for compositing in another program."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 STAGE, SAMPLES = "models", "samples"
 MOST_SAMPLES = 1024
-PAUSE = 0.005  # seconds between two looks into the folder
+PAUSE = 0.005  # seconds between two checks of the folder
 
 
 def render(request: Render, context: Context = QUIET) -> Result:
@@ -68,7 +68,7 @@ def render(request: Render, context: Context = QUIET) -> Result:
 
 
 def _cameras(request: Render, context: Context) -> CameraPath:
-    """The cameras of the scene or of the path, those that are named, at the size of the request."""
+    """Return the scene's or path's cameras, only named ones if any, at the request's size."""
     from ..colmap.project import smaller
     from ..rasterize.camera_path import load_camera_path
 
@@ -99,7 +99,7 @@ def render_frames(request: RenderFrames, context: Context = QUIET) -> Result:
     """Answer the requests in a folder, oldest name first, until asked to stop.
 
     Blender's render waits for each picture, so starting Python and reading models once per frame
-    would be slow: this stays, and keeps the models that it has read.
+    would be slow. This keeps running, and keeps the models in memory.
 
     Raises:
         ConfigError: there is no such folder.
@@ -109,9 +109,9 @@ def render_frames(request: RenderFrames, context: Context = QUIET) -> Result:
         raise ConfigError(f"{request.folder} is not a folder.", "Give the folder of the requests.")
     use_threads(request.threads)
     context = on_device(context, request.device)
-    # As information: a program that waits for a picture takes a warning for a refusal.
+    # As information: a program that waits for a picture takes a warning as a failure.
     models = Models(context.info)
-    answered: dict[Path, int] = {}  # that cannot be deleted: their times
+    answered: dict[Path, int] = {}  # answered requests that cannot be deleted -> their times
     while not context.should_stop():
         found = sorted(request.folder.glob(f"*{REQUEST}"))
         waiting = [path for path in found if answered.get(path) != _changed(path)]
@@ -140,16 +140,16 @@ def render_frames(request: RenderFrames, context: Context = QUIET) -> Result:
 
 
 def _changed(path: Path) -> int:
-    """When a file was changed, in ns; 0 if it is gone."""
+    """Return the modification time of a file in ns; 0 if it is gone."""
     with suppress(OSError):
         return path.stat().st_mtime_ns
     return 0
 
 
 class Models:
-    """PLYs by path; one that has changed is read again, one that is not asked for is dropped.
+    """A cache of PLYs by path. A changed file is read again, and unused ones are dropped.
 
-    `say` gets a line for each file that is read and has Gaussians that cannot be drawn.
+    `say` gets a line for each file with Gaussians that cannot be drawn.
     """
 
     def __init__(self, say: Callable[[str], None]) -> None:
@@ -157,10 +157,10 @@ class Models:
         self._read: dict[str, tuple[tuple[int, int], Gaussians, LocalFrame]] = {}
 
     def get(self, paths: list[str], context: Context) -> list[tuple[Gaussians, LocalFrame]]:
-        """The models, without what cannot be drawn, and their frames; EngineError: one is damaged.
+        """Return the models' drawable Gaussians, and their frames; EngineError if one is damaged.
 
-        The context gets the progress: a program that waits for a picture sees that the engine
-        works.
+        The context gets the progress, so a program that waits for a picture sees that the engine
+        is working.
         """
         known, self._read = self._read, {}
         different, started = dict.fromkeys(paths), time.monotonic()
@@ -189,7 +189,7 @@ class Sample(NamedTuple):
 
 
 def answer(request: Path, models: Models, context: Context) -> Path:
-    """Render what a request file asks for; returns the picture, which is written last.
+    """Render the picture of a request file; return its path. The picture is written last.
 
     EngineError: the request is malformed, or a file cannot be read.
     """
@@ -217,7 +217,7 @@ def answer(request: Path, models: Models, context: Context) -> Path:
 
 
 def _sample(record: Any, folder: Path) -> Sample:
-    """A sample of a request; KeyError, TypeError, ValueError or OverflowError if malformed."""
+    """Parse a sample of a request; KeyError, TypeError, ValueError, OverflowError if malformed."""
     from ..rasterize.camera_path import camera_from_record
 
     _, camera, pose = camera_from_record(record["camera"])
@@ -231,7 +231,7 @@ def _sample(record: Any, folder: Path) -> Sample:
 def _layers(
     samples: list[Sample], models: Models, context: Context, *, mattes: bool
 ) -> Iterator[tuple[Layer, Tensor]]:
-    """Each sample's layer, and the depth of its surfaces."""
+    """Render each sample's layer, and the depth of its surfaces."""
     import torch
 
     from ..rasterize.instances import render_instances, surface_depth
@@ -260,9 +260,9 @@ def _layers(
 
 
 def _floats(path: Path, shape: tuple[int, ...], what: str) -> NDArray[np.float32]:
-    """The finite float32 numbers of a .npy file, -1 standing for any size.
+    """Read finite float32 numbers from a .npy file; -1 in the shape allows any size.
 
-    ConfigError: it is missing, or holds something else.
+    ConfigError: the file is missing, or holds something else.
     """
     try:
         with open(path, "rb", opener=regular) as file:

@@ -25,7 +25,7 @@ FLAGS = ("no_masks", "invert_masks", "no_exposures")  # options that decide pixe
 
 
 def poses_of_run(folder: Path) -> Float64 | None:
-    """(N, 4, 4) world_to_camera of the photos of a run's scene; None: it is not there."""
+    """(N, 4, 4) world_to_camera of the photos of a run's scene; None if it cannot be read."""
     from ..colmap.project import load_poses
 
     for place in _places(folder):
@@ -36,7 +36,7 @@ def poses_of_run(folder: Path) -> Float64 | None:
 
 
 def levelled_run(result: Path) -> Path:
-    """The run folder of a result that has levels of detail; ConfigError: it has none."""
+    """Return the run folder of a result with levels of detail; ConfigError without levels."""
     folder = result.absolute().parent
     if result.name != run_files.RESULT or not (folder / run_files.LEVELS_FILE).is_file():
         raise ConfigError(
@@ -47,14 +47,15 @@ def levelled_run(result: Path) -> Path:
 
 
 def cameras_of_run(folder: Path, scene: Path | None, context: Context) -> SfmScene:
-    """The cameras that a run was trained with, at its size of photos.
+    """Load the cameras that a run was trained with, at its photo size.
 
     Args:
         folder: of the run.
-        scene: where its scene is; None: where it was.
+        scene: present place of its scene; None for the place at its training.
+        context: receives warnings.
 
     Raises:
-        ConfigError: the scene is not where it was.
+        ConfigError: the scene was moved or deleted.
         SceneError: it cannot be used.
     """
     for place in [scene] if scene else _places(folder):
@@ -68,18 +69,20 @@ def cameras_of_run(folder: Path, scene: Path | None, context: Context) -> SfmSce
 
 
 def warn_of_other_model(folder: Path, scene: Path, images: Path | None, context: Context) -> None:
-    """As `warn_of_other_cameras`, for a scene that is used at another size of photos, perhaps.
+    """Warn as `warn_of_other_cameras` does, for a scene whose photos may have another size.
 
     Args:
         folder: of the run.
-        scene, images: of the photos that are used with its result; None: found.
+        scene: used with the run's result.
+        images: folder of its photos; None to find it.
+        context: receives the warning.
     """
-    with suppress(EngineError):  # said by whoever uses it
+    with suppress(EngineError):  # the caller reports an unusable scene
         warn_of_other_cameras(folder, _cameras(folder, scene, images, QUIET), context)
 
 
 def _cameras(folder: Path, scene: Path, images: Path | None, context: Context) -> SfmScene:
-    """A scene's cameras at a run's size of photos; SceneError if it cannot be used."""
+    """Load a scene's cameras at a run's photo size; SceneError if it cannot be used."""
     from ..colmap.project import load_colmap
 
     size: dict[str, Any] = {"max_side": _longest_side(folder)}
@@ -92,11 +95,12 @@ def _cameras(folder: Path, scene: Path, images: Path | None, context: Context) -
 def warn_of_other_cameras(folder: Path, scene: SfmScene, context: Context) -> None:
     """Warn if a scene has other cameras than a run was trained with: results would be wrong.
 
-    Those of another reconstruction have another frame, though photos and names are the same.
+    Another reconstruction has another frame, even with the same photos and names.
 
     Args:
         folder: of the run.
-        scene: in the world's frame, at the run's size of photos.
+        scene: in the world's frame, at the run's photo size.
+        context: receives the warning.
     """
     model = read_record(folder / run_files.MANIFEST).get("model")
     if isinstance(model, str) and _used(folder, scene).digest()[: len(model)] != model:
@@ -162,9 +166,9 @@ def source_of_run(model: Path) -> RunSource:
 
 
 def cameras_of_result(path: Path, scene: Path | None = None) -> SfmScene | None:
-    """The cameras that a file's run was trained with; None: it is no run's, or they are gone.
+    """Load the cameras of a file's run; None if it is not a run's, or they are gone.
 
-    SceneError: `scene`, where the run's scene is now, cannot be used.
+    SceneError: `scene`, the present place of the run's scene, cannot be used.
     """
     folder = _run_folder(path)
     if scene is not None:
@@ -177,20 +181,20 @@ def cameras_of_result(path: Path, scene: Path | None = None) -> SfmScene | None:
 
 
 def _run_folder(path: Path) -> Path | None:
-    """The run folder of a result, or of a part of one; None: the file is not called like one."""
+    """Return the run folder of a result or of a part of one; None by the file's name or folder."""
     folder = folder_of_model(path)
     part = folder != path.absolute().parent
     return folder if part or path.name in (run_files.RESULT, run_files.BACKGROUND) else None
 
 
 def folder_of_model(path: Path) -> Path:
-    """The folder that is a run's, if the model is a run's: that above the folders of parts."""
+    """Return the folder that would be the run's: that of the model, or above a folder of parts."""
     folder = path.absolute().parent
     return folder.parent if folder.name in (run_files.FINE, run_files.COARSE) else folder
 
 
 def _longest_side(folder: Path) -> int | None:
-    """The longest side of the photos that a run was trained on, pixels; None: not known."""
+    """Return the longest side of a run's training photos in pixels; None if unknown."""
     with suppress(TypeError, ValueError):
         sizes = read_record(folder / run_files.MANIFEST).get("sizes", ())
         side = max(int(side) for size in sizes for side in str(size).split("x"))
@@ -199,15 +203,15 @@ def _longest_side(folder: Path) -> int | None:
 
 
 def _path(folder: Path, option: str) -> Path | None:
-    """A path among the settings of a run; None: there is none, or they are damaged."""
+    """Return a path from the settings of a run; None if missing or damaged."""
     found = read_record(folder / run_files.SETTINGS).get(option)
     return Path(found) if isinstance(found, str) and found else None
 
 
 def up_in_run(path: Path) -> str | None:
-    """The axis that points up, about, in a PLY that a run has made, by the photos of its scene.
+    """Return the approximate up axis of a run's PLY, from the photos of its scene.
 
-    None: it is none of a run folder's, or the scene is not there.
+    None if the PLY is not a run's, or the scene is not there.
     """
     folder = _run_folder(path)
     poses = poses_of_run(folder) if folder else None
@@ -218,6 +222,6 @@ def up_in_run(path: Path) -> str | None:
 
 
 def _places(folder: Path) -> list[Path]:
-    """Possible places of a run folder's scene, the likelier one first."""
+    """Return possible places of a run folder's scene, the likelier one first."""
     known = _path(folder, "scene")
     return [*([] if known is None else [known]), folder / run_files.PROJECT]

@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 
 def reconstruct(request: Reconstruct, context: Context = QUIET) -> Result:
-    """Make a COLMAP project of photos or a video, or resume it.
+    """Make a COLMAP project from photos or a video, or resume it.
 
     Raises:
         EngineError: the photos or the folder cannot be used, or a package is missing.
         Stopped: on request; the same request resumes.
     """
-    from ..reconstruction import reconstruct as reconstruction  # needs Pillow, others do not
+    from ..reconstruction import reconstruct as reconstruction  # needs Pillow, the others do not
 
     refuse_run_files(request.out)
     with logged(context) as (context, log):
@@ -51,7 +51,7 @@ class Inspected(Result):
 
 
 def inspect(request: Inspect, context: Context = QUIET) -> Inspected:
-    """Load a scene and look what it contains; EngineError if it cannot be used."""
+    """Load a scene and report its content; EngineError if it cannot be used."""
     from ..colmap.inspect import format_inspection, inspect_scene
     from ..colmap.photo_loader import without_damaged
 
@@ -121,14 +121,14 @@ def show_photo(request: ShowPhoto, context: Context = QUIET) -> Result:
 
 @dataclass(frozen=True, kw_only=True)
 class Refined(Result):
-    """The improvement of the cameras, and the new model's folder; None: they fitted already."""
+    """The improvement of the cameras, and the new model's folder; None if they already fitted."""
 
     refinement: Refinement
     model: Path | None = None
 
 
 def refine_cameras(request: RefineCameras, context: Context = QUIET) -> Refined:
-    """Fit the cameras of a model better; EngineError if it cannot be used."""
+    """Refine the cameras of a model; EngineError if it cannot be used."""
     from ..colmap import refine
     from ..colmap.project import find_model
     from ..formats.projects import refined_folder, top_folder
@@ -175,7 +175,7 @@ def _by_matches(fit: MatchedFit | None) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class Selected(Result):
-    """The selections of the boxes, in their order; `files` has the lists that were written."""
+    """The selections of the boxes, in their order; `files` has the written lists."""
 
     selections: tuple[CameraSelection, ...]
 
@@ -192,7 +192,7 @@ def select(request: Select, context: Context = QUIET) -> Selected:
     refuse_run_files(request.out)
     source = BoxSource.of(request, request.out)
     if source.given is not None:
-        _lists(request, source.given)  # what is wrong is said before the scene is read
+        _lists(request, source.given)  # reports errors before the scene is read
     given = {name: getattr(request, name) for name in ("method", "count", "seed")}
     config = replace(SelectionConfig(), **{k: v for k, v in given.items() if v is not None})
     scene = load_scene(request, context, masks=mask_options(request, source.names))
@@ -214,7 +214,7 @@ def select(request: Select, context: Context = QUIET) -> Selected:
 
 
 def _lists(request: Select, rois: Sequence[OrientedBox]) -> dict[str, Path]:
-    """Box -> file to write, none of which is an input."""
+    """Return box -> file to write; refuse to replace inputs."""
     if request.out is None:
         return {}
     files = {roi.name: request.out / f"{roi.name}.json" for roi in rois}

@@ -34,12 +34,12 @@ if TYPE_CHECKING:
 
 LIST, PAGE, PICTURES = "suggestions.json", "suggestions.html", "pictures"
 STAGE = "suggest"
-SIDE = 480  # of the pictures, pixels
+SIDE = 480  # longest side of the pictures, pixels
 
 
 @dataclass(frozen=True, kw_only=True)
 class Suggested(Result):
-    """The suggestions of all boxes, ready for JSON, and where they are written."""
+    """The suggestions of all boxes, ready for JSON, and the written files."""
 
     record: dict[str, Any]
     suggestions: Path
@@ -88,7 +88,7 @@ def suggest(request: Suggest, context: Context = QUIET) -> Suggested:
 
 
 def units_of(folder: Path, scene: SfmScene, context: Context) -> Units:
-    """Metres, if the scene was placed in Blender; else the model's units."""
+    """Return metres if the scene was placed in Blender, else the model's units."""
     from ..guidance.words import Units
 
     centres = {image.name: image.centre for image in scene.images}
@@ -103,7 +103,7 @@ def units_of(folder: Path, scene: SfmScene, context: Context) -> Units:
 
 
 def _painter(request: Suggest, scene: SfmScene, context: Context) -> Draw:
-    """The renderer of the expected pictures: the model, or points and photos."""
+    """Return the renderer of the expected pictures: the model, or points and photos."""
     from ..guidance.pictures import PointPictures, from_photos
 
     if request.model is None:
@@ -144,7 +144,7 @@ def _shots(known: Any, shots: Sequence[Suggestion], units: Units, draw: Draw) ->
 
 
 def _box_record(known: KnownBox) -> dict[str, Any]:
-    """What the photos show of a box, and the photos to check."""
+    """Return how well the photos cover a box, and the doubtful photos."""
     from ..guidance.faults import photo_faults
     from ..guidance.figures import exposure_spread, pixels_across, sides_without_photos
 
@@ -161,7 +161,7 @@ def _box_record(known: KnownBox) -> dict[str, Any]:
 
 
 def _record(box: Shots, number: int) -> dict[str, Any]:
-    """A camera of a path file, with what is known of it."""
+    """Return a suggested camera in the form of a path file, with further facts."""
     shot, roi = box.shots[number], box.known.map.roi
     name = f"{safe_name(roi.name)}_{number + 1:02d}"
     return {

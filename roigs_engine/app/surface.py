@@ -54,11 +54,11 @@ class Surfaces(Result):
 
 
 def make_surfaces(request: MakeSurface, context: Context = QUIET) -> Surfaces:
-    """Make the surfaces of a finished run's boxes, or of its background; they are in its folder.
+    """Make the surfaces of a finished run's boxes, or of its background, in its folder.
 
     Raises:
         EngineError: the run folder or its scene cannot be used, or no box has a surface.
-        Stopped: on request; surfaces that are finished stay.
+        Stopped: on request; finished surfaces stay.
     """
     from ..surface.make import SurfaceOptions, check_packages
 
@@ -91,7 +91,7 @@ def make_surfaces(request: MakeSurface, context: Context = QUIET) -> Surfaces:
 
 
 def surfaces_of_run(run: Run, options: SurfaceOptions, context: Context = QUIET) -> Surfaces:
-    """The surfaces of a run's boxes, written to its folder, which is locked; see `make_surfaces`"""
+    """Make the surfaces of a run's boxes in its folder, which is locked; see `make_surfaces`."""
     gaussians = _gaussians(run, context)
     _say_before(gaussians, run, [roi.name for roi in run.rois], context)
     work = [partial(_of_box, gaussians, run, roi, options) for roi in run.rois]
@@ -106,7 +106,7 @@ class _Work:
     title: str
     inputs: str  # hash of everything that decides it
     make: Callable[[Context], Surface]
-    roi: OrientedBox  # along whose axes it is measured
+    roi: OrientedBox  # its size is measured along this box's axes
 
 
 def _of_box(gaussians: Gaussians, run: Run, roi: OrientedBox, options: SurfaceOptions) -> _Work:
@@ -124,7 +124,7 @@ def _of_box(gaussians: Gaussians, run: Run, roi: OrientedBox, options: SurfaceOp
 
 
 def _of_background(gaussians: Gaussians, run: Run, options: SurfaceOptions) -> _Work:
-    """The work for the background; it leaves out what the boxes' own meshes show."""
+    """Return the work for the background, which leaves out the boxes' own meshes."""
     from ..surface.background import background_plan, make_background, surroundings
     from ..surface.files import read_points
 
@@ -153,11 +153,14 @@ def _of_background(gaussians: Gaussians, run: Run, options: SurfaceOptions) -> _
 def _made(
     work: Sequence[Callable[[], _Work]], run: Run, formats: Sequence[str], context: Context
 ) -> Surfaces:
-    """Do the work that is not done, and say where all is.
+    """Make the surfaces that are missing; return all with their paths.
 
     Args:
-        work: what each is, asked when its turn comes: the background depends on the boxes' meshes.
+        work: returns each surface's work when it is its turn: the background depends on the boxes'
+            meshes.
+        run: the run.
         formats: endings of further files to write.
+        context: receives messages.
     """
     folder = own_folder(run.folder, run_files.FINE)
     records, files, failed = [], {}, None
@@ -190,7 +193,7 @@ def _made(
 
 
 def _check_background(request: MakeSurface, boxes: Sequence[str]) -> None:
-    """ConfigError, RoiError: the background cannot be made as it is asked for."""
+    """Raise ConfigError or RoiError if the request for a background cannot be met."""
     if request.watertight and not request.only:
         raise ConfigError("--watertight is for boxes; a background is open.", "Leave it out.")
     if any(same_name(name) == run_files.SURROUNDINGS for name in boxes):
@@ -201,9 +204,9 @@ def _check_background(request: MakeSurface, boxes: Sequence[str]) -> None:
 
 
 def _gaussians(run: Run, context: Context) -> Gaussians:
-    """The run's result trained on as a surface; as it is, if its stages are gone.
+    """Return the run's result after further training for surfaces; unchanged without its stages.
 
-    Masks that were drawn after the training cut the mesh, and train nothing.
+    Masks drawn after the training cut the mesh, but are not used for training.
     """
     from ..run.folder import train_surface
 
@@ -238,7 +241,7 @@ def _say_before(gaussians: Gaussians, run: Run, names: Sequence[str], context: C
 
 
 def _inputs(gaussians: Gaussians, run: Run, roi: OrientedBox, options: SurfaceOptions) -> str:
-    """Hash of everything that decides a box's surface."""
+    """Return a hash of everything that decides a box's surface."""
     model = hashlib.sha256()
     for tensor in gaussians.tensors().values():
         model.update(tensor.detach().cpu().numpy().tobytes())
@@ -256,7 +259,7 @@ def _inputs(gaussians: Gaussians, run: Run, roi: OrientedBox, options: SurfaceOp
 
 
 def _finished(path: Path, inputs: str, formats: Sequence[str]) -> SurfaceRecord | None:
-    """The record of a surface that was made of the same inputs, and whose files are all whole."""
+    """Return the record of a surface with the same inputs and intact files; None without one."""
     try:
         record = read_record(path.with_suffix(RECORD))
         digests = record["files"]
@@ -269,15 +272,15 @@ def _finished(path: Path, inputs: str, formats: Sequence[str]) -> SurfaceRecord 
 
 
 def _names(path: Path, formats: Sequence[str]) -> list[str]:
-    """Names of the files of a mesh: the .glb first."""
+    """Return the names of the files of a mesh, the .glb first."""
     endings = dict.fromkeys((GLB, *(f".{name}" for name in formats)))
-    # The box's own PLY has its Gaussians.
+    # The name of the box's own PLY is taken by its Gaussians.
     others = {".ply": ".surface.ply"}
     return [path.with_suffix(others.get(ending, ending)).name for ending in endings]
 
 
 def _write(path: Path, made: Surface, run: Run, formats: Sequence[str]) -> dict[str, str]:
-    """Write the files of a mesh; returns their digests, by name."""
+    """Write the files of a mesh; return their digests by name."""
     from ..rasterize.image_files import save_png
     from ..surface.clay import clay
     from ..surface.files import convert_mesh, write_mesh
@@ -296,7 +299,7 @@ def _write(path: Path, made: Surface, run: Run, formats: Sequence[str]) -> dict[
 
 
 def _upright(run: Run) -> NDArray[np.float64]:
-    """(3, 3) turns the world so that +y points up, as glTF has it."""
+    """(3, 3) rotation of the world that makes +y point up, as in glTF."""
     poses = np.array([image.world_to_camera for image in run.scene.images])
     z_up = gravity_alignment(poses)
     return np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], float) @ z_up
@@ -329,7 +332,7 @@ def _record(made: Surface, run: Run, roi: OrientedBox) -> SurfaceRecord:
 
 
 def _unseen(mesh: Mesh, upright: NDArray[np.float64]) -> dict[str, float]:
-    """Areas of the holes, in that of the surface with them, by the side that they are on."""
+    """Return side -> area of the holes there, as a share of the surface including its holes."""
     holes = mesh.holes() @ upright.T
     areas = np.linalg.norm(holes, axis=1)
     up = holes[:, 1] / np.maximum(areas, 1e-30)

@@ -17,18 +17,18 @@ RECORD, PICTURE = ".surface.json", ".surface.png"
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceRecord:
-    """A surface that was made; lengths in units of the COLMAP model.
+    """The record of a surface; lengths in units of the COLMAP model.
 
     Attributes:
         box: its name, or that of the background (`run_files.SURROUNDINGS`).
-        file: in the run folder.
-        result: SHA-256 of the box's PLY beside it, empty if there is none.
+        file: path in the run folder.
+        result: SHA-256 of the box's PLY beside it; empty if there is none.
         size: of its bounding box, along the box's axes.
-        volume: None, if it has holes.
-        filled: share of the surface that no photo has shown, and that was closed.
+        volume: None if it has holes.
+        filled: share of the surface that no photo shows and that was closed.
         untextured: share of the surface without a colour from a photo.
-        unseen: where no photo shows the surface, and it is open: shares of it, about, by the side
-            (`above`, `below`, `beside`).
+        unseen: side (`above`, `below`, `beside`) -> approximate share of open holes there, which no
+            photo shows.
     """
 
     box: str
@@ -50,7 +50,7 @@ class SurfaceRecord:
 
     @property
     def text(self) -> str:
-        """One line for users."""
+        """Describe the surface in one line."""
         sides = " x ".join(f"{side:.3g}" for side in self.size)
         whole = f"closed, volume {self.volume:.3g}" if self.volume is not None else "with holes"
         found = [f"{share:.0%} {side}" for side, share in self.unseen.items() if share >= LEAST]
@@ -64,7 +64,7 @@ class SurfaceRecord:
 
 
 def read_surface(path: Path) -> SurfaceRecord | None:
-    """The record in a file; None: there is none, or it is damaged."""
+    """Read the record of a surface; None if it is missing or damaged."""
     record = read_record(path)
     with suppress(KeyError, TypeError, ValueError, AttributeError, OverflowError):
         values = {field.name: record[field.name] for field in fields(SurfaceRecord)}
@@ -74,7 +74,7 @@ def read_surface(path: Path) -> SurfaceRecord | None:
 
 
 def add_to_reports(folder: Path) -> None:
-    """Put a run's surfaces at the end of its reports, in place of what these say of them."""
+    """Append a run's surfaces to its reports, replacing earlier sections about them."""
     from ..evaluation.report import markdown_text
 
     files = sorted((folder / run_files.FINE).glob(f"*{RECORD}"))
@@ -93,9 +93,9 @@ def add_to_reports(folder: Path) -> None:
 
 
 def put_section(report: Path, title: str, lines: list[str], before: str = "") -> None:
-    """Write a section into a report in place of its earlier lines; no lines remove it.
+    """Write a section into a report in place of its earlier version; empty lines remove it.
 
-    A new one goes before the last `before`. Comments mark where it begins and ends.
+    It goes before the last occurrence of `before`. Comments mark its beginning and end.
     """
     start, end = f"<!-- {title.lower()} -->\n", f"<!-- end of {title.lower()} -->\n"
     try:

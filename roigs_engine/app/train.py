@@ -33,7 +33,7 @@ PREPARE = "prepare"
 
 
 def train(request: Train, context: Context = QUIET) -> Trained:
-    """Train, or resume the run in the folder; a `TrainAndEvaluate` is also compared and measured.
+    """Train, or resume the run in the folder; a `TrainAndEvaluate` is also evaluated.
 
     Raises:
         EngineError: the request, the scene or the folder cannot be used, or training diverged.
@@ -77,9 +77,9 @@ def train(request: Train, context: Context = QUIET) -> Trained:
 
 
 def train_parts(request: TrainAndEvaluate, context: Context = QUIET) -> Trained:
-    """Do parts of a run, so that several engines can work in its folder; raises as `train`.
+    """Do parts of a run, so that several engines can work in its folder; raises as `train` does.
 
-    The part `prepare` opens the folder and looks at the photos; the others are stages.
+    The part `prepare` opens the folder and checks the photos; the others are stages.
     """
     from ..run.folder import train_stage
     from ..run.strategies import plan_run
@@ -92,7 +92,7 @@ def train_parts(request: TrainAndEvaluate, context: Context = QUIET) -> Trained:
                 pass
         if stages:
             run, context = asked.defined(context)
-            quiet = replace(context, emit=QUIET.emit)  # it was said before
+            quiet = replace(context, emit=QUIET.emit)  # `prepare` has emitted the messages
             plan = plan_run(run, asked.compare, quiet)
             for name in stages:
                 train_stage(run, plan, name, context)
@@ -105,7 +105,7 @@ def train_parts(request: TrainAndEvaluate, context: Context = QUIET) -> Trained:
 
 
 def plan_training(request: Train, context: Context = QUIET) -> Result:
-    """The plan of a training; a few steps are trained to measure time, nothing is written.
+    """Plan a training; a few steps are trained to measure the time, and nothing is written.
 
     EngineError: the request, the scene or the folder cannot be used.
     """
@@ -138,10 +138,10 @@ def _plan_of_photos(photos: Path, request: Train) -> str:
 
 @contextmanager
 def opened(asked: Asked, context: Context, log: EventLog) -> Iterator[tuple[Run, Context]]:
-    """The run; its folder is open and locked during the block.
+    """Open and lock the run's folder during the block; give the run and its context.
 
-    Events are written to the folder once it is known that it may be this run's. The preview is
-    deleted at the end: the result is there.
+    Events are logged to the folder once it is known to be this run's, or free. The preview is
+    deleted at the end, when the result exists.
     """
     from ..colmap.undistort import remove_unused
     from ..run.definition import define_run
@@ -162,7 +162,7 @@ def opened(asked: Asked, context: Context, log: EventLog) -> Iterator[tuple[Run,
         context = asked.context(context)
 
         def check(cameras: SfmScene) -> None:
-            """Check the options before minutes go into the photos."""
+            """Check the options before the photos, which take minutes."""
             if not inputs:
                 inputs.update(asked.inputs(asked.boxes.boxes(cameras)))
             quiet = replace(context, emit=QUIET.emit)
@@ -172,7 +172,7 @@ def opened(asked: Asked, context: Context, log: EventLog) -> Iterator[tuple[Run,
             asked.boxes.keep(inputs["rois"], context)
             log.open(folder)
 
-        # Damaged photos are found only now: without them, other photos may be test photos.
+        # Damaged photos are found only here. Without them, other photos may be test photos.
         scene = asked.scene(context, check=check)
         run = define_run(folder, scene, context=context, **inputs)
         open_folder(run, context, update=request.update)
@@ -184,12 +184,12 @@ def opened(asked: Asked, context: Context, log: EventLog) -> Iterator[tuple[Run,
             context.emit(message)
         with recorded(folder, run.config.seed, drawing(context.device)):
             yield run, context
-        with suppress(OSError):  # on Windows, while it is read
+        with suppress(OSError):  # on Windows, while another program reads it
             (folder / run_files.PREVIEW).unlink()
 
 
 def _reconstruct(photos: Path, request: Train, context: Context) -> None:
-    """Make the photos the scene's COLMAP project, or resume that; raises as `reconstruct`."""
+    """Make the scene's COLMAP project from the photos, or resume it; errors as in `reconstruct`."""
     from ..reconstruction.reconstruct import reconstruct
 
     context.info(f"{photos} has no COLMAP model; {request.scene} gets one.")

@@ -1,4 +1,4 @@
-"""Other commands on finished runs: levels of detail, clean-up; and the check of a GPU."""
+"""Other commands: levels of detail and clean-up of finished runs, and the check of a GPU."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ GPU_STEPS, CPU_STEPS = 50, 3
 
 
 def make_levels(request: Levels, context: Context = QUIET) -> Result:
-    """Train and measure levels of detail, or resume; they are in the run folder.
+    """Train and measure levels of detail in the run folder, or resume.
 
     Raises:
         EngineError: the run folder or its scene cannot be used.
@@ -85,7 +85,7 @@ class Cleaned(Result):
 
 
 def clean(request: Clean, context: Context = QUIET) -> Cleaned:
-    """Remove from a run folder what can be made again; RunFolderError if it is none."""
+    """Remove files from a run folder that can be made again; RunFolderError if it is not one."""
     _check_run(request.run)
     with locked(request.run, context.warn, option=None):
         sizes: Counter[str] = Counter()
@@ -114,10 +114,10 @@ def check_gpu(
     """Check a GPU against the CPU, and time training steps on both.
 
     Args:
-        request: how much of it, and of which GPU.
-        context: told which device training would use.
-        say: gets each line as soon as it is known: versions, the card, the errors of each result,
-            milliseconds a step; None: the context is told.
+        request: extent of the check, and the GPU.
+        context: receives messages, with `brief` about the device that training would use.
+        say: gets each line at once: versions, the card, errors of each result, milliseconds per
+            step. None for the context.
 
     Raises:
         KernelError: the GPU cannot be used.
@@ -152,7 +152,7 @@ def check_gpu(
 
 
 def _opened_gpu(name: str, context: Context, say: Callable[[str], None]) -> torch.device:
-    """The device of a GPU's tensors: NVIDIA's, or another one; KernelError: there is none."""
+    """Open a GPU, NVIDIA's or another one; return its tensors' device; KernelError without one."""
     import torch
 
     from ..cuda import compiler

@@ -1,14 +1,13 @@
 """Confidence of each Gaussian (ours): photos, directions, and colour error.
 
 A photo shows a Gaussian if its alpha x T is 1/255 or more on some pixel. The photo's direction is
-the nearest of 128 that are even over the sphere, about 18 degrees apart. The error comes from
-held-out photos:
+the nearest of 128 that are evenly distributed on the sphere, about 18 degrees apart. The error
+comes from held-out photos:
 
     error_i = sqrt(sum_p w_i(p) e(p)^2 / sum_p w_i(p))
 
 over the pixels p of held-out photos that show i. w_i(p) = alpha x T is its weight, and e(p) the
-difference of picture and photo. So each pixel's error is assigned to the Gaussians that the pixel
-shows.
+difference of picture and photo. So each pixel's error is assigned to the Gaussians in the pixel.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from ..training.losses import clipped_like
 from .metrics import squared_error
 
 DIRECTIONS = 128
-WORD = 64  # directions in a number of a Gaussian's set of them
+WORD = 64  # directions per integer in a Gaussian's bit set
 
 Float32 = NDArray[np.float32]
 
@@ -44,9 +43,10 @@ class Confidence:
     """Confidence of N Gaussians.
 
     Attributes:
-        photos: (N,) training photos that show each.
-        directions: (N,) of `DIRECTIONS`, from which they do.
-        error: (N,) of its colours in held-out photos, root mean square, 0 to 1; NaN: none shows it.
+        photos: (N,) number of training photos that show each Gaussian.
+        directions: (N,) number of the `DIRECTIONS` from which they show it.
+        error: (N,) root mean square error of its colours in held-out photos, 0 to 1; NaN if none
+            shows it.
     """
 
     photos: Float32
@@ -55,7 +55,7 @@ class Confidence:
 
     @property
     def columns(self) -> dict[str, Float32]:
-        """Name -> values, as a PLY has them."""
+        """Return name -> values, for a PLY."""
         return dict(zip(COLUMNS, (self.photos, self.directions, self.error), strict=True))
 
 
@@ -65,12 +65,13 @@ def confidence(
     held_out: Sequence[PosedImage],
     context: Context = QUIET,
 ) -> Confidence:
-    """Confidence of each Gaussian of a model.
+    """Compute the confidence of each Gaussian of a model.
 
     Args:
         gaussians: the model, in the frame of the photos.
-        images: the photos that it was trained on; their pixels are not used.
-        held_out: photos that it was not trained on.
+        images: its training photos; their pixels are not used.
+        held_out: photos that were not used for training.
+        context: checked for cancellation.
 
     PhotoError, MaskError: a held-out photo cannot be read.
     """
@@ -83,7 +84,7 @@ def confidence(
 def _seen(
     gaussians: Gaussians, images: Sequence[PosedImage], context: Context
 ) -> tuple[Float32, Float32]:
-    """(N,) photos that show each Gaussian, and (N,) the number of their directions."""
+    """(N,) number of photos that show each Gaussian, and (N,) number of their directions."""
     means = gaussians.means.detach().cpu().numpy().astype(np.float64)
     even = fibonacci_directions(DIRECTIONS)
     photos = np.zeros(len(means), np.int64)
@@ -104,7 +105,7 @@ def _seen(
 
 @torch.no_grad()
 def _errors(gaussians: Gaussians, held_out: Sequence[PosedImage], context: Context) -> Float32:
-    """(N,) the error of each Gaussian in held-out photos; NaN where none shows it."""
+    """(N,) error of each Gaussian in held-out photos; NaN if none shows it."""
     device = gaussians.means.device
     wrong = torch.zeros(len(gaussians), dtype=torch.float64, device=device)
     light = torch.zeros_like(wrong)

@@ -32,13 +32,13 @@ from .metrics import bounding_box
 from .scores import Evaluation, ModelScore, RoiScores
 from .views import EvaluatedModel
 
-HEIGHT = 480  # pixels of a panel, about
+HEIGHT = 480  # approximate height of a panel, pixels
 MARGIN = 0.1  # of the silhouette's bounding box, on each side
 STRIP = 26  # height of the label under a panel, pixels
 GAP = 4  # pixels between panels
 INK, PAPER, OUTLINE = (235, 235, 235), (24, 24, 24), (255, 160, 0)
-SIDE = 720  # pixels of the longer side of a picture in the page, at most
-ENLARGED = 360  # what is smaller is enlarged to at least this
+SIDE = 720  # largest longer side of a picture in the page, pixels
+ENLARGED = 360  # smaller pictures are enlarged to at least this
 QUALITY = 90  # of JPEG
 
 Pixels = NDArray[np.uint8]  # (H, W, 3)
@@ -81,10 +81,10 @@ def write_crops(
     names: Sequence[str] | None = None,
     context: Context = QUIET,
 ) -> list[Path]:
-    """Write the images of all boxes; returns the files, box by box.
+    """Write the images of all boxes; return the files, box by box.
 
     The evaluation decides which photos to show. `names` are the rows to show after the photo, the
-    result last; None: the baseline and the box's last row.
+    result last; None for the baseline and the box's last row.
     """
     written: list[Path] = []
     for roi, panels, chosen in _boxes(evaluation, models, rois, names):
@@ -94,7 +94,7 @@ def write_crops(
             picture = partial(_side_by_side, scene.image(name), roi, panels, label)
             written += _saved(folder / f"{safe_name(name)}.png", picture, context)
         context.check_cancelled()
-        median = list(chosen)[min(1, len(chosen) - 1)]  # the second in order, or the only one
+        median = list(chosen)[min(1, len(chosen) - 1)]  # the second one, or the only one
         picture = partial(_overview, scene.image(median), roi, panels[-1][1])
         written += _saved(folder / "overview.png", picture, context)
     return written
@@ -108,7 +108,7 @@ def comparisons(
     *,
     context: Context = QUIET,
 ) -> list[Comparison]:
-    """The photos and models that `write_crops` shows; photos that are lost are left out."""
+    """Return the photos and models that `write_crops` shows, without lost photos."""
     found = []
     for roi, panels, chosen in _boxes(evaluation, models, rois, None):
         for view, label in chosen.items():
@@ -116,7 +116,7 @@ def comparisons(
             try:
                 crops = _crops(scene.image(view), roi, panels)
             except PhotoError:
-                continue  # `write_crops` has said so
+                continue  # `write_crops` has warned of it
             files = [(name, psnr, *_jpeg(picture)) for name, psnr, picture in crops]
             pictures = tuple(Shown(name=n, psnr=p, jpeg=jpeg) for n, p, _, jpeg in files)
             size = files[0][2]
@@ -132,7 +132,7 @@ def _boxes(
     rois: Sequence[OrientedBox],
     names: Sequence[str] | None,
 ) -> Iterator[tuple[OrientedBox, Panels, dict[str, str]]]:
-    """The boxes with scores: their rows to show with the models, and `choose_views`."""
+    """Yield the boxes with scores, their rows to show with the models, and `choose_views`."""
     for roi in rois:
         scores = evaluation.roi(roi.name)
         shown = shown_rows(scores, evaluation.baseline, names)
@@ -143,7 +143,7 @@ def _boxes(
 
 
 def _saved(path: Path, picture: Callable[[], Pixels], context: Context) -> list[Path]:
-    """The path of the picture, or nothing if its photo is lost since it was evaluated."""
+    """Write a picture and return its path; empty if its photo was lost after the evaluation."""
     try:
         save_png(path, picture())
     except PhotoError as error:
@@ -153,7 +153,7 @@ def _saved(path: Path, picture: Callable[[], Pixels], context: Context) -> list[
 
 
 def choose_views(result: ModelScore, baseline: ModelScore) -> dict[str, str]:
-    """Photo -> its label: largest, median and least gain in ROI PSNR, and nearest, in this order.
+    """Return photo -> label: largest, median, least gain in ROI PSNR, and nearest, in this order.
 
     With fewer than three photos, all are shown; a photo has its first label. If result and baseline
     are the same model, its PSNR replaces the gain.
@@ -176,7 +176,7 @@ def choose_views(result: ModelScore, baseline: ModelScore) -> dict[str, str]:
 def shown_rows(
     scores: RoiScores, baseline: str, names: Sequence[str] | None = None
 ) -> list[ModelScore]:
-    """The rows to show; the last one is compared with the first."""
+    """Return the rows to show; the last one is compared with the first."""
     rows = {row.model: row for row in scores.rows}
     if names is not None:
         return [rows[name] for name in names if name in rows]
@@ -189,7 +189,7 @@ def shown_rows(
 def _crops(
     image: PosedImage, roi: OrientedBox, panels: Panels
 ) -> list[tuple[str, float | None, Pixels]]:
-    """Name, ROI PSNR and pixels of the crop window: of the photo, then of each model."""
+    """Return name, ROI PSNR and pixels of the crop window, of the photo and then of each model."""
     rows, columns = crop_window(roi, image.camera, image.world_to_camera)
     photo = load_as_taken(image)[rows, columns]
     found: list[tuple[str, float | None, Pixels]] = [("photo", None, photo)]
@@ -207,7 +207,7 @@ def _rendered(model: EvaluatedModel, image: PosedImage) -> Pixels:
 
 
 def crop_window(roi: OrientedBox, camera: Camera, world_to_camera: Float64) -> tuple[slice, slice]:
-    """Rows and columns of the silhouette's bounding rectangle, widened by 10 %; all if unseen."""
+    """Return rows and columns of the silhouette's bounding box, widened by 10 %; all if unseen."""
     mask = torch.from_numpy(roi.silhouette(camera, world_to_camera))
     tight = bounding_box(mask)
     if tight is None:
@@ -219,7 +219,7 @@ def crop_window(roi: OrientedBox, camera: Camera, world_to_camera: Float64) -> t
 
 
 def _side_by_side(image: PosedImage, roi: OrientedBox, panels: Panels, label: str) -> Pixels:
-    """The photo's crop window, then each model's, labelled."""
+    """Draw the photo's crop window, then each model's, labelled."""
     shown: list[Image.Image] = []
     for name, psnr, picture in _crops(image, roi, panels):
         caption = name if psnr is None else f"{name}  {psnr:.2f} dB"
@@ -228,10 +228,10 @@ def _side_by_side(image: PosedImage, roi: OrientedBox, panels: Panels, label: st
 
 
 def _panel(picture: Pixels, caption: str) -> Image.Image:
-    """The image, about `HEIGHT` pixels high, with its caption below.
+    """Draw the image about `HEIGHT` pixels high, with its caption below.
 
-    Small images are enlarged by an integer factor without interpolation, which would look sharper
-    than the pixels are.
+    Small images are enlarged by an integer factor without interpolation. Interpolation would hide
+    the real resolution.
     """
     height, width = picture.shape[:2]
     shown = Image.fromarray(np.ascontiguousarray(picture))
@@ -250,7 +250,7 @@ def _panel(picture: Pixels, caption: str) -> Image.Image:
 
 
 def _joined(panels: Sequence[Image.Image]) -> Pixels:
-    """The panels side by side."""
+    """Join the panels side by side."""
     width = sum(panel.width for panel in panels) + GAP * (len(panels) - 1)
     sheet = Image.new("RGB", (width, max(panel.height for panel in panels)), PAPER)
     left = 0
@@ -261,7 +261,7 @@ def _joined(panels: Sequence[Image.Image]) -> Pixels:
 
 
 def _jpeg(picture: Pixels) -> tuple[tuple[int, int], bytes]:
-    """Size and file of a picture; small ones show their pixels."""
+    """Return size and JPEG of a picture; small pictures are enlarged without interpolation."""
     image = Image.fromarray(np.ascontiguousarray(picture))
     factor = -(-ENLARGED // max(image.size))
     if factor > 1:
@@ -290,7 +290,7 @@ def _overview(image: PosedImage, roi: OrientedBox, model: EvaluatedModel) -> Pix
 def box_lines(
     roi: OrientedBox, camera: Camera, world_to_camera: Float64
 ) -> list[tuple[float, float, float, float]]:
-    """The box's edges, x0, y0, x1, y1 in pixels, clipped to the image; hidden edges too."""
+    """Return all edges of the box as x0, y0, x1, y1 in pixels, clipped to the image."""
     corners = roi.corners() @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
     near = NEAR_SHARE * roi.diagonal
     lines = []
@@ -316,7 +316,7 @@ def box_lines(
 def _clipped_line(
     a: Float64, b: Float64, normal: Float64, offset: float
 ) -> tuple[Float64, Float64] | None:
-    """The part of the line from a to b where normal . p + offset >= 0, or None."""
+    """Return the part of the line from a to b where normal . p + offset >= 0, or None."""
     at_a, at_b = normal @ a + offset, normal @ b + offset
     if at_a < 0 and at_b < 0:
         return None

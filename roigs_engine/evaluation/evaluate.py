@@ -1,7 +1,7 @@
-"""Compares renders with test photos: the paper's table for every box, and more columns.
+"""Compares renders with test photos: the paper's table for every box, with more columns.
 
-docs/method.md, "Evaluation", has the masks, the same for every row of a box. PSNR is computed per
-view and then averaged. Renders are clamped to [0, 1] but not rounded to 8 bits.
+docs/method.md, "Evaluation", describes the masks, which are the same for every row of a box. PSNR
+is computed per view and then averaged. Renders are clamped to [0, 1] but not rounded to 8 bits.
 """
 
 from __future__ import annotations
@@ -49,16 +49,20 @@ def evaluate(
     """Evaluate every model on the test photos.
 
     Each test view is rendered once per model and not kept. The object's mask depends on the best
-    model, which is known only at the end. So each view's errors are summed in the mask of every
-    model's depth, which are a few numbers, and those of the best model are used at the end.
+    model, which is known only at the end. So each view's errors are summed in the masks from all
+    models' depths, and the sums of the best model's mask are used at the end.
 
     Args:
+        models: the models, one row each.
+        scene: with the photos.
         test: names of the test photos.
-        baseline: name of the model that gains are relative to; None: the tuned Full Scene if there
-            is one, else Full Scene.
-        object_mask_from: name of the model whose depth defines the object's mask; None: the best
-            one. Use the same model in evaluations that are compared.
-        photos: what these photos are: `test` or `validation` photos.
+        rois: the boxes.
+        context: receives progress.
+        baseline: name of the model for computing gains; None for the tuned Full Scene if there is
+            one, else Full Scene.
+        object_mask_from: name of the model whose depth defines the object's mask; None for the
+            best one. Use the same model in evaluations that are compared.
+        photos: kind of these photos, `test` or `validation`.
 
     Raises:
         SceneError: there is no test photo, none can be read, or one is not in the scene.
@@ -88,7 +92,7 @@ def _measure(
     plans: Sequence[BoxPlan],
     context: Context,
 ) -> tuple[list[dict[str, Sample]], dict[EvaluatedModel, dict[str, float]]]:
-    """The samples of each box by photo, and the PSNR of each model's whole images by photo.
+    """Return the samples of each box by photo, and PSNR of each model's whole images by photo.
 
     Photos that cannot be read any more are left out, with a warning.
     """
@@ -99,7 +103,7 @@ def _measure(
     for step, image in enumerate(images, start=1):
         try:
             whole, measured = measure_view(models, image, plans, context)
-        except PhotoError as error:  # it was good when the run began
+        except PhotoError as error:  # the photo was readable when the run began
             context.warn(f"{error.message} The evaluation leaves it out.")
             continue
         for model, value in whole.items():
@@ -119,14 +123,14 @@ def _measure(
 
 
 def ply_bytes(gaussians: Gaussians) -> int:
-    """Size of the model's PLY without its header: 14 + 3 K float32 values per Gaussian."""
+    """Return the size of a model's PLY without header: 14 + 3 K float32 values per Gaussian."""
     return 4 * len(gaussians) * (14 + 3 * gaussians.sh.shape[1])
 
 
 def _checked(
     models: Sequence[EvaluatedModel], scene: SfmScene, test: Sequence[str], photos: str
 ) -> list[PosedImage]:
-    """The photos to measure, in the scene's order."""
+    """Return the photos to measure, in the scene's order."""
     if not models:
         raise ConfigError("There is no model to evaluate.", "Give at least one PLY.")
     unknown = set(test) - {image.name for image in scene.images}
@@ -144,7 +148,7 @@ def _table(
     image_views: dict[EvaluatedModel, dict[str, float]],
     baseline: str,
 ) -> RoiScores:
-    """One box's table from the samples of all views."""
+    """Make one box's table from the samples of all views."""
     names = [model.name for model in plan.models]
     means = [mean([s.scores[k].roi_psnr for s in samples.values()]) for k in range(len(names))]
     scored = [k for k, value in enumerate(means) if value is not None]
@@ -177,7 +181,7 @@ def _row(
     base: int | None,
     image_views: dict[str, float],
 ) -> ModelScore:
-    """The row of model `index`; model `best` defines the object's mask, `base` is the baseline."""
+    """Make the row of model `index`; model `best` defines the object's mask; `base`: baseline."""
     model = plan.models[index]
     views = []
     for sample in samples.values():

@@ -14,15 +14,15 @@ from torch import Tensor
 
 from ..training.losses import photo_loss
 
-# PSNR of equal images, in dB: that of a mean squared error of 1e-10. It keeps means and JSON
-# finite, and is far above what 8-bit photos can reach.
+# PSNR of equal images in dB, which is that of a mean squared error of 1e-10. It keeps means and
+# JSON finite, and is far above the PSNR that 8-bit photos can reach.
 MAX_PSNR = 100.0
 SSIM_RADIUS = 5  # half of the 11 x 11 window
-DETAIL_SIGMA = 2.0  # pixels; structures of less than about 10 pixels are detail
+DETAIL_SIGMA = 2.0  # pixels; structures smaller than about 10 pixels are detail
 
 
 def psnr_from_mse(mse: float) -> float:
-    """PSNR in dB of a mean squared error on values in [0, 1]; at most `MAX_PSNR`, NaN for NaN."""
+    """Return PSNR in dB of a mean squared error in [0, 1]; at most `MAX_PSNR`, NaN for NaN."""
     return MAX_PSNR if mse <= 1e-10 else -10.0 * math.log10(mse)
 
 
@@ -32,15 +32,15 @@ def squared_error(image: Tensor, target: Tensor) -> Tensor:
 
 
 def mean_in(values: Tensor, mask: Tensor | None = None) -> float:
-    """Mean of (H, W) values over the mask's pixels, summed in float64; NaN for an empty mask."""
+    """Return the mean of (H, W) values in a mask, summed in float64; NaN for an empty mask."""
     picked = values if mask is None else values[mask]
     return float(picked.double().mean()) if picked.numel() else math.nan
 
 
 def corrected_error(image: Tensor, target: Tensor, mask: Tensor) -> float:
-    """Mean squared error in a mask after each channel is multiplied by the factor that fits best.
+    """Return the mean squared error in a mask after scaling each channel to fit best.
 
-    So a render in the light of another exposure or white balance is right. NaN for an empty mask.
+    So another exposure or white balance of the render is no error. NaN for an empty mask.
     """
     shown, wanted = image[mask].double(), target[mask].double()
     factors = (shown * wanted).sum(dim=0) / (shown**2).sum(dim=0).clamp(min=1e-10)
@@ -48,10 +48,10 @@ def corrected_error(image: Tensor, target: Tensor, mask: Tensor) -> float:
 
 
 def detail_error(image: Tensor, target: Tensor, mask: Tensor) -> float:
-    """Mean squared error in a mask of what a blur takes away (Gaussian, sigma `DETAIL_SIGMA`).
+    """Return the mean squared error in a mask after subtracting a blur (sigma `DETAIL_SIGMA`).
 
-    Errors of light and of large areas hardly count, so a blurred render is worse than one in
-    another light. NaN for an empty mask.
+    The blur is Gaussian. Errors of brightness and of large areas hardly count, so a blurred render
+    is worse than one with another brightness. NaN for an empty mask.
     """
     radius = math.ceil(3 * DETAIL_SIGMA)
     box = bounding_box(mask, margin=radius)
@@ -73,12 +73,12 @@ def ssim(
     mask: Tensor,
     counted: Tensor | None = None,  # (H, W) bool
 ) -> float:
-    """Structural similarity (Wang et al. 2004): 11 x 11 Gaussian window, sigma 1.5.
+    """Return structural similarity (Wang et al. 2004): 11 x 11 Gaussian window, sigma 1.5.
 
     The SSIM map is that of the full images, averaged over the channels; the result is its mean over
-    the mask. Only the mask's bounding rectangle, widened by the window's radius, is computed. NaN
-    for an empty mask. `counted` are the pixels that the photo's own mask does not ignore; the
-    others are as in `photo_loss`, and must not be in `mask`.
+    the mask. Only the mask's bounding box, widened by the window's radius, is computed. NaN for an
+    empty mask. `counted` are the pixels that the photo's own mask does not ignore. The others are
+    treated as in `photo_loss`, and must not be in `mask`.
     """
     box = bounding_box(mask, margin=SSIM_RADIUS)
     if box is None:
@@ -88,7 +88,7 @@ def ssim(
 
 
 def bounding_box(mask: Tensor, margin: int = 0) -> tuple[slice, slice] | None:
-    """Rows and columns of the mask's bounding rectangle, widened by `margin` pixels; None if empty.
+    """Return rows and columns of a mask's bounding box, widened by `margin` pixels; None if empty.
 
     The result is clipped to the image.
     """
@@ -104,7 +104,7 @@ def bounding_box(mask: Tensor, margin: int = 0) -> tuple[slice, slice] | None:
 # The largest distance at which a pixel changes FLIP's error, at 67 pixels per degree (the
 # package's default: a 0.7 m wide screen of 3,840 pixels, 0.7 m away).
 FLIP_RADIUS = 10
-PIXELS_AT_ONCE = 1 << 20  # about; the package takes 120 bytes for each
+PIXELS_AT_ONCE = 1 << 20  # about; the package takes 120 bytes per pixel
 
 
 def flip(
@@ -112,13 +112,13 @@ def flip(
     target: Tensor,  # (H, W, 3) in [0, 1]
     mask: Tensor,  # (H, W) bool
 ) -> float | None:
-    """Mean FLIP error over the mask's pixels, from 0 (equal) to 1; lower is better.
+    """Return the mean FLIP error over the mask's pixels, from 0 (equal) to 1; lower is better.
 
-    FLIP is how different two pictures look to a person who flips between them (Andersson et al.
-    2020, "FLIP: A Difference Evaluator for Alternating Images"). NVIDIA's package `flip-evaluator`
-    computes it, if it is installed (extra `flip`).
+    FLIP measures how different two pictures look to a person who flips between them (Andersson et
+    al. 2020, "FLIP: A Difference Evaluator for Alternating Images"). NVIDIA's package
+    `flip-evaluator` computes it, if it is installed (extra `flip`).
 
-    The error is that of the whole pictures, but only the mask's bounding rectangle, widened by the
+    The error is that of the whole pictures, but only the mask's bounding box, widened by the
     filters' radius, is computed, some rows at a time. None without the package, or for an empty
     mask.
     """

@@ -14,7 +14,7 @@ from .scores import MIN_OBJECT, MIN_SILHOUETTE, Evaluation, ModelScore, RoiScore
 
 NONE = "–"  # a cell without a number
 Key = Callable[[ModelScore], float | None]
-# Heading, the row's number, its format, and which value is best: 1 highest, -1 lowest, 0 none.
+# Heading, function for the row's number, its format, the best value: 1 highest, -1 lowest, 0 none
 Column = tuple[str, Key, str, int]
 FLIP: Column = ("ROI FLIP", lambda row: row.roi_flip, ".4f", -1)
 MASK: Column = ("mask PSNR (dB)", lambda row: row.mask_psnr, ".2f", 1)
@@ -63,11 +63,11 @@ FLIP_MISSING = "No FLIP: `pip install flip-evaluator` adds this column."
 
 
 def format_markdown(evaluation: Evaluation) -> str:
-    """Two tables per box, with the best value of each column in bold, and notes on the numbers.
+    """Format two tables per box, with the best value of each column in bold, and notes.
 
-    The first table compares the models, the second one says where they gain and lose: near and far,
-    and on single photos. The columns of `OPTIONAL` and of the second table are there if they have
-    a number.
+    The first table compares the models. The second one shows where they gain and lose: near and
+    far, and on single photos. Columns of `OPTIONAL` and of the second table are shown only if they
+    have a number.
     """
     count = len(evaluation.test_views)
     lines = [f"# Evaluation on {counted(count, f'{evaluation.photos} photo')}", ""]
@@ -98,7 +98,7 @@ def format_markdown(evaluation: Evaluation) -> str:
 
 
 def write_report(evaluation: Evaluation, run_dir: Path) -> tuple[Path, Path]:
-    """Write `report.md` and `report.json` (with each photo's numbers); returns both paths."""
+    """Write `report.md` and `report.json` (with each photo's numbers); return both paths."""
     markdown, record = Path(run_dir) / REPORT, Path(run_dir) / REPORT_DATA
     write_json(record, evaluation.to_dict())
     write_text(markdown, format_markdown(evaluation))
@@ -106,22 +106,22 @@ def write_report(evaluation: Evaluation, run_dir: Path) -> tuple[Path, Path]:
 
 
 def markdown_text(text: str) -> str:
-    """The text on one line; names in it are no Markdown, and no HTML."""
+    """Return the text on one line, with Markdown and HTML in names escaped."""
     return MARKDOWN.sub(r"\\\g<0>", printable(" ".join(text.split())))
 
 
 def shown_columns(rows: Sequence[ModelScore]) -> list[Column]:
-    """The columns of the first table: all, of the optional ones those with a number."""
+    """Return the columns of the first table; optional ones only if they have a number."""
     return [c for c in COLUMNS if c not in OPTIONAL or has_number(rows, c)]
 
 
 def has_number(rows: Sequence[ModelScore], column: Column) -> bool:
-    """Whether a row has a number in that column."""
+    """Whether any row has a number in this column."""
     return any(column[1](row) is not None for row in rows)
 
 
 def _table(rows: Sequence[ModelScore], shown: Sequence[Column]) -> list[str]:
-    """Header, rule and rows, padded so that the columns align in plain text."""
+    """Format header, rule and rows, padded so that columns align in plain text."""
     columns = [["Method", *(markdown_text(row.model) for row in rows)]]
     columns += [[heading, *cells(rows, key, form, best)] for heading, key, form, best in shown]
     widths = [max(len(cell) for cell in column) for column in columns]
@@ -136,7 +136,7 @@ def _table(rows: Sequence[ModelScore], shown: Sequence[Column]) -> list[str]:
 
 
 def cells(rows: Sequence[ModelScore], key: Key, form: str, best: int) -> list[str]:
-    """The cells of a column, the best in bold; none is bold if all cells are equal."""
+    """Format the cells of a column, the best in bold; none is bold if all are equal."""
     values = [key(row) for row in rows]
     texts = [NONE if value is None else format(value, form) for value in values]
     present = [best * value for value in values if value is not None]
@@ -147,7 +147,7 @@ def cells(rows: Sequence[ModelScore], key: Key, form: str, best: int) -> list[st
 
 
 def box_notes(scores: RoiScores, evaluation: Evaluation) -> list[str]:
-    """Notes on the pixels and photos behind the numbers of this box."""
+    """Describe the pixels and photos behind the numbers of this box."""
     views = scores.views
     if not views:
         return [f"No {evaluation.photos} photo shows this box, so it has no numbers."]
@@ -207,7 +207,7 @@ def box_notes(scores: RoiScores, evaluation: Evaluation) -> list[str]:
 
 
 def _photo_notes(rows: Sequence[ModelScore], baseline: str) -> list[str]:
-    """Notes on the table of near, far and single photos."""
+    """Describe the table of near, far and single photos."""
     notes = []
     views = rows[0].views if rows else ()
     distances = {view.view: view.distance for view in views if view.distance is not None}

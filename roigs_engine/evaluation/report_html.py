@@ -1,4 +1,4 @@
-"""The report as a web page: one file, without network, with sliders between before and after."""
+"""Writes the report as a web page: one file, without network, with before-and-after sliders."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ for (const slider of document.querySelectorAll(".slider input")) {
 
 
 def write_page(evaluation: Evaluation, pictures: Sequence[Comparison], run_dir: Path) -> Path:
-    """Write `report.html`; returns its path."""
+    """Write `report.html`; return its path."""
     path = Path(run_dir) / REPORT_PAGE
     write_text(path, format_html(evaluation, pictures))
     return path
 
 
 def format_html(evaluation: Evaluation, pictures: Sequence[Comparison]) -> str:
-    """The page: for each box its tables, PSNR against seconds, sliders and notes."""
+    """Format the page: for each box its tables, PSNR against seconds, sliders and notes."""
     title = f"Evaluation on {counted(len(evaluation.test_views), f'{evaluation.photos} photo')}"
     allowed = base64.b64encode(hashlib.sha256(SCRIPT.encode()).digest()).decode()
     parts: list[str] = []
@@ -66,13 +66,13 @@ def _table(rows: Sequence[ModelScore], columns: Sequence[Column]) -> list[str]:
 
 
 def _cell(text: str) -> str:
-    """A number; the best is bold, as Markdown has it."""
+    """Format a cell; bold Markdown becomes bold HTML."""
     bare = text.removeprefix("**").removesuffix("**")
     return html_text(bare) if bare == text else f"<strong>{html_text(bare)}</strong>"
 
 
 def _figure(item: Comparison) -> str:
-    """Baseline and result, or photo and result if there is one model, under a slider."""
+    """Show baseline and result, or photo and result if there is one model, with a slider."""
     left, right = item.pictures[-2], item.pictures[-1]
     width, height = item.size
     photo, reference = item.pictures[0], ""
@@ -100,12 +100,12 @@ def _image(shown: Shown, width: int, height: int) -> str:
 
 
 WIDTH, HEIGHT = 640, 280
-LEFT, RIGHT, TOP, BOTTOM = 60, 180, 20, 45  # margins; names stand in the right one
-MARGIN = 0.08  # of the range of PSNR, above and below
+LEFT, RIGHT, TOP, BOTTOM = 60, 180, 20, 45  # margins; names are in the right one
+MARGIN = 0.08  # space above and below, as a share of the range of PSNR
 
 
 def _plot(rows: Sequence[ModelScore]) -> list[str]:
-    """PSNR against seconds as SVG, a point for each model; nothing for fewer than two points."""
+    """Plot PSNR against seconds as SVG, a point for each model; nothing for fewer than two."""
     points = [
         (row.model, row.seconds, row.roi_psnr)
         for row in rows

@@ -23,12 +23,12 @@ class ViewScore:
     Attributes:
         roi_psnr, roi_ssim: on the silhouette.
         object_psnr: None if the view has fewer than `MIN_OBJECT` object pixels.
-        roi_flip: FLIP error on the silhouette; None: the package is missing.
+        roi_flip: FLIP error on the silhouette; None without the package.
         distance: of the camera from the box's centre, in diagonals of the box.
-        mask_psnr: on the pixels that the photo's mask shows as the box's object; None: the photo
-            has no such mask, or it shows fewer than `MIN_OBJECT`.
+        mask_psnr: on the pixels of the photo's mask of the box's object; None without such a mask,
+            or if it has fewer than `MIN_OBJECT` pixels.
         corrected_psnr: on the silhouette, after the colours' correction (`metrics`).
-        detail_psnr: on the silhouette, of what a blur takes away (`metrics`).
+        detail_psnr: on the silhouette, after subtracting a blur (`metrics`).
     """
 
     view: str
@@ -44,7 +44,7 @@ class ViewScore:
 
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """Gains of a model over another one on single photos, in ROI PSNR, dB; None: no photo.
+    """Gains of a model over another one on single photos, in ROI PSNR, dB; None without photos.
 
     Attributes:
         peak_gain, peak_view: the largest gain, and its photo.
@@ -60,7 +60,7 @@ class Gains:
 
     @classmethod
     def of(cls, gains: Mapping[str, float]) -> Gains:
-        """From the gain on each photo. The first of equals is named."""
+        """Compute from the gain on each photo. Of equal gains, the first photo is named."""
         if not gains:
             return Gains()
         peak, worst = max(gains, key=lambda k: gains[k]), min(gains, key=lambda k: gains[k])
@@ -75,17 +75,17 @@ class Gains:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelScore(Gains):
-    """One row of a table, with its gains over the baseline. None: there is no number.
+    """One row of a table, with its gains over the baseline; None stands for no number.
 
     Attributes:
         roi_psnr, object_psnr, roi_ssim, roi_flip: means over the box's views; PSNR in dB.
-        mask_psnr, corrected_psnr, detail_psnr: the same, see `ViewScore`.
+        mask_psnr, corrected_psnr, detail_psnr: means over the box's views, see `ViewScore`.
         near_psnr, far_psnr: means of ROI PSNR over the near and the far third of the views, dB.
         near_object_psnr: mean of object PSNR over the near third, dB.
         image_psnr: mean over all test views, dB.
-        seconds, stages: training time, and that of each stage.
+        seconds, stages: training time, in all and of each stage.
         ply_bytes: size of the model's PLY.
-        made_for: name of the target that it is drawn as.
+        made_for: name of the target for which it is drawn.
         views: scores of each view of the box.
         image_views: test view -> PSNR over the whole image, dB.
     """
@@ -136,7 +136,8 @@ class RoiScores:
     Attributes:
         views: the test views that count.
         left_out: names of the other test views.
-        object_mask_from: name of the model whose depth defines the object's mask; None: no scores.
+        object_mask_from: name of the model whose depth defines the object's mask; None without
+            scores.
     """
 
     roi: str
@@ -151,10 +152,10 @@ class Evaluation:
     """All tables.
 
     Attributes:
-        test_views: names of the photos that were measured.
-        baseline: name of the model that gains are relative to.
-        photos: what the measured photos are: `test` or `validation` photos.
-        masked: how many of them have a mask; pixels that it ignores are not measured.
+        test_views: names of the measured photos.
+        baseline: name of the model for computing gains.
+        photos: kind of the measured photos, `test` or `validation`.
+        masked: number of photos with a mask; pixels that it ignores are not measured.
     """
 
     test_views: tuple[str, ...]
@@ -164,11 +165,11 @@ class Evaluation:
     masked: int = 0
 
     def roi(self, name: str) -> RoiScores:
-        """The table of that box; KeyError if there is none."""
+        """Return the table of a box; KeyError if there is none."""
         return {scores.roi: scores for scores in self.rois}[name]
 
     def to_dict(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Return a record ready for JSON."""
         record: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(self)))
         if not self.masked:
             del record["masked"]
@@ -180,7 +181,7 @@ class Evaluation:
 
     @classmethod
     def from_dict(cls, record: dict[str, Any]) -> Evaluation:
-        """The inverse of `to_dict`."""
+        """Invert `to_dict`."""
         rois = []
         for scores in record["rois"]:
             rows = tuple(
@@ -194,14 +195,14 @@ class Evaluation:
         return cls(**{**record, "rois": tuple(rois), "test_views": test_views})
 
 
-FEW_VIEWS = 3  # test photos; the scores of fewer say little, and have no near and far third
+FEW_VIEWS = 3  # with fewer test photos, scores are uncertain, and have no near and far third
 
 
 def near_and_far(distances: Mapping[str, float]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The third of the photos with the nearest cameras, and that with the farthest; nearest first.
+    """Return the third of the photos with the nearest cameras, and with the farthest; near first.
 
     A third of N photos is N / 3, rounded: 1 of 3 or 4 photos, 2 of 5 to 7, 3 of 8. No photo is
-    in both. Both are empty for fewer than `FEW_VIEWS` photos. Equal distances go by name.
+    in both. Both are empty for fewer than `FEW_VIEWS` photos. Equal distances are sorted by name.
 
     Args:
         distances: photo -> distance of its camera from the box.
@@ -214,5 +215,5 @@ def near_and_far(distances: Mapping[str, float]) -> tuple[tuple[str, ...], tuple
 
 
 def mean(values: Sequence[float]) -> float | None:
-    """The mean; None without values."""
+    """Return the mean; None without values."""
     return float(np.mean(values)) if values else None

@@ -35,7 +35,7 @@ class EvaluatedModel:
     Attributes:
         name: the row's name, unique among the rows of a box.
         seconds: total training time.
-        rois: names of the boxes with a row for it; None: all boxes. An Object-GS has one box.
+        rois: names of the boxes with a row for it; None for all. An Object-GS has one box.
         stages: stage -> seconds.
     """
 
@@ -46,19 +46,19 @@ class EvaluatedModel:
     stages: dict[str, float] = field(default_factory=dict)
 
     def to(self, device: torch.device) -> EvaluatedModel:
-        """The same on a device, which then renders it."""
+        """Return the model on a device, which then renders it."""
         return dataclasses.replace(self, gaussians=self.gaussians.to(device))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoxPlan:
-    """The measurements to make for one box.
+    """Plan of the measurements for one box.
 
     Attributes:
         views: the test views that count, by photo name.
         left_out: names of the other test views.
         models: the models with a row.
-        mask_from: position of the model that defines the object's mask; None: the best one.
+        mask_from: position of the model that defines the object's mask; None for the best one.
     """
 
     roi: OrientedBox
@@ -68,7 +68,7 @@ class BoxPlan:
     mask_from: int | None
 
     def only(self, names: Collection[str]) -> BoxPlan:
-        """The same plan with these test views alone."""
+        """Return the plan with only these test views."""
         return dataclasses.replace(
             self,
             views={name: view for name, view in self.views.items() if name in names},
@@ -78,10 +78,10 @@ class BoxPlan:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sample:
-    """One view of one box, for the M models of `BoxPlan.models`.
+    """Measurements of one view of one box, for the M models of `BoxPlan.models`.
 
     Attributes:
-        scores: (M,) without those in the object's mask.
+        scores: (M,) scores, without those in the object's mask.
         pixels: (M,) size of the object's mask from each model's depth.
         object_mse: (M, M) error of each model (row) in each model's mask (column); NaN if empty.
     """
@@ -98,9 +98,9 @@ def points_in_box(
     world_to_camera: Float64,  # (4, 4)
     mask: Tensor,  # (H, W) bool
 ) -> Tensor:
-    """(P,) bool for the mask's pixels, row by row: whether the point at that depth is in the box.
+    """(P,) bool for the mask's pixels, row by row: whether the point at their depth is in the box.
 
-    False for a pixel without depth (0: no Gaussian there).
+    False for a pixel without depth (0: no Gaussian).
     """
     rows, columns = (index.cpu().numpy() for index in torch.nonzero(mask, as_tuple=True))
     z = depth[mask].cpu().numpy()
@@ -115,7 +115,7 @@ def points_in_box(
 
 
 def measured_pixels(roi: OrientedBox, image: PosedImage) -> NDArray[np.bool_]:
-    """(H, W) the pixels of the box's silhouette, of those that count."""
+    """(H, W) the pixels of the box's silhouette that the photo's mask does not ignore."""
     silhouette, mask = roi.silhouette(image.camera, image.world_to_camera), load_mask(image)
     return silhouette if mask is None else silhouette & mask
 
@@ -128,7 +128,7 @@ def plan_views(
     context: Context,
     photos: str = "test",
 ) -> BoxPlan:
-    """Decides which test views count for the box.
+    """Decide which test views count for the box.
 
     ConfigError if two models of the box share a name, or none is named `mask_from`.
     """
@@ -181,9 +181,9 @@ def plan_views(
 def measure_view(
     models: Sequence[EvaluatedModel], image: PosedImage, plans: Sequence[BoxPlan], context: Context
 ) -> tuple[dict[EvaluatedModel, float], list[Sample | None]]:
-    """Measure all models on one photo; returns the PSNR of the whole image by model, and samples.
+    """Measure all models on one photo; return PSNR of the whole image by model, and samples.
 
-    There is one sample for each plan, None if the photo does not count for its box.
+    There is one sample per plan, None if the photo does not count for its box.
     """
     device = models[0].gaussians.means.device
     photo, mask = torch.as_tensor(load_photo(image), device=device), load_mask(image)
@@ -204,7 +204,7 @@ def measure_view(
         picture = clipped_like(view.image.to(device), image)
         error = metrics.squared_error(picture, target)
         whole[model] = metrics.psnr_from_mse(metrics.mean_in(error, counted))
-        if counted is not None:  # FLIP looks at the neighbours of a pixel
+        if counted is not None:  # FLIP also depends on a pixel's neighbours
             picture = torch.where(counted[..., None], picture, target)
         for box in wanted:
             assert view.depth is not None
@@ -230,10 +230,11 @@ class _Box:
     """Measurements of one box on one photo, model by model.
 
     Attributes:
-        plan, distance: of the box; of the camera from its centre, in its diagonals.
+        plan: of the box.
+        distance: of the camera from the box's centre, in diagonals of the box.
         mask: (H, W) bool, its P `measured_pixels`.
-        shown: (P,) bool, those that the photo's mask shows as the object; none without one.
-        errors, objects: of each model: (P,) squared errors; (P,) bool, the object's mask.
+        shown: (P,) bool, the pixels of the photo's mask of the object; none without a mask.
+        errors, objects: for each model, (P,) squared errors, and (P,) bool, the object's mask.
         scores: of each model.
     """
 
@@ -249,7 +250,7 @@ class _Box:
         self.scores: list[ViewScore] = []
 
     def psnr_in(self, pixels: Tensor) -> float | None:
-        """PSNR of the last model in a mask (P,); None if it has fewer than `MIN_OBJECT`."""
+        """Return the last model's PSNR in a mask (P,); None for fewer than `MIN_OBJECT` pixels."""
         if int(pixels.sum()) < MIN_OBJECT:
             return None
         return metrics.psnr_from_mse(metrics.mean_in(self.errors[-1], pixels))

@@ -16,32 +16,32 @@ Arrays = Mapping[str, Floats]
 
 
 def unit_quats(arrays: Arrays) -> Float32:
-    """(N, 4) rotations of length 1, wxyz."""
+    """Return (N, 4) unit quaternions, wxyz."""
     quats = arrays["quats"].astype(np.float64)
     lengths = np.linalg.norm(quats, axis=1, keepdims=True)
     return np.asarray((quats / np.where(lengths > 0, lengths, 1)).astype(np.float32))
 
 
 def opacities(arrays: Arrays) -> Float32:
-    """(N,) from 0 to 1."""
+    """Return the opacities (N,), from 0 to 1."""
     with np.errstate(over="ignore"):
         values: Float32 = (1 / (1 + np.exp(-arrays["logit_opacities"]))).astype(np.float32)
     return values
 
 
 def logits(opacity: Floats) -> Float32:
-    """The inverse of `opacities`, for what files round to 0 or 1 too."""
+    """Return the inverse of `opacities`, also for values that files round to 0 or 1."""
     inside = np.clip(opacity.astype(np.float64), 1e-6, 1 - 1e-6)
     return np.asarray(np.log(inside / (1 - inside)).astype(np.float32))
 
 
 def extent(means: Float64) -> float:
-    """The size of the model (N, 3) along its longest axis, without what lies far outside."""
+    """Return the size of a model (N, 3) along its longest axis, without outliers."""
     return float(np.ptp(np.quantile(means, (0.01, 0.99), axis=0), axis=0).max())
 
 
 def flaw(arrays: Arrays) -> str:
-    """Why these arrays are not those of Gaussians; empty if they are."""
+    """Return why these arrays are no Gaussians, or an empty text if they are."""
     count, bands = len(arrays["means"]), arrays["sh"].shape[1:2]
     if bands not in {(1,), (4,), (9,), (16,)}:
         return "its colours have no degree from 0 to 3"
@@ -52,7 +52,7 @@ def flaw(arrays: Arrays) -> str:
 
 
 def joined(parts: Sequence[Arrays]) -> Arrays:
-    """Models as one, with the SH degree of the highest; ValueError: a part is none."""
+    """Join models into one with their highest SH degree; ValueError if a part is no model."""
     if len(parts) == 1:
         return parts[0]
     for part in parts:
@@ -67,7 +67,7 @@ def joined(parts: Sequence[Arrays]) -> Arrays:
 
 
 def in_morton_order(arrays: Arrays) -> Arrays:
-    """With those next to one another that are near in space: their numbers then compress."""
+    """Sort Gaussians in Morton order; neighbours in space are then similar and compress better."""
     means = arrays["means"].astype(np.float64)
     low, high = np.quantile(means, (0.01, 0.99), axis=0)
     cells = np.clip((means - low) / np.maximum(high - low, 1e-30) * 1023, 0, 1023).astype(np.int64)
@@ -88,16 +88,16 @@ UP: dict[str, tuple[tuple[int, int, int], ...]] = {
 
 
 def turn(before: str, after: str) -> Float64:
-    """(4, 4) that makes the axis `after` point up in a model in which the axis `before` does."""
+    """Return the (4, 4) rotation of a model with the up axis `before` to the up axis `after`."""
     matrix = np.eye(4)
     matrix[:3, :3] = np.array(UP[after]) @ np.array(UP[before]).T
     return matrix
 
 
 def upright(up: Float64, after: str) -> Float64:
-    """(4, 4) that makes the axis `after` point up in a model in which the direction (3,) `up` does.
+    """Return the (4, 4) rotation of a model with the up direction `up` (3,) to the axis `after`.
 
-    The smallest rotation from `up` to the next axis of `UP`, then `turn`.
+    It is the smallest rotation from `up` to the nearest axis of `UP`, followed by `turn`.
     """
     up = up / np.linalg.norm(up)
     before = max(UP, key=lambda axis: float(np.array(UP[axis])[:, 2] @ up))

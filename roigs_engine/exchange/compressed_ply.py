@@ -24,7 +24,7 @@ BYTES = {"chunk": (72, 48), "vertex": (16,), "sh": (9, 24, 45)}
 
 
 def write(path: Path, arrays: Arrays, *, target: Target = PLAIN) -> int:
-    """See `FileFormat`. The header says what the Gaussians are made for."""
+    """See `FileFormat`. The header records the target of the Gaussians."""
     gsply: Any = package("gsply", TITLE)
     sh = arrays["sh"].astype(np.float32)
     data: bytes = gsply.compress_to_bytes(
@@ -51,9 +51,9 @@ def read(path: Path) -> Arrays:
 
 
 def _with_colours(data: bytes) -> bytes:
-    """A file of SuperSplat before 1.0, whose chunks have no bounds of colours: with those, 0 to 1.
+    """Add bounds of colours, 0 to 1, to the chunks of a file of SuperSplat before 1.0.
 
-    gsply reads no other.
+    gsply reads no file without them.
     """
     head, body = re.split(rb"\r?\nend_header\r?\n", data, maxsplit=1)
     names = [f"property float {side}_{c}\n".encode() for side in ("min", "max") for c in "rgb"]
@@ -67,7 +67,7 @@ def _with_colours(data: bytes) -> bytes:
 
 
 def arrays_of(data: Any) -> Arrays:
-    """gsply's container, in the form of a PLY."""
+    """Return the arrays of gsply's container, as those of a PLY."""
     sh = data.sh0[:, None, :]
     if data.shN is not None and data.shN.size:
         sh = np.concatenate((sh, data.shN), axis=1)
@@ -82,7 +82,7 @@ def arrays_of(data: Any) -> Arrays:
 
 
 def _check(path: Path) -> int:
-    """Compare what the header promises with the file's size: gsply trusts it; bytes of a chunk."""
+    """Check the header, which gsply trusts, against the file's size; return a chunk's bytes."""
     with open(path, "rb", opener=regular) as file:
         form, elements = read_header(file, path)
         there = os.fstat(file.fileno()).st_size - file.tell()

@@ -30,32 +30,32 @@ COMPRESSED, HEADER = ".compressed.ply", 1024
 
 @dataclass(frozen=True, kw_only=True)
 class FileFormat:
-    """A format.
+    """A file format of Gaussians.
 
-    Its module has `write(path, arrays)`, which returns how many Gaussians it has written, and
-    `read(path)`, any error of which but NotSupportedError means a damaged file. Both raise
-    ConfigError where the format cannot hold the model, and EngineError if a package is missing. A
-    module that `keeps_antialiased` has `is_antialiased` if it reads, and its `write` takes
-    `antialiased`; PLYs say what they are made for.
+    Its module has `write(path, arrays)`, which returns the number of Gaussians written, and
+    `read(path)`. Any error of `read` but NotSupportedError means a damaged file. Both raise
+    ConfigError if the format cannot store the model, and EngineError if a package is missing. With
+    `keeps_antialiased`, `write` takes `antialiased`, and a module that reads has `is_antialiased`;
+    PLYs record the whole target instead.
     """
 
-    title: str  # what people call it
+    title: str  # the usual name
     suffix: str  # of a file's name
-    up: str  # the axis that points up, as most of its readers have it
+    up: str  # the up axis of most of its readers
     module: str = ""  # of this package; empty: the plain PLY
     reads: bool = True
-    says_axes: bool = False  # whether its module has `frame`, as a file may name other axes
-    checks: bool = False  # whether its `write` takes `check`, as it takes long
-    keeps_antialiased: bool = True  # whether a file says if its Gaussians are drawn with it
+    says_axes: bool = False  # whether its module has `frame`, because a file may name other axes
+    checks: bool = False  # whether its `write` takes `check`, because it takes long
+    keeps_antialiased: bool = True  # whether a file records if it is for anti-aliasing
 
     @property
     def code(self) -> Any:
-        """Its module."""
+        """Return the format's module."""
         return import_module(f".{self.module}", __package__)
 
     @property
     def keeps_target(self) -> bool:
-        """Whether a file says what its Gaussians are made for, light included."""
+        """Whether a file records the target of its Gaussians, linear light included."""
         return self.suffix.endswith(".ply")
 
 
@@ -103,12 +103,12 @@ OTHERS = {
 
 
 def is_named(path: Path) -> bool:
-    """Whether `format_of` or `OTHERS` knows the name of a JSON file, which is no list then."""
+    """Whether a JSON file's name is one of `format_of` or `OTHERS`, so that it is no list."""
     return path.name.lower() in {"meta.json", "lod-meta.json"}
 
 
 def format_of(path: Path) -> FileFormat:
-    """The format that a file's name says; ConfigError if it says none that is known."""
+    """Return the format of a file by its name; ConfigError if the name has no known one."""
     name = path.name.lower()
     for form in (*FORMATS, *READ_ONLY):
         if name == form.suffix if form.suffix[0] != "." else name.endswith(form.suffix):
@@ -121,7 +121,7 @@ def format_of(path: Path) -> FileFormat:
 
 
 def writable(path: Path) -> FileFormat:
-    """As `format_of`; ConfigError also if files of that name are only read."""
+    """Do the same as `format_of`; ConfigError also if files of that format are only read."""
     form = format_of(path)
     if form in READ_ONLY:
         known = ", ".join(form.suffix for form in FORMATS)
@@ -138,14 +138,14 @@ def write(
     photo_focal: float | None = None,
     **more: Any,
 ) -> int:
-    """Write Gaussians in the format that the name says, whole or not at all; returns how many.
+    """Write a file of Gaussians in the format of its name, whole or not at all; return how many.
 
     Args:
-        path, arrays: of the file, and the model.
-        check: called between the parts of long work; what it raises ends it without a file.
+        path, arrays: the file, and the model.
+        check: called between the parts of long work; if it raises, no file is written.
         target, photo_focal: how the Gaussians were made (`splat_ply.Made`); written as far as the
-            format has a place for it.
-        more: what the module's `write` takes besides these; nothing for a plain PLY.
+            format can record it.
+        more: other arguments of the module's `write`; none for a plain PLY.
     """
     form = writable(path)
     if not form.module:
@@ -162,7 +162,7 @@ def write(
 
 
 def storable(arrays: Arrays, title: str) -> Arrays:
-    """The Gaussians that can be drawn; ConfigError if there are none, or if they are far away."""
+    """Return the Gaussians that can be drawn; ConfigError if there are none, or if too far away."""
     arrays = usable(arrays)
     if not len(arrays["means"]):
         raise ConfigError("The model has no Gaussians that can be drawn.", "Give another model.")
@@ -176,13 +176,13 @@ def storable(arrays: Arrays, title: str) -> Arrays:
 
 
 def read(path: Path, check: Check = nothing) -> Arrays:
-    """Read Gaussians in the format that the name says; ConfigError if it is only written.
+    """Read a file of Gaussians in the format of its name; ConfigError if that is only written.
 
-    `check` is called while a plain PLY is read, which may be large.
+    `check` is called while a plain PLY is read, because it may be large.
     """
     form = _readable(path)
     if not form.module:
-        with suppress(OSError), open(path, "rb", opener=regular) as file:  # its reader says it
+        with suppress(OSError), open(path, "rb", opener=regular) as file:  # the reader raises it
             if b"\nelement chunk " in file.read(HEADER):  # whatever its name says
                 form = format_of(Path(COMPRESSED))
     if not form.module:
@@ -199,11 +199,11 @@ def read(path: Path, check: Check = nothing) -> Arrays:
 
 
 def target_of(path: Path) -> Target:
-    """The target of a file's Gaussians, if the file records it."""
+    """Return the target of a file's Gaussians, `PLAIN` if the file records none."""
     form = _readable(path)
     if not form.keeps_antialiased:
         return PLAIN
-    if form.keeps_target:  # both kinds of PLYs say it alike
+    if form.keeps_target:  # both kinds of PLYs record it alike
         return splat_ply.target_of(path)
     code = form.code
     with reading(path, form.title):
@@ -211,12 +211,12 @@ def target_of(path: Path) -> Target:
 
 
 def photo_focal_of(path: Path) -> float | None:
-    """The focal length of the photos of a file's Gaussians (`Gaussians`), if it records one."""
+    """Return the focal length of the photos of a file's Gaussians (`Gaussians`), or None."""
     return splat_ply.photo_focal_of(path) if _readable(path).keeps_target else None
 
 
 def frame(path: Path) -> Float64:
-    """(4, 4) from a file's axes to those of its format: no change, unless the file names others."""
+    """Return (4, 4) from a file's axes to those of its format; no change if it names no others."""
     form, matrix = _readable(path), np.eye(4)
     if form.suffix.endswith(".ply"):
         if (up := splat_ply.up_axis(path)) is not None:
@@ -229,9 +229,9 @@ def frame(path: Path) -> Float64:
 
 
 def common_target(targets: Mapping[Path, Target]) -> Target:
-    """The target of several files that are merged, from the target of each; `plain` for none.
+    """Return the common target of files that are merged, `PLAIN` for no files.
 
-    ConfigError: they differ. No file can say that.
+    ConfigError if the targets differ, because no file can record that.
     """
     first: dict[Target, Path] = {}
     for path, target in targets.items():
@@ -247,7 +247,7 @@ def common_target(targets: Mapping[Path, Target]) -> Target:
 
 
 def _readable(path: Path) -> FileFormat:
-    """The format of a file; ConfigError unless files of it can be read."""
+    """Return the format of a file; ConfigError if it cannot be read."""
     form = format_of(path)
     if not form.reads:
         raise ConfigError(f"{form.title} files cannot be read.", "Give one of another format.")

@@ -1,7 +1,7 @@
 """glTF 2.0 with Khronos's extension KHR_gaussian_splatting, written as one GLB through pygltflib.
 
-A viewer without the extension shows points in the colours of `COLOR_0`. Reads GLBs and .gltf, also
-of the extension's drafts and with SPZ inside.
+A viewer without the extension shows points in the colours of `COLOR_0`. This module reads .glb and
+.gltf files, also those of the extension's drafts, and with SPZ inside.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def write(path: Path, arrays: Arrays) -> int:
 
 
 def _columns(arrays: Arrays) -> dict[str, NDArray[Any]]:
-    """Attribute -> values, every one a multiple of four bytes long."""
+    """Return attribute -> values, each a multiple of four bytes long."""
     sh = arrays["sh"].astype(np.float32)
     colour = np.column_stack((0.5 + SH_C0 * sh[:, 0], opacities(arrays)))
     columns: dict[str, NDArray[Any]] = {
@@ -91,19 +91,19 @@ def _columns(arrays: Arrays) -> dict[str, NDArray[Any]]:
 
 
 def read(path: Path) -> Arrays:
-    """See `FileFormat`: all Gaussians of the scene as one model, where their nodes have them."""
+    """See `FileFormat`. All Gaussians of the scene become one model, placed by their nodes."""
     file = _Splats(path)
     placed = shown(file.record, has_gaussians)
     if not placed:
         raise NotSupportedError(f"glTF without {NAME}")
-    own = {id(item): item for _, item in placed}  # many nodes may show one
+    own = {id(item): item for _, item in placed}  # many nodes may show the same primitive
     read = {key: file.gaussians(item) for key, item in own.items()}
     refuse_bomb(file.size, sum(map(_bytes, (read[id(item)] for _, item in placed))))
     return joined([moved(read[id(item)], matrix) for matrix, item in placed])
 
 
 def is_mesh(path: Path) -> bool:
-    """Whether a GLB has triangles, and no Gaussians."""
+    """Whether a GLB has triangles and no Gaussians."""
     with reading(path, TITLE):
         record = GltfFile(path).record
         every = [item for mesh in record.get("meshes", []) for item in mesh["primitives"]]
@@ -111,12 +111,12 @@ def is_mesh(path: Path) -> bool:
 
 
 def has_gaussians(primitive: dict[str, Any]) -> bool:
-    """Whether it names the extension, or one of its drafts."""
+    """Whether a primitive names the extension or one of its drafts."""
     return bool({NAME, *DRAFTS} & primitive.get("extensions", {}).keys())
 
 
 def has_triangles(primitive: dict[str, Any]) -> bool:
-    """Whether its faces are single triangles."""
+    """Whether a primitive's faces are separate triangles."""
     return bool(primitive.get("mode", TRIANGLES) == TRIANGLES)
 
 
@@ -125,14 +125,14 @@ def _bytes(arrays: Arrays) -> int:
 
 
 class _Splats(GltfFile):
-    """The Gaussians of a glTF."""
+    """A glTF file with Gaussians."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self.packed: dict[tuple[int, bool], Arrays] = {}  # see `_spz`
 
     def gaussians(self, item: dict[str, Any]) -> Arrays:
-        """A primitive's, in its own frame."""
+        """Return the Gaussians of a primitive, in its own frame."""
         extensions = item["extensions"]
         own = extensions.get(NAME, {})
         inner = {
@@ -152,7 +152,7 @@ class _Splats(GltfFile):
         return arrays
 
     def _attributes(self, at: dict[str, int]) -> Arrays:
-        """As the extension has them, or its drafts, which had no prefix."""
+        """Return the Gaussians of attributes of the extension, or of drafts without a prefix."""
 
         def get(*names: str) -> NDArray[np.float32]:
             there = next((name for name in names if name in at), None)
@@ -184,12 +184,12 @@ class _Splats(GltfFile):
         }
 
     def _spz(self, inside: dict[str, Any], own: dict[str, Any]) -> Arrays:
-        """Of KHR_gaussian_splatting_compression_spz(_2): unpacked to left, up and front.
+        """Unpack Gaussians of KHR_gaussian_splatting_compression_spz(_2), to left, up and front.
 
-        Cesium's files of the drafts, which name no kernel, have glTF's axes as they are.
+        Cesium's files of the drafts name no kernel, and already have glTF's axes.
         """
         key = int(inside["bufferView"]), "kernel" in own
-        if key in self.packed:  # of another primitive
+        if key in self.packed:  # unpacked for another primitive
             self.count(_bytes(self.packed[key]))
             return self.packed[key]
         raw = bytes(self.view(key[0]))

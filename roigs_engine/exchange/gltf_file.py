@@ -37,9 +37,9 @@ Wanted = Callable[[dict[str, Any]], bool]
 
 
 def shown(record: dict[str, Any], wanted: Wanted) -> list[tuple[Float64, dict[str, Any]]]:
-    """The wanted primitives of the scene, each with its place (4, 4), one for each node.
+    """Return the wanted primitives of the scene, one for each node, with their place (4, 4).
 
-    Those of all nodes if the scene has none, and of all meshes if there are no nodes.
+    If the scene has none, return those of all nodes; if no node has any, those of all meshes.
     """
     meshes = [
         [item for item in mesh["primitives"] if wanted(item)] for mesh in record.get("meshes", [])
@@ -60,7 +60,7 @@ def shown(record: dict[str, Any], wanted: Wanted) -> list[tuple[Float64, dict[st
 def _placed(
     nodes: list[dict[str, Any]], roots: Iterable[int], meshes: list[list[dict[str, Any]]]
 ) -> list[tuple[Float64, dict[str, Any]]]:
-    """See `shown`: what these nodes and those below them show."""
+    """Return the primitives of these nodes and all nodes below them; see `shown`."""
     found: list[tuple[Float64, dict[str, Any]]] = []
     seen = set()
     waiting = [(number, np.eye(4)) for number in reversed(list(roots))]
@@ -81,13 +81,13 @@ def _placed(
 
 
 def _refuse_many(count: int) -> None:
-    """Raise NotSupportedError for so many primitives, before each gets its place."""
+    """Raise NotSupportedError for too many primitives, before each gets its place."""
     if count > MOST_PARTS:
         raise NotSupportedError(f"glTF with {count:,} primitives or more")
 
 
 def _node_matrix(node: dict[str, Any]) -> Float64:
-    """(4, 4) from a node to its parent."""
+    """Return the (4, 4) transform from a node to its parent."""
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     matrix = np.eye(4)
@@ -99,17 +99,17 @@ def _node_matrix(node: dict[str, Any]) -> Float64:
 
 
 class GltfFile:
-    """A glTF: its JSON, the bytes that this names, and how many were read of them."""
+    """A glTF file: its JSON, its binary data, and the amount of data read so far."""
 
     def __init__(self, path: Path) -> None:
-        """Read a GLB, or the JSON of a .gltf; ValueError: it is neither."""
+        """Read a GLB, or the JSON of a .gltf; ValueError if it is neither."""
         self.path = path
         raw = read_bytes(path, most=None)
         self.size, self.values_read = len(raw), 0
         self.buffers: dict[int, bytes] = {}
         self.beside: dict[str, bytes] = {}  # content of files by their names
         text = raw if path.suffix.lower() == ".gltf" else self._json_of_glb(raw)
-        # A .gltf may be large: with its numbers in it, in letters that are none of these.
+        # A .gltf may be large: it may contain its data as base64, which has none of these letters.
         if sum(map(text.count, (b",", b"[", b"{"))) > MOST_VALUES:
             raise ValueError("its JSON has too many values")
         self.record: dict[str, Any] = json.loads(text)
@@ -117,7 +117,7 @@ class GltfFile:
             raise ValueError("no object of JSON")
 
     def _json_of_glb(self, raw: bytes) -> bytes:
-        """Its first chunk; the next binary one becomes the first buffer."""
+        """Return the first chunk, the JSON; the next binary chunk becomes the first buffer."""
         magic, version, _, size, kind = struct.unpack_from("<5I", raw)
         if magic == MAGIC and version != VERSION:
             raise NotSupportedError(f"version {version} of GLB")
@@ -135,19 +135,19 @@ class GltfFile:
         return raw[20 : 20 + size]
 
     def count(self, more: int) -> None:
-        """Refuse a file that has the same numbers again and again."""
+        """Count `more` bytes as read; ValueError for a file that repeats its data too often."""
         self.values_read += more
         refuse_bomb(self.size, self.values_read)
 
     def values(self, number: int) -> NDArray[np.float32]:
-        """The values of an accessor; normalized integers become numbers from -1 or 0 to 1."""
+        """Return an accessor's values; normalized integers become numbers from -1 or 0 to 1."""
         values = self.rows(number)
         if self.record["accessors"][number].get("normalized") and values.dtype.kind != "f":
             values = np.maximum(values / np.iinfo(values.dtype).max, -1)
         return values.astype(np.float32)
 
     def rows(self, number: int) -> NDArray[Any]:
-        """(count, width) what an accessor has, as it is in the file."""
+        """Return an accessor's values (count, width) as they are in the file."""
         accessor = self.record["accessors"][number]
         kind: np.dtype[Any] = np.dtype(KINDS[accessor["componentType"]])
         count, width = int(accessor["count"]), COMPONENTS[accessor["type"]]
@@ -168,7 +168,7 @@ class GltfFile:
     def _numbers(
         self, place: dict[str, Any], count: int, width: int, kind: np.dtype[Any]
     ) -> NDArray[Any]:
-        """(count, width) from where an accessor, or a part of a sparse one, says."""
+        """Return the values (count, width) of an accessor, or of a part of a sparse one."""
         view = self.record["bufferViews"][place["bufferView"]]
         data, start = self.view(place["bufferView"]), int(place.get("byteOffset", 0))
         stride = int(view.get("byteStride", width * kind.itemsize))
@@ -178,7 +178,7 @@ class GltfFile:
         return np.ndarray((count, width), kind, data, start, (stride, kind.itemsize))
 
     def view(self, number: int) -> memoryview:
-        """The bytes of a buffer view."""
+        """Return the bytes of a buffer view."""
         view = self.record["bufferViews"][number]
         for name in view.get("extensions", {}):
             raise NotSupportedError(name)
@@ -189,12 +189,12 @@ class GltfFile:
         return memoryview(data)[start : start + length]
 
     def _buffer(self, number: int) -> bytes:
-        """The bytes of a buffer: the GLB's own, of a `data:` URI, or of a file beside it."""
+        """Return the bytes of a buffer: the GLB's own, a `data:` URI's, or another file's."""
         if number not in self.buffers:
             uri = self.record["buffers"][number].get("uri")
             if not isinstance(uri, str):
                 raise ValueError("no binary part")
-            # A buffer of `data:` is within the size of the file already.
+            # The size of the file already includes a buffer of `data:`.
             if uri.startswith("data:"):
                 self.buffers[number] = base64.b64decode(uri.partition(",")[2], validate=True)
             else:  # any number of buffers may name one file

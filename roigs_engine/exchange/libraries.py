@@ -23,7 +23,7 @@ from ..machine import is_memory_full
 
 
 class NotSupportedError(Exception):
-    """A valid file with something that is not read; the text is a noun phrase that says what."""
+    """A valid file has a feature that is not supported; the text is a noun phrase that names it."""
 
 
 HINT = "Write or download the file again."
@@ -39,22 +39,21 @@ OPENUSD = re.compile(r" at line \d+ in file .*? : '(.*?)\n?'(?:\n|$)", re.DOTALL
 
 @contextmanager
 def reading(path: Path, title: str) -> Iterator[None]:
-    """Wrap what reads a file: whatever it raises becomes a RunFolderError in one line.
+    """Turn any error of the block, which reads a file, into a RunFolderError of one line.
 
-    A NotSupportedError says that the file is valid. An EngineError or an error of memory stays as
-    it is.
+    A NotSupportedError means that the file is valid. EngineError and MemoryError stay as they are.
     """
     try:
         # Libraries would wait for a pipe, and have their own errors for a missing file.
         with open(path, "rb", opener=regular):
             pass
-        with np.errstate(all="ignore"):  # what is not finite is left out later
+        with np.errstate(all="ignore"):  # numbers that are not finite are left out later
             yield
     except (EngineError, MemoryError):
         raise
     except NotSupportedError as error:
         raise RunFolderError(f"{path}: {error} is not supported.", CONVERT) from error
-    except Exception as error:  # of struct, zlib, json, numpy, and of the libraries themselves
+    except Exception as error:  # from struct, zlib, json, numpy, and the libraries themselves
         if isinstance(error, OSError) and error.errno is not None:  # Pillow's have none
             raise RunFolderError(
                 f"Cannot read {path} ({error.strerror or error}).", "Check the file and its rights."
@@ -68,7 +67,7 @@ def reading(path: Path, title: str) -> Iterator[None]:
 
 
 def _words(error: Exception) -> str:
-    """The message of an error, else its kind: OpenUSD's may quote bytes that are no text."""
+    """Return an error's message, or its type's name: OpenUSD may quote bytes that are no text."""
     with suppress(UnicodeError):
         if text := str(error).strip()[:MOST_WORDS]:
             found = OPENUSD.search(text)
@@ -77,15 +76,15 @@ def _words(error: Exception) -> str:
 
 
 def refuse_bomb(size: int, unpacked: int) -> None:
-    """Raise ValueError if `size` bytes unpack to far more than those of Gaussians do."""
+    """Raise ValueError if `size` bytes unpack to far more than those of Gaussians would."""
     if unpacked > SMALL and unpacked > MOST_RATIO * size:
         raise ValueError(f"it would unpack to {in_gb(unpacked)}")
 
 
 def read_beside(path: Path, name: object) -> bytes:
-    """The content of a file that another names, in its folder or below.
+    """Return the content of a file that `path` names, in its folder or below.
 
-    RunFolderError: the name leads out of the folder, or the file cannot be read.
+    RunFolderError if the name leads out of the folder, or the file cannot be read.
     """
     inner = inner_path(name)
     if inner is None:
@@ -104,9 +103,9 @@ def read_beside(path: Path, name: object) -> bytes:
 
 @contextmanager
 def scratch(title: str) -> Iterator[Path]:
-    """A temporary folder to write a file of this format in, removed in the end.
+    """Yield a temporary folder to write a file of this format in; it is removed at the end.
 
-    EngineError: there is no such folder, or the library could not write to it.
+    EngineError if it cannot be made, or if the library cannot write to it.
     """
     try:
         with temporary(f"roigs-{title.lower()}-") as folder:

@@ -1,4 +1,4 @@
-"""A web page that shows Gaussians: one file, without network, with the viewer inside.
+"""A web page that shows Gaussians: one file with the viewer inside, which needs no network.
 
 The Gaussians are SPZ (version 3) as base64, which a browser unpacks without a library. The viewer
 in `page_parts/` draws them with WebGL 2 by the rules of our rasterizer.
@@ -36,13 +36,13 @@ SCRIPTS = ("shaders.js", "renderer.js", "mesh.js", "camera.js", "page.js")
 BEFORE, AFTER, ALONE, MESH = "Before", "After", "Gaussians", "Mesh"
 WHOLE = "Whole scene"
 FIELD = 50.0  # degrees; the viewer's vertical field of view
-MARGIN = 1.1  # around what is looked at
+MARGIN = 1.1  # around the region that is looked at
 ELEVATION = 20.0  # degrees above the horizon
 DIRECTIONS = 24
-AIMED = 20.0  # degrees from a photo's middle to what it looks at
-PHOTOS = 60  # that are compared, at most
-SAMPLE = 100_000  # Gaussians that are looked at, at most
-CORE = 1.5  # median distances from the middle that an overview shows: not all of a background
+AIMED = 20.0  # most degrees between a photo's view direction and a region that it looks at
+PHOTOS = 60  # most photos that are compared
+SAMPLE = 100_000  # most Gaussians that are used to choose a viewpoint
+CORE = 1.5  # radius of an overview in median distances from the middle: not all of a background
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,7 +59,7 @@ class PageMesh:
 
     Attributes:
         vertices, faces: (V, 3), (F, 3).
-        uv: (V, 2) in the picture, from its upper left corner, 0 to 1.
+        uv: (V, 2) places in the picture, from its upper left corner, 0 to 1.
         picture: a JPEG.
     """
 
@@ -74,7 +74,7 @@ class Extras:
     """The extra content of a page; places and poses are in the model's frame."""
 
     title: str = ""  # empty: the file's name
-    places: Sequence[tuple[str, Ball]] = ()  # to look at, one button each
+    places: Sequence[tuple[str, Ball]] = ()  # regions to look at, one button each
     before: Arrays | None = None  # a second model to switch to
     before_antialiased: bool = False
     meshes: Sequence[PageMesh] = ()  # to switch to
@@ -86,7 +86,7 @@ class Extras:
 def write(
     path: Path, arrays: Arrays, extras: Extras | None = None, *, antialiased: bool = False
 ) -> int:
-    """See `FileFormat`. ConfigError: also if `before` has no Gaussians."""
+    """See `FileFormat`. ConfigError also if `before` has no Gaussians."""
     extras = extras or Extras()
     models = {ALONE if extras.meshes else AFTER: arrays}
     if extras.before is not None:
@@ -146,9 +146,9 @@ def _description(shown: Arrays, counts: dict[str, int], extras: Extras) -> dict[
 
 
 def _embedded(name: str, arrays: Arrays, antialiased: bool) -> tuple[str, int]:
-    """A script element with the model, and how many Gaussians it has.
+    """Return a script element with the model, and the number of its Gaussians.
 
-    The viewer knows from the SPZ's header whether to draw with anti-aliasing.
+    The SPZ's header tells the viewer whether to draw with anti-aliasing.
     """
     data, count = spz.encoded(arrays, spz.STEPS[-1], antialiased=antialiased)  # a small page
     text = base64.b64encode(data).decode()
@@ -156,7 +156,7 @@ def _embedded(name: str, arrays: Arrays, antialiased: bool) -> tuple[str, int]:
 
 
 def _embedded_meshes(extras: Extras) -> list[str]:
-    """A script element with all meshes, if there are any."""
+    """Return a script element with all meshes, if there are any."""
 
     def text(values: NDArray[Any] | bytes, kind: str = "") -> str:
         data = values if isinstance(values, bytes) else values.astype(kind).tobytes()
@@ -176,7 +176,7 @@ def _embedded_meshes(extras: Extras) -> list[str]:
 
 
 def _part(name: str) -> str:
-    """A file of the page; EngineError if it is missing."""
+    """Return the text of a file of the page; EngineError if it is missing."""
     try:
         return (PARTS / name).read_text(encoding="utf-8")
     except OSError as error:
@@ -189,7 +189,7 @@ def _part(name: str) -> str:
 
 
 def overview(arrays: Arrays) -> Ball:
-    """A ball around most of a model."""
+    """Return a ball around most of a model."""
     means = arrays["means"].astype(np.float64)
     middle = np.median(means, axis=0)
     radius = CORE * float(np.median(np.linalg.norm(means - middle, axis=1)))
@@ -197,7 +197,7 @@ def overview(arrays: Arrays) -> Ball:
 
 
 def photographed(poses: Float64) -> Ball | None:
-    """A ball that a picture from the photos' usual distance shows; None if they share no middle.
+    """Return a ball that fills a picture from the photos' median distance; None without a middle.
 
     `poses` are (N, 4, 4) world_to_camera, OpenCV axes.
     """
@@ -218,7 +218,7 @@ def _eyes(poses: Float64) -> Float64:
 
 
 def photo_directions(poses: Float64, ball: Ball) -> Float64:
-    """(K, 3) directions from the ball to the photos that look at it, evenly chosen of many."""
+    """Return (K, 3) directions from the ball to photos that look at it, at most `PHOTOS`."""
     away = _eyes(poses) - ball.centre
     lengths = np.linalg.norm(away, axis=1)
     away /= np.maximum(lengths, 1e-30)[:, None]
@@ -228,7 +228,7 @@ def photo_directions(poses: Float64, ball: Ball) -> Float64:
 
 
 def _ring() -> Float64:
-    """Directions all around, from a little above."""
+    """Return directions from all around and a little above."""
     angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
     rise = np.full(DIRECTIONS, np.radians(ELEVATION))
     return np.column_stack(
@@ -237,11 +237,11 @@ def _ring() -> Float64:
 
 
 def viewpoint(arrays: Arrays, ball: Ball, poses: Float64 | None = None) -> Float64:
-    """(3,) position, y up, that sees the ball with little before it and much behind it.
+    """Return a position (3,), y up, that sees the ball with little before it and much behind it.
 
-    Photos are taken through free space, and show what is behind: the side without background is
-    mostly one that no photo shows. With the photos' `poses`, it is on the side of one of those
-    that look at the ball.
+    Photos are taken through free space, and show the background: a side without background is
+    mostly one that no photo shows. With the photos' `poses`, the position is in the direction of a
+    photo that looks at the ball.
     """
     directions = _ring() if poses is None else photo_directions(poses, ball)
     if not len(directions):

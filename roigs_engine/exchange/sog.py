@@ -1,6 +1,6 @@
 """PlayCanvas's SOG, version 2: a ZIP of lossless WebP pictures and a `meta.json`.
 
-No Python package writes it, so this one does, with Pillow and scikit-learn; gsply reads it.
+No Python package writes it, so this module does, with Pillow and scikit-learn; gsply reads it.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ from .compressed_ply import arrays_of
 from .libraries import NotSupportedError, read_beside, refuse_bomb
 
 TITLE = "SOG"
-CODES = 256  # numbers that a codebook has
+CODES = 256  # numbers in a codebook
 BINS = 4096  # of a histogram of values
-PALETTE = 65_536  # sets of SH coefficients that Gaussians share, at most
-EACH = 5  # Gaussians in a set, on average, at least
-GROUPS = 256  # that are divided into sets on their own: k-means of all sets would take far longer
+PALETTE = 65_536  # most sets of SH coefficients that Gaussians share
+EACH = 5  # least mean number of Gaussians in a set
+GROUPS = 256  # each is divided into sets on its own: k-means of all sets would take far longer
 ACROSS = 64  # sets in a row of the picture of the palette
 SAMPLE = 40_000  # rows that groups are fitted to
 ROUNDS = 8  # of k-means
 MOST = 50_000_000  # Gaussians
 MOST_PALETTE = 1 << 24  # pixels: 65,536 sets of 15 are a million
 MOST_META = 16 << 20  # bytes
-MOST_FILES = 16  # that a meta.json names: the format has up to eight
+MOST_FILES = 16  # names in a meta.json; the format has up to eight
 META = "meta.json"
 GENERATOR = "ROI-GS"
 """What `asset` in a `meta.json` says of our files."""
 ANTIALIASED = "antialiased"
 """The `model` of a `meta.json` whose Gaussians are drawn with anti-aliasing; others have none."""
-COARSEST = 2e-3  # of the model's size: a step of its positions that is still hard to see
+COARSEST = 2e-3  # largest step of positions, of the model's size; it is still hard to see
 
 KINDS = ("WEBP", "PNG")  # of pictures
 Bytes = NDArray[np.uint8]
@@ -56,7 +56,7 @@ def write(path: Path, arrays: Arrays, *, antialiased: bool = False, check: Check
     files = files_of(arrays, check, antialiased=antialiased)
     with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as packed:
         for name, data in files.items():
-            entry = zipfile.ZipInfo(name)  # of a fixed date: the same Gaussians, the same bytes
+            entry = zipfile.ZipInfo(name)  # with a fixed date: equal Gaussians give equal bytes
             entry.external_attr = 0o644 << 16
             packed.writestr(entry, data)
     return len(arrays["means"])
@@ -65,9 +65,9 @@ def write(path: Path, arrays: Arrays, *, antialiased: bool = False, check: Check
 def files_of(
     arrays: Arrays, check: Check = nothing, *, antialiased: bool = False
 ) -> dict[str, bytes]:
-    """Name -> content of the files of a SOG, `meta.json` first; near Gaussians are together.
+    """Return name -> content of the files of a SOG, `meta.json` first; in Morton order.
 
-    ConfigError: the model is too small, or too far from the origin, for its positions.
+    ConfigError if the model is too small or too far from the origin for SOG's positions.
     """
     _refuse_coarse(arrays["means"].astype(np.float64))
     arrays = in_morton_order(arrays)
@@ -115,7 +115,7 @@ def files_of(
 
 
 def _refuse_coarse(means: Float64) -> None:
-    """Raise ConfigError if readers, which compute in float32, would show the Gaussians moved."""
+    """Raise ConfigError if readers, which compute in float32, would move Gaussians visibly."""
     distance = np.median(np.abs(means).max(axis=1))
     step = float(np.finfo(np.float32).eps) * (1 + distance) * (1 + np.log1p(distance))
     if step > COARSEST * extent(means) > 0:
@@ -126,7 +126,7 @@ def _refuse_coarse(means: Float64) -> None:
 
 
 def _weights(arrays: Arrays) -> Float32:
-    """(N,) how much of each Gaussian is seen, roughly."""
+    """Return weights (N,): roughly how visible each Gaussian is, 1 on average."""
     sizes = np.sort(arrays["log_scales"].astype(np.float64), axis=1)
     area = np.exp(np.clip((sizes[:, 1] + sizes[:, 2]) / 2, -30, 30))
     seen = opacities(arrays) * area
@@ -134,7 +134,7 @@ def _weights(arrays: Arrays) -> Float32:
 
 
 def _positions(means: NDArray[np.float64]) -> tuple[Bytes, Bytes, dict[str, list[float]]]:
-    """Low and high bytes (N, 3) of positions on a logarithmic scale, and its bounds."""
+    """Return the low and high bytes (N, 3) of positions on a logarithmic scale, and its bounds."""
     values = np.sign(means) * np.log1p(np.abs(means))
     low, high = values.min(axis=0), values.max(axis=0)
     steps = np.round((values - low) / np.maximum(high - low, 1e-30) * 65535).astype(np.uint16)
@@ -143,7 +143,7 @@ def _positions(means: NDArray[np.float64]) -> tuple[Bytes, Bytes, dict[str, list
 
 
 def _rotations(quats: Float32) -> Bytes:
-    """(N, 4): the three smaller numbers of each rotation, and which one is left out."""
+    """Return (N, 4): the three smallest numbers of each quaternion, and which one is left out."""
     largest = np.abs(quats).argmax(axis=1)
     rows = np.arange(len(quats))
     quats = quats * np.where(quats[rows, largest] < 0, -1, 1)[:, None]
@@ -154,7 +154,7 @@ def _rotations(quats: Float32) -> Bytes:
 
 
 def _coded(values: Float32, weights: Float32 | None = None) -> tuple[Bytes, list[float]]:
-    """Values (N, ...) as numbers of a codebook's entries; `weights` (N,) say which count more."""
+    """Return the indices of values (N, ...) in a codebook, and the codebook; `weights` are (N,)."""
     if weights is None:
         weights = np.ones(len(values), np.float32)
     each = np.repeat(weights, values[0].size)
@@ -164,10 +164,10 @@ def _coded(values: Float32, weights: Float32 | None = None) -> tuple[Bytes, list
 
 
 def _codebook(values: Float64, weights: Float64) -> Float64:
-    """(CODES,) sorted numbers that stand for all: a one-dimensional k-means.
+    """Return (CODES,) sorted numbers that represent all values: a one-dimensional k-means.
 
-    It starts with codes as dense as the cube root of the values' density, which is best for many
-    codes: by quantiles, the few large values would get hardly any.
+    Its first codes are as dense as the cube root of the values' density, which is best for many
+    codes. With quantiles, the few large values would get hardly any.
     """
     order = np.argsort(values)
     ordered, weights = values[order], weights[order]
@@ -187,9 +187,9 @@ def _codebook(values: Float64, weights: Float64) -> Float64:
 
 
 def _palette(sh: Float32, weights: Float32, check: Check) -> tuple[Bytes, Bytes, list[float], int]:
-    """Labels (N, 3), the picture of the palette, its codebook, and how many sets it has.
+    """Return labels (N, 3), the picture of the palette, its codebook, and its number of sets.
 
-    `sh` (N, K, 3) is that above degree 0; `weights` (N,) say how much of a Gaussian is seen.
+    `sh` (N, K, 3) are the coefficients above degree 0; for `weights` (N,), see `_weights`.
     """
     rows = sh.reshape(len(sh), -1)
     labels, centres = _clusters(rows, weights, check)
@@ -203,9 +203,10 @@ def _palette(sh: Float32, weights: Float32, check: Check) -> tuple[Bytes, Bytes,
 
 
 def _clusters(rows: Float32, weights: Float32, check: Check) -> tuple[NDArray[np.int64], Float32]:
-    """The set of each row (N,), and the sets (at most PALETTE, D): k-means in two steps.
+    """Return the set of each row (N,), and the sets (at most PALETTE, D): k-means in two steps.
 
-    A group of similar rows gets sets by their standard deviation, and by how much they are seen.
+    First, rows are divided into groups. Then each group gets a number of sets in proportion to its
+    rows times their weighted standard deviation.
     """
     random = np.random.default_rng(0)
     wanted = int(np.clip(len(rows) // EACH, 1, PALETTE))
@@ -230,7 +231,7 @@ def _clusters(rows: Float32, weights: Float32, check: Check) -> tuple[NDArray[np
 
 
 def _deviation(rows: Float32, weights: Float32) -> float:
-    """Root of the mean weighted square of distances from the mean."""
+    """Return the root of the mean weighted square of distances from the mean."""
     if not len(rows):
         return 0.0
     return float(np.sqrt((np.square(rows - rows.mean(axis=0)).sum(axis=1) * weights).mean()))
@@ -240,12 +241,12 @@ def _means(rows: Float32, weights: Float32, sets: int) -> Any:
     start = np.random.default_rng(0).permutation(len(rows))[:sets]
     model = KMeans(len(start), init=rows[start], n_init=1, max_iter=ROUNDS)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # fewer different rows than sets
+        warnings.simplefilter("ignore")  # about fewer different rows than sets
         return model.fit(rows, sample_weight=weights)
 
 
 def _square(values: Bytes, side: int) -> Bytes:
-    """(side, side, 3 or 4) with one Gaussian in each pixel."""
+    """Return a picture (side, side, 3 or 4) with one Gaussian in each pixel."""
     picture = np.zeros((side * side, values.shape[1]), np.uint8)
     picture[: len(values)] = values
     return picture.reshape(side, side, -1)
@@ -258,7 +259,7 @@ def _webp(picture: Bytes) -> bytes:
 
 
 def read(path: Path) -> Arrays:
-    """See `FileFormat`: a .sog, or a `meta.json` with its pictures beside it."""
+    """See `FileFormat`. The file is a .sog, or a `meta.json` with its pictures beside it."""
     gsply: Any = package("gsply", TITLE)
     package("imagecodecs", TITLE)  # gsply needs it
     data = _packed(path)
@@ -267,7 +268,7 @@ def read(path: Path) -> Arrays:
 
 
 def is_antialiased(path: Path) -> bool:
-    """Whether a file says that its Gaussians are drawn with anti-aliasing."""
+    """Whether a file records that its Gaussians are drawn with anti-aliasing."""
     if path.name.lower() == META:
         meta = json.loads(read_bytes(path, most=None)[:MOST_META])
     else:
@@ -281,7 +282,7 @@ def is_antialiased(path: Path) -> bool:
 
 
 def _packed(path: Path) -> bytes:
-    """The bytes of a .sog; of a `meta.json` those of a .sog of it and of the files it names."""
+    """Return the bytes of a .sog; a `meta.json` and the files it names are packed into one."""
     data = read_bytes(path, most=None)
     if path.name.lower() != META:
         return data
@@ -299,7 +300,7 @@ def _packed(path: Path) -> bytes:
 
 
 def _check(data: bytes) -> None:
-    """Compare what `meta.json` promises with the pictures: gsply trusts it."""
+    """Check `meta.json`, which gsply trusts, against the pictures."""
     with zipfile.ZipFile(io.BytesIO(data)) as packed:
         sizes = {entry.filename: entry.file_size for entry in packed.infolist()}
         if len(sizes) < len(packed.infolist()) or sizes.get(META, 0) > MOST_META:
@@ -330,15 +331,15 @@ def _check(data: bytes) -> None:
 
 
 def _pixels(packed: zipfile.ZipFile, name: str) -> int:
-    """Number of pixels of a picture of the archive."""
+    """Return the number of pixels of a picture in the archive."""
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # Pillow's, of pictures that are far too large
+        warnings.simplefilter("error")  # Pillow warns of pictures that are far too large
         with packed.open(name) as file, Image.open(file, formats=KINDS) as picture:
             return int(picture.width) * int(picture.height)
 
 
 def _check_numbers(meta: dict[str, Any]) -> None:
-    """Raise ValueError unless lists of numbers are as long as compiled code takes them to be."""
+    """Raise ValueError unless lists of numbers have the lengths that compiled code assumes."""
     lists = [(meta["means"][name], 3) for name in ("mins", "maxs")]
     if "version" in meta:
         parts = [meta[name] for name in ("scales", "sh0", "shN") if name in meta]

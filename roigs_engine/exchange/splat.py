@@ -19,7 +19,7 @@ LEAST = 1e-30
 
 
 def write(path: Path, arrays: Arrays) -> int:
-    """See `FileFormat`. The largest and most opaque Gaussians are first, for streaming."""
+    """See `FileFormat`. The largest and most opaque Gaussians come first, for streaming."""
     rows = np.empty(len(arrays["means"]), ROW)
     alpha = opacities(arrays)
     rows["mean"], rows["scale"] = arrays["means"], np.exp(arrays["log_scales"])

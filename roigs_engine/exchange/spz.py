@@ -1,4 +1,4 @@
-"""Niantic's SPZ: version 3 (gzip) is written through the package gsply, 1 to 4 are read.
+"""Niantic's SPZ: version 3 (gzip) is written through the package gsply, and 1 to 4 are read.
 
 Positions are fixed-point numbers with 24 bits, so their resolution follows from the model's size.
 """
@@ -27,14 +27,14 @@ TITLE = "SPZ"
 MAGIC, GZIP = 0x5053474E, b"\x1f\x8b"
 BITS = 24  # of a coordinate, with its sign
 MOST_FRACTION = 20  # bits behind the point
-SMALL, FINER = 0.05, 4  # a step is 2^-FINER of the size that this share of the Gaussians is below
-FARTHEST = 1000.0  # times the median distance from the origin: what is beyond is left out
-SCALES = (-10.0, 5.9375)  # logarithms that it can hold
-LOST = 0.01  # share of Gaussians whose size it may change, or that it may leave out
+SMALL, FINER = 0.05, 4  # a step is at most 2^-FINER of the size at this quantile
+FARTHEST = 1000.0  # most distance of a Gaussian from the origin, in median distances
+SCALES = (-10.0, 5.9375)  # least and largest logarithm that the format stores
+LOST = 0.01  # share of Gaussians whose size may change, or that may be left out
 STEPS = (4 / 128, 6 / 128, 8 / 128, 10 / 128)
 """Of SH above degree 0; its own encoder has 16 / 128 above degree 1: 3 dB less than the last."""
-PART = 8.1  # the finest step is taken with which the file is at most this part of a PLY
-BLOCKS, BLOCK = 8, 4096  # of rows that tell how small the file becomes
+PART = 8.1  # the finest step is used with which a PLY is at least so many times as large
+BLOCKS, BLOCK = 8, 4096  # blocks of rows, and rows of one, from which the file's size is estimated
 SH_ROWS = {0: 0, 1: 3, 2: 8, 3: 15, 4: 24}
 COLOUR = np.float32(0.15)  # a byte of colour is this much of the SH coefficient of degree 0
 LATEST = 4
@@ -56,11 +56,11 @@ def write(
     path: Path,
     arrays: Arrays,
     *,
-    step: float | None = None,  # of SH above degree 0; None: the finest that makes a small file
+    step: float | None = None,  # of SH above degree 0; None: the finest for a small file (`PART`)
     antialiased: bool = False,
     check: Check = nothing,
 ) -> int:
-    """See `FileFormat`. Gaussians that are far outside are left out."""
+    """See `FileFormat`. Gaussians that are too far from the origin are left out."""
     data, count = encoded(arrays, step, antialiased=antialiased, check=check)
     write_bytes(path, data)
     return count
@@ -73,10 +73,10 @@ def encoded(
     antialiased: bool = False,
     check: Check = nothing,
 ) -> tuple[bytes, int]:
-    """A file's bytes, and how many Gaussians it has; the arguments are those of `write`."""
+    """Return a file's bytes, and its number of Gaussians; the arguments are those of `write`."""
     arrays = in_morton_order(arrays)
     scales = arrays["log_scales"]
-    # Points without any size do not count: they would have none in a model of another scale.
+    # Points without any size do not count: they would have none at any scale of the model.
     small = (scales < SCALES[0]).all(axis=1) & (scales > FLAT / 2).any(axis=1)
     outside = small | (scales > SCALES[1]).any(axis=1)
     if outside.mean() > LOST:
@@ -103,11 +103,11 @@ def encoded(
 
 
 def _packed(arrays: Arrays, fraction: int, step: float, *, antialiased: bool = False) -> bytes:
-    """The file of these Gaussians, with so many bits behind the point and this step of SH."""
+    """Return the file of Gaussians with `fraction` bits behind the point and `step` of SH."""
     gsply: Any = package("gsply", TITLE)
     spz: Any = package("gsply.spz", TITLE)
     sh = arrays["sh"].astype(np.float32)
-    sh[:, 1:] = np.round(sh[:, 1:] / step) * step  # compresses to less
+    sh[:, 1:] = np.round(sh[:, 1:] / step) * step  # this compresses better
     data = gsply.GSData.from_arrays(
         means=arrays["means"].astype(np.float32),
         scales=arrays["log_scales"].astype(np.float32),
@@ -126,7 +126,7 @@ def _packed(arrays: Arrays, fraction: int, step: float, *, antialiased: bool = F
 
 
 def _finest(arrays: Arrays, fraction: int, check: Check) -> float:
-    """The finest step of SH with which the file is small, by a sample of the Gaussians."""
+    """Return the finest step of SH with a small file (`PART`), by a sample of the Gaussians."""
     count, bands = arrays["sh"].shape[:2]
     if bands == 1:
         return STEPS[-1]
@@ -143,18 +143,18 @@ def _finest(arrays: Arrays, fraction: int, check: Check) -> float:
 
 
 def _enough(log_scales: Float32) -> int:
-    """Bits behind the point after which small Gaussians move by less than anybody sees."""
+    """Return the number of bits behind the point with which small Gaussians move invisibly."""
     small = np.quantile(log_scales.mean(axis=1), SMALL) / np.log(2)
     return int(np.clip(np.ceil(FINER - small), 1, MOST_FRACTION))
 
 
 def read(path: Path) -> Arrays:
-    """See `FileFormat`: as the file has them, whatever coordinate system it names."""
+    """See `FileFormat`. The Gaussians stay in the file's coordinate system, whichever it names."""
     return unpacked(read_bytes(path, most=None))[0]
 
 
 def frame(path: Path) -> Float64:
-    """(3, 3) from a file's axes to right, up and back, which those of SPZ are by default."""
+    """Return (3, 3) from a file's axes to right, up and back, the default axes of SPZ."""
     with open(path, "rb", opener=regular) as file:
         if not _flags(file.read(HEAD)) & EXTENDED:
             return np.eye(3)
@@ -162,7 +162,7 @@ def frame(path: Path) -> Float64:
 
 
 def is_antialiased(path: Path) -> bool:
-    """Whether a file's header says that its Gaussians are drawn with anti-aliasing."""
+    """Whether a file's header records that its Gaussians are drawn with anti-aliasing."""
     with open(path, "rb", opener=regular) as file:
         return bool(_flags(file.read(HEAD)) & ANTIALIASED)
 
@@ -174,10 +174,10 @@ def _flags(head: bytes) -> int:
 
 
 def unpacked(raw: bytes) -> tuple[Arrays, Float64]:
-    """The Gaussians of a file's bytes, in its own axes, and (3, 3) as of `frame`.
+    """Return the Gaussians of a file's bytes, in its own axes, and (3, 3) as in `frame`.
 
-    By the description of the format in Niantic's spz, versions 1 to 4; SH of degree 4 is cut to 3.
-    Any error but NotSupportedError means damage.
+    This follows the description of the format in Niantic's spz, versions 1 to 4; SH of degree 4 is
+    cut to 3. Any error but NotSupportedError means damage.
     """
     gzipped = raw[:2] == GZIP
     unpacker = zlib.decompressobj(wbits=31)
@@ -216,7 +216,7 @@ def unpacked(raw: bytes) -> tuple[Arrays, Float64]:
 
 
 def _axes(records: bytes) -> Float64:
-    """As `frame`, of a file's extensions; the last record of a coordinate system is valid.
+    """Return `frame` by a file's extensions; the last record of a coordinate system is valid.
 
     The records are `u32 type, u32 length, payload` (extensions/README.md of Niantic's spz); unknown
     types are skipped, and a record that is cut off ends them, as for the format's own reader.
@@ -239,7 +239,7 @@ def _axes(records: bytes) -> Float64:
 
 
 def _positions(found: NDArray[np.uint8], version: int, fraction: int) -> Float32:
-    """(N, 3) of half floats in version 1, of fixed-point numbers with 24 bits in others."""
+    """Return positions (N, 3) from half floats in version 1, else from 24-bit fixed point."""
     if version == 1:
         return np.asarray(found.view("<f2").astype(np.float32))
     whole = np.zeros((len(found), 3, 4), np.uint8)
@@ -249,14 +249,14 @@ def _positions(found: NDArray[np.uint8], version: int, fraction: int) -> Float32
 
 
 def _imaginary(found: NDArray[np.uint8]) -> Float32:
-    """(N, 4) rotations wxyz of versions 1 and 2, which store x, y and z."""
+    """Return quaternions (N, 4), wxyz, of versions 1 and 2, which store x, y and z."""
     xyz = found.astype(np.float32) / np.float32(127.5) - 1
     real = np.sqrt(np.maximum(1 - np.square(xyz).sum(axis=1, keepdims=True), 0))
     return np.asarray(np.concatenate((real, xyz), axis=1).astype(np.float32))
 
 
 def _smallest_three(found: NDArray[np.uint8]) -> Float32:
-    """(N, 4) rotations wxyz of versions 3 and 4: all but the largest number, in 10 bits each."""
+    """Return quaternions (N, 4), wxyz, of versions 3 and 4: the three smallest, in 10 bits each."""
     packed = found.view("<u4")[:, 0].copy()
     largest = packed >> 30
     xyzw = np.zeros((len(packed), 4), np.float32)
@@ -272,7 +272,7 @@ def _smallest_three(found: NDArray[np.uint8]) -> Float32:
 
 
 def _gunzipped(unpacker: Any, wanted: int, *, extended: bool) -> tuple[bytes, bytes]:
-    """The sections of versions 1 to 3, of `wanted` bytes, and the extensions behind them."""
+    """Return the `wanted` bytes of the sections of versions 1 to 3, and the extensions after."""
     most = wanted + (MOST_RECORDS if extended else 0)
     found = bytearray()
     while len(found) <= most and not unpacker.eof:
@@ -288,7 +288,7 @@ def _gunzipped(unpacker: Any, wanted: int, *, extended: bool) -> tuple[bytes, by
 
 
 def _zstd(raw: bytes, streams: int, sizes: list[int]) -> tuple[bytes, bytes]:
-    """The sections of version 4, each packed on its own, and the extensions before them."""
+    """Return the sections of version 4, each packed on its own, and the extensions before them."""
     table = struct.unpack_from("<I", raw, 16)[0]
     if not 5 <= streams <= 6 or table < 32 or table + 16 * streams > len(raw):
         raise ValueError("its header promises more than it has")

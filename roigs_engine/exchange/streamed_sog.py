@@ -1,4 +1,4 @@
-"""PlayCanvas's Streamed SOG: levels of detail, of which a viewer loads only what it needs.
+"""PlayCanvas's Streamed SOG: levels of detail, of which a viewer loads only those it needs.
 
 `lod-meta.json` lists parts with their bounds, and for each level of a part the folder of a SOG. The
 folder's name has a hash of its files. So writing a new model changes no file of the old one, and
@@ -49,15 +49,15 @@ def write(
     *,
     antialiased: bool = False,
 ) -> int:
-    """Write a model into the folder of `path`; returns the number of Gaussians of the whole one.
+    """Write a model into the folder of `path`; return the number of Gaussians of the whole model.
 
     At the end, folders of ours that no `lod-meta.json` names are deleted: those of the model that
     this one replaces, or, after an error, the new one's.
 
     Args:
-        path: of the `lod-meta.json` (`NAME`), written last.
-        parts: for each part its levels, the whole one first.
-        check, antialiased: as of `formats.write`, for all levels; it raises the same errors.
+        path: the `lod-meta.json` (`NAME`), written last.
+        parts: the levels of each part, the whole one first.
+        check, antialiased: as in `formats.write`, for all levels; errors are the same as there.
     """
     ladders = [[storable(level, TITLE) for level in part] for part in parts]
     names: list[str] = []
@@ -79,7 +79,7 @@ def write(
 
 
 def _write_sog(root: Path, name: str, files: Mapping[str, bytes]) -> str:
-    """Write the files of a SOG; returns the path of its `meta.json` below `root`."""
+    """Write the files of a SOG; return the path of its `meta.json`, relative to `root`."""
     digest = hashlib.sha256()
     for data in files.values():
         digest.update(hashlib.sha256(data).digest())
@@ -90,7 +90,7 @@ def _write_sog(root: Path, name: str, files: Mapping[str, bytes]) -> str:
 
 
 def _record(counts: list[int], names: list[str], nodes: list[dict[str, Any]]) -> dict[str, Any]:
-    """The content of `lod-meta.json`: `counts` are of the levels, `names` of the parts' files."""
+    """Return the content of `lod-meta.json`: Gaussians of each level, names of files, parts."""
     low = np.min([node["bound"]["min"] for node in nodes], axis=0).tolist()
     high = np.max([node["bound"]["max"] for node in nodes], axis=0).tolist()
     return {
@@ -108,8 +108,8 @@ def _record(counts: list[int], names: list[str], nodes: list[dict[str, Any]]) ->
 def _cleaned_up(path: Path) -> Iterator[None]:
     """Delete folders of ours that no file called like `path` names after the block.
 
-    These are of the model that was at `path` before it, or left by killed engines. If one of these
-    files is damaged, all folders stay.
+    They belong to the model that `path` had before, or were left by killed engines. If a file
+    called like `path` is damaged, all folders stay.
     """
     try:
         yield
@@ -123,7 +123,7 @@ def _cleaned_up(path: Path) -> Iterator[None]:
 
 
 def _named(files: Iterable[Path]) -> set[str] | None:
-    """The folders that files like `lod-meta.json` name, if they exist; None: one is damaged."""
+    """Return the folders that existing `lod-meta.json` files name; None if a file is damaged."""
     found: set[str] = set()
     for path in files:
         if not os.path.lexists(path):
@@ -137,7 +137,7 @@ def _named(files: Iterable[Path]) -> set[str] | None:
 
 
 def _remove(folder: Path) -> None:
-    """Delete a SOG of ours; others' files, and so their folders, stay."""
+    """Delete a SOG of ours; files of other programs stay, and so do their folders."""
     with suppress(OSError, ValueError):  # a damaged `meta.json` may hold any text
         for name in _files_of_ours(read_record(folder / sog.META)):
             (folder / name).unlink(missing_ok=True)
@@ -145,10 +145,9 @@ def _remove(folder: Path) -> None:
 
 
 def _files_of_ours(meta: dict[str, Any]) -> tuple[str, ...]:
-    """The files of a SOG by its `meta.json`, which is the last; none if another program wrote it.
+    """Return the files that a SOG's `meta.json` names, and it last; none for other programs' SOGs.
 
-    If an engine is killed while it deletes them, `meta.json` still lists the others for the next
-    one.
+    If an engine is killed while it deletes them, `meta.json` still lists the rest for the next one.
     """
     if meta.get("asset") != {"generator": sog.GENERATOR}:
         return ()
@@ -158,7 +157,7 @@ def _files_of_ours(meta: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _bound(ladder: Sequence[Arrays]) -> dict[str, list[float]]:
-    """The box around a part's Gaussians, in all levels."""
+    """Return the box around a part's Gaussians of all levels."""
     means = np.concatenate([arrays["means"] for arrays in ladder]).astype(np.float64)
     sizes = np.concatenate([np.exp(arrays["log_scales"]).max(axis=1) for arrays in ladder])
     reach = np.minimum(sizes, np.quantile(sizes, 0.99))[:, None]  # a few reach far beyond the part

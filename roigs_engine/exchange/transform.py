@@ -29,7 +29,7 @@ STAGE, MANY = "models", 100
 
 
 def merged(models: Sequence[Instance], context: Context = QUIET) -> tuple[Gaussians, LocalFrame]:
-    """One model of all (at least one Gaussian), in the world, and the frame that it is in."""
+    """Merge placed models with at least one Gaussian in the world; return the model, its frame."""
     bands = max(model.gaussians.sh.shape[1] for model in models)
     parts: list[Gaussians] = []
     started = time.monotonic()
@@ -57,10 +57,10 @@ DIRECTIONS = 2048  # evenly over the sphere; 16 coefficients are fitted to them
 def turned_sh(sh: Tensor, linear: Float64) -> Tensor:
     """SH coefficients of colours after a linear map of the space around them.
 
-    A Gaussian that showed a colour in direction d then shows it in direction linear @ d. Spherical
-    harmonics up to a degree stay such under rotations and reflections, so for these, uniform scales
-    included, the result is exact. A map that stretches or shears bends directions: then the
-    coefficients are those that fit best, by least squares over all directions.
+    A Gaussian that showed a colour in direction d then shows it in direction linear @ d. Rotations,
+    reflections and uniform scales turn spherical harmonics up to a degree into others of this
+    degree, so the result is exact for them. A map that stretches or shears bends directions: then
+    the coefficients are the best fit, by least squares over all directions.
 
     `sh` is (N, K, 3) with K = 1, 4, 9 or 16; `linear` (3, 3) is invertible.
     """
@@ -70,7 +70,7 @@ def turned_sh(sh: Tensor, linear: Float64) -> Tensor:
 
 @lru_cache(maxsize=64)
 def _turn(bands: int, linear: bytes) -> Tensor:
-    """(K, K) of `turned_sh`; `linear` are the bytes of its (3, 3)."""
+    """Return the matrix (K, K) of `turned_sh`; `linear` are the bytes of its (3, 3) matrix."""
     after = sphere(DIRECTIONS)
     before: Float64 = np.linalg.solve(np.frombuffer(linear).reshape(3, 3), after.T).T
     before = before.astype(np.float64)
@@ -82,7 +82,7 @@ def _turn(bands: int, linear: bytes) -> Tensor:
 
 @cache
 def sphere(count: int) -> Float64:
-    """(count, 3) unit vectors, evenly spread: a Fibonacci lattice."""
+    """Return (count, 3) unit vectors, evenly spread: a Fibonacci lattice."""
     steps = np.arange(count) + 0.5
     z = 1 - 2 * steps / count
     angle = np.pi * (1 + np.sqrt(5)) * steps
@@ -94,9 +94,9 @@ FLATTEST = 1e-9  # least determinant of a matrix, of 1 for the same size in all 
 
 
 def moved(arrays: Arrays, matrix: Float64) -> Arrays:
-    """Gaussians after a (4, 4) matrix; bit for bit the same if that changes nothing.
+    """Transform Gaussians by a (4, 4) matrix; the identity returns them unchanged.
 
-    ValueError: the arrays do not belong together, or the matrix flattens them.
+    ValueError if the arrays are no Gaussians, or if the matrix is not affine or flattens them.
     """
     if (matrix == np.eye(4)).all():
         return arrays
@@ -123,17 +123,17 @@ ROWS = 8192  # at once
 
 
 def encoded(linear: Float64) -> Float64:
-    """sRGB's transfer function (IEC 61966-2-1), of light from 0 on; less than none is none."""
+    """Apply sRGB's transfer function (IEC 61966-2-1) to linear light; negative values become 0."""
     return srgb_values(np.maximum(linear, 0))
 
 
 def recoloured(sh: Float32, to_srgb: Map = encoded) -> Float32:
-    """SH coefficients (N, K, 3) of the same colours after a map, by default from linear light.
+    """Return SH coefficients (N, K, 3) of the colours after a map, by default from linear light.
 
     A colour without view dependence is exact: the coefficient of degree 0 is that of its mapped
-    colour. Those of higher degrees fit the mapped colours best, by least squares over all
-    directions. Programs that blend in linear light blend Gaussians otherwise than in sRGB; no
-    coefficients can make up for that.
+    colour. Those of higher degrees are the best fit to the mapped colours, by least squares over
+    all directions. Blending in linear light differs from blending in sRGB; no coefficients can
+    compensate for that.
     """
     base, bands = 0.5 + SH_C0 * sh[:, 0].astype(np.float64), sh.shape[1]
     out = np.zeros(sh.shape, np.float32)
@@ -152,12 +152,12 @@ def recoloured(sh: Float32, to_srgb: Map = encoded) -> Float32:
 
 @torch.no_grad()
 def without_antialiasing(model: Gaussians, images: Sequence[PosedImage]) -> Gaussians:
-    """An anti-aliased model for viewers that draw without anti-aliasing.
+    """Adapt an anti-aliased model to viewers that draw without anti-aliasing.
 
-    Such a viewer draws a Gaussian below a pixel's size larger, and as opaque as it is stored. No
-    stored opacity is right from everywhere then. Here it becomes what it looks like in the photos,
-    on average: so the model is right from about where it was photographed, somewhat too thick from
-    farther away and too faint from nearer by.
+    Such a viewer enlarges Gaussians that are smaller than a pixel, but keeps their opacity. Then no
+    stored opacity is right from every distance. Here it becomes the mean opacity at which the
+    photos show the Gaussian: the model is right from about where it was photographed, somewhat too
+    thick from farther away and too faint from nearer.
 
     Args:
         model: on the CPU.

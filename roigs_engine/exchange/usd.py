@@ -47,7 +47,7 @@ DATE = 315_619_200
 
 
 def pxr_modules(*names: str) -> list[Any]:
-    """Modules of OpenUSD; EngineError if it is missing, or too old."""
+    """Return modules of OpenUSD; EngineError if it is missing or too old."""
     for name, value in SETTINGS.items():
         os.environ.setdefault(name, value)
     if not hasattr(package("pxr.UsdVol", TITLE, "usd-core"), KIND):
@@ -58,11 +58,11 @@ def pxr_modules(*names: str) -> list[Any]:
 
 
 def write_stage(path: Path, name: str, fill: Callable[[Any, Path], None]) -> None:
-    """Write a stage with y up, in metres; the path's end says whether as text, binary or packed.
+    """Write a stage with y up, in metres; the path's suffix selects text, binary or packed.
 
     Args:
-        name: of the layer, which a .usdz has inside.
-        fill: gets the new stage, and a folder for the files that it refers to.
+        name: name of the layer, which a .usdz has inside.
+        fill: called with the new stage, and with a folder for the files that it refers to.
     """
     usd, geom, utils = pxr_modules("Usd", "UsdGeom", "UsdUtils")
     ending = path.suffix.lower()
@@ -75,7 +75,7 @@ def write_stage(path: Path, name: str, fill: Callable[[Any, Path], None]) -> Non
         fill(stage, folder)
         stage.GetRootLayer().Save()
         if packed:
-            for file in folder.iterdir():  # the package notes their times
+            for file in folder.iterdir():  # the package records their times
                 os.utime(file, (DATE, DATE))
             whole = made.with_suffix(".usdz")
             utils.CreateNewUsdzPackage(os.fspath(made), os.fspath(whole))
@@ -85,7 +85,7 @@ def write_stage(path: Path, name: str, fill: Callable[[Any, Path], None]) -> Non
 
 
 def write(path: Path, arrays: Arrays) -> int:
-    """See `FileFormat`. The name's end says whether as text, binary or packed."""
+    """See `FileFormat`. The name's suffix selects text, binary or packed."""
     vol, vt = pxr_modules("UsdVol", "Vt")
 
     def fill(stage: Any, _folder: Path) -> None:
@@ -99,7 +99,7 @@ def write(path: Path, arrays: Arrays) -> int:
         values = {
             "positions": vt.Vec3fArray.FromNumpy(means),
             "scales": vt.Vec3fArray.FromNumpy(scales),
-            # Quatf arrays take the imaginary part first.
+            # Quatf arrays have the imaginary part first.
             "orientations": vt.QuatfArray.FromNumpy(np.roll(unit_quats(arrays), -1, axis=1)),
             "opacities": vt.FloatArray.FromNumpy(opacities(arrays)),
             "radiance:sphericalHarmonicsDegree": int(np.sqrt(sh.shape[1])) - 1,
@@ -114,9 +114,9 @@ def write(path: Path, arrays: Arrays) -> int:
 
 
 def read(path: Path) -> Arrays:
-    """See `FileFormat`: all Gaussians of a stage as one model, where their prims have them.
+    """See `FileFormat`. All Gaussians of a stage become one model, placed by their prims.
 
-    In metres, by what the stage says. Of an animation, the first frame.
+    It is in metres, by the stage's unit. Of an animation, the first frame is read.
     """
     usd, geom = pxr_modules("Usd", "UsdGeom")
     layer, others = _alone(path)
@@ -148,14 +148,14 @@ def read(path: Path) -> Arrays:
 
 
 def frame(path: Path) -> Float64:
-    """(3, 3) from a file's axes to those of its format: from the stage's upAxis to y."""
+    """Return (3, 3) from a file's axes to those of its format: from the stage's upAxis to y."""
     usd, geom = pxr_modules("Usd", "UsdGeom")
     stage = usd.Stage.Open(_alone(path)[0], usd.Stage.LoadNone)
     return turn(str(geom.GetStageUpAxis(stage)).lower(), "y")[:3, :3]
 
 
 def _gaussians(prim: Any) -> Arrays:
-    """A prim's, in its own frame; of float and half attributes the former, if it has both."""
+    """Return the Gaussians of a prim, in its own frame; float attributes are preferred to half."""
     first = pxr_modules("Usd")[0].TimeCode.EarliestTime()
 
     def numbers(name: str, width: int) -> Float32:
@@ -178,9 +178,9 @@ def _gaussians(prim: Any) -> Arrays:
 
 
 def _in_srgb(prim: Any, sh: Float32) -> Float32:
-    """SH of the colour space that the coefficients, the prim or one above names; none: of sRGB.
+    """Convert SH to sRGB from the colour space of the coefficients, the prim or one above it.
 
-    Trainers use sRGB, though OpenUSD's own default is linear.
+    If none is named, they are in sRGB: trainers use it, though OpenUSD's own default is linear.
     """
     gf, vt = pxr_modules("Gf", "Vt")
     attribute = prim.GetAttribute(SH if prim.GetAttribute(SH).HasValue() else f"{SH}h")
@@ -205,9 +205,9 @@ def _in_srgb(prim: Any, sh: Float32) -> Float32:
 
 
 def _alone(path: Path) -> tuple[Any, bool]:
-    """The layer of a file without what it takes from elsewhere; whether it took anything.
+    """Return a file's layer without its references to other content, and whether it had any.
 
-    A small file may name a pipe, any file of the computer, or itself a billion times.
+    A small file may refer to a pipe, any file of the computer, or itself a billion times.
     """
     (sdf,) = pxr_modules("Sdf")
     _refuse_crash(path)
@@ -236,13 +236,13 @@ def _refuse_crash(path: Path) -> None:
     limit = max(SMALL, MOST_RATIO * path.stat().st_size)
     command = [sys.executable, "-m", f"{__package__}.usd_probe", str(path), str(limit)]
     command.append(str(DEEPEST))
-    # Each of many threads would take addresses.
+    # Each of many threads would take address space.
     env = child_environment() | {"PXR_WORK_THREAD_LIMIT": "1", "MALLOC_ARENA_MAX": "2"}
     env["PYTHONPATH"] = os.pathsep.join(filter(os.path.isabs, sys.path))
     with subprocess.Popen(
         command,
         env=env,
-        stdin=subprocess.PIPE,  # it ends if this process does
+        stdin=subprocess.PIPE,  # the child ends when this process does
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,  # Ctrl-C reaches this process alone

@@ -1,4 +1,4 @@
-"""A textured mesh as OpenUSD, through the package usd-core."""
+"""Writes a textured mesh as OpenUSD, through the package usd-core."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def write_mesh(
     """Write a mesh with y up; its PNG is inside a .usdz, beside a .usda or .usdc.
 
     Args:
-        path: the name's end says whether as text, binary or packed.
+        path: the suffix selects text, binary or packed.
         vertices, faces: (V, 3), (F, 3).
-        uv: (V, 2) in the texture, from its lower left corner, 0 to 1; None: no texture.
+        uv: (V, 2) places in the texture, from its lower left corner, 0 to 1; None: no texture.
         picture: the PNG.
     """
     geom, vt = pxr_modules("UsdGeom", "Vt")
@@ -46,13 +46,13 @@ def write_mesh(
             _give_texture(stage, mesh, uv, texture)
             (folder / texture).write_bytes(picture)
 
-    if uv is not None and not packed:  # before the file that names it
+    if uv is not None and not packed:  # written before the file that names it
         write_beside(path, {texture: picture})
     write_stage(path, "mesh", fill)
 
 
 def _give_texture(stage: Any, mesh: Any, uv: Float64, texture: str) -> None:
-    """A rough material in the photos' colours, by the specification of UsdPreviewSurface."""
+    """Add a rough material in the photos' colours, by the specification of UsdPreviewSurface."""
     geom, shade, sdf, vt = pxr_modules("UsdGeom", "UsdShade", "Sdf", "Vt")
     kinds = sdf.ValueTypeNames
     st = geom.PrimvarsAPI(mesh).CreatePrimvar("st", kinds.TexCoord2fArray, geom.Tokens.vertex)

@@ -14,11 +14,11 @@ from typing import Any
 
 FINE, TOO_LARGE, TOO_DEEP = 0, 3, 4
 LIBRARIES = 4 << 30  # bytes of addresses for the libraries themselves
-STACK = 1 << 20  # bytes: less than the process has that opens the file afterwards
+STACK = 1 << 20  # bytes; less than the stack of the process that opens the file afterwards
 
 
 def _size(value: Any) -> int:
-    """Bytes of an array's numbers, roughly; 0: it is none."""
+    """Return about how many bytes the numbers of an array take; 0 if it is no array."""
     try:
         return memoryview(value).nbytes
     except TypeError:
@@ -49,12 +49,12 @@ def _probe(path: str, limit: int, deepest: int) -> int:
 
 
 def main(path: str, limit: int, deepest: int) -> int:
-    """One of the codes; FINE also for a file that OpenUSD refuses in words."""
-    with suppress(ImportError, OSError, ValueError):  # not on Windows; or there is a limit already
+    """Return one of the codes; FINE also for a file that OpenUSD refuses with an error."""
+    with suppress(ImportError, OSError, ValueError):  # Windows has none; or a limit is already set
         import resource
 
         resource.setrlimit(resource.RLIMIT_AS, (LIBRARIES + limit, LIBRARIES + limit))
-    found = [TOO_LARGE]  # of a thread that ends by an error of memory
+    found = [TOO_LARGE]  # stays if the thread ends with an error of memory
 
     def run() -> None:
         with suppress(MemoryError):
@@ -71,7 +71,7 @@ def main(path: str, limit: int, deepest: int) -> int:
 
 
 def end_with_parent() -> None:
-    """End this process once its standard input does: that is a pipe of the one that waits."""
+    """End this process when its standard input, a pipe of the waiting process, is closed."""
     while os.read(0, 1):
         pass
     os._exit(TOO_LARGE)

@@ -19,29 +19,29 @@ from scipy.spatial import cKDTree
 from ..model.scene import Float64
 from .panorama import Panorama, directions, solid_angles
 
-MOST = 100.0  # times brighter than white, or than around what is not seen
-STEPS = 33  # factors that are tried, from 1 to that
-ALBEDO, SPREAD = 0.45, 0.5  # of a usual place: middle, and standard deviation of its logarithm
-ALIKE = 0.05  # what a difference of the two factors costs, in one of the whole light
-WHITE, STRICT = 0.95, 0.1  # hardly any albedo is above; by so much in its logarithm
-SHARE = 95  # percentile of the surfaces' albedos that is held to that
-LEAST_CLIPPED, LEAST_UNSEEN = 1e-4, 1e-2  # share of all directions: less has no factor
-ROWS = 64  # of the panorama, at most, that light is summed over
+MOST = 100.0  # largest factor, relative to white, or to the surroundings of unseen parts
+STEPS = 33  # factors that are tried, from 1 to `MOST`
+ALBEDO, SPREAD = 0.45, 0.5  # of a usual place: median, and standard deviation of its logarithm
+ALIKE = 0.05  # cost of a difference of the two factors, relative to one of the whole light
+WHITE, STRICT = 0.95, 0.1  # hardly any albedo is above; standard deviation of its logarithm there
+SHARE = 95  # percentile of the surfaces' albedos that this applies to
+LEAST_CLIPPED, LEAST_UNSEEN = 1e-4, 1e-2  # share of all directions; parts below have no factor
+ROWS = 64  # about how many rows of the panorama light is summed over, at most
 SAMPLES, NEIGHBOURS = 3000, 40
-COLOUR = 0.06  # logarithms of ratios of channels: surfaces of one colour differ by less
-TURNED = 0.5  # cosine between their normals, at most
+COLOUR = 0.06  # surfaces of one colour differ by less, in logarithms of ratios of channels
+TURNED = 0.5  # largest cosine between the normals of a pair
 NOISE = 0.35  # of the logarithm of a ratio of brightness: shadows, other materials (Cauchy)
-INDEPENDENT = 50  # surfaces of a scene that tell something of their own
-FEWEST = 500  # pairs
-SECTORS = 8  # around the point: a factor that hangs on one of them is not told
-SURE = np.log(2.0)  # standard error of its logarithm, at most
-DARKEST, BRIGHTEST = 0.01, 0.85  # linear light of surfaces: else it is noise, or clipped
-BEHIND = 1.1  # of the distance that is seen: what is farther is hidden
+INDEPENDENT = 50  # number of independent surfaces of a scene
+FEWEST = 500  # least number of pairs
+SECTORS = 8  # around the point; a factor that depends on one of them counts as undetermined
+SURE = np.log(2.0)  # largest standard error of a factor's logarithm
+DARKEST, BRIGHTEST = 0.01, 0.85  # linear light of surfaces; others are noisy, or clipped
+BEHIND = 1.1  # of the visible distance; surfaces farther away are hidden
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Surfaces:
-    """Places on surfaces of the scene (N, 3), their unit normals, and linear colours."""
+    """Places (N, 3) on surfaces of the scene, their unit normals, and linear colours."""
 
     places: Float64
     normals: Float64
@@ -53,9 +53,9 @@ class Brightness:
     """Factors for the parts of a panorama's light.
 
     Attributes:
-        highlights: where photos are clipped.
-        unseen: where no photo shows anything, above the horizon.
-        told: whether the scene's shading determines it; else it is a typical value.
+        highlights: factor for clipped light.
+        unseen: factor for light from directions above the horizon that no photo shows.
+        told: whether the scene's shading determines the factors; else they are typical values.
     """
 
     highlights: float = 1.0
@@ -70,12 +70,12 @@ def brightness(
     highlights: float | None = None,
     unseen: float | None = None,
 ) -> Brightness:
-    """The factors of a panorama.
+    """Estimate the factors of a panorama.
 
     Args:
-        place: (3,) where it was drawn, in the world of the surfaces.
-        surfaces: of the scene; None: not known.
-        highlights, unseen: factors that are given.
+        place: (3,) the panorama's point, in the world of the surfaces.
+        surfaces: surfaces of the scene; None if unknown.
+        highlights, unseen: given factors, which are kept; None: estimated.
     """
     grids = [
         _grid(given, enough=_share(where) > least)
@@ -94,22 +94,22 @@ def brightness(
 
 
 def _grid(given: float | None, *, enough: bool) -> Float64:
-    """The factors to try: many, or the one that is given."""
+    """Return the factors to try: many, or only the given one."""
     if given is None and enough:
         return np.geomspace(1, MOST, STEPS)
     return np.array([1.0 if given is None else given])
 
 
 def _share(where: NDArray[Any]) -> float:
-    """Of all directions, of a part of a panorama (H, 2 H), 0 to 1 in each pixel."""
+    """Return the share of all directions of a part (H, 2 H) of a panorama, 0 to 1 in each pixel."""
     return float((where * solid_angles(len(where))).sum() / (4 * np.pi))
 
 
 def _usual(parts: Float64, tried: Float64) -> Float64:
-    """The factors with which surfaces reflect the usual share of the light.
+    """Return the factors with which surfaces reflect the usual share of the light.
 
-    They reflect the light that is seen and not clipped. If both factors are unknown, similar ones
-    are preferred, as they belong to one kind of light.
+    The reflected light is the light that is seen and not clipped. If both factors are unknown,
+    similar factors are preferred, because both belong to the same kind of light.
     """
     flux = (parts * solid_angles(parts.shape[1])).sum(axis=(1, 2))
     total = flux[0] + tried @ flux[1:]
@@ -119,7 +119,7 @@ def _usual(parts: Float64, tried: Float64) -> Float64:
 
 
 def _told(panorama: Panorama, place: Float64, surfaces: Surfaces, tried: Float64) -> Float64 | None:
-    """The factors by the surfaces' shading; None: it does not determine them."""
+    """Return the factors by the surfaces' shading; None if it does not determine them."""
     rows = _usable(panorama, place, surfaces)
     if len(rows) < NEIGHBOURS:
         return None
@@ -155,7 +155,7 @@ def _told(panorama: Panorama, place: Float64, surfaces: Surfaces, tried: Float64
 
 
 def _usable(panorama: Panorama, place: Float64, surfaces: Surfaces) -> Float64:
-    """Rows of surfaces that are seen from the place, and neither dark nor clipped."""
+    """Return rows of surfaces that are seen from the place, and neither dark nor clipped."""
     height = len(panorama.distance)
     away = surfaces.places - place
     distance = np.maximum(np.linalg.norm(away, axis=1), 1e-12)
@@ -171,7 +171,7 @@ def _usable(panorama: Panorama, place: Float64, surfaces: Surfaces) -> Float64:
 
 
 def _pairs(normals: Float64, colours: Float64) -> tuple[Float64, Float64]:
-    """Rows of pairs of surfaces of one colour that face different ways."""
+    """Return rows of pairs of surfaces with the same colour that face different ways."""
     tints = np.log(colours[:, (0, 2)] / colours[:, 1:2])
     away, near = cKDTree(tints).query(tints, k=min(NEIGHBOURS, len(tints)), p=np.inf)
     a = np.repeat(np.arange(len(tints)), near.shape[1])
@@ -181,7 +181,7 @@ def _pairs(normals: Float64, colours: Float64) -> tuple[Float64, Float64]:
 
 
 def _irradiance(panorama: Panorama, normals: Float64) -> Float64:
-    """(N, 3) on surfaces with these normals, of the three parts of the light."""
+    """Return the irradiance (N, 3) at these normals from the three parts of the light."""
     parts = panorama.parts(ROWS)
     parts = parts * solid_angles(parts.shape[1])
     ways = directions(parts.shape[1]).reshape(-1, 3)

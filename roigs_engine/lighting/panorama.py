@@ -23,10 +23,10 @@ from ..rasterize.instances import Instance
 from ..rasterize.light import to_linear
 from ..rasterize.panorama import render_panorama
 
-CLIPPED = 250 / 255  # sRGB value from which photos may have lost light, in all channels
-THERE = 0.5  # alpha of a pixel that shows a surface
-LAMP = 1.0  # degrees across, at least, is what is clipped and counts
-RAMP = 12  # degrees from the rim of a hole to where it is wholly unseen
+CLIPPED = 250 / 255  # sRGB value of all channels from which photos may have lost light
+THERE = 0.5  # alpha above which a pixel shows a surface
+LAMP = 1.0  # least width of clipped light that counts, degrees
+RAMP = 12  # degrees from the rim of a hole to its wholly unseen part
 
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -34,16 +34,16 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Panorama:
-    """The light from all around, linear: 1 for what is white in the photos.
+    """The light from all around, linear: 1 is white in the photos.
 
     Attributes:
-        shown: (H, 2 H, 3) what Gaussians show.
-        guessed: (H, 2 H, 3) what fills the holes: the sum of both has none.
-        unseen: (H, 2 H) how far a pixel is in a hole above the horizon, where lamps and the sky
-            are: from 0, at its rim and at the horizon, to 1.
-        clipped: (H, 2 H) where photos cannot show how bright it is.
+        shown: (H, 2 H, 3) light that Gaussians show.
+        guessed: (H, 2 H, 3) light that fills the holes; the sum of both has no holes.
+        unseen: (H, 2 H) how deep a pixel is in a hole above the horizon, where lamps and the sky
+            are: from 0, at the hole's rim and at the horizon, to 1.
+        clipped: (H, 2 H) pixels whose light is too bright for the photos.
         seen: share of the directions, by solid angle, that Gaussians show.
-        distance: (H, 2 H) of what is shown; `NOTHING` where nothing is.
+        distance: (H, 2 H) distance of what is shown; `NOTHING` in empty pixels.
     """
 
     shown: Float32
@@ -55,19 +55,19 @@ class Panorama:
 
     @property
     def light(self) -> Float32:
-        """(H, 2 H, 3) as the photos show it."""
+        """Return the light (H, 2 H, 3) as the photos show it, with holes filled."""
         return self.shown + self.guessed
 
     def brightened(self, highlights: float, unseen: float | None = None) -> Float32:
-        """(H, 2 H, 3) the light, with two parts of it multiplied.
+        """Return the light (H, 2 H, 3) with two parts of it multiplied.
 
-        The light of what is not shown is neutral: cameras make the usual light white, and what
-        stands around, such as a red cloth, is no lamp.
+        The added light of unseen directions is neutral: cameras make the usual light white, and
+        objects around a hole, such as a red cloth, are no lamps.
 
         Args:
-            highlights: factor of what is clipped.
-            unseen: factor of what is not shown, above the horizon; None: it stays as it is guessed,
-                which is what mirrors are to show.
+            highlights: factor of clipped light.
+            unseen: factor of unseen light above the horizon; None: it stays as guessed, for the
+                picture that mirrors show.
         """
         bright = np.where(self.clipped[..., None], np.float32(highlights), np.float32(1))
         guessed = self.guessed
@@ -77,10 +77,10 @@ class Panorama:
         return np.asarray(bright * self.shown + guessed, np.float32)
 
     def parts(self, rows: int) -> Float64:
-        """(3, h, 2 h) brightness: of what is shown, of what is clipped, of what is unseen.
+        """Return the brightness (3, h, 2 h) of three parts: usual, clipped, and unseen light.
 
         Args:
-            rows: h is about so many, if there are more.
+            rows: about the number of rows h, if the panorama has more.
         """
         shown, guessed = (light.mean(axis=-1).astype(float) for light in (self.shown, self.guessed))
         unseen = self.unseen * guessed
@@ -93,7 +93,7 @@ class Panorama:
 
 
 def directions(height: int) -> Float64:
-    """(H, 2 H, 3) unit vectors in the world of the pixels of a panorama."""
+    """Return the directions (H, 2 H, 3) of a panorama's pixels: unit vectors in the world."""
     around = np.pi - (np.arange(2 * height) + 0.5) / height * np.pi
     up = np.pi / 2 - (np.arange(height)[:, None] + 0.5) / height * np.pi
     parts = np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)
@@ -101,7 +101,7 @@ def directions(height: int) -> Float64:
 
 
 def solid_angles(height: int) -> Float64:
-    """(H, 1) of the pixels of a panorama, steradians."""
+    """Return the solid angles (H, 1) of a panorama's pixels, steradians."""
     edges = np.sin(np.pi / 2 - np.arange(height + 1) / height * np.pi)
     return np.asarray((edges[:-1] - edges[1:])[:, None] * np.pi / height)
 
@@ -109,7 +109,7 @@ def solid_angles(height: int) -> Float64:
 def panorama(
     models: Sequence[Instance], place: Float64, height: int, context: Context = QUIET
 ) -> Panorama:
-    """The light that comes to a place.
+    """Draw the light that comes to a place.
 
     Args:
         models: on the CPU; z is up in their world.
@@ -145,13 +145,13 @@ def panorama(
 
 
 def _lamps(white: Mask) -> Mask:
-    """White areas without thin lines and dots, which are bright edges and no lamps."""
+    """Remove thin lines and dots from white areas; they are bright edges, and no lamps."""
     side = math.ceil(LAMP / 180 * len(white))
     return np.asarray(ndimage.binary_opening(white, np.ones((side, side))))
 
 
 def _unseen(alpha: Float32) -> Float32:
-    """(H, 2 H) `Panorama.unseen`; it rises slowly, so that no edge is seen."""
+    """Return `Panorama.unseen` (H, 2 H); it rises slowly, so that no edge is visible."""
     height, width = alpha.shape
     hole = np.concatenate([alpha, alpha, alpha], axis=1) <= THERE  # left and right edges meet
     hole = np.pad(hole, ((height, 0), (0, 0)), mode="reflect")  # nothing ends at the zenith
@@ -162,13 +162,13 @@ def _unseen(alpha: Float32) -> Float32:
 
 
 def filled(light: Float32, alpha: Float32) -> Float32:
-    """A picture without holes: what is around them, farther off where they are wider.
+    """Fill the holes of a picture with their surroundings, from farther away in wider holes.
 
-    By pyramids (pull and push, Gortler et al. 1996). The left and right edges meet.
+    It uses pyramids (pull and push, Gortler et al. 1996). The left and right edges meet.
 
     Args:
         light: (H, W, 3); H and W are powers of 2, or odd at some level of the pyramid.
-        alpha: (H, W) from 0 to 1: how much of a pixel is there.
+        alpha: (H, W) how much of a pixel is known, 0 to 1.
     """
     height, width = alpha.shape
     if min(height, width) < 2:
@@ -184,7 +184,7 @@ def filled(light: Float32, alpha: Float32) -> Float32:
 
 
 def _halved(picture: Float32) -> Float32:
-    """The means of 2 x 2 pixels; a last odd row or column counts twice."""
+    """Return the means of 2 x 2 pixels; a last odd row or column counts twice."""
     height, width = picture.shape[:2]
     padded = np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
     rows, columns = padded.shape[0] // 2, padded.shape[1] // 2
@@ -192,7 +192,7 @@ def _halved(picture: Float32) -> Float32:
 
 
 def _doubled(picture: Float32, height: int, width: int) -> Float32:
-    """Twice as large, between pixels, cut to a size."""
+    """Double a picture, with bilinear interpolation, and crop it to a size."""
     across = np.concatenate([picture[:, -1:], picture, picture[:, :1]], axis=1)
     both = np.concatenate([across[:1], across, across[-1:]], axis=0)
     for axis in (0, 1):
@@ -209,12 +209,12 @@ def _doubled(picture: Float32, height: int, width: int) -> Float32:
 def left_out(
     model: Instance, boxes: Sequence[OrientedBox], place: Float64, near: float
 ) -> Instance:
-    """A model without what is in boxes, and without what is near a place.
+    """Return a model without Gaussians in boxes or near a place.
 
     Args:
-        model: its own world is that of the boxes.
+        model: a model whose own world is that of the boxes.
         place: (3,) in the world.
-        near: distance of the centres of Gaussians from there, world units.
+        near: Gaussians with centres nearer to the place are left out, world units.
     """
     centres = model.gaussians.means.double().numpy()
     kept = np.ones(len(centres), bool)

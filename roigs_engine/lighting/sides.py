@@ -4,14 +4,14 @@ A panorama does not show a lamp out of view, or a window that photos show too da
 is visible on one side of the objects. An object with a mesh is a light probe. We assume that its
 bright surfaces are equally white in all directions, so the ratio of their brightness is the ratio
 of their irradiance (a white patch for each direction, separately for each object). The light from
-direction d is multiplied by exp(a · d), the smoothest gain with a direction, and the `a` that fits
-these ratios best. This applies only above the horizon, where lamps, windows and the sky are.
+direction d is multiplied by exp(a · d), the smoothest gain with a direction. The vector `a` is the
+best fit to these ratios. This applies only above the horizon, where lamps, windows and the sky are.
 Surfaces below it are lit themselves, and photos show their brightness.
 
 Shading does not determine the amount of light: a white object in half of the light looks like a
 grey one. But nothing is much whiter than white paint or paper. If bright surfaces would have to be
-whiter than that, there must be more light (the white patch of Retinex, Land and McCann 1971). It is
-added where photos cannot show it, or everywhere if that is not enough.
+whiter than that, there must be more light (the white patch of Retinex, Land and McCann 1971). This
+light is added where photos cannot show it, or everywhere if that is not enough.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from ..rasterize.instances import NOTHING
 from .highlights import BRIGHTEST, MOST, Brightness, Surfaces
 from .panorama import RAMP, Float32, Panorama, directions, solid_angles
 
-NEAR = 0.5  # of the usual distance above the horizon: nearer objects have the same light
-WAYS, CONE = 64, 0.85  # directions; cosine between a normal and the direction that it counts for
+NEAR = 0.5  # objects nearer than this, in median distances above the horizon, have the same light
+WAYS, CONE = 64, 0.85  # directions; least cosine between a direction and normals that face it
 BRIGHT = 98  # percentile of the brightness, or albedo, of surfaces that face one way
-SAMPLES = 4000  # surfaces of a probe whose albedo is looked at
+SAMPLES = 4000  # surfaces of a probe whose albedo is used
 WHITE = 0.8  # albedo of white paint and paper
-FEWEST = 0.005  # share of an object's surface that faces a way, at least
-NOISE, INDEPENDENT = 0.25, 12  # of logarithms of ratios; of that many ways each says its own
+FEWEST = 0.005  # least share of an object's surface that faces a direction
+NOISE, INDEPENDENT = 0.25, 12  # of logarithms of ratios; number of independent directions
 USUAL = 1.4  # standard deviation of `a`: usual places have no strong side
-ROWS = 32  # of the picture that is summed
-HALVINGS = 8  # of the range of a factor that is sought, in its logarithm: to 1 %
+ROWS = 32  # about how many rows of the picture are used
+HALVINGS = 8  # of the range of a factor's logarithm in the search for it, to 1 %
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,9 +45,9 @@ class Shading:
 
     Attributes:
         light: (H, 2 H, 3) linear.
-        factors: of what photos clip, and of what none shows.
-        sides: (H, 2 H) what it was multiplied by then.
-        white: what all of it was multiplied by last.
+        factors: factors of clipped and of unseen light, applied first.
+        sides: (H, 2 H) factors of the light's side, applied next.
+        white: factor of all light, applied last.
     """
 
     light: Float32
@@ -65,12 +65,12 @@ def shading(
     *,
     given: bool,
 ) -> Shading:
-    """The light with its side, and so much that nothing is whiter than white.
+    """Estimate the light with its side, and enough of it that nothing is whiter than white.
 
     Args:
-        factors: that were found or given.
-        place: (3,) where the panorama was drawn, in the world of the surfaces.
-        given: the factors stay as they are, and so does the scale.
+        factors: factors that were found or given.
+        place: (3,) the panorama's point, in the world of the surfaces.
+        given: whether the factors are given; then they and the amount of light stay as they are.
     """
     probes = [*objects, surroundings] if surroundings else objects
     near = _near(panorama.distance, place, objects)
@@ -101,13 +101,13 @@ def shading(
 
 
 def gain(light: Float32, distance: Float32, place: Float64, objects: Sequence[Surfaces]) -> Float32:
-    """Factors (H, 2 H) for a panorama's light (H, 2 H, 3).
+    """Return factors (H, 2 H) of the side for a panorama's light (H, 2 H, 3).
 
-    On the objects, the mean light stays as it is. All is 1 if no object is near.
+    The mean light on the objects does not change. All factors are 1 if no object is near.
 
     Args:
-        light: drawn at the place, in the world of the objects.
-        distance: (H, 2 H) of what is seen.
+        light: light at the place, in the world of the objects.
+        distance: (H, 2 H) distance of what is seen.
         place: (3,)
         objects: places, normals and colours of each.
     """
@@ -115,13 +115,13 @@ def gain(light: Float32, distance: Float32, place: Float64, objects: Sequence[Su
 
 
 def _sided(light: Float32, sides: Float32) -> Float32:
-    """A light (H, W, 3) with its side. Added light is neutral, as unseen light is."""
+    """Multiply a light (H, W, 3) by its side; added light is neutral, like unseen light."""
     less, more = np.minimum(sides, 1)[..., None], np.maximum(sides - 1, 0)
     return np.asarray(less * light + (more * light.mean(axis=-1))[..., None], np.float32)
 
 
 def _above(ways: Float64) -> Float64:
-    """Height of directions (..., 3) above the horizon: from 0 there to 1 and on."""
+    """Return the height of directions (..., 3): 0 up to the horizon, 1 from `RAMP` degrees."""
     return np.asarray(np.clip(np.degrees(np.arcsin(np.clip(ways[..., 2], -1, 1))) / RAMP, 0, 1))
 
 
@@ -130,8 +130,8 @@ Told = list[tuple[Float64, Float64]]
 
 
 def _near(distance: Float32, place: Float64, objects: Sequence[Surfaces]) -> Told:
-    """Brightness of the objects near the place, see `_told`."""
-    above = distance[: len(distance) // 2]  # the light's way; what stands on a table is near that
+    """Return the brightness of the objects near the place; see `_told`."""
+    above = distance[: len(distance) // 2]  # where light comes from; tables below are near
     seen_at = above[above < NOTHING]
     reach = NEAR * float(np.median(seen_at)) if len(seen_at) else 0.0
     near = [
@@ -152,13 +152,13 @@ def _gain(light: Float32, found: Told) -> Float32:
     seen, high = np.maximum(facing @ ways.T, 0), _above(ways)
     parts = (1 + 0 * high, 1 - high, high * np.exp(ways @ side))
     levels = np.stack([seen @ (flux * part) for part in parts])
-    whole, low, lit = levels[:, levels[0] > 0]  # what no light reaches stays as it is
+    whole, low, lit = levels[:, levels[0] > 0]  # surfaces without light do not count
 
     def brighter(kept: float) -> float:
         return float(np.mean(np.log((low + np.exp(kept) * lit) / whole))) if len(whole) else 0.0
 
-    most = float(np.linalg.norm(side))  # of its logarithm: with it, all is brighter or darker
-    matters = brighter(-most) < 0 < brighter(most)  # not without light above the horizon
+    most = float(np.linalg.norm(side))  # with this logarithm, all light is brighter, or darker
+    matters = brighter(-most) < 0 < brighter(most)  # false without light above the horizon
     kept = np.exp(brentq(brighter, -most, most)) if matters else 1.0
     every = directions(len(light))
     above = _above(every)
@@ -166,7 +166,7 @@ def _gain(light: Float32, found: Told) -> Float32:
 
 
 def whiteness(light: Float32, probes: Sequence[Surfaces]) -> float:
-    """The least factor for the light, 1 or more, with which no probe is whiter than white.
+    """Return the least factor for the light, 1 or more, with which no probe is whiter than white.
 
     Args:
         light: (H, 2 H, 3) in the world of the probes, with its side.
@@ -177,7 +177,7 @@ def whiteness(light: Float32, probes: Sequence[Surfaces]) -> float:
         return 1.0
     whitest = np.log(WHITE)
     for probe in probes:
-        kept = np.flatnonzero(probe.colours.max(axis=1) < BRIGHTEST)  # a window is no white thing
+        kept = np.flatnonzero(probe.colours.max(axis=1) < BRIGHTEST)  # a window is no white object
         kept = np.random.default_rng(0).permutation(kept)[:SAMPLES]
         normals, bright = probe.normals[kept], probe.colours[kept].mean(axis=1)
         given = np.maximum(normals @ ways.T, 0) @ flux / np.pi
@@ -188,12 +188,12 @@ def whiteness(light: Float32, probes: Sequence[Surfaces]) -> float:
 
 
 def _told(surfaces: Surfaces) -> tuple[Float64, Float64]:
-    """Ways (N, 3) that enough of an object faces, and the logarithms of its brightness there."""
+    """Return ways (N, 3) that enough of an object faces, and logarithms of its brightness there."""
     return _brightest(surfaces.normals, surfaces.colours.mean(axis=1))
 
 
 def _brightest(normals: Float64, values: Float64) -> tuple[Float64, Float64]:
-    """Ways (N, 3) that enough normals face, and the logarithms of the largest values there."""
+    """Return ways (N, 3) that enough normals face, and logarithms of the largest values there."""
     if not len(normals):
         return np.zeros((0, 3)), np.zeros(0)
     k = np.arange(WAYS) + 0.5
@@ -207,7 +207,7 @@ def _brightest(normals: Float64, values: Float64) -> tuple[Float64, Float64]:
 
 
 def _coarse(light: Float32) -> tuple[Float64, Float64]:
-    """Ways (N, 3) of fewer pixels, and the brightness times the solid angle from there (N,)."""
+    """Return ways (N, 3) of fewer pixels, and brightness times solid angle (N,) from there."""
     step = max(1, len(light) // ROWS)
     height = len(light) // step
     width = 2 * height
@@ -217,7 +217,7 @@ def _coarse(light: Float32) -> tuple[Float64, Float64]:
 
 
 def _fitted(found: Sequence[tuple[Float64, Float64]], ways: Float64, flux: Float64) -> Float64:
-    """The vector `a` (3,); each object's brightness has a factor of its own: its white."""
+    """Fit the vector `a` (3,); each object's brightness has a free factor: how white it is."""
     seen = [np.maximum(normals @ ways.T, 0) for normals, _ in found if len(normals)]
     values = [bright for normals, bright in found if len(normals)]
     if not seen or not flux.sum() > 0:

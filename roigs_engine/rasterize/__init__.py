@@ -1,4 +1,4 @@
-"""Rendering of 3D Gaussians and its gradient (3D Gaussian Splatting, Kerbl et al. 2023).
+"""Renders 3D Gaussians, and computes the gradient (3D Gaussian Splatting, Kerbl et al. 2023).
 
 `rasterize` is the only entry point. Four backends compute the same function:
 
@@ -7,25 +7,25 @@
     cuda        our CUDA kernels: float32 tensors on an NVIDIA GPU
     gpu         compute shaders on any GPU: float32 tensors on the CPU
 
-Each Gaussian is projected with the EWA approximation (3DGS, section 4; Zwicker et al. 2001),
-coloured by its spherical harmonics (SH), max(SH(direction) + 0.5, 0), and blended front to back by
-the camera depth of its centre (3DGS, eq. 3): as sRGB values, or with `linear_light` as light. Pixel
-centres lie at +0.5. The constants of the model (near plane, opacity bounds) are in
+Each Gaussian is projected with the EWA approximation (3DGS, section 4; Zwicker et al. 2001). Its
+colour comes from spherical harmonics (SH), max(SH(direction) + 0.5, 0). Gaussians are blended front
+to back by the camera depth of their centres (3DGS, eq. 3), as sRGB values, or with `linear_light`
+as light. Pixel centres lie at +0.5. The constants of the model (near plane, opacity bounds) are in
 `rasterize.inputs`. A Gaussian with NaN or Inf is culled; its gradient is zero.
 
-Within `limits`, a Gaussian is culled if it lies far beside the image or reaches behind the camera.
-There the EWA approximation fails: a needle just before the camera plane would cover the image like
-fog. `view.render_view` has such limits (`limits.PICTURE_LIMITS`), and so have half of the training
-steps (`limits.training_limits`). Training stops earlier where hardly any light is left
-(`limits.TRAINING_LIMITS`).
+With `limits`, a Gaussian is culled if it lies far beside the image or reaches behind the camera.
+There the EWA approximation fails: a needle just in front of the camera plane would cover the image
+like fog. `view.render_view` uses such limits (`limits.PICTURE_LIMITS`), and so do half of the
+training steps (`limits.training_limits`). In training, blending stops earlier where hardly any
+light is left (`limits.TRAINING_LIMITS`).
 
 A `mask` is x0, y0, x1, y1 in pixels, end exclusive, or bool (H, W). Only the 16x16 tiles that it
 touches are active, forward and backward; other pixels get the background. `ActiveTiles` are faster,
-and may have a window: images then hold that part of the picture alone.
+and may have a window: images then contain only this part of the picture.
 
 Cameras and background get no gradient. With a `backward_step`, the backward pass touches only the
-rows of Gaussians that pixels give a gradient: the cost of a training step does not depend on the
-others.
+rows of Gaussians that get a gradient from pixels. The cost of a training step does not depend on
+the others.
 """
 
 from __future__ import annotations
@@ -69,26 +69,26 @@ def rasterize(
     width: int,
     height: int,
     *,
-    sh_degree: int | None = None,  # bands above it are ignored, without gradient; None: no limit
-    raw: bool = False,  # scales are natural logs and opacities logits: the form that is trained
+    sh_degree: int | None = None,  # bands above it are ignored, without gradient; None for no limit
+    raw: bool = False,  # scales are natural logs and opacities logits, as in training
     limits: Limits = NO_LIMITS,  # which Gaussians are culled, and where blending ends
-    background: Tensor | None = None,  # (3,) colour behind everything; None: black
+    background: Tensor | None = None,  # (3,) colour behind everything; None for black
     with_depth: Depth = False,  # also return the mean depth, or the "median"
     with_max_weight: bool = False,  # also return each Gaussian's largest blending weight
     with_weight_sum: bool = False,  # also return the sum of its weights
     with_surface: bool = False,  # also return depth and normals, with gradients; see `Surface`
-    pixel_weights: Tensor | None = None,  # (C, H, W) factors in `weight_sum`; None: 1
+    pixel_weights: Tensor | None = None,  # (C, H, W) factors in `weight_sum`; None for 1
     mask: Mask = None,
-    linear_light: bool = False,  # colours are blended as light, as Blender does; not as sRGB values
+    linear_light: bool = False,  # colours are blended as light, as in Blender; not as sRGB values
     antialiased: bool = False,  # a Gaussian below a pixel's size is fainter, not larger
     blur: float = BLUR,  # added to the 2D covariance's diagonal, px^2 of the whole photo
-    pixel_size: float = 1.0,  # side of a pixel in the whole photo's: draws what averaging would
+    pixel_size: float = 1.0,  # side of a pixel, in pixels of the whole photo; acts like averaging
     backward_step: BackwardStep | None = None,  # of one camera, taken by `backward`, once
-    backend: str = "auto",  # auto: for float32 the device's compiled one, else the reference
+    backend: str = "auto",  # auto: the device's compiled one for float32, else the reference
 ) -> RenderOutput:
     """Render N Gaussians for C cameras; `image` is differentiable in the first five arguments.
 
-    EngineError: the arguments do not fit. KernelError: too large a view, or no such backend here.
+    EngineError: wrong arguments. KernelError: the view is too large, or the backend is missing.
     """
     parameters = (means, quats, scales, opacities, sh)
     check_inputs(parameters, viewmats, Ks, width, height)
@@ -121,7 +121,7 @@ def rasterize(
 
 
 def _chosen(backend: str, parameters: tuple[Tensor, ...]) -> str:
-    """The backend to use: for "auto" the compiled one of the device, where there is one."""
+    """Return the backend to use; for "auto", the compiled one of the device if there is one."""
     if backend not in BACKENDS:
         raise EngineError(f"rasterize: unknown backend {backend!r}.", f"Use one of {BACKENDS}.")
     device, is_float = parameters[0].device.type, all(p.dtype == torch.float32 for p in parameters)
@@ -139,7 +139,7 @@ def _chosen(backend: str, parameters: tuple[Tensor, ...]) -> str:
 
 
 def _rendered(backend: str, inputs: RenderInputs) -> RenderOutput:
-    """By a backend, which is imported when it is first used."""
+    """Render with a backend, which is imported at its first use."""
     if backend != "gpu":
         inputs.settle()
     if backend == "cpu":

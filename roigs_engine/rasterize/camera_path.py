@@ -28,7 +28,7 @@ MAX_SIDE = 16384  # pixels; a larger width or height in a path file is a mistake
 
 
 def load_camera_path(path: Path) -> list[tuple[str, Camera, Float64]]:
-    """The cameras of a path file, as (name, camera, world_to_camera), in the file's order.
+    """Load the cameras of a path file, as (name, camera, world_to_camera), in the file's order.
 
     ConfigError: the file is unreadable or malformed; the message names the camera.
     """
@@ -54,7 +54,7 @@ def load_camera_path(path: Path) -> list[tuple[str, Camera, Float64]]:
 
 
 def camera_from_record(record: Any) -> tuple[str, Camera, Float64]:
-    """One entry of a path file; KeyError, TypeError, ValueError or OverflowError if malformed."""
+    """Parse an entry of a path file; KeyError, TypeError, ValueError, OverflowError if bad."""
     if not isinstance(record, dict):
         raise TypeError("not an object")
     name = record["name"]

@@ -1,4 +1,4 @@
-"""The CPU backend: the C++ kernels. kernels/roigs.h documents the interface and call order.
+"""The CPU backend: C++ kernels. kernels/roigs.h documents the interface and the call order.
 
 Intermediate results stay in a `KernelView` on the C++ side; its memory is reused in each step.
 """
@@ -23,7 +23,7 @@ _SMALLER = "Render a smaller image, or fewer or smaller Gaussians."
 
 
 class KernelView:
-    """The results of a forward pass that its backward pass needs, on the C++ side.
+    """Results of a forward pass for its backward pass, on the C++ side.
 
     Idle views are kept: reused memory causes no page faults, which would take longer than some of
     the kernels.
@@ -43,7 +43,7 @@ class KernelView:
 
     @classmethod
     def take(cls) -> KernelView:
-        """The view given back last, which may still be in the caches, or a new one."""
+        """Return the view given back last, which may still be in the caches, or a new one."""
         try:
             return cls._idle.pop()
         except IndexError:
@@ -77,7 +77,7 @@ def render(inputs: RenderInputs) -> RenderOutput:
 
 
 class CameraView:
-    """See `kernel_function.BackendView`; gives its view on the C++ side back when it is dropped."""
+    """A `kernel_function.BackendView`; gives its C++ view back when it is garbage-collected."""
 
     def __init__(
         self, inputs: RenderInputs, c: int, parameters: list[Tensor], visible: Tensor
@@ -86,7 +86,7 @@ class CameraView:
         view = KernelView.take()
         weakref.finalize(self, view.give_back)
         self._call, mask = view.call, inputs.tile_mask
-        # Kept alive: the structures point to them.
+        # Kept alive, because the structures point to them.
         self._parameters = parameters
         self._tile_mask = None if mask is None else mask.to("cpu", torch.uint8).contiguous()
         self._camera = camera_of(inputs, c)
@@ -129,11 +129,11 @@ class CameraView:
 
 
 def camera_of(inputs: RenderInputs, c: int) -> bindings.Camera:
-    """Camera `c` as the kernels take it, without its tiles' mask."""
+    """Return camera `c` in the kernels' form, without the mask of its tiles."""
     view, K = inputs.viewmats[c].tolist(), inputs.Ks[c].tolist()
     camera = bindings.Camera()
     camera.world_to_camera[:] = [*view[0], *view[1], *view[2]]
-    # Python's floats are float64: needed here, as differences of large numbers lose digits
+    # Python's floats are float64, needed here because differences of large numbers lose digits
     camera.position[:] = [-sum(view[j][i] * view[j][3] for j in range(3)) for i in range(3)]
     camera.focal_and_centre[:] = [K[0][0], K[1][1], K[0][2], K[1][2]]
     camera.background[:] = inputs.background.tolist()

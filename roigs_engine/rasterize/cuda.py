@@ -1,8 +1,8 @@
 """The CUDA backend: our CUDA kernels.
 
-cuda/kernels/frame.h has the kernels' interface and their order. Between them torch sorts: Gaussians
-by depth, then the (Gaussian, tile) pairs by tile; both sorts are stable. Only the card knows the
-number of pairs: a view without a buffer for them (`cuda.pair_buffers`) waits for the number, once.
+cuda/kernels/frame.h has the kernels' interface and their order. Between them, torch sorts Gaussians
+by depth, then (Gaussian, tile) pairs by tile; both sorts are stable. The number of pairs is only
+known on the card: a view without a buffer for them (`cuda.pair_buffers`) waits for it, once.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from ..model.gaussians import NAMES
 from . import kernel_function
 from .inputs import RenderInputs, RenderOutput
 
-_MOST_PAIRS = 2**31 - 2**12  # 32-bit places in lists, and the batch behind the last one
+_MOST_PAIRS = 2**31 - 2**12  # positions in lists have 32 bits, also in the batch after the last
 
 
 def render(inputs: RenderInputs) -> RenderOutput:
@@ -51,8 +51,8 @@ class CameraView:
     Attributes:
         frame: the kernels' argument.
         kept: the tensors that it points to.
-        pairs: of Gaussians and tiles; the buffer's capacity, if there is one.
-        groups: blocks that walk over the pixels, at most.
+        pairs: number of pairs of Gaussians and tiles; the buffer's capacity, if there is one.
+        groups: largest number of blocks that walk over the pixels.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class CameraView:
         self.launch(kernel, -(-self.frame.gaussians.count // ROWS), ROWS)
 
     def _count(self, total: Tensor) -> bool:
-        """Set how many pairs there are, or the buffer holds; whether slots may be left."""
+        """Set the number of pairs or the buffer's capacity; return whether slots may stay empty."""
         step = self.inputs.backward_step
         buffer = None if step is None else step.pair_buffer
         known = None if buffer is None else buffer.capacity
@@ -131,7 +131,7 @@ class CameraView:
             shape.tile_mask = address(self.kept["mask"])
 
     def list_tiles(self, *, may_leave_slots: bool) -> None:
-        """Make the tiles' lists; slots that are left are sorted behind those of all tiles."""
+        """Make the tiles' lists; empty slots are sorted behind those of all tiles."""
         if self.pairs > _MOST_PAIRS:
             raise KernelError(
                 f"This view has {self.pairs} pairs of Gaussians and tiles: more than 2^31.",
@@ -146,7 +146,7 @@ class CameraView:
         self.set(**{"short_tiles" if short else "tiles": keys}, ids=ids)
         self.launch_rows("list_tiles")
         by_tile, entries = torch.sort(keys, stable=True)
-        self.groups = self.pairs // GROUP + tiles  # the number itself is on the device
+        self.groups = self.pairs // GROUP + tiles  # upper limit; the exact number is on the device
         self.frame.pairs = self.pairs
         self.set(
             **{"short_sorted" if short else "sorted": by_tile},

@@ -1,9 +1,9 @@
 """The backend for every GPU: compute shaders, through wgpu (Vulkan, Metal, DirectX 12).
 
 gpu/shaders/frame.wgsl has the kernels' buffers and their order. Tensors are in main memory: the
-parameters are sent to the GPU, pictures and gradients come back. The CPU draws outputs without
-shaders (a surface, the median depth), and views with more pairs of Gaussians and tiles than the
-GPU's buffers hold.
+parameters are sent to the GPU, and pictures and gradients are read back. The CPU draws outputs
+without shaders (a surface, the median depth), and views with more pairs of Gaussians and tiles than
+the GPU's buffers hold.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from .inputs import TILE, RenderInputs, RenderOutput
 
 RESIDENT = {name: name for own in NAMES for name in (f"{own}_shapes", f"{own}_sh")}
 GRADIENTS = {"shapes": "shape_gradients", "sh": "sh_gradients"}
-CHECKPOINT = 16 * PIXELS  # bytes in front of a bucket
-SHAPE = 11  # numbers of a Gaussian beside its SH
+CHECKPOINT = 16 * PIXELS  # bytes of a checkpoint before a bucket
+SHAPE = 11  # numbers of a Gaussian besides its SH
 DEPTH_BITS = 32
 DEPTH_JOB, COUNT_JOB, TILE_JOB, JOBS = 0, 8, 9, 16
 CAMERA_BYTES = bindings.Camera.window.offset + bindings.Camera.window.size
@@ -54,7 +54,7 @@ def render(inputs: RenderInputs) -> RenderOutput:
 
 
 def fits(program: Program, inputs: RenderInputs) -> bool:
-    """Whether a buffer of the GPU holds the SH, and the picture."""
+    """Whether the SH, and the picture, each fit into a buffer of the GPU."""
     left, top, right, bottom = inputs.window
     largest = max(inputs.parameters[4].numel(), 5 * (right - left) * (bottom - top))
     return 4 * largest <= program.adapter.largest
@@ -63,7 +63,7 @@ def fits(program: Program, inputs: RenderInputs) -> bool:
 def begin(
     inputs: RenderInputs, c: int, parameters: list[Tensor], visible: Tensor
 ) -> kernel_function.BackendView:
-    """A view on the GPU, or by the processor, if it has too many pairs."""
+    """Begin a view on the GPU, or on the CPU if it has too many pairs."""
     program = opened()
     assert program is not None
     with program.explained(f"drawing {len(parameters[0]):,} Gaussians"):
@@ -76,7 +76,7 @@ def begin(
 
 
 def most_pairs(largest: int, tiles: int) -> int:
-    """The pairs that buffers of so many bytes hold; `tiles`: that have checkpoints."""
+    """Return the number of pairs that fit into buffers of `largest` bytes, with `tiles` tiles."""
     buckets = largest // CHECKPOINT - tiles
     return min(buckets * BUCKET, largest // (4 * MOMENTS), 2**31)
 
@@ -85,9 +85,9 @@ class CameraView:
     """One camera's frame, from kernel to kernel; see `kernel_function.BackendView`.
 
     Attributes:
-        pairs: of Gaussians and tiles.
-        tiles: in the rectangle of active ones.
-        keeps: whether blending leaves checkpoints.
+        pairs: number of pairs of Gaussians and tiles.
+        tiles: number of tiles in the rectangle of active ones.
+        keeps: whether blending writes checkpoints.
     """
 
     def __init__(
@@ -179,7 +179,7 @@ class CameraView:
 
     @property
     def _buckets(self) -> int:
-        """Groups that walk over the pixels, at most."""
+        """Return the largest number of groups that walk over the pixels."""
         return self.pairs // BUCKET + self.tiles
 
     def draw(self, outputs: kernel_function.Outputs) -> None:
@@ -251,13 +251,13 @@ class CameraView:
                 self._read_gradients()
 
     def _read_rows(self, results: NDArray[np.uint8]) -> NDArray[np.uint32]:
-        """Write `grad2d`; (N,) what frame.wgsl says of rows in bits."""
+        """Write `grad2d`; return the rows' flags (N,), whose bits frame.wgsl describes."""
         norms, flags = results.view(np.uint32).reshape(-1, 2).T
         self._grad2d.copy_(torch.from_numpy(norms.copy().view(np.float32)))
         return np.asarray(flags)
 
     def _read_gradients(self) -> None:
-        """Once they are here, a GPU that is lost loses nothing."""
+        """Read the gradients, so that a lost GPU loses nothing afterwards."""
         count, sh = self.count, self._parameters[4]
         shapes, of_sh, results = self.work.read(
             ("shape_gradients", 4 * SHAPE * count),
@@ -290,7 +290,7 @@ class CameraView:
         return int(bindings.kernels().roigs_adam(self.count, ctypes.byref(adam), rows))
 
     def _step_there(self, adam: bindings.Adam) -> int:
-        """Adam's step on the GPU; the number of rows that it leaves out."""
+        """Take Adam's step on the GPU; return the number of skipped rows."""
         memory, count = self.memory, self.count
         beta1, beta2 = adam.betas
         corrections = (1 - beta2**adam.step) ** -0.5, 1 / (1 - beta1**adam.step)

@@ -1,4 +1,4 @@
-"""Rendered images as files: PNGs, layers for compositing, the images along a camera path."""
+"""Writes rendered images: PNGs, layers for compositing, and images along a camera path."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def save_png(path: Path, image: NDArray[np.uint8]) -> None:
 
 
 def save_layer(out: Path, layer: Layer) -> None:
-    """Write the files of an answer (docs/files.md): its picture last, its mattes if it has some."""
+    """Write the files of an answer (docs/files.md), mattes if there are any; the picture last."""
     numbers = {depth_file(out): layer.depth}
     if layer.shares:
         numbers |= zip((index_file(out), share_file(out)), ranked(layer.shares), strict=True)
@@ -62,7 +62,7 @@ def save_light(path: Path, light: NDArray[np.float32]) -> None:
     """
     cv2: Any = package("cv2", "A panorama", "opencv-python-headless")
     done, data = cv2.imencode(".hdr", np.ascontiguousarray(light[..., ::-1], dtype=np.float32))
-    if not done:  # it writes through a temporary file of its own
+    if not done:  # OpenCV writes to its own temporary file first
         raise EngineError(
             f"{path} cannot be written to the folder for temporary files.",
             "Free some space there, or set TMPDIR to another folder.",
@@ -77,9 +77,9 @@ def render_sequence(
     out_dir: Path,
     context: Context = QUIET,
 ) -> list[Path]:
-    """Render every camera to `out_dir/NAME.png` (8-bit sRGB); returns the files in this order.
+    """Render every camera to `out_dir/NAME.png` (8-bit sRGB); return the files in this order.
 
-    `model` is the Gaussians, or gives those that a camera with this world_to_camera needs.
+    `model` is the Gaussians, or a function that returns those for a camera and its world_to_camera.
     """
     context.emit(StageStarted(stage="render", total=len(cameras)))
     started = time.monotonic()

@@ -19,10 +19,10 @@ from .light import to_linear, to_srgb
 from .limits import Limits
 
 TILE = 16  # side of a pixel tile; culling, binning and masks work in whole tiles
-LONGEST_SIDE = 1 << 16  # px of an image: up to it, float32 positions have steps of 1/128 px
+LONGEST_SIDE = 1 << 16  # px of an image: up to this, float32 positions have steps of 1/128 px
 NEAR = 0.01  # Gaussians whose centre is nearer to the camera plane (scene units) are culled
 ALPHA_MIN = 1.0 / 255.0  # smaller contributions are skipped: 8-bit output would not show them
-ALPHA_MAX = 0.999  # of a pixel: keeps 1 / (1 - alpha) in the gradient finite
+ALPHA_MAX = 0.999  # keeps 1 / (1 - alpha) in the gradient finite
 FAINTEST = (ALPHA_MIN / 2) ** 2
 """Of areas, squared: Gaussians below this ratio are not drawn; keeps the root's gradient finite."""
 FRUSTUM_MARGIN = 0.3
@@ -30,7 +30,7 @@ FRUSTUM_MARGIN = 0.3
 PLANE_BLUR = 0.01
 """Added to the 2D covariance's diagonal, px^2, where a Gaussian's plane is found (`Surface`): keeps
 that of one that is as thin as a line finite."""
-STEEPEST = 1e30  # a slope that is none: in pixels still a float32
+STEEPEST = 1e30  # stands for no limit of slopes; in pixels, it is still a float32
 SH_SIZES = (1, 4, 9, 16)  # coefficients per colour for degrees 0 to 3
 
 Depth = bool | Literal["median"]
@@ -38,13 +38,13 @@ Depth = bool | Literal["median"]
 
 
 class Blur(NamedTuple):
-    """Added to the diagonal of the 2D covariance, px^2 of the picture.
+    """Blur added to the diagonal of the 2D covariance, px^2 of the picture.
 
-    With `stored`, a Gaussian has the opacity that is stored. The drawn one is as much lower as the
-    Gaussian is larger, so that its integral is the same.
+    With the blur `stored`, a Gaussian has its stored opacity. With `drawn`, it is larger, and its
+    opacity is lower by the same factor, so that its integral is the same.
     """
 
-    drawn: float  # in all
+    drawn: float  # the whole blur
     stored: float
 
 
@@ -52,14 +52,15 @@ class Blur(NamedTuple):
 class BackwardStep:
     """An optimizer step that the backward pass takes instead of returning gradients.
 
-    This is all that the rasterizer knows about the optimizer.
+    It is the rasterizer's only interface to the optimizer.
 
     Attributes:
         tensors: those that the step updates, in the order of `rasterize`'s first five arguments.
         take: takes the step with a kernel, which gets the address of a `bindings.Adam` and returns
-            the number of rows that it skipped for a NaN or Inf gradient.
-        pair_buffer: for the view's pairs on a GPU, so that nothing waits for it; None: it waits.
-        resident: where the tensors are if the `gpu` backend keeps them; None: always here.
+            the number of rows skipped because of NaN or Inf gradients.
+        pair_buffer: buffer for the view's pairs on a GPU, to avoid waiting for it; None to wait.
+        resident: the tensors on the GPU, if the `gpu` backend keeps them there; None if it does
+            not.
     """
 
     tensors: tuple[Tensor, ...]
@@ -69,23 +70,21 @@ class BackwardStep:
 
 
 class Surface(NamedTuple):
-    """Depths and normals of C pictures; all have gradients, that of `median` in its Gaussian alone.
+    """Depths and normals of C pictures, all with gradients; `median`'s only to its own Gaussian.
 
-    A Gaussian's plane is where it is densest along rays, with rays parallel to the one through its
-    centre (RaDe-GS, Zhang et al. 2024, sec. 3.2). So its depth is affine in the pixel: with J W R S
-    = U (2, 3) and the camera's z axis in the Gaussian's own, w = R_z S (3,), it changes by
-    w U^T (U U^T)^-1 per pixel. The plane's normal points to the camera.
+    A Gaussian's plane has its points of highest density along rays, with rays parallel to the one
+    through its centre (RaDe-GS, Zhang et al. 2024, sec. 3.2). So the plane's depth is affine in the
+    pixel: with J W R S = U (2, 3) and the camera's z axis in the Gaussian's frame, w = R_z S (3,),
+    it changes by w U^T (U U^T)^-1 per pixel. The plane's normal points to the camera.
     """
 
-    depth: Tensor  # (C, H, W) along z, sum(w z) / sum(w) with z of the planes; 0: nothing is there
-    median: (
-        Tensor  # (C, H, W) of the Gaussian behind which less than half of the light is left, or 0
-    )
-    normal: Tensor  # (C, H, W, 3) camera frame, sum(w n): as long as alpha, at most
+    depth: Tensor  # (C, H, W) along z, sum(w z) / sum(w) with z of the planes; 0 where empty
+    median: Tensor  # (C, H, W) of the Gaussian that leaves at most half of the light; 0: none does
+    normal: Tensor  # (C, H, W, 3) camera frame, sum(w n): its length is at most alpha
 
     @classmethod
     def of(cls, planes: Tensor, alpha: Tensor) -> Surface:
-        """From (C, 5, H, W) sum(w z), the median and sum(w n), and alpha (C, H, W)."""
+        """Make it from (C, 5, H, W) sum(w z), the median and sum(w n), and alpha (C, H, W)."""
         depth, median, *normal = planes.unbind(1)
         mean = depth / torch.where(alpha > 0, alpha, 1.0)
         return cls(mean, median, torch.stack(normal, dim=-1))
@@ -93,15 +92,15 @@ class Surface(NamedTuple):
 
 @dataclass(frozen=True)
 class RenderOutput:
-    """The output of `rasterize` for C cameras, N Gaussians.
+    """The output of `rasterize` for C cameras and N Gaussians.
 
-    Only `image` has a gradient, and with a `surface` it and `alpha` have.
+    Only `image` has a gradient; with a `surface`, that and `alpha` have one, too.
 
-    H and W are those of the window, if there is one. `grad2d` is zero until `backward()` has run;
-    then |dL / d(projected centre)| with x scaled by width / 2 and y by height / 2: 3DGS's criterion
-    for densification. `depth` is that of the camera, 0 where no Gaussian is: the mean
-    sum(w z) / sum(w), or the median, the depth of the Gaussian at which the weights w = alpha * T,
-    added front to back, reach half of their sum.
+    H and W are those of the window, if there is one. `grad2d` is zero until `backward()` has run.
+    Then it is |dL / d(projected centre)| with x scaled by width / 2 and y by height / 2: 3DGS's
+    criterion for densification. `depth` is along the camera's axis, 0 without a Gaussian. It is the
+    mean sum(w z) / sum(w), or the median: the depth of the Gaussian at which the weights
+    w = alpha * T, added front to back, reach half of their sum.
     """
 
     image: Tensor  # (C, H, W, 3) sRGB values, background included
@@ -114,10 +113,10 @@ class RenderOutput:
     surface: Surface | None
 
     def cut(self, window: tuple[int, int, int, int]) -> RenderOutput:
-        """The part of whole images that is in a window; itself, if that is all."""
+        """Return the part of whole images in a window; itself if the window is the whole."""
         left, top, right, bottom = window
         if self.alpha.shape[1:] == (bottom - top, right - left):
-            return self  # even a slice of everything is a copy in the backward pass
+            return self  # even a full slice would be copied in the backward pass
         columns, rows = slice(left, right), slice(top, bottom)
         return replace(
             self,
@@ -130,7 +129,7 @@ class RenderOutput:
         )
 
     def in_srgb(self, *, linear_light: bool) -> RenderOutput:
-        """With an image of sRGB values; itself, unless its image is of `linear_light`."""
+        """Return the output with an image in sRGB values, converted from `linear_light` if set."""
         return replace(self, image=to_srgb(self.image)) if linear_light else self
 
 
@@ -154,8 +153,8 @@ class RenderInputs:
     with_surface: bool
     pixel_weights: Tensor | None  # (C, H, W)
     tiles: tuple[int, int, int, int]  # first column, first row, end column, end row
-    tile_mask: Tensor | None  # (rows, columns) bool, the active tiles in this rectangle; None: all
-    window: tuple[int, int, int, int]  # px: what images hold; cuda: all, see `RenderOutput.cut`
+    tile_mask: Tensor | None  # (rows, columns) bool, active tiles in this rectangle; None for all
+    window: tuple[int, int, int, int]  # px, area of images; for cuda all, see `RenderOutput.cut`
     blur: Blur
     backward_step: BackwardStep | None  # None: the backward pass returns gradients
 
@@ -170,12 +169,12 @@ class RenderInputs:
         return any(parameter.requires_grad for parameter in self.parameters)
 
     def settle(self) -> None:
-        """Have the parameters here, if the `gpu` backend has kept them."""
+        """Copy the parameters back, if the `gpu` backend has kept them on the GPU."""
         if self.backward_step is not None and self.backward_step.resident is not None:
             self.backward_step.resident.settle()
 
     def fill(self, camera: bindings.Camera, c: int) -> None:
-        """Set what all kernels read of camera `c` on the CPU."""
+        """Set the fields of camera `c` that the kernels of all backends share."""
         camera.blur[:] = self.blur
         camera.max_slope = min(self.limits.max_slope, STEEPEST)
         camera.min_sigmas = self.limits.min_sigmas
@@ -228,7 +227,7 @@ def check_inputs(
 def check_backward_step(
     step: BackwardStep | None, parameters: tuple[Tensor, ...], cameras: int, backend: str
 ) -> None:
-    """Raise EngineError unless a backward pass can take this step, if there is one."""
+    """Raise EngineError unless a backward pass can take this step; None is valid."""
     if step is None:
         return
     trained = step.tensors
@@ -249,7 +248,7 @@ def check_backward_step(
 def checked_pixel_weights(
     pixel_weights: Tensor | None, with_weight_sum: bool, shape: tuple[int, int, int], like: Tensor
 ) -> Tensor | None:
-    """The weights in `like`'s type and device; EngineError unless they fit and have an effect."""
+    """Return the weights in `like`'s type and device; EngineError for wrong or unused weights."""
     if pixel_weights is None:
         return None
     if not with_weight_sum:
@@ -262,23 +261,23 @@ def checked_pixel_weights(
 
 
 def checked_depth(with_depth: Depth) -> Depth:
-    """The kind of depth; EngineError if it is unknown."""
+    """Return the kind of depth; EngineError if it is unknown."""
     if isinstance(with_depth, str) and with_depth != "median":
         raise EngineError(f"rasterize: with_depth is {with_depth!r}, not a bool or 'median'.")
     return with_depth if with_depth == "median" else bool(with_depth)
 
 
 def blur_of(pixel_size: float, antialiased: bool, blur: float = BLUR) -> Blur:
-    """The blur of pixels that are as large as pixel_size^2 of the whole photo's.
+    """Return the blur of pixels whose side is `pixel_size` pixels of the whole photo.
 
-    The latter have `blur`; n x n of them, evenly spread over a square of side 1, have a variance of
-    (1 - 1/n^2) / 12 in it. In other words: of `blur`, 1/12 is the pixel itself, which averages over
-    its square, and the rest belongs to the photo, whatever the picture's pixels are. So a part of
-    a pixel is blurred as the photo is, but averages over less.
+    The photo's pixels have `blur`; n x n of them, evenly spread over a square of side 1, have a
+    variance of (1 - 1/n^2) / 12 in it. In other words: of `blur`, 1/12 is the pixel itself, which
+    averages over its square. The rest belongs to the photo, for any pixels of the picture. So a
+    part of a pixel has the photo's blur, but averages over less.
 
     With anti-aliasing, a Gaussian has its stored opacity where it is much larger than a pixel
-    (Mip-Splatting, Yu et al. 2024, sec. 5.2), without it in the whole photo. EngineError if the
-    size is not positive.
+    (Mip-Splatting, Yu et al. 2024, sec. 5.2). Without it, it has this opacity in the whole photo.
+    EngineError if the size is not positive.
     """
     if not 0 < pixel_size < math.inf:
         raise EngineError(f"rasterize: pixel_size {pixel_size} is not a positive number.")
@@ -287,7 +286,7 @@ def blur_of(pixel_size: float, antialiased: bool, blur: float = BLUR) -> Blur:
 
 
 def used_sh_degree(coefficients: int, sh_degree: int | None) -> int:
-    """The degree to evaluate: the given one, or all that `coefficients` per colour hold."""
+    """Return the SH degree to evaluate: the given one, or that of all `coefficients` per colour."""
     stored = SH_SIZES.index(coefficients)
     if sh_degree is None:
         return stored
@@ -299,7 +298,7 @@ def used_sh_degree(coefficients: int, sh_degree: int | None) -> int:
 def background_colour(
     background: Tensor | None, like: Tensor, *, linear_light: bool = False
 ) -> Tensor:
-    """The (3,) background, or its light, in `like`'s type and device; black when None."""
+    """Return the (3,) background, or its light, in `like`'s type and device; black for None."""
     if background is None:
         return torch.zeros(3, dtype=like.dtype, device=like.device)
     if tuple(background.shape) != (3,):

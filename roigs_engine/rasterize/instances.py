@@ -1,10 +1,11 @@
 """Instances: models under affine transforms, rendered together as a layer for compositing.
 
-Everything is computed around the camera's place, so places far from the origin cost no precision,
-along the axes of the largest model, which therefore needs no turning. View dependence turns with a
-model: colours of the others are evaluated in their own frames, and drawn as plain colours.
+Everything is computed in a frame with its origin at the camera, so places far from the world's
+origin cost no precision. Its axes are those of the largest model, which therefore needs no
+rotation. View dependence rotates with a model: colours of the other models are evaluated in their
+own frames, and drawn as plain colours.
 
-A picture with depth of field or motion blur is the mean of sharp ones, each from another place of
+A picture with depth of field or motion blur is the mean of sharp ones, each from another point of
 the lens and at another time (Cook et al. 1984, distributed ray tracing).
 """
 
@@ -34,9 +35,9 @@ from .mattes import object_shares
 from .reference import drawn_share, jacobian, sh_basis
 from .view import pixel_size, rasterize_view
 
-NOTHING = 1e10  # depth where nothing is, as in Blender's depth pass
-NEAREST = 1e-5  # of the farthest depth: what is nearer to the camera hides nothing
-SIMILAR = 1e-5  # how unequal the scales of a similarity may be
+NOTHING = 1e10  # depth of empty pixels, as in Blender's depth pass
+NEAREST = 1e-5  # triangles nearer than this share of the farthest depth hide nothing
+SIMILAR = 1e-5  # largest relative difference of the scales of a similarity
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,12 +48,12 @@ class Instance:
     frame: LocalFrame  # of the model's own world
     matrix: Float64  # (4, 4) from the model's own world to the world; any affine one
     gains: tuple[float, float, float] = (1.0, 1.0, 1.0)  # red, green, blue, see `recoloured`
-    density: float = 1.0  # how much of it is there, see `faded`
-    object_index: int = 0  # whose shares of a picture are its, see `Layer`
+    density: float = 1.0  # see `faded`
+    object_index: int = 0  # object to which its shares of a picture count, see `Layer`
 
     @property
     def from_frame(self) -> Float64:
-        """(4, 4) from the frame that the Gaussians are in to the world."""
+        """(4, 4) from the Gaussians' frame to the world."""
         to_world = np.diag([*[1 / self.frame.scale] * 3, 1.0])
         to_world[:3, 3] = self.frame.origin
         return np.asarray(self.matrix @ to_world)
@@ -62,13 +63,13 @@ class Instance:
 class Layer:
     """A picture for compositing.
 
-    The depth is the median: a mean would lie between an object that lets a little through and what
-    is behind it, and would put a mesh between the two in front.
+    The depth is the median. A mean would lie between a slightly transparent object and the surface
+    behind it, and a mesh between the two would be drawn in front.
     """
 
     image: Tensor  # (H, W, 3) sRGB values from 0 to 1, not multiplied by alpha
     alpha: Tensor  # (H, W) from 0 to 1
-    depth: Tensor  # (H, W) along the camera's axis, world units; NOTHING where nothing is
+    depth: Tensor  # (H, W) along the camera's axis, world units; NOTHING where empty
     shares: Mapping[int, Tensor] = field(default_factory=dict)
     """(H, W) of alpha, by object index; empty if nobody has asked."""
 
@@ -82,9 +83,9 @@ def render_instances(
     *,
     mattes: bool = False,
 ) -> Layer:
-    """Render models together, on a device; they have at least one Gaussian in all.
+    """Render models together, on a device; they need at least one Gaussian in all.
 
-    `mattes`: with the share of each object index.
+    With `mattes`, the layer has the share of each object index.
     """
     mixed = len({(m.gaussians.target, m.gaussians.photo_focal) for m in models}) > 1
     axes = world_to_camera[:3, :3] if mixed else _axes(models, world_to_camera)
@@ -121,7 +122,9 @@ def render_instances(
 
 
 def surface_depth(triangles: Tensor, camera: Camera, world_to_camera: Float64) -> Tensor:
-    """The depth of opaque triangles at each pixel's centre, from both sides; `NOTHING` elsewhere.
+    """Return the depth of opaque triangles at each pixel's centre; `NOTHING` elsewhere.
+
+    Triangles are visible from both sides.
 
     Args:
         triangles: (T, 3, 3) float32 corners in the world.
@@ -148,17 +151,19 @@ def surface_depth(triangles: Tensor, camera: Camera, world_to_camera: Float64) -
 
 
 def mean_layer(samples: Iterable[tuple[Layer, Tensor]], *, below: bool = False) -> Layer:
-    """The mean, in linear light, of at least one layer, each with the depth (H, W) of surfaces.
+    """Return the mean, in linear light, of one or more layers with the depths (H, W) of surfaces.
 
-    What they hide is left out of each: the depth of a blurred picture is not one number for a
-    pixel. So the mean's depth, of what is left, is negative: nothing is in front of that.
+    Gaussians behind surfaces are left out of each layer, because a blurred pixel has no single
+    depth. The mean's depth is that of the remaining Gaussians, with a negative sign: no surface is
+    in front of them.
 
     Args:
         samples: the layers and depths.
-        below: whether the surfaces' own picture is transparent where they are not. It then lies
-            over the Gaussians, whose depth is 10 times `NOTHING`, where surfaces are more in front
-            of them than behind: in the blurred edges of what is in front, the two cover different
-            shares of a pixel, and the alpha is that of the Gaussians in their own share.
+        below: whether the surfaces' own picture is transparent where there are no surfaces. Where
+            surfaces are more often in front of the Gaussians than behind, their picture then lies
+            over the Gaussians, whose depth is 10 times `NOTHING`. At blurred edges in front, the
+            two cover different shares of a pixel, and alpha is that of the Gaussians in their own
+            share.
     """
     light, alpha, depth = torch.zeros(()), torch.zeros(()), torch.zeros(())
     front, behind, count = torch.zeros(()), torch.zeros(()), 0
@@ -186,8 +191,9 @@ def mean_layer(samples: Iterable[tuple[Layer, Tensor]], *, below: bool = False) 
 
 
 def _axes(models: Sequence[Instance], world_to_camera: Float64) -> Float64:
-    """(3, 3) a rotation from the world to the axes of the largest model, or of the camera if that
-    model is mirrored, stretched or sheared.
+    """(3, 3) rotation from the world to the axes of the largest model.
+
+    If that model is mirrored, stretched or sheared, they are the axes of the camera.
     """
     linear = max(models, key=lambda model: len(model.gaussians)).matrix[:3, :3]
     u, scales, v = np.linalg.svd(linear)
@@ -198,9 +204,9 @@ def _axes(models: Sequence[Instance], world_to_camera: Float64) -> Float64:
 
 
 def _seen(model: Instance, to_frame: Float64) -> Gaussians:
-    """The model around the camera, with float64 centres; if it is turned, with plain colours.
+    """Return the model around the camera, with float64 centres; if rotated, with plain colours.
 
-    `to_frame` is the rigid (4, 4) from the world to a frame whose origin is the camera's place.
+    `to_frame` is the rigid (4, 4) from the world to a frame with its origin at the camera.
     """
     matrix = to_frame @ model.from_frame
     if _scale(matrix[:3, :3]) is not None:
@@ -210,18 +216,18 @@ def _seen(model: Instance, to_frame: Float64) -> Gaussians:
 
 
 def _scale(linear: Float64) -> float | None:
-    """The factor of a linear map (3, 3) that only scales; None if it is another one."""
+    """Return the factor of a linear map (3, 3) that only scales; None for another map."""
     scale = float(np.trace(linear)) / 3
     alike = scale > 0 and np.abs(linear - scale * np.eye(3)).max() <= SIMILAR * scale
     return scale if alike else None
 
 
 def posed(model: Instance, matrix: Float64, sh: Tensor) -> Gaussians:
-    """The model after an affine map, with float64 centres.
+    """Return the model after an affine map, with float64 centres.
 
     Args:
         model: its gains and density are applied.
-        matrix: (4, 4) from the frame that the Gaussians are in.
+        matrix: (4, 4) from the Gaussians' frame.
         sh: (N, K, 3) colours after the map, without the gains.
     """
     gaussians, linear = model.gaussians, matrix[:3, :3]
@@ -238,9 +244,9 @@ def posed(model: Instance, matrix: Float64, sh: Tensor) -> Gaussians:
 
 
 def _alike(parts: Sequence[Gaussians], camera: Camera) -> list[Gaussians]:
-    """Models in the camera's frame, all without anti-aliasing, in the light of most Gaussians.
+    """Return models in the camera's frame, without anti-aliasing, in the light of most Gaussians.
 
-    The widest blur of the models is that of all.
+    All get the widest blur of the models.
     """
     linear = sum(len(part) if part.target.linear_light else -len(part) for part in parts) > 0
     blurs = [
@@ -256,13 +262,13 @@ def _alike(parts: Sequence[Gaussians], camera: Camera) -> list[Gaussians]:
 
 
 def _for_camera(seen: Gaussians, camera: Camera, blur: Blur) -> Gaussians:
-    """A model in the camera's frame that looks, from there, as with a blur, drawn without it.
+    """Return a model in the camera's frame whose opacities replace a blur, seen from this camera.
 
-    So it can be drawn together with others: a blur that is wider than the stored one only lowers
-    opacities, by what one camera shows of a Gaussian (`blur_of`).
+    So it can be drawn together with others: a blur wider than the stored one only lowers
+    opacities, by a factor that depends on the Gaussian's picture in one camera (`blur_of`).
     """
     matrix = torch.as_tensor(camera.matrix(), dtype=torch.float32)
-    # Beyond the near plane, what is not drawn may be anything.
+    # Gaussians before the near plane are not drawn, so their values do not matter.
     U = jacobian(seen.means.float(), matrix, camera.width, camera.height) @ principal_axes(seen)
     share = drawn_share(U, blur)
     logits = torch.logit((seen.logit_opacities.sigmoid() * share).nan_to_num(0.0), eps=1e-7)
@@ -270,7 +276,7 @@ def _for_camera(seen: Gaussians, camera: Camera, blur: Blur) -> Gaussians:
 
 
 def _plain(gaussians: Gaussians, eye: Float64) -> Tensor:
-    """(N, 1, 3) SH of degree 0 with the colours that `eye` sees."""
+    """(N, 1, 3) SH of degree 0 with the colours seen from `eye`."""
     direction = gaussians.means - torch.from_numpy(eye).to(gaussians.means)
     basis = sh_basis(torch.nn.functional.normalize(direction, dim=-1))
     colour = torch.einsum("vk,vkc->vc", basis[:, : gaussians.sh.shape[1]], gaussians.sh)
@@ -278,13 +284,13 @@ def _plain(gaussians: Gaussians, eye: Float64) -> Tensor:
 
 
 def principal_axes(gaussians: Gaussians) -> Tensor:
-    """(N, 3, 3): in the columns, the axes of each ellipsoid, one standard deviation long."""
+    """(N, 3, 3) axes of each ellipsoid in the columns, one standard deviation long."""
     rotations = rotation_matrices(torch.nn.functional.normalize(gaussians.quats, dim=1))
     return rotations * gaussians.log_scales.exp()[:, None, :]
 
 
 def transformed(gaussians: Gaussians, linear: Float64) -> tuple[Tensor, Tensor]:
-    """Rotations (N, 4) and logarithms of scales (N, 3) after a linear map (3, 3)."""
+    """Return rotations (N, 4) and logarithms of scales (N, 3) after a linear map (3, 3)."""
     if (scale := _scale(linear)) is not None:
         return gaussians.quats, gaussians.log_scales + float(np.log(scale))
     scales = np.linalg.svd(linear, compute_uv=False)
@@ -302,5 +308,5 @@ def transformed(gaussians: Gaussians, linear: Float64) -> tuple[Tensor, Tensor]:
 
 
 def _quats(rotations: Rotation) -> Tensor:
-    """(N, 4) wxyz."""
+    """(N, 4) quaternions wxyz."""
     return torch.from_numpy(np.roll(rotations.as_quat(), 1, axis=1).astype(np.float32))

@@ -1,7 +1,7 @@
 """The compiled backends as one differentiable torch function.
 
-Projection, colours, sorting and blending are one function to autograd; data of the forward pass for
-the backward pass stay in a `BackendView`.
+Projection, colours, sorting and blending are one function for autograd. Data of the forward pass
+for the backward pass stay in a `BackendView`.
 """
 
 from __future__ import annotations
@@ -24,19 +24,20 @@ class BackendView(Protocol):
     """The forward pass of one camera, projected and binned, with a backend's kernels."""
 
     def draw(self, outputs: Outputs) -> None:
-        """Blend into the tensors; they are of the window, and depths are zeros."""
+        """Blend into the tensors, which have the size of the window; depths are zeros before."""
 
     def blend_backward(self, drawn: Outputs, gradients: Outputs, grad2d: Tensor) -> None:
-        """Begin the backward pass, once; writes (N,) grad2d.
+        """Begin the backward pass, once, and write `grad2d` (N,).
 
-        `drawn` are image, alpha and surface; `gradients` the fields of `bindings.OutputGradients`.
+        `drawn` has image, alpha and surface; `gradients` has the fields of
+        `bindings.OutputGradients`.
         """
 
     def project_backward(self, targets: list[Tensor | None]) -> None:
-        """End it: add the five parameters' gradients; None: not needed."""
+        """End the backward pass: add the five parameters' gradients to `targets`, unless None."""
 
     def take_step(self, adam: Any) -> int | Tensor:
-        """End it with an optimizer's step, see `BackwardStep`."""
+        """End the backward pass with an optimizer's step, see `BackwardStep`."""
 
 
 Begin = Callable[[RenderInputs, int, list[Tensor], Tensor], BackendView]
@@ -88,7 +89,7 @@ class _KernelFunction(torch.autograd.Function):
         if all(each is None for each in (of_image, *of_surface)):
             return (None,) * (2 + len(parameters))
         step, views, ctx.views = ctx.inputs.backward_step, ctx.views, None
-        if views is None:  # a second backward through the same graph: the views are used up
+        if views is None:  # a second backward through the same graph: the views are gone
             if step is not None:
                 raise EngineError("rasterize: backward() with a step can be called only once.")
             views, _ = _drawn(ctx.begin, ctx.inputs, parameters)
@@ -118,7 +119,7 @@ class _KernelFunction(torch.autograd.Function):
 def _surface_gradient(
     planes: Tensor | None, of_alpha: Tensor | None, of_planes: Tensor | None
 ) -> Tensor | None:
-    """(C, 6, H, W) dL / d(alpha), dL / d(planes); None: there are none."""
+    """(C, 6, H, W) dL / d(alpha), dL / d(planes); None without gradients."""
     if planes is None or (of_alpha is None and of_planes is None):
         return None
     cameras, count, height, width = planes.shape
@@ -133,7 +134,7 @@ def _surface_gradient(
 def _drawn(
     begin: Begin, inputs: RenderInputs, parameters: tuple[Tensor, ...] | list[Tensor]
 ) -> tuple[list[BackendView], tuple[Tensor | None, ...]]:
-    """The views, if there will be a backward pass; the outputs of `_KernelFunction`."""
+    """Draw; return the views, if there may be a backward pass, and `_KernelFunction`'s outputs."""
     cameras, count, device = len(inputs.viewmats), len(parameters[0]), parameters[0].device
     left, top, right, bottom = inputs.window
     height, width = bottom - top, right - left

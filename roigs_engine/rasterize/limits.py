@@ -16,15 +16,15 @@ class Limits:
     """Limits for the drawn Gaussians; EngineError if a number is negative or NaN.
 
     Attributes:
-        max_slope: none whose centre is beside the image and has a larger |x / z| (camera frame), or
-            above or below it and has a larger |y / z|.
-        min_sigmas: none that reaches behind the camera: whose depth is not more than so many of its
-            standard deviations along the camera's z axis.
-        min_transmittance: in pixels that let less light through, nothing that is farther back need
-            be drawn, which changes a colour by as much at most. The cpu backend draws it as long as
-            a pixel of the same block lets more through; reference draws it. Nor does a Gaussian get
-            a gradient from pixels (cpu: from blocks of pixels) in which its weight alpha x T is not
-            larger; from reference, it does. The gradients of other Gaussians there do not change.
+        max_slope: a Gaussian is culled if its centre is beside the image with a larger |x / z|
+            (camera frame), or above or below it with a larger |y / z|.
+        min_sigmas: a Gaussian is culled if it reaches behind the camera: if its depth is at most
+            this many of its standard deviations along the camera's z axis.
+        min_transmittance: pixels that let less light through need not draw Gaussians farther back,
+            which changes a colour by at most this value. The cpu backend continues as long as a
+            pixel of the same block lets more through; reference always continues. A Gaussian also
+            gets no gradient from pixels (cpu: from blocks of pixels) in which its weight alpha x T
+            is not larger; with reference, it does. The gradients of other Gaussians do not change.
     """
 
     max_slope: float = math.inf
@@ -46,14 +46,14 @@ TRAINING_LIMITS = Limits(min_transmittance=1e-3)
 """Of half of the training steps, with `PICTURE_LIMITS` in the others (`training_limits`). A
 thousandth of the light is a quarter of what 8 bits can tell apart (notebook/cpu_speed.md)."""
 
-GOLDEN = (math.sqrt(5) - 1) / 2  # its multiples keep no other period: not that of masks, nor photos
+GOLDEN = (math.sqrt(5) - 1) / 2  # its multiples share no period with masks or photos
 
 
 def training_limits(step: int, *, linear_light: bool) -> Limits:
-    """The limits of a training step (ours): those of pictures in half of the steps, evenly spread.
+    """Return the limits of a training step (ours): in half of the steps, evenly spread, pictures'.
 
-    Training that knows no limits hides light in large Gaussians around the cameras, which pictures
-    do not draw; training with them alone leaves fog that costs no loss, and other viewers draw it
+    Training without limits hides light in large Gaussians around the cameras, which pictures do
+    not draw. Training only with limits leaves fog that costs no loss, and other viewers draw it
     (docs/method.md, "Where Gaussians are not drawn").
     """
     limits = TRAINING_LIMITS

@@ -25,13 +25,13 @@ COLOURS = 3
 def object_shares(
     drawn: Gaussians, indices: Tensor, alpha: Tensor, camera: Camera, world_to_camera: Float64
 ) -> dict[int, Tensor]:
-    """Each object's part of a picture's alpha; an object hides those behind it.
+    """Return each object's share of a picture's alpha; an object hides those behind it.
 
-    The object with most Gaussians gets what the others leave, so two to four objects take one
-    drawing more than the picture, and one object none.
+    The object with most Gaussians gets the rest. So two to four objects take one drawing more than
+    the picture, and one object takes none.
 
     Args:
-        drawn: N Gaussians, as the picture was drawn from them.
+        drawn: the picture's N Gaussians.
         indices: (N,) of their objects.
         alpha: (H, W) of the picture.
         camera, world_to_camera: of the picture.
@@ -57,7 +57,7 @@ def object_shares(
 
 
 def ranked(shares: Mapping[int, Tensor]) -> tuple[Tensor, Tensor]:
-    """The objects with the largest shares in each pixel, and these shares.
+    """Return the objects with the largest shares in each pixel, and these shares.
 
     Args:
         shares: (H, W) for at least one index.

@@ -1,6 +1,7 @@
-"""Panoramas: pinhole pictures in all directions, sampled along each pixel's ray.
+"""Panoramas from pinhole pictures in all directions, sampled along each pixel's ray.
 
-As an environment map of a cube's faces (Greene 1986), but of narrower views, which overlap.
+This is like an environment map of a cube's faces (Greene 1986), but with narrower, overlapping
+views.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from .light import to_linear, to_srgb
 
 FINER = 1.5
 """Pixels in the middle of a view for one of the panorama's."""
-LARGEST = 4096  # pixels in a radian
+LARGEST = 4096  # most pixels per radian
 SLOPE = math.tan(math.radians(30))
 """From the middle of a view to its edges. In wider ones, large Gaussians that lie beside them look
 stretched, and others than training has shown."""
@@ -41,15 +42,16 @@ def render_panorama(
     *,
     mattes: bool = False,
 ) -> Layer:
-    """Render models together along rays from one point; faces that no ray meets are not drawn.
+    """Render models together along rays from one point; views that no ray meets are not drawn.
 
     Args:
-        models: they have at least one Gaussian in all.
-        rays: (H, W, 3) float32 directions in the camera's frame, of any length; 0: nothing is seen.
-        density: the panorama's pixels in a radian, where there are most.
+        models: they need at least one Gaussian in all.
+        rays: (H, W, 3) float32 directions in the camera's frame, of any length; 0 for an empty
+            pixel.
+        density: largest number of the panorama's pixels per radian.
         world_to_camera: (4, 4) rigid.
         device: to draw on.
-        mattes: with the share of each object index.
+        mattes: also return the share of each object index.
 
     Returns:
         A layer whose depths are distances from the camera.
@@ -92,9 +94,9 @@ def render_panorama(
 
 
 def _looked_up(layer: Layer, indices: Sequence[int], places: Tensor) -> Tensor:
-    """(N, 4 + K) of a layer at places (N, 2) from -1 to 1.
+    """(N, 4 + K) values of a layer at places (N, 2) from -1 to 1.
 
-    Linear light times alpha, then alpha, then the shares of K indices.
+    They are linear light times alpha, alpha, and the shares of K indices.
     """
     light = (to_linear(layer.image) * layer.alpha[..., None]).permute(2, 0, 1)
     shares = [layer.shares[index] for index in indices]
@@ -104,7 +106,7 @@ def _looked_up(layer: Layer, indices: Sequence[int], places: Tensor) -> Tensor:
 
 
 def _turns() -> Iterator[Float64]:
-    """(4, 4) each, from the camera's frame to that of a view."""
+    """Yield (4, 4) from the camera's frame to each view's."""
     for latitude, count in RINGS:
         for k in range(count):
             turn = np.eye(4)

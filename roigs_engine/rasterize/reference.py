@@ -34,7 +34,7 @@ PIXELS_AT_ONCE = 1 << 14
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ProjectedGaussians:
-    """The V Gaussians that are visible to one camera, front to back."""
+    """The V Gaussians visible to one camera, front to back."""
 
     index: Tensor  # (V,) row of the input
     mean2d: Tensor  # (V, 2) px
@@ -42,7 +42,7 @@ class ProjectedGaussians:
     opacity: Tensor  # (V,)
     colour: Tensor  # (V, 3)
     depth: Tensor  # (V,)
-    slope: Tensor  # (V, 2) by how much its plane's depth changes per pixel, see `Surface`
+    slope: Tensor  # (V, 2) change of its plane's depth per pixel, see `Surface`
     normal: Tensor  # (V, 3) of the plane, camera frame
 
 
@@ -65,7 +65,7 @@ def render(inputs: RenderInputs) -> RenderOutput:
         planes.append(surface)
         max_weight[splats.index] = torch.maximum(max_weight[splats.index], largest)
         weight_sum[splats.index] += sums
-    # zero, but a function of the parameters: `backward` also works if no Gaussian is visible
+    # zero, but a function of the parameters, so `backward` also works if no Gaussian is visible
     nothing = sum(p[:0].sum() for p in inputs.parameters)
     opacities = torch.stack(alpha)
     shown = Surface.of(torch.stack(planes) + nothing, opacities) if inputs.with_surface else None
@@ -112,7 +112,7 @@ def project(inputs: RenderInputs, camera: int) -> ProjectedGaussians:
 
 
 def within(inputs: RenderInputs, camera: int, means2d: Tensor) -> Tensor:
-    """(..., N) bool: which Gaussians, whose projected centres are (..., N, 2), the limits keep.
+    """(..., N) bool: which Gaussians the limits keep; `means2d` (..., N, 2) are projected centres.
 
     Call it without gradients.
     """
@@ -130,7 +130,7 @@ def within(inputs: RenderInputs, camera: int, means2d: Tensor) -> Tensor:
 
 
 def project_all(inputs: RenderInputs, camera: int, index: Tensor) -> tuple[Tensor, ...]:
-    """mean2d, covariance, opacity, colour, depth, slope and normal of some rows, V each."""
+    """Return mean2d, covariance, opacity, colour, depth, slope and normal of V rows."""
     means, quats, scales, opacities, sh = (p[index] for p in inputs.parameters)
     if inputs.raw:
         scales, opacities = scales.exp(), opacities.sigmoid()
@@ -159,12 +159,12 @@ def project_all(inputs: RenderInputs, camera: int, index: Tensor) -> tuple[Tenso
 
 
 def plane(J: Tensor, U: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
-    """Slope (V, 2) and normal (V, 3) of planes (`Surface`); J and U = J W R S (V, 2, 3), w (V, 3).
+    """Return slope (V, 2) and normal (V, 3) of planes; J and U = J W R S (V, 2, 3), w (V, 3).
 
-    Orthogonal to the normal m are the steps in the plane from pixel to pixel, and m . r = -1 for
-    the ray r = (x / z, y / z, 1) through the centre.
+    See `Surface`. The normal m is orthogonal to the steps in the plane from pixel to pixel, and
+    m . r = -1 for the ray r = (x / z, y / z, 1) through the centre.
     """
-    # Solve (U U^T + b I) slope = U w; the determinant as in `drawn_share`, else needles have none.
+    # Solve (U U^T + b I) slope = U w; the determinant as in `drawn_share`, for needles, too.
     first, second = U[:, 0], U[:, 1]
     x, y = (U @ w[:, :, None])[..., 0].unbind(-1)
     xx, yy = (row.square().sum(-1) + PLANE_BLUR for row in (first, second))
@@ -179,7 +179,7 @@ def plane(J: Tensor, U: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def drawn_share(U: Tensor, blur: Blur) -> Tensor:
-    """(V,) drawn opacity over stored opacity of Gaussians with J W R S = U (V, 2, 3)."""
+    """(V,) drawn opacity divided by stored opacity of Gaussians with J W R S = U (V, 2, 3)."""
     # det(U U^T + b I) = |U0 x U1|^2 + b tr(U U^T) + b^2: xx yy - xy^2 would cancel for needles
     area2 = torch.linalg.cross(U[:, 0], U[:, 1]).square().sum(-1)
     trace = U.square().sum((-2, -1))
@@ -249,7 +249,7 @@ def reaches_a_tile(
     tiles: Tensor,  # (tiles, 2) column, row
     size: tuple[int, int],  # width, height
 ) -> Tensor:
-    """(V,) bool: alpha reaches ALPHA_MIN somewhere in the hull of a tile's pixel centres."""
+    """(V,) bool: whether alpha reaches ALPHA_MIN in the hull of a tile's pixel centres."""
     first = tiles[:, None].to(mean2d) * TILE + 0.5  # (tiles, 1, 2)
     last = torch.minimum(first + (TILE - 1), mean2d.new_tensor(size) - 0.5)
     low, high = first - mean2d, last - mean2d  # (tiles, V, 2)
@@ -264,7 +264,7 @@ def reaches_a_tile(
 
 
 def active_tile_positions(inputs: RenderInputs) -> Tensor:
-    """(tiles, 2): column and row of each active tile."""
+    """(tiles, 2) column and row of each active tile."""
     left, top, right, bottom = inputs.tiles
     wanted = torch.ones(bottom - top, right - left, dtype=torch.bool)
     if inputs.tile_mask is not None:
@@ -273,7 +273,7 @@ def active_tile_positions(inputs: RenderInputs) -> Tensor:
 
 
 def active_pixels(inputs: RenderInputs) -> tuple[Tensor, Tensor]:
-    """Rows and columns of the pixels in active tiles, (P,) each, row by row."""
+    """Return rows and columns of the pixels in active tiles, (P,) each, row by row."""
     wanted = torch.zeros(inputs.height, inputs.width, dtype=torch.bool)
     for column, row in (TILE * active_tile_positions(inputs)).tolist():
         wanted[row : row + TILE, column : column + TILE] = True
@@ -326,7 +326,7 @@ def blended_planes(splats: ProjectedGaussians, weights: Tensor, pixels: Tensor) 
 
 
 def blending_weights(splats: ProjectedGaussians, pixels: Tensor) -> tuple[Tensor, Tensor]:
-    """For pixel centres (P, 2): weights (P, V), and the remaining transmittance (P,).
+    """Return weights (P, V) for pixel centres (P, 2), and the remaining transmittance (P,).
 
     A weight is alpha_i prod_{j<i} (1 - alpha_j).
     """

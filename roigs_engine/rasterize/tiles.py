@@ -15,23 +15,23 @@ from .inputs import TILE
 class ActiveTiles:
     """The tiles of an image that are rendered.
 
-    With a `window` (x0, y0, x1, y1 in pixels, end exclusive), images hold this part of the picture
-    alone, and the rest takes no memory or time. It consists of whole tiles, and all active ones lie
-    in it.
+    With a `window` (x0, y0, x1, y1 in pixels, end exclusive), images contain only this part of the
+    picture, and the rest takes no memory or time. A window consists of whole tiles, and contains
+    all active ones.
     """
 
     size: tuple[int, int]  # width and height of the image, pixels
-    rectangle: tuple[int, int, int, int]  # of tiles around them, see `tile_rectangle`
-    mask: Tensor | None = None  # (rows, columns) bool of the rectangle; None: all of it
+    rectangle: tuple[int, int, int, int]  # of tiles around the active ones, see `tile_rectangle`
+    mask: Tensor | None = None  # (rows, columns) bool, active tiles of the rectangle; None for all
     window: tuple[int, int, int, int] | None = None
 
     @property
     def shown(self) -> tuple[int, int, int, int]:
-        """The window, or the whole image."""
+        """Return the window, or the whole image."""
         return (0, 0, *self.size) if self.window is None else self.window
 
     def windowed(self) -> ActiveTiles:
-        """The same tiles, with their rectangle as the window."""
+        """Return the same tiles with their rectangle as the window."""
         return replace(self, window=pixel_rectangle(self.size, self.rectangle))
 
 
@@ -40,9 +40,9 @@ Mask = tuple[int, int, int, int] | Tensor | ActiveTiles | None
 
 
 def active_tiles(width: int, height: int, mask: Mask) -> ActiveTiles:
-    """The tiles of an image that a mask touches; EngineError if it does not fit the image.
+    """Return the tiles of an image that a mask touches; EngineError if it does not fit the image.
 
-    Of a mask on a GPU, the rectangle is the whole image: to find a smaller one would wait for the
+    For a mask on a GPU, the rectangle is the whole image: finding a smaller one would wait for the
     GPU.
     """
     size = (width, height)
@@ -64,7 +64,7 @@ def active_tiles(width: int, height: int, mask: Mask) -> ActiveTiles:
 
 
 def touched_tiles(mask: Tensor) -> Tensor:
-    """(H, W) bool, from a tile's corner on -> (rows, columns): the tiles with a pixel of it."""
+    """(rows, columns) bool: tiles with a pixel of a mask (H, W) that begins at a tile's corner."""
     (height, width), device = mask.shape, mask.device
     rows, columns = -(-height // TILE), -(-width // TILE)
     padded = torch.zeros(rows * TILE, columns * TILE, dtype=torch.bool, device=device)
@@ -73,7 +73,7 @@ def touched_tiles(mask: Tensor) -> Tensor:
 
 
 def _check(tiles: ActiveTiles, size: tuple[int, int]) -> None:
-    """Raise EngineError unless these are tiles of an image of this size: kernels rely on it."""
+    """Raise EngineError unless these are tiles of an image of this size; kernels rely on it."""
     hint = "Make them with active_tiles, for this image."
     if tiles.size != size:
         raise EngineError(f"rasterize: tiles of an image of {tiles.size}, not {size} pixels.", hint)
@@ -93,7 +93,7 @@ def _check(tiles: ActiveTiles, size: tuple[int, int]) -> None:
 
 
 def tiles_of_grid(grid: Tensor, size: tuple[int, int]) -> ActiveTiles:
-    """The tiles that are set in a (rows, columns) bool grid of an image's tiles, on the CPU."""
+    """Return the tiles set in a (rows, columns) bool grid of an image's tiles, on the CPU."""
     ys, xs = grid.any(dim=1).nonzero()[:, 0], grid.any(dim=0).nonzero()[:, 0]
     if not len(ys):
         return ActiveTiles(size=size, rectangle=(0, 0, 0, 0))
@@ -104,7 +104,7 @@ def tiles_of_grid(grid: Tensor, size: tuple[int, int]) -> ActiveTiles:
 def pixel_rectangle(
     size: tuple[int, int], tiles: tuple[int, int, int, int]
 ) -> tuple[int, int, int, int]:
-    """The pixels (x0, y0, x1, y1; end exclusive) of a rectangle of tiles; `size` is the image's."""
+    """Return a rectangle of tiles in pixels of the image: x0, y0, x1, y1, with an exclusive end."""
     (width, height), (left, top, right, bottom) = size, tiles
     return left * TILE, top * TILE, min(right * TILE, width), min(bottom * TILE, height)
 
@@ -112,7 +112,7 @@ def pixel_rectangle(
 def tile_rectangle(
     width: int, height: int, mask: tuple[int, int, int, int] | None
 ) -> tuple[int, int, int, int]:
-    """The tiles (x0, y0, x1, y1; end exclusive) that touch a rectangle of pixels; None: all."""
+    """Return the tiles (x0, y0, x1, y1; end exclusive) that touch a rectangle of pixels, or all."""
     columns, rows = -(-width // TILE), -(-height // TILE)
     if mask is None:
         return 0, 0, columns, rows

@@ -1,4 +1,4 @@
-"""Views of a model from one camera: pictures, and the blending weights of its Gaussians."""
+"""Renders a model from one camera: pictures, and the blending weights of its Gaussians."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class RenderedView:
     """A rendered image, and its depth if that was requested."""
 
     image: Tensor  # (H, W, 3) float32 sRGB values in [0, 1]
-    depth: Tensor | None  # (H, W) expected one along z, world units, 0 where no Gaussian is
+    depth: Tensor | None  # (H, W) mean along z, world units; 0 without a Gaussian
 
 
 @torch.no_grad()
@@ -44,7 +44,7 @@ def render_view(
 ) -> RenderedView:
     """Render the model from one camera, on the model's device, without gradients.
 
-    `PICTURE_LIMITS` hold, as in everything that is shown or measured.
+    `PICTURE_LIMITS` apply, as in every picture that is shown or measured.
     """
     width, height = camera.width, camera.height
     with explain_out_of_memory(
@@ -64,12 +64,13 @@ def render_view(
 
 
 def pixel_size(gaussians: Gaussians, camera: Camera) -> float:
-    """Side of the camera's pixels in those of the photos that the model was trained on (ours).
+    """Return the side of the camera's pixels, in pixels of the model's training photos (ours).
 
-    A model has learned to look right with its photos' blur, which is an angle: in a picture with
-    other pixels, that many pixels wide it would be too wide, or too narrow (docs/method.md, "Other
-    sizes than the photos'"). 1 if the photos are unknown, or the rays parallel: they have no angle.
-    And 1 for the photos themselves, whose focal lengths may differ a little.
+    A model has learned to look right with its photos' blur, which is an angle. In a picture with
+    other pixels, the same blur in pixels would be too wide or too narrow (docs/method.md, "Other
+    sizes than the photos'"). The result is 1 if the photos are unknown, or the rays are parallel:
+    then pixels have no angle. It is also 1 for the photos' own focal length, which may vary a
+    little.
     """
     if gaussians.photo_focal is None or camera.focal > PARALLEL * camera.width:
         return 1.0
@@ -80,7 +81,7 @@ def pixel_size(gaussians: Gaussians, camera: Camera) -> float:
 def rasterize_view(
     gaussians: Gaussians, camera: Camera, world_to_camera: Float64, **options: Any
 ) -> RenderOutput:
-    """`rasterize` a model from one camera as its target does, on its device, with its options."""
+    """`rasterize` a model from one camera, with its target's options, on its device."""
     device = gaussians.means.device
     viewmat = torch.as_tensor(np.asarray(world_to_camera), dtype=torch.float32, device=device)
     matrix = torch.as_tensor(camera.matrix(), dtype=torch.float32, device=device)
@@ -108,8 +109,8 @@ View = tuple[Camera, Float64]
 class BlendingWeights(NamedTuple):
     """The weights of N Gaussians in a view's pixels."""
 
-    largest: Tensor  # (N,) the largest one of each
-    total: Tensor  # (N,) their sum, each times its pixel's weight if pixels have weights
+    largest: Tensor  # (N,) largest weight of each Gaussian
+    total: Tensor  # (N,) sum of its weights, each times its pixel's weight if pixels have weights
 
 
 @torch.no_grad()
@@ -121,10 +122,10 @@ def blending_weights(
     limits: Limits = NO_LIMITS,
     pixels: Iterable[Tensor | None] | None = None,
 ) -> Iterator[BlendingWeights]:
-    """The weights in each view in turn, on the model's device; a stop is checked for before each.
+    """Yield the weights in each view, on the model's device; check for a stop before each.
 
-    `pixels` are (H, W) weights of each view's pixels in the total; None: 1. The blur is the
-    target's, whatever the pixels' size.
+    `pixels` are (H, W) weights of each view's pixels in the total; None for 1. The blur is the
+    target's, for any size of pixels.
     """
     gaussians = replace(gaussians, photo_focal=None)
     every = iter(() if pixels is None else pixels)

@@ -32,27 +32,28 @@ from .memory import FIELD_SHARE, PER_DEPTH, PER_GAUSSIAN, PER_TEXEL, PER_VOXEL
 from .mesh import HOLE, Mask, Mesh, cut_out, decimated, shown
 from .texture import FILLED, Load, textured
 
-REACH = 4.0  # extents of the cameras from their middle: what is farther is left out
+REACH = 4.0  # extents of the cameras from their middle; points farther away are left out
 OUTLIERS = 0.005  # share of the points that is ignored at each side
 MARGIN = 0.1  # of the size, at each side: where few photos show a floor, its depth scatters
 MOST_PHOTOS, PHOTO_SIDE = 120, 640
-VOXELS = 1 << 23  # of the coarse grid, and ..
-NEAR_VOXELS = 1 << 22  # .. of all fine ones, at most
-AROUND = 0.5  # of its diagonal: so far around a box the grid is fine
-FINEST = 4  # voxels of a fine grid in one of the coarse grid's, along a side
-WALL = 4.0  # voxels: height of what holds a rim while the mesh is simplified
-SMALLEST = 10  # voxels along a side: parts of a smaller area fly about
-DOUBLE = 2.5  # voxels: so far above or below a box's own mesh, and facing alike, ..
-ALIKE = 0.3  # .. by the cosine of the normals, it is the same surface, ..
-BESIDE = 0.3  # .. unless it is so many voxels beside its rim: there, it goes on
+VOXELS = 1 << 23  # most voxels of the coarse grid
+NEAR_VOXELS = 1 << 22  # most voxels of all fine grids
+AROUND = 0.5  # width of the fine grid around a box, in diagonals of the box
+FINEST = 4  # most voxels of a fine grid in one of the coarse grid, along a side
+WALL = 4.0  # height in voxels of the walls that hold a rim while the mesh is simplified
+SMALLEST = 10  # voxels along a side; parts of a smaller area are floating noise
+# The background is the same surface as a box's own mesh if all of this holds:
+DOUBLE = 2.5  # .. it is less than so many voxels above or below that mesh,
+ALIKE = 0.3  # .. the cosine of the normals is larger than this,
+BESIDE = 0.3  # .. and it is less than so many voxels beside the mesh's rim
 TEXTURE = 1024  # texels along a side
-PICTURES, MOST_STEP = 40, 4  # photos that it is made of, and how much smaller, at most
-CHARTS = 200 << 20  # bytes for charts, and what reading the scene leaves
+PICTURES, MOST_STEP = 40, 4  # most photos of the texture, and most factor by which they shrink
+CHARTS = 200 << 20  # bytes for charts, and memory that reading the scene leaves in use
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Region:
-    """A part of the coarse grid, by its cells: from `low` to `high`, exclusive, (3,) each."""
+    """A part of the coarse grid: cells from `low` to `high` (exclusive), (3,) each."""
 
     low: Any
     high: Any
@@ -63,9 +64,9 @@ class _Region:
 
 
 def surroundings(scene: SfmScene) -> OrientedBox:
-    """The box that cameras and points are in, upright; points that are far out do not count.
+    """Return an upright box around the cameras and the points, without far points.
 
-    SceneError: the scene has no cameras.
+    SceneError if the scene has no cameras.
     """
     centres = scene.centres()
     if not len(centres):
@@ -86,7 +87,7 @@ def surroundings(scene: SfmScene) -> OrientedBox:
 
 
 def smaller_scene(scene: SfmScene) -> SfmScene:
-    """Enough of the photos, evenly chosen, and small: the mesh is coarse."""
+    """Return a scene with fewer, evenly chosen, smaller photos, enough for a coarse mesh."""
     step = max(1, math.ceil(len(scene.images) / MOST_PHOTOS))
     images = tuple(
         image.scaled(min(1.0, PHOTO_SIDE / max(image.camera.width, image.camera.height)))
@@ -97,7 +98,7 @@ def smaller_scene(scene: SfmScene) -> SfmScene:
 
 @dataclass(frozen=True, kw_only=True)
 class BackgroundPlan:
-    """The memory plan: most voxels of a grid, and bytes of everything, about."""
+    """The memory plan: most voxels of the coarse grid, about how many bytes are used, and exist."""
 
     voxels: int
     memory: int
@@ -105,17 +106,17 @@ class BackgroundPlan:
 
     @property
     def text(self) -> str:
-        """One line for users."""
+        """Return the plan as one line for users."""
         return f"Memory: up to about {in_gb(self.memory)} of {in_gb(self.machine)}."
 
 
 def background_plan(scene: SfmScene, gaussians: int, side: int = TEXTURE) -> BackgroundPlan:
-    """The plan of the memory of `make_background`.
+    """Plan the memory of `make_background`.
 
     Args:
-        scene: of the run.
-        gaussians: their number.
-        side: of the texture.
+        scene: the run's scene.
+        gaussians: number of Gaussians.
+        side: side of the texture, texels.
     """
     machine = machine_memory()
     voxels = min(VOXELS, machine // FIELD_SHARE // PER_VOXEL)
@@ -135,14 +136,14 @@ def make_background(
     load: Load = load_photo,
     context: Context = QUIET,
 ) -> Surface:
-    """The surroundings of the boxes as a mesh with a texture.
+    """Make a textured mesh of the surroundings of the boxes.
 
     Args:
         gaussians: the trained scene, on the context's device.
         scene: the photos, in the frame of the Gaussians and the boxes.
         rois: the boxes, around which the mesh is finer.
-        own: box -> (N, 3) points all over the mesh that the box has, and their unit normals: there,
-            the background has none.
+        own: box -> (N, 3) points all over the box's own mesh, and their unit normals; the
+            background has no faces there.
         load: returns a photo, (H, W, 3) uint8 sRGB.
 
     Raises:
@@ -181,19 +182,19 @@ def make_background(
 
 
 def _voxel(maps: Sequence[DepthMap], whole: OrientedBox, most: int) -> float:
-    """Side of a coarse voxel: a pixel of the usual photo, or as many as there may be."""
+    """Return the side of a coarse voxel: a pixel of the median photo, or more for `most` voxels."""
     pixel = float(np.median([footprint(depth_map) for depth_map in maps]))
     return max(pixel, float((8 * np.prod(whole.half_extents) / most) ** (1 / 3)))
 
 
 def _finest(maps: Sequence[DepthMap], voxel: float) -> int:
-    """The factor by which voxels may be finer: as the pixels of the nearest photos."""
+    """Return the factor by which voxels may be finer: down to a pixel of the nearest photos."""
     pixel = min(footprint(depth_map) for depth_map in maps)
     return int(np.clip(voxel / pixel, 1, FINEST))
 
 
 def _on_cells(whole: OrientedBox, voxel: float) -> OrientedBox:
-    """The box, grown to whole cells of the grid, so that it is the grid's."""
+    """Enlarge the box to whole cells of the grid, so that it is the grid's box."""
     cells = np.ceil(2 * whole.half_extents / (COARSE * voxel) - 1e-9)
     return replace(whole, half_extents=cells * COARSE * voxel / 2)
 
@@ -201,7 +202,7 @@ def _on_cells(whole: OrientedBox, voxel: float) -> OrientedBox:
 def _regions(
     rois: Sequence[OrientedBox], whole: OrientedBox, voxel: float, finest: int
 ) -> tuple[list[_Region], int]:
-    """Regions with a finer grid, and their factors: less if all would be too many voxels."""
+    """Return regions with a finer grid, and their factor, less than `finest` if memory is short."""
     found = []
     most = np.round(2 * whole.half_extents / voxel).astype(int) - 1
     for roi in rois:
@@ -221,7 +222,7 @@ def _regions(
 
 
 def _owner(mesh: Mesh, regions: Sequence[_Region], whole: OrientedBox, voxel: float) -> Any:
-    """(F,) the first region that each face's cell is in; -1: none."""
+    """Return the first region (F,) that contains each face's cell; -1 if none does."""
     middles = mesh.vertices[mesh.faces].mean(axis=1)
     local = middles @ whole.world_to_box[:3, :3].T + whole.world_to_box[:3, 3]
     cells = np.floor((local + whole.half_extents) / voxel - 0.5).astype(int)
@@ -241,9 +242,9 @@ def _near(
     finer: int,
     context: Context,
 ) -> Mesh:
-    """The mesh of a region, from a finer grid."""
+    """Return the mesh of a region, from a finer grid."""
     region, fine = regions[index], voxel / finer
-    # Samples at both ends of the region, and as many beyond as fill the last cell.
+    # There are samples at both ends of the region, and more beyond, to fill the last cell.
     cells = np.ceil(((region.high - region.low) * finer + 1) / COARSE)
     half = cells * COARSE * fine / 2
     low = (region.low + 0.5) * voxel - whole.half_extents - fine / 2
@@ -255,7 +256,7 @@ def _near(
 
 
 def _cut(field: Field, box: OrientedBox, voxel: float, context: Context) -> Mesh:
-    """The surface of a field, without small parts; it may have none."""
+    """Return the surface of a field without small parts; it may be empty."""
     try:
         return _large(cut_out(field, box, context=context), voxel)
     except SceneError:
@@ -263,10 +264,10 @@ def _cut(field: Field, box: OrientedBox, voxel: float, context: Context) -> Mesh
 
 
 def _simplified(mesh: Mesh, faces: int, voxel: float) -> Mesh:
-    """The mesh with about so many faces at most; its rims stay where they are.
+    """Simplify a mesh to at most about `faces` faces; its rims stay where they are.
 
     Merging edges would cut the corners off a flat part, and leave gaps between two grids. So each
-    rim gets a wall at right angles to the mesh for the time.
+    rim temporarily gets a wall at right angles to the mesh.
     """
     if len(mesh.faces) <= faces:
         return mesh
@@ -288,7 +289,7 @@ def _simplified(mesh: Mesh, faces: int, voxel: float) -> Mesh:
 
 
 def _coarser(maps: Sequence[DepthMap], mesh: Mesh, side: int) -> list[DepthMap]:
-    """The depth maps of smaller photos, whose pixels are about as large as a texture's texels."""
+    """Return the depth maps of photos reduced until a pixel is about as large as a texel."""
     texel = math.sqrt(float(mesh.areas.sum()) / FILLED) / side
     found = []
     for depth_map in maps:
@@ -302,7 +303,7 @@ def _coarser(maps: Sequence[DepthMap], mesh: Mesh, side: int) -> list[DepthMap]:
 
 
 def _large(mesh: Mesh, voxel: float) -> Mesh:
-    """Without parts of less than `SMALLEST` voxels along a side."""
+    """Remove parts of less than `SMALLEST` voxels along a side."""
     if not len(mesh.faces):
         return mesh
     parts = mesh.parts()
@@ -310,7 +311,7 @@ def _large(mesh: Mesh, voxel: float) -> Mesh:
 
 
 def _seen(mesh: Mesh) -> Mesh:
-    """Without large parts that no photo shows: they are the edges of what was seen."""
+    """Remove large parts that no photo shows: they are at the edges of the observed space."""
     if not mesh.filled.any():
         return mesh
     patches = np.where(mesh.filled, mesh.parts(mesh.filled), -1)
@@ -320,7 +321,7 @@ def _seen(mesh: Mesh) -> Mesh:
 
 
 def _joined(meshes: Sequence[Mesh]) -> Mesh:
-    """All meshes as one; their vertices stay apart."""
+    """Join meshes into one without merging vertices."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     return Mesh(
         vertices=np.concatenate([np.zeros((0, 3)), *(mesh.vertices for mesh in meshes)]),
@@ -337,7 +338,7 @@ def _without_doubles(
     own: Mapping[str, tuple[Float64, Float64]],
     voxel: float,
 ) -> Mesh:
-    """Without the faces that the boxes' own meshes cover whole, so that no gap is left between."""
+    """Remove faces that the boxes' own meshes cover wholly, so that no gap is left between."""
     normals, covered = mesh.normals(), np.zeros(len(mesh.vertices), bool)
     for roi in rois:
         points, facing = own.get(roi.name, (np.zeros((0, 3)),) * 2)

@@ -1,8 +1,9 @@
 """Charts of a mesh for its texture: flat pieces, packed into a square.
 
 Each face is assigned to one of 14 directions that it faces well; neighbours prefer the same one.
-Connected faces of a direction are a chart, which is projected along it, so nothing is stretched by
-more than a factor of about two. Libraries that stretch less (xatlas) took 30 s for 50,000 faces.
+Connected faces with the same direction form a chart, which is projected along it. So nothing is
+stretched by more than a factor of about two. Libraries that stretch less (xatlas) took 30 s for
+50,000 faces.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from scipy.sparse import csgraph
 from ..model.scene import Float64
 from .mesh import Mask, Mesh
 
-ROUNDS = 8  # in which faces listen to their neighbours
+ROUNDS = 8  # rounds in which faces adapt to the directions of their neighbours
 SMOOTHINGS = 4  # rounds in which normals are averaged with those of neighbours
-LISTENING = 0.3  # what a neighbour is worth, as a cosine
+LISTENING = 0.3  # weight of a neighbour, as a cosine
 LEAST_FACING = 0.1  # cosine between a face and its chart's direction
-SMALL = 50  # faces: smaller charts join others where they face their direction at all
+SMALL = 50  # faces; smaller charts join others whose direction they face at all
 GUTTER = 2  # texels around each chart
 
 Ints = NDArray[np.int64]
@@ -32,10 +33,10 @@ class Charts:
     """A mesh cut along the charts' borders.
 
     Attributes:
-        vertex: (W,) the mesh's vertex that each corner of a chart is.
-        faces: (F, 3) the mesh's faces, by these.
-        texels: (W, 2) where they are in the texture, x to the right and y down.
-        side: of the texture, texels.
+        vertex: (W,) the mesh's vertex at each corner of a chart.
+        faces: (F, 3) the mesh's faces, as rows of corners.
+        texels: (W, 2) places of corners in the texture, x to the right and y down.
+        side: side of the texture, texels.
     """
 
     vertex: Ints
@@ -45,14 +46,14 @@ class Charts:
 
 
 def directions() -> Float64:
-    """(14, 3) the sides and the corners of a cube, as unit vectors."""
+    """Return (14, 3) unit vectors to the sides and the corners of a cube."""
     signs = np.array(np.meshgrid(*[[-1, 1]] * 3, indexing="ij"), float).reshape(3, -1).T
     both = np.concatenate([np.eye(3), -np.eye(3), signs])
     return _unit(both)
 
 
 def charts_of(mesh: Mesh, side: int) -> Charts:
-    """The charts of a mesh in a texture of `side` texels, as large as they fit."""
+    """Return the charts of a mesh in a texture of `side` texels, as large as they fit."""
     ways = directions()
     a, b = _neighbours(mesh.faces)
     label = _labels(mesh, ways, a, b)
@@ -68,7 +69,7 @@ def charts_of(mesh: Mesh, side: int) -> Charts:
 
 
 def _neighbours(faces: Ints) -> tuple[Ints, Ints]:
-    """Pairs of faces that share an edge."""
+    """Return pairs of faces that share an edge."""
     ends = np.sort(faces[:, (0, 1, 1, 2, 2, 0)].reshape(-1, 2), axis=1)
     keys = ends[:, 0] * (faces.max() + 1) + ends[:, 1]
     order = np.argsort(keys, kind="stable")
@@ -77,7 +78,7 @@ def _neighbours(faces: Ints) -> tuple[Ints, Ints]:
 
 
 def _connected(label: Ints, a: Ints, b: Ints) -> Ints:
-    """(F,) the chart of each face: connected ones of one label."""
+    """Return the chart (F,) of each face: connected faces of one label."""
     same = label[a] == label[b]
     n = len(label)
     joined = sparse.coo_matrix((np.ones(same.sum(), np.int8), (a[same], b[same])), shape=(n, n))
@@ -85,7 +86,7 @@ def _connected(label: Ints, a: Ints, b: Ints) -> Ints:
 
 
 def _labels(mesh: Mesh, ways: Float64, a: Ints, b: Ints) -> Ints:
-    """(F,) the direction of each face: one that it faces well, and its neighbours have."""
+    """Return the direction (F,) of each face: one that it faces well, and that neighbours have."""
     n, count = len(mesh.faces), len(ways)
     ends = np.concatenate([a, b]), np.concatenate([b, a])
     link = sparse.csr_matrix((np.ones(2 * len(a)), ends), shape=(n, n))
@@ -117,7 +118,7 @@ def _unit(vectors: Float64) -> Float64:
 
 
 def _projected(points: Float64, ways: Float64) -> Float64:
-    """(W, 2) points (W, 3) seen along directions (W, 3), in units of the scene."""
+    """Project points (W, 3) along directions (W, 3); return (W, 2) in units of the scene."""
     helper = np.where(np.abs(ways[:, :1]) < 0.6, [[1.0, 0, 0]], [[0, 1.0, 0]])
     right = np.cross(helper, ways)
     right /= np.linalg.norm(right, axis=1, keepdims=True)
@@ -126,12 +127,12 @@ def _projected(points: Float64, ways: Float64) -> Float64:
 
 
 def _packed(flat: Float64, chart: Ints, side: int) -> Float64:
-    """(W, 2) places in the texture: charts on shelves, the tallest first, as large as they fit."""
+    """Return places (W, 2) in the texture: charts as large as fit, on shelves, tallest first."""
     count = chart.max() + 1
     low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
     np.minimum.at(low, chart, flat)
     np.maximum.at(high, chart, flat)
-    turned = (high - low)[:, 0] < (high - low)[:, 1]  # upright ones lie down
+    turned = (high - low)[:, 0] < (high - low)[:, 1]  # upright charts are laid down
     local = flat - low[chart]
     local = np.where(turned[chart, None], local[:, ::-1] * (1, -1), local)
     sizes = high - low
@@ -148,7 +149,7 @@ def _packed(flat: Float64, chart: Ints, side: int) -> Float64:
 
 
 def _shelves(sizes: Float64, side: int) -> Float64 | None:
-    """(C, 2) corners of rectangles (C, 2) of texels with gutters; None: they do not fit."""
+    """Return corners (C, 2) of rectangles of `sizes` (C, 2) with gutters; None if too large."""
     whole = np.ceil(sizes) + 2 * GUTTER
     if whole.max() > side or whole.prod(axis=1).sum() > side * side:
         return None

@@ -1,4 +1,4 @@
-"""A mesh in clay from four sides, for reports."""
+"""Draws a mesh as clay from four sides, for reports."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ AMBIENT = 0.35
 
 
 def clay(mesh: Mesh, up: Float64) -> Pixels:
-    """(SIDE, 4 SIDE, 3) uint8: white around it; what no photo has shown is orange.
+    """Draw a mesh on white, (SIDE, 4 SIDE, 3) uint8; parts that no photo has shown are orange.
 
     Args:
         up: (3, 3) rotation after which the mesh's y axis points up.
@@ -54,7 +54,7 @@ def _picture(triangles: torch.Tensor, filled: Mask, turned: float) -> Pixels:
 
 
 def _slope(points: Float64, axis: int) -> Float64:
-    """(H, W, 3) from a pixel to the next along an axis, by the neighbour nearer in depth."""
+    """Return vectors (H, W, 3) to the next pixel of an axis, by the neighbour nearer in depth."""
     before = points - np.roll(points, 1, axis)
     after = np.roll(points, -1, axis) - points
     nearer = np.abs(before[..., 2:]) < np.abs(after[..., 2:])
@@ -62,7 +62,7 @@ def _slope(points: Float64, axis: int) -> Float64:
 
 
 def _from(turned: float) -> Float64:
-    """(4, 4) world to camera, of one that looks at the origin, `turned` around the y axis."""
+    """Return world to camera (4, 4) of a camera that looks at the origin, `turned` around y."""
     level, rise = np.cos(ABOVE), np.sin(ABOVE)
     back = np.array([level * np.sin(turned), rise, level * np.cos(turned)])  # to the camera
     right = np.array([np.cos(turned), 0, -np.sin(turned)])

@@ -1,4 +1,4 @@
-"""Depth maps of a box: the distance to its surface in each photo that shows it."""
+"""Depth maps of a box: the depth of its surface in each photo that shows it."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ class DepthMap:
 
     Attributes:
         image: the photo.
-        x, y: of the part's first pixel in the photo.
-        camera: of the part, in the photo's pixels.
-        depth: (H, W) along the camera's z axis, units of the scene; 0: not known. May have fewer
+        x, y: place of the part's first pixel in the photo.
+        camera: camera of the part, in the photo's pixels.
+        depth: (H, W) along the camera's z axis, units of the scene; 0 if unknown. May have fewer
             pixels than the part.
-        weight: (H, W) how certain it is, 0 to 1; negative where masks show that the depth is not
-            the object's.
+        weight: (H, W) certainty of the depth, 0 to 1; negative where masks show that the depth is
+            not the object's.
     """
 
     image: PosedImage
@@ -50,7 +50,7 @@ class DepthMap:
 
     @property
     def world_to_camera(self) -> Float64:
-        """(4, 4) the photo's pose."""
+        """Return the photo's pose (4, 4)."""
         return self.image.world_to_camera
 
     def counted(self, around: int) -> NDArray[np.bool_] | None:
@@ -66,7 +66,7 @@ class DepthMap:
 
     @property
     def lens(self) -> Camera:
-        """The camera of the depth's pixels."""
+        """Return the camera of the depth's pixels."""
         height, width = self.depth.shape
         return self.camera.resized(width, height)
 
@@ -81,18 +81,18 @@ def depth_maps(
     coarser: float = 1.0,
     masked: bool = False,
 ) -> Iterator[DepthMap]:
-    """The depth map of each of these photos that shows the box, in the scene's order.
+    """Yield the depth map of each of these photos that shows the box, in the scene's order.
 
-    The depth is the median one of the Gaussians, the weight is alpha.
+    The depth is the median depth of the Gaussians, the weight is alpha.
 
     Args:
         gaussians: the trained scene, on the context's device.
-        scene: with the photos, in the frame of the Gaussians and the box.
+        scene: contains the photos, in the frame of the Gaussians and the box.
         photos: names of the photos.
-        coarser: how many times larger than the photos' the pixels are.
+        coarser: size of the depth map's pixels, in pixels of the photos.
         masked: whether the Gaussians are `painted`, and photos may have masks of the object.
 
-    Raises as `load_mask`, if `masked`.
+    If `masked`, raises the errors of `load_mask`.
     """
     images = [
         (image, window)
@@ -109,7 +109,7 @@ def depth_maps(
 
 
 def box_window(roi: OrientedBox, image: PosedImage) -> tuple[int, int, int, int] | None:
-    """x0, y0, x1, y1, end exclusive: the pixels around a box in a photo; None: it shows none."""
+    """Return the pixels around a box in a photo: x0, y0, x1, y1, end exclusive; None if unseen."""
     camera, pose = image.camera, image.world_to_camera
     if roi.camera_inside(pose):
         return 0, 0, camera.width, camera.height
@@ -125,7 +125,7 @@ def box_window(roi: OrientedBox, image: PosedImage) -> tuple[int, int, int, int]
 
 
 def cropped(camera: Camera, window: tuple[int, int, int, int]) -> Camera:
-    """The camera of a part of its picture: x0, y0, x1, y1, end exclusive."""
+    """Return the camera of a part of its picture: x0, y0, x1, y1, end exclusive."""
     x0, y0, x1, y1 = window
     return replace(camera, width=x1 - x0, height=y1 - y0, cx=camera.cx - x0, cy=camera.cy - y0)
 
@@ -138,7 +138,7 @@ def _rendered(
     coarser: float = 1.0,
     masked: str | None = None,
 ) -> DepthMap:
-    """The depth map; `masked`: the box whose object the Gaussians are painted for."""
+    """Render the depth map; `masked` is the box for whose object the Gaussians are painted."""
     camera = cropped(image.camera, window)
     sides = (max(1, round(side / coarser)) for side in (camera.width, camera.height))
     output = rasterize_view(
@@ -146,7 +146,7 @@ def _rendered(
         camera.resized(*sides),
         image.world_to_camera,
         limits=PICTURE_LIMITS,
-        sh_degree=0,  # of colours, at most that of `painted` matters
+        sh_degree=0,  # only the colours of `painted` matter, if any
         with_surface=True,
     )
     assert output.surface is not None
@@ -165,7 +165,7 @@ def _rendered(
 
 
 def _with_mask(depth_map: DepthMap, white: Float32, box: str) -> DepthMap:
-    """The depth map with negative weights beside the object: by the photo's mask, or by `white`."""
+    """Make weights negative beside the object, by the photo's mask or, without one, by `white`."""
     m, camera = depth_map, depth_map.camera
     shown = white > 0.5 * m.weight
     mask = load_object_mask(m.image, box)

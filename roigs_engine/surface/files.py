@@ -28,7 +28,7 @@ USD = (".usda", ".usdc", ".usdz")
 UP = {".glb": "y", ".obj": "y", ".ply": "z", ".stl": "z", **dict.fromkeys(USD, "y")}
 """Endings of files, and the axis that points up, as most readers of the format have it."""
 FILLED = "_filled"  # attribute of vertices in glTF and PLY: 1 where no photo has shown the surface
-POINTS = 200_000  # of a surface: closer together than the voxels of any mesh beside it
+POINTS = 200_000  # points on a surface; they are closer than the voxels of any mesh beside it
 
 
 def write_mesh(
@@ -37,7 +37,7 @@ def write_mesh(
     """Write a mesh in the world as a .glb, atomically.
 
     Args:
-        frame: that of the mesh.
+        frame: the mesh's frame.
         up: (4, 4) rotation that turns the world upright (y up); its vertices stay the world's.
     """
     trimesh: Any = package("trimesh", PURPOSE)
@@ -48,12 +48,12 @@ def write_mesh(
 
 
 def convert_mesh(source: Path, path: Path, up: str | None = None) -> int:
-    """Write the mesh of a .glb in the format that the path ends in, atomically.
+    """Write the mesh of a .glb in the format of the path's suffix, atomically.
 
     Args:
-        source: with y up.
-        path: ends as one of `UP`. OBJ and OpenUSD get a PNG beside them, PLY colours of vertices.
-        up: the axis that points up in the file; None: as most readers of the format have it.
+        source: a .glb with y up.
+        path: has a suffix of `UP`. OBJ and OpenUSD get a PNG beside them, PLY colours of vertices.
+        up: the up axis of the file; None: that of most readers of the format.
 
     Returns:
         The number of faces.
@@ -83,7 +83,7 @@ def convert_mesh(source: Path, path: Path, up: str | None = None) -> int:
 
 
 def read_points(path: Path, frame: LocalFrame) -> tuple[Float64, Float64]:
-    """(N, 3) points all over a surface's .glb, in a frame, and their normals.
+    """Return points (N, 3) all over a surface's .glb, in a frame, and their normals.
 
     Raises:
         EngineError: the file cannot be read, or a package is not installed.
@@ -98,15 +98,15 @@ def read_points(path: Path, frame: LocalFrame) -> tuple[Float64, Float64]:
 
 
 def sampled_surface(path: Path, count: int) -> tuple[Float64, Float64, Float64]:
-    """Places on a surface's .glb that a photo has shown, evenly chosen.
+    """Return evenly spread places on a surface's .glb that a photo has shown.
 
     Args:
-        count: how many are tried; what no photo has shown is left out.
+        count: number of places to try; those that no photo has shown are left out.
 
     Returns:
         (N, 3) in the world; their normals; the texture's sRGB values there, 0 to 1.
 
-    Raises as `read_points`.
+    Raises the errors of `read_points`.
     """
     with reading(path, "glTF"):
         ((_, mesh),) = _read(path)
@@ -123,9 +123,9 @@ def sampled_surface(path: Path, count: int) -> tuple[Float64, Float64, Float64]:
 
 
 def _spread(areas: Float64, count: int) -> tuple[NDArray[np.int64], Float64]:
-    """Places all over a mesh: (count,) the face of each, (count, 3) shares of its corners.
+    """Return places all over a mesh: their faces (count,), and shares (count, 3) of the corners.
 
-    ValueError: the mesh has no area.
+    ValueError if the mesh has no area.
     """
     rng = np.random.default_rng(0)
     faces = rng.choice(len(areas), count, p=areas / areas.sum())
@@ -133,12 +133,12 @@ def _spread(areas: Float64, count: int) -> tuple[NDArray[np.int64], Float64]:
 
 
 def page_meshes(path: Path, matrix: Float64) -> list[PageMesh]:
-    """The textured meshes of a surface's .glb for a web page.
+    """Return the textured meshes of a surface's .glb for a web page.
 
     Args:
-        matrix: (4, 4) from the world, in which a surface's vertices are, to the page.
+        matrix: (4, 4) from the world of the surface's vertices to the page.
     """
-    found, pictures = [], dict[int, bytes]()  # many meshes may show one
+    found, pictures = [], dict[int, bytes]()  # many meshes may show the same picture
     with reading(path, "glTF"):
         for _, mesh in _read(path):
             if mesh.visual.kind != "texture":
@@ -157,10 +157,10 @@ def page_meshes(path: Path, matrix: Float64) -> list[PageMesh]:
 
 
 def _read(path: Path) -> list[tuple[Float64, Any]]:
-    """The meshes of a .glb, each with the matrix (4, 4) that places it; at least one.
+    """Return the meshes of a .glb, at least one, each with the matrix (4, 4) that places it.
 
-    Read by our own reader, as trimesh's opens pictures of any format, some of which are programs,
-    and takes any count that the file names.
+    Our own reader is used, because trimesh's opens pictures of any format, some of which are
+    programs, and accepts any count that the file names.
     """
     trimesh: Any = package("trimesh", PURPOSE)
     file = GltfFile(path)
@@ -195,9 +195,9 @@ def _read(path: Path) -> list[tuple[Float64, Any]]:
 
 
 def _texture(file: GltfFile, item: dict[str, Any], uv: Any, materials: dict[int, Any]) -> Any:
-    """A primitive's texture in trimesh's form; None: it has none.
+    """Return a primitive's texture in trimesh's form, or None if it has none.
 
-    `materials`: of the file's pictures so far, by their numbers.
+    `materials`: number of a picture -> its material, for the file's pictures so far.
     """
     trimesh: Any = package("trimesh", PURPOSE)
     if uv is None or "material" not in item:
@@ -208,7 +208,7 @@ def _texture(file: GltfFile, item: dict[str, Any], uv: Any, materials: dict[int,
         return None
     texture = record["textures"][about["baseColorTexture"]["index"]]
     material = materials.get(texture["source"])
-    if material is None:  # many primitives may show one picture
+    if material is None:  # many primitives may show the same picture
         content = bytes(file.view(record["images"][texture["source"]]["bufferView"]))
         picture = Image.open(io.BytesIO(content), formats=("PNG", "JPEG"))
         file.count(3 * picture.width * picture.height)
@@ -221,7 +221,7 @@ def _material(picture: Image.Image) -> Any:
     kind: Any = trimesh.visual.material.PBRMaterial
 
     class Material(kind):  # type: ignore[misc]
-        """Is hashed once: trimesh hashes all pixels, for each mesh that shows the picture."""
+        """A material that is hashed once; trimesh's hashes all pixels for each mesh with it."""
 
         @functools.cached_property
         def known(self) -> int:
@@ -257,7 +257,7 @@ def _exported(textured: Textured, frame: LocalFrame) -> Any:
 
 
 def _write_obj(path: Path, mesh: Any) -> None:
-    """The geometry's file last, so that it never names a texture that is not there."""
+    """Write an OBJ, its geometry last, so that this never names a missing texture."""
     trimesh: Any = package("trimesh", PURPOSE)
     if mesh.visual.kind == "texture":
         mesh.visual.material = mesh.visual.material.to_simple()

@@ -1,11 +1,11 @@
 """Fusion of depth maps into a truncated signed distance field (TSDF) of a box.
 
-After Curless and Levoy (1996), with space carving: a ray that passes a voxel before its depth votes
-that it is free. Two additions are ours. If many more rays end far in front of a voxel than near it,
-they vote weakly that it is inside. So wrong depths in a few photos make no layer inside an object.
-Photos with larger pixels at the voxel have less weight. The field is computed coarsely first, then
-finely near the coarse surface. Depth with a negative weight is not the object's: space in front of
-it is free and, with little weight, space behind it.
+It follows Curless and Levoy (1996), with space carving: a ray that passes a voxel before its depth
+votes that the voxel is free. Two additions are ours. If many more rays end far in front of a voxel
+than near it, they vote weakly that it is inside. So wrong depths in a few photos make no layer
+inside an object. Photos with larger pixels at the voxel have less weight. The field is computed
+coarsely first, then finely near the coarse surface. Depth with a negative weight is not the
+object's: space in front of it is free and, with little weight, so is space behind it.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from .depth import DepthMap
 
 STAGE = "fusion"
 COARSE = 4  # side of a cell of the coarse field, voxels
-TRUNCATION = 3.0  # voxels, at least
-FOOTPRINTS = 1.0  # .. and pixels of the photo
+TRUNCATION = 3.0  # least truncation, voxels
+FOOTPRINTS = 1.0  # .. and in pixels of the photo
 HIDDEN = 0.1  # weight of a ray that ends in front of a voxel, relative to one that passes it
-AGREED = 0.15  # .. with none where so many rays, relative to these, end near it
-JUMP = 2.0  # sizes of a pixel by which neighbours' depths on one surface differ at most
-BEHIND = 0.1  # of its weight: how free it is far behind what is not the object
-STEEPEST = 0.15  # cosine between normal and ray on a surface
-SMOOTHING = 1.0  # standard deviation of what surfaces' slopes are measured on, pixels
+AGREED = 0.15  # .. this weight is 0 if at least so many rays, relative to these, end near the voxel
+JUMP = 2.0  # most difference of neighbours' depths on one surface, in sizes of a pixel
+BEHIND = 0.1  # weight with which space far behind other objects is free, relative to a ray's
+STEEPEST = 0.15  # least cosine between normal and ray on a surface
+SMOOTHING = 1.0  # standard deviation of the filter before slopes are measured, pixels
 POINTS_AT_ONCE = 1 << 20
 STEPS = 100
 """Of the stage: how many parts are fine is known late."""
@@ -50,7 +50,7 @@ class Field:
     """The distance field of a box on a grid, in the box's own axes.
 
     Attributes:
-        distance: (X, Y, Z) positive where it is free, negative inside, in truncations, -1 to 1.
+        distance: (X, Y, Z) in truncations, -1 to 1: positive in free space, negative inside.
         origin: (3,) the first voxel's centre in the box's axes.
         voxel: side of a voxel, units of the scene.
     """
@@ -61,12 +61,12 @@ class Field:
 
     @property
     def faces(self) -> int:
-        """About how many faces its surface has: two for each edge of the grid that it crosses."""
+        """Return about how many faces the surface has: two for each grid edge that it crosses."""
         inside = self.distance < 0
         return 2 * sum(int(np.diff(inside, axis=k).sum()) for k in range(3))
 
     def halved(self) -> Field:
-        """The field with voxels of twice the side: the means of 2 x 2 x 2."""
+        """Return the field with voxels of twice the side: the means of 2 x 2 x 2 voxels."""
         pairs = [(0, size % 2) for size in self.distance.shape]
         x, y, z = (-(-size // 2) for size in self.distance.shape)
         cubes = np.pad(self.distance, pairs, mode="edge").reshape(x, 2, y, 2, z, 2)
@@ -78,7 +78,7 @@ class Field:
 
 
 def footprint(depth_map: DepthMap) -> float:
-    """Size of a pixel on the surface, the median over a depth map; infinite if it has no depth."""
+    """Return the size of a pixel on the surface at the median depth; infinite without any depth."""
     depth = depth_map.depth[depth_map.depth > 0]
     if not len(depth):
         return float("inf")
@@ -88,10 +88,10 @@ def footprint(depth_map: DepthMap) -> float:
 def fuse(
     maps: Sequence[DepthMap], roi: OrientedBox, voxel: float, context: Context = QUIET
 ) -> Field:
-    """The field of a box from its depth maps.
+    """Make the field of a box from its depth maps.
 
     Args:
-        maps: in the frame of the box.
+        maps: depth maps in the frame of the box.
         voxel: side of a voxel, units of the scene.
     """
     cells = np.maximum(np.ceil(2 * roi.half_extents / (COARSE * voxel)).astype(int), 1)
@@ -132,13 +132,13 @@ def fuse(
 
 
 def _grid(sides: Sequence[int]) -> NDArray[np.int64]:
-    """(N, 3) the places of a grid, the last axis fastest."""
+    """Return the places (N, 3) of a grid, the last axis fastest."""
     axes = np.meshgrid(*map(np.arange, sides), indexing="ij")
     return np.asarray(np.stack([axis.ravel() for axis in axes], axis=1), dtype=np.int64)
 
 
 def _field(sums: Float32) -> Float32:
-    """(N,) the field of the sums of `roigs_fuse_depth`; -1 where no ray has come."""
+    """Return the field (N,) from sums of `roigs_fuse_depth`; -1 where no ray has come."""
     value, weight, near, hidden = sums[:, :4].T
     with np.errstate(all="ignore"):
         disagreed = np.clip(1 - near / (AGREED * hidden), 0, 1)
@@ -148,7 +148,7 @@ def _field(sums: Float32) -> Float32:
 
 
 def _active(coarse: Float32, near: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Cells in which, or beside which, there may be a surface."""
+    """Return the cells in which or beside which there may be a surface."""
     inside = coarse < 0
     mixed = ndimage.maximum_filter(inside, 3) & ~ndimage.minimum_filter(inside, 3)
     return np.asarray(mixed | ndimage.maximum_filter(near & (np.abs(coarse) < 0.9), 3))
@@ -157,12 +157,12 @@ def _active(coarse: Float32, near: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _sampled(
     points: Float64, rays: Sequence[_Ray], voxel: float, tell: Callable[[float], None]
 ) -> Float32:
-    """(N, 5) the sums of `roigs_fuse_depth` at points (N, 3) in the box's axes.
+    """Return the sums (N, 5) of `roigs_fuse_depth` at points (N, 3) in the box's axes.
 
     Args:
-        points, rays: what to sum.
+        points, rays: the points, and the depth maps to sum.
         voxel: distance between points.
-        tell: called before each ray with the share of this work that is done.
+        tell: called before each depth map with the share of this work that is done.
     """
     places = np.ascontiguousarray(points, dtype=np.float32)
     sums, beside = (np.zeros((len(points), 5), np.float32) for _ in range(2))
@@ -196,7 +196,7 @@ class _Ray:
             self.beside = np.ascontiguousarray((-certain).clip(min=0), dtype=np.float32)
 
     def photo(self, voxel: float, weight: Float32) -> bindings.DepthPhoto:
-        """The kernel's structure, for points `voxel` apart; valid as long as this lives."""
+        """Return the kernel's structure for points `voxel` apart; valid while this exists."""
         camera = self.camera
         pixel = 1 / max(camera.fx, camera.fy)
         pose = (ctypes.c_float * 12)(*self.pose[:3].ravel())
@@ -208,11 +208,11 @@ class _Ray:
 
 
 def slopes(depth: Float32, camera: Camera) -> tuple[Float32, Float32]:
-    """Slopes of the surface of a depth map, from the gradient of 1 / depth.
+    """Return slopes of the surface of a depth map, from the gradient of 1 / depth.
 
     Returns:
-        (H, W) distance to the surface's plane / difference in depth; (H, W) the cosine between its
-        normal and the ray.
+        (H, W) distance to the surface's plane per difference in depth; (H, W) cosine between the
+        surface's normal and the ray.
     """
     with np.errstate(divide="ignore"):
         inverse = np.where(depth > 0, 1 / depth.astype(np.float64), 0.0)

@@ -1,4 +1,4 @@
-"""The surface of a box from end to end: depth maps, field, mesh, texture."""
+"""Makes the surface of a box from end to end: depth maps, field, mesh, texture."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ DENSEST = 20
 thousands of edges of a closed mesh meet, so that it is closed no longer.
 """
 MOST_PHOTOS = 150
-NEAR_SIDE = 0.02  # of the box's size: so near its sides, ..
-CUT = 0.002  # .. a mesh has no more of its vertices, if the box contains the object
-FEWEST = 5  # photos: with fewer, much stays open
+NEAR_SIDE = 0.02  # distance from a box's sides, of its size; ..
+CUT = 0.002  # .. largest share of vertices so near to the sides if the box contains the object
+FEWEST = 5  # photos; with fewer, much of the surface stays open
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,9 +47,9 @@ class SurfaceOptions:
     """Options of a surface.
 
     Attributes:
-        faces: of the mesh, at most.
-        watertight: whether it gets no holes.
-        texture_size: side of the texture, texels; None: as the photos resolve.
+        faces: most faces of the mesh.
+        watertight: whether the mesh has no holes.
+        texture_size: side of the texture, texels; None: by the resolution of the photos.
     """
 
     faces: int = FACES
@@ -59,12 +59,12 @@ class SurfaceOptions:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Surface:
-    """The surface of a box, and what it was made of.
+    """The surface of a box, and how it was made.
 
     Attributes:
         textured: mesh and texture, in the frame of the scene.
         voxel: side of the field's voxels, units of the scene.
-        photos: how many have shown the box.
+        photos: number of photos that show the box.
     """
 
     textured: Textured
@@ -73,12 +73,12 @@ class Surface:
 
     @property
     def mesh(self) -> Mesh:
-        """The mesh."""
+        """Return the mesh."""
         return self.textured.mesh
 
     @property
     def filled(self) -> float:
-        """Share of the surface that no photo has shown."""
+        """Return the share of the surface that no photo has shown."""
         areas = self.mesh.areas
         return float(areas[self.mesh.filled].sum() / max(areas.sum(), 1e-30))
 
@@ -99,13 +99,13 @@ def make_surface(
     load: Load = load_photo,
     context: Context = QUIET,
 ) -> Surface:
-    """The surface of a box.
+    """Make the surface of a box.
 
     Args:
         gaussians: the trained scene, on the context's device.
         scene: the photos to use, in the frame of the Gaussians and the box. If some have masks of
             the box's object, the surface is that of the object alone.
-        plan: of its memory; None: that of `surface_plan`.
+        plan: plan of the memory; None: that of `surface_plan`.
         load: returns a photo, (H, W, 3) uint8 sRGB.
 
     Raises:
@@ -150,7 +150,7 @@ def make_surface(
 def _depth_maps(
     gaussians: Gaussians, scene: SfmScene, roi: OrientedBox, plan: SurfacePlan, context: Context
 ) -> list[DepthMap]:
-    """Those that have a depth, of the nearest photos."""
+    """Return the depth maps of the nearest photos, without empty ones."""
     masked = has_masks(scene, roi)
     drawn = painted(gaussians, scene, roi, context) if masked else gaussians
     photos = [image.name for image in nearest_photos(scene.images, roi)]
@@ -159,20 +159,20 @@ def _depth_maps(
 
 
 def nearest_photos(images: Sequence[PosedImage], roi: OrientedBox) -> list[PosedImage]:
-    """The photos that show a box, those that show it largest if there are many."""
+    """Return the photos that show a box; if there are many, those that show it largest."""
     shown = [image for image in images if box_window(roi, image) is not None]
     return sorted(shown, key=lambda image: pixel_size(image, roi))[:MOST_PHOTOS]
 
 
 def surface_plan(gaussians: Gaussians, scene: SfmScene, roi: OrientedBox) -> SurfacePlan:
-    """The plan of the memory of `make_surface`."""
+    """Plan the memory of `make_surface`."""
     return plan_surface(nearest_photos(scene.images, roi), roi, len(gaussians))
 
 
 def voxel_size(
     maps: Sequence[DepthMap], roi: OrientedBox, plan: SurfacePlan, context: Context = QUIET
 ) -> float:
-    """Side of a voxel: part of a pixel of the better photos, or as memory allows."""
+    """Return the side of a voxel: part of a pixel of the better photos, or what memory allows."""
     wanted = float(np.percentile([footprint(depth_map) for depth_map in maps], BETTER)) / FINER
     found = max(wanted, plan.voxel) if math.isfinite(wanted) else plan.voxel
     if found > wanted or plan.coarser > 1:

@@ -22,12 +22,12 @@ FIELD_SHARE = 4  # a field takes at most 1/4 of the machine's memory, ..
 MAPS_SHARE = 8  # .. depth maps 1/8, ..
 TEXTURE_SHARE = 4  # .. a texture 1/4, after the field
 PER_VOXEL = 30  # bytes while a field is fused and cut out
-PER_DEPTH = 20  # bytes: depth, weight, slope, and what is computed of them
+PER_DEPTH = 20  # bytes for depth, weight, slope, and values computed from them
 PER_TEXEL = 300  # bytes while it gets its colour
-PER_PIXEL = 200  # bytes of the largest part of a photo: its colours, the mesh's depth there
-PER_GAUSSIAN = 800  # bytes: parameters, and what drawing computes of them
-CHARTS = 150 << 20  # bytes for charts, and what reading the scene leaves
-NEAR_ENOUGH = 1.5  # depth maps so many times finer than the field stay as they are
+PER_PIXEL = 200  # bytes in the largest part of a photo: its colours, the mesh's depth there
+PER_GAUSSIAN = 800  # bytes for parameters, and values computed for drawing
+CHARTS = 150 << 20  # bytes for charts, and memory that reading the scene leaves in use
+NEAR_ENOUGH = 1.5  # depth maps at most so many times finer than the field stay as they are
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,11 +35,11 @@ class SurfacePlan:
     """The memory plan of a surface.
 
     Attributes:
-        coarser: how many times larger than the photos' the pixels of depth maps are.
-        voxel: side of a voxel at least, units of the scene.
-        texture: side of the texture at most, texels.
-        memory: bytes that it takes at most, about.
-        machine: bytes that there are.
+        coarser: size of the depth maps' pixels, in pixels of the photos.
+        voxel: least side of a voxel, units of the scene.
+        texture: largest side of the texture, texels.
+        memory: about how many bytes are used at most.
+        machine: bytes of memory of the machine.
     """
 
     coarser: float
@@ -50,21 +50,21 @@ class SurfacePlan:
 
     @property
     def text(self) -> str:
-        """One line for users."""
+        """Return the plan as one line for users."""
         return f"Memory: up to about {in_gb(self.memory)} of {in_gb(self.machine)}."
 
 
 def plan_surface(images: Sequence[PosedImage], roi: OrientedBox, gaussians: int) -> SurfacePlan:
-    """The plan of a box's surface.
+    """Plan the memory of a box's surface.
 
     Args:
         images: the photos that show the box.
-        gaussians: their number.
+        gaussians: number of Gaussians.
     """
     machine = machine_memory()
     most = min(MOST_VOXELS, machine // FIELD_SHARE // PER_VOXEL)
     volume = float(np.prod(2 * roi.half_extents))
-    # Cells at the box's sides reach beyond it.
+    # Cells at the box's sides extend beyond the box.
     voxel = float((volume / most) ** (1 / 3)) * (1 + COARSE / 100)
     windows = [window for image in images if (window := box_window(roi, image)) is not None]
     areas = [(x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in windows] or [0]
@@ -89,6 +89,6 @@ def plan_surface(images: Sequence[PosedImage], roi: OrientedBox, gaussians: int)
 
 
 def pixel_size(image: PosedImage, roi: OrientedBox) -> float:
-    """Size of a photo's pixel at a box's centre, units of the scene."""
+    """Return the size of a photo's pixel at a box's centre, units of the scene."""
     away = float(np.linalg.norm(image.centre - roi.centre))
     return away / max(image.camera.fx, image.camera.fy)

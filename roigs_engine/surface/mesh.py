@@ -1,4 +1,4 @@
-"""Triangle mesh of a distance field: extracted, without floating parts, simplified, closed."""
+"""Triangle mesh of a distance field: extracted, cleaned of floating parts, simplified, closed."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from .depth import DepthMap
 from .fusion import Field
 
 PURPOSE = "A mesh"
-SMOOTHING = 1.0  # standard deviation of what the field is smoothed with, voxels
-PHOTOS = 2  # that must show a surface, else it is filled
-SMALLEST = 0.02  # area of a part, in that of the largest one: smaller ones fly about
-HOLE = 0.01  # share of the area that a filled hole has at most; larger ones stay open
+SMOOTHING = 1.0  # standard deviation of the field's smoothing filter, voxels
+PHOTOS = 2  # least number that show a surface, else it counts as filled
+SMALLEST = 0.02  # least area of a part, relative to the largest; smaller parts are floating noise
+HOLE = 0.01  # largest share of the area for a filled hole; larger holes stay open
 FACING = 0.15  # least cosine between a face's normal and a ray that shows it
-SLACK = 2.0  # sizes of a pixel or voxel between a face and the depth that shows it
+SLACK = 2.0  # most distance between a face and a depth that shows it, in sizes of pixel or voxel
 
 Faces = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -39,7 +39,7 @@ class Mesh:
     Attributes:
         vertices: (V, 3).
         faces: (F, 3) counter-clockwise as seen from outside.
-        filled: (F,) whether no photo has shown this part.
+        filled: (F,) whether no photo has shown the face.
     """
 
     vertices: Float64
@@ -48,17 +48,17 @@ class Mesh:
 
     @property
     def crosses(self) -> Float64:
-        """(F, 3) normals of the faces, twice as long as their areas."""
+        """Return the normals (F, 3) of the faces, with twice their areas as lengths."""
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
         return np.asarray(np.cross(b - a, c - a))
 
     @property
     def areas(self) -> Float64:
-        """(F,) square units of the scene."""
+        """Return the areas (F,) of the faces, square units of the scene."""
         return np.asarray(np.linalg.norm(self.crosses, axis=1) / 2)
 
     def normals(self) -> Float64:
-        """(V, 3) unit normals of the vertices, mean of their faces' by area."""
+        """Return unit normals (V, 3) of the vertices: means of their faces' normals by area."""
         total = np.zeros_like(self.vertices)
         crosses = self.crosses
         for corner in range(3):
@@ -69,7 +69,7 @@ class Mesh:
         return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30))
 
     def volume(self) -> float:
-        """Cubic units of the scene; means something if the mesh is closed."""
+        """Return the volume in cubic units of the scene; it has a meaning if the mesh is closed."""
         return float(np.einsum("ij,ij->", self.vertices[self.faces[:, 0]], self.crosses) / 6)
 
     def is_closed(self) -> bool:
@@ -80,7 +80,7 @@ class Mesh:
         return bool((forth[1:] > forth[:-1]).all() and (forth == back).all())
 
     def holes(self) -> Float64:
-        """(H, 3) for each hole: its area, as seen from its front, times its normal to outside."""
+        """Return (H, 3) for each hole: its area, seen from the front, times its outward normal."""
         a, b = self.faces[:, (0, 1, 2)].ravel(), self.faces[:, (1, 2, 0)].ravel()
         n = len(self.vertices)
         rim = ~np.isin(a * n + b, b * n + a)
@@ -93,7 +93,7 @@ class Mesh:
         return np.stack(sums, axis=1) if len(a) else np.zeros((0, 3))
 
     def kept(self, mask: Mask) -> Mesh:
-        """The mesh of the faces of a mask (F,) alone."""
+        """Return the mesh of only the faces of a mask (F,)."""
         used, faces = np.unique(self.faces[mask], return_inverse=True)
         return Mesh(
             vertices=self.vertices[used],
@@ -102,7 +102,7 @@ class Mesh:
         )
 
     def parts(self, among: Mask | None = None) -> NDArray[np.int64]:
-        """(F,) number of the connected part each face is in; `among`: faces that connect."""
+        """Return the number (F,) of each face's connected part; only faces of `among` connect."""
         faces = self.faces if among is None else self.faces[among]
         edges = np.concatenate([faces[:, :2], faces[:, 1:]]).T
         n = len(self.vertices)
@@ -119,11 +119,11 @@ def mesh_of(
     closed: bool = False,
     context: Context = QUIET,
 ) -> Mesh:
-    """The surface of a field, without what flies about and without layers inside.
+    """Make the surface of a field, without floating parts and without layers inside.
 
     Args:
-        maps: those that the field was fused from; what fewer than two of them show is filled.
-        closed: whether it gets no holes: what no photo shows is filled, also at the box's sides.
+        maps: depth maps of the field; faces that fewer than two of them show count as filled.
+        closed: whether the mesh has no holes: unseen parts are filled, also at the box's sides.
 
     Raises:
         SceneError: there is no surface in the box.
@@ -139,7 +139,7 @@ def mesh_of(
 def cut_out(
     field: Field, roi: OrientedBox, *, closed: bool = False, context: Context = QUIET
 ) -> Mesh:
-    """All that is the surface of a field; raises as `mesh_of`."""
+    """Return the whole surface of a field, uncleaned; raises the errors of `mesh_of`."""
     measure: Any = package("skimage.measure", PURPOSE, "scikit-image")
     context.check_cancelled()
     volume = ndimage.gaussian_filter(field.distance, SMOOTHING)
@@ -160,11 +160,11 @@ def cut_out(
 def shown(
     mesh: Mesh, maps: Sequence[DepthMap], voxel: float, photos: int, context: Context
 ) -> NDArray[np.bool_]:
-    """(F,) whether so many depth maps show each face: from in front, and at their depth."""
+    """Whether (F,) at least `photos` depth maps show each face, from in front and at its depth."""
     centres, normals = mesh.vertices[mesh.faces].mean(axis=1), mesh.crosses
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     views = np.zeros(len(centres), np.int64)
-    left = np.arange(len(centres))  # of faces that too few have shown yet: soon, only some
+    left = np.arange(len(centres))  # faces that too few photos have shown yet; soon only some
     for depth_map in maps:
         context.check_cancelled()
         camera, pose = depth_map.lens, depth_map.world_to_camera
@@ -183,14 +183,14 @@ def shown(
 
 
 def nothing_there(roi: OrientedBox) -> SceneError:
-    """The error for a box without a surface."""
+    """Return the error for a box without a surface."""
     return SceneError(
         f"No photo shows a surface in box '{roi.name}'.", "Put the box around an object."
     )
 
 
 def cleaned(mesh: Mesh, *, closed: bool) -> Mesh:
-    """The mesh without small parts, hollows inside, and, unless `closed`, large filled parts."""
+    """Remove small parts, hollows inside and, unless `closed`, large filled parts of a mesh."""
     mesh = _large_parts(_without_hollows(mesh))
     if closed or not mesh.filled.any():
         return mesh
@@ -202,7 +202,7 @@ def cleaned(mesh: Mesh, *, closed: bool) -> Mesh:
 
 
 def _without_hollows(mesh: Mesh) -> Mesh:
-    """Without parts whose outside is inside: closed ones with a negative volume."""
+    """Remove parts that are turned inside out: closed ones with a negative volume."""
     parts = mesh.parts()
     signed = np.einsum("ij,ij->i", mesh.vertices[mesh.faces[:, 0]], mesh.crosses)
     volumes = np.bincount(parts, signed)
@@ -223,9 +223,10 @@ def _large_parts(mesh: Mesh) -> Mesh:
 
 
 def simplified(mesh: Mesh, faces: int, context: Context = QUIET) -> Mesh:
-    """The mesh with about so many faces at most (quadric errors, Garland and Heckbert 1997).
+    """Reduce a mesh to at most about `faces` faces (quadric errors, Garland and Heckbert 1997).
 
-    A closed mesh stays closed; for that, it may keep more. Parts cut off by merging are removed.
+    A closed mesh stays closed, and may keep more faces for that. Parts cut off by merging are
+    removed.
     """
     wanted, is_closed = faces, mesh.is_closed()
     while len(mesh.faces) > wanted:
@@ -238,7 +239,7 @@ def simplified(mesh: Mesh, faces: int, context: Context = QUIET) -> Mesh:
 
 
 def decimated(mesh: Mesh, faces: int) -> Mesh:
-    """The mesh with about so many faces, if it has more; its parts stay."""
+    """Reduce a mesh to about `faces` faces, if it has more; no parts are removed."""
     if len(mesh.faces) <= faces:
         return mesh
     library: Any = package("fast_simplification", PURPOSE, "fast-simplification")

@@ -20,14 +20,14 @@ from ..training.labels import object_owners
 from .depth import DepthMap
 from .fusion import TRUNCATION, Field
 
-AROUND = 1.2  # of the box's size: so far the support is looked at
-POINTS = 20_000  # of all photos, at most, of the object and of what is beside it
-FEWEST = 200  # points of a support
-PLANES = 500  # that are tried
-THICK = 3.0  # voxels: how far points of the support are from its plane
-SHARE = 0.3  # of the points beside the object, at least, are of its support
-BELOW = 0.05  # of the object's points, at most, are below its support
-ABOVE = 1.0  # voxels above the support: there the object begins
+AROUND = 1.2  # size of the region in which a support is searched, in sizes of the box
+POINTS = 20_000  # about how many points of all photos, on the object, and beside it
+FEWEST = 200  # least number of points, on the object, and beside it
+PLANES = 500  # planes that are tried
+THICK = 3.0  # most distance of the support's points from its plane, voxels
+SHARE = 0.3  # least share of the points beside the object that are on its support
+BELOW = 0.05  # largest share of the object's points below its support
+ABOVE = 1.0  # height above the support at which the object begins, voxels
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,9 +50,9 @@ def has_masks(scene: SfmScene, roi: OrientedBox) -> bool:
 def painted(
     gaussians: Gaussians, scene: SfmScene, roi: OrientedBox, context: Context = QUIET
 ) -> Gaussians:
-    """The Gaussians, white where they are of the box's object by its masks, black elsewhere.
+    """Paint the Gaussians white if masks assign them to the box's object, else black.
 
-    Raises as `load_mask`.
+    Raises the errors of `load_mask`.
     """
     rows = object_owners(gaussians, [roi], scene.images, context) == 0
     white = (rows.to(gaussians.means)[:, None, None] - 0.5) / SH_C0
@@ -60,9 +60,9 @@ def painted(
 
 
 def support_of(maps: Sequence[DepthMap], roi: OrientedBox, voxel: float) -> Support | None:
-    """The support of the object, from depth maps with masks; None: no plane is below it.
+    """Find the support of an object from depth maps with masks; None if no plane is below it.
 
-    The plane with the most points beside the object, among those that have the object on one side
+    Among planes with the object on one side, it is the one with the most points beside the object
     (RANSAC, Fischler and Bolles 1981).
     """
     beside, own = _points(maps, roi, own=False), _points(maps, roi, own=True)
@@ -85,14 +85,14 @@ def support_of(maps: Sequence[DepthMap], roi: OrientedBox, voxel: float) -> Supp
 
 
 def cut_off(field: Field, support: Support) -> Field:
-    """The field, free below the support of its object."""
+    """Return the field with free space below the support of its object."""
     x, y, z = (
         (field.origin[k] + field.voxel * np.arange(n)) * support.normal[k]
         for k, n in enumerate(field.distance.shape)
     )
     foot = support.height + ABOVE * field.voxel
     distance = field.distance.copy()
-    for k in range(len(x)):  # a slice at a time: no second field
+    for k in range(len(x)):  # a slice at a time, because a second field would take memory
         below = (foot - x[k] - y[:, None] - z) / (TRUNCATION * field.voxel)
         np.maximum(distance[k], np.clip(below, -1, 1), out=distance[k])
     return replace(field, distance=distance)
@@ -109,7 +109,7 @@ def _plane(normal: Float64, place: Float64, own: Float64) -> Support | None:
 
 
 def _points(maps: Sequence[DepthMap], roi: OrientedBox, *, own: bool) -> Float64:
-    """(N, 3) places of depths on the object, or beside it, in the box's axes."""
+    """Return places (N, 3) of depths on the object, or beside it, in the box's axes."""
     found = []
     for depth_map in maps:
         y, x = np.nonzero((depth_map.depth > 0) & (depth_map.weight * (1 if own else -1) > 0))

@@ -1,9 +1,9 @@
 """Fits a mesh to its photos: moves it along its normals to where the photos agree.
 
-The Gaussians' surface is inside the object, everywhere by about a pixel of the best photos. A
-single patch matched between photos gives the place of the surface only roughly, and sometimes
-wrongly (plane sweep, Collins 1996; oriented patches, Furukawa and Ponce 2010). The sum of the
-correlations of a neighbourhood has a sharp peak. So a mesh gets one smooth field of offsets.
+The Gaussians' surface is about a pixel of the best photos inside the object, everywhere. A single
+patch matched between photos gives the place of the surface only roughly, and sometimes wrongly
+(plane sweep, Collins 1996; oriented patches, Furukawa and Ponce 2010). The sum of the correlations
+of a neighbourhood has a sharp peak. So a mesh gets one smooth field of offsets.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from .texture import Load
 
 STAGE = "fit"
 POINTS = 4000  # patches on the mesh
-PHOTOS = 3  # that show a patch best are compared
-SIDE = 7  # of a patch, pixels of the best photo
-FARTHEST, STEP = 4.0, 0.5  # offsets that are tried: up to, and apart, in these pixels
+PHOTOS = 3  # photos that show a patch best; they are compared
+SIDE = 7  # side of a patch, pixels of the best photo
+FARTHEST, STEP = 4.0, 0.5  # largest offset that is tried, and their steps, in these pixels
 NEIGHBOURS = 40  # patches whose agreement is summed up
 FACING = 0.3  # least cosine between ray and normal
-HIDDEN = 3.0  # sizes of a pixel behind the depth: then a patch is hidden
-PLAIN = 2.0  # levels of 255: patches with a smaller standard deviation say nothing
-WIDEST, NARROW = 0.9, 0.3  # sine of the angle between two rays: not above; counts less below
-PEAK = 0.02  # correlation by which the best offset must exceed the usual one
-AT_ONCE = 512  # patches whose colours are looked up: 60 MB
-ALIKE, SAME_SIDE = 0.7, 0.0  # least cosine of normals: of neighbours; of what moves a vertex
-PRIOR = 0.01  # weight of no offset, in patches' correlations
+HIDDEN = 3.0  # distance from the depth, in sizes of a pixel, from which a patch is hidden
+PLAIN = 2.0  # levels of 255; patches with a smaller standard deviation are not used
+WIDEST, NARROW = 0.9, 0.3  # sine of the angle between two rays: largest; less weight below
+PEAK = 0.02  # least correlation of the best offset above the median one
+AT_ONCE = 512  # patches whose colours are read at once: 60 MB
+ALIKE, SAME_SIDE = 0.7, 0.0  # least cosine of normals, of patches, and of a vertex and a patch
+PRIOR = 0.01  # weight of an offset of 0, in patches' correlations
 
 Float32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
@@ -52,7 +52,7 @@ class _Patches:
     Attributes:
         places, normals: (N, 3).
         photos: (PHOTOS, N) rows of depth maps, the best first.
-        pixels: (PHOTOS, N) size of theirs there; infinite: fewer photos show the patch.
+        pixels: (PHOTOS, N) sizes of their pixels there; infinite if fewer photos show the patch.
     """
 
     places: Float64
@@ -62,16 +62,16 @@ class _Patches:
 
     @property
     def size(self) -> Float64:
-        """(N,) the size of a patch's pixels; 0 if no photo shows it."""
+        """Return the size (N,) of the best photo's pixels; 0 if no photo shows a patch."""
         return np.where(np.isfinite(self.pixels[0]), self.pixels[0], 0.0)
 
 
 def fitted(
     mesh: Mesh, maps: Sequence[DepthMap], roi: OrientedBox, load: Load, context: Context = QUIET
 ) -> Mesh:
-    """The mesh, moved to where its photos agree, by at most four pixels of the best of them.
+    """Move a mesh to where its photos agree, by at most four pixels of the best of them.
 
-    It stays where photos have no detail, and where it would leave its box.
+    It stays in place where photos have no detail, and where it would leave its box.
 
     Args:
         mesh: in the frame of the maps and the box.
@@ -87,7 +87,7 @@ def fitted(
     near = _Neighbours(tree, patches, patches.places, patches.normals, ALIKE)
     offsets, sure = _best(near.sums(scores), near.sums(weights[:, None])[:, 0])
     sure[patches.size == 0] = 0
-    # As vectors: at the rims of holes, the mesh's own normals are noise.
+    # Moves are vectors, because the mesh's own normals are noise at the rims of holes.
     moves = (sure * offsets * patches.size)[:, None] * patches.normals
     here = _Neighbours(tree, patches, mesh.vertices, mesh.normals(), SAME_SIDE)
     total = here.sums(np.column_stack([moves, sure]))
@@ -118,7 +118,7 @@ def _patches(mesh: Mesh, maps: Sequence[DepthMap]) -> _Patches:
 
 
 def _shown(places: Float64, normals: Float64, depth_map: DepthMap) -> tuple[Ints, Float64, Float64]:
-    """Rows of the patches that a photo shows whole, the size of its pixels, the cosine there."""
+    """Return rows of patches that a photo shows whole, and the pixels' size and cosine there."""
     camera, pose = depth_map.camera, depth_map.world_to_camera
     away = places - depth_map.image.centre
     facing = -(away * normals).sum(axis=1) / np.linalg.norm(away, axis=1)
@@ -142,7 +142,7 @@ def _offsets() -> Float64:
 
 
 def _colours(patches: _Patches, maps: Sequence[DepthMap], load: Load, context: Context) -> Float32:
-    """(PHOTOS, N, offsets, SIDE²) grey values of the patches, moved along their normals."""
+    """Return grey values (PHOTOS, N, offsets, SIDE²) of patches moved along their normals."""
     normals, size = patches.normals, patches.size
     axis = np.eye(3)[np.abs(normals).argmin(axis=1)]
     across = np.cross(normals, axis)
@@ -180,7 +180,7 @@ def _grey(depth_map: DepthMap, load: Load) -> Float32:
 
 
 def _agreement(patches: _Patches, colours: Float32, centres: Float64) -> tuple[Float64, Float64]:
-    """(N, offsets) sums of the correlations of pairs of photos, and (N,) of the pairs' weights."""
+    """Return sums (N, offsets) of correlations of pairs of photos, and (N,) of pairs' weights."""
     colours = colours - colours.mean(axis=-1, keepdims=True)
     contrast = np.sqrt((colours**2).mean(axis=-1))
     colours /= np.maximum(contrast, PLAIN)[..., None]
@@ -202,7 +202,7 @@ def _agreement(patches: _Patches, colours: Float32, centres: Float64) -> tuple[F
 
 
 class _Neighbours:
-    """The patches around some places of a mesh, that face as these do, and their weights."""
+    """The patches around places of a mesh that face like these places, and their weights."""
 
     def __init__(
         self, tree: cKDTree, patches: _Patches, places: Float64, normals: Float64, alike: float
@@ -213,12 +213,12 @@ class _Neighbours:
         self._weights = weight * (cosine > alike)
 
     def sums(self, values: Float64) -> Float64:
-        """(P, M) sums of the patches' values (N, M) around each place."""
+        """Return sums (P, M) of the patches' values (N, M) around each place."""
         return np.asarray(np.einsum("pk,pkm->pm", self._weights, values[self._near]))
 
 
 def _best(scores: Float64, weights: Float64) -> tuple[Float64, Float64]:
-    """The offsets (N,) with the largest score, pixels, and how sure these are; 0: not at all."""
+    """Return the offsets (N,) with the largest score, pixels, and their certainty; 0 for none."""
     offsets, rows = _offsets(), np.arange(len(scores))
     scores = scores / np.maximum(weights, 1e-30)[:, None]
     best = scores.argmax(axis=1)

@@ -1,8 +1,8 @@
-"""Texture of a mesh, in two bands, from the photos that see a texel best.
+"""Makes the texture of a mesh, in two bands, from the photos that see a texel best.
 
 Coarse colours are blended over all photos that see a texel, so that there are no seams. Fine detail
 comes only from the best photos, so that slightly wrong poses do not blur it (Burt and Adelson
-1983). Exposures are levelled before: each photo gets a gain for each colour.
+1983). Exposures are levelled before that: each photo gets a gain for each colour channel.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from .fusion import footprint
 from .mesh import Mesh
 
 STAGE = "texture"
-BEST = 5  # percentile of the photos' pixels, which a texture has room for
+BEST = 5  # percentile of the photos' pixel sizes that a texture resolves
 FINER = 1.5  # texels for such a pixel, along a side
 SMALLEST, LARGEST = 256, 8192  # texels
 FILLED = 0.35  # share of a texture that charts take
-LEAST_FACING = 0.15  # cosine between surface and ray
+LEAST_FACING = 0.15  # cosine between the surface's normal and the ray
 SHARP = 2  # power of the weights in the fine band
-BROAD = 2.0  # standard deviation that parts the bands, pixels of the best photos
+BROAD = 2.0  # standard deviation that separates the bands, pixels of the best photos
 FINE_DEPTH = 2  # the mesh's depth is drawn so many times finer than the photo
-HIDDEN = 3.0  # sizes of a pixel behind the nearest face, or the Gaussians' depth: then it is hidden
+HIDDEN = 3.0  # pixel sizes behind the nearest face that hide a point; twice that behind the depth
 GAINS = 0.6, 1.6
 ACROSS = 3  # pixels that a colour between pixels depends on
 PAIRS_AT_ONCE = 1 << 19
@@ -51,10 +51,10 @@ class Textured:
     """A mesh with a texture.
 
     Attributes:
-        mesh: as it was given.
-        charts: how it lies in the texture.
+        mesh: the mesh.
+        charts: the mesh's charts in the texture.
         picture: (S, S, 3) uint8 sRGB, the first row on top.
-        seen: share of the texels that a photo has coloured.
+        seen: share of the charts' texels that a photo has coloured.
     """
 
     mesh: Mesh
@@ -72,7 +72,7 @@ class _Points:
 
 
 def texture_side(mesh: Mesh, maps: Sequence[DepthMap]) -> int:
-    """The side of a texture in which the best photos' pixels have room, texels."""
+    """Return the side of a texture that resolves the best photos' pixels, texels."""
     pixel = _best_pixel(maps) / FINER
     if not math.isfinite(pixel):
         return SMALLEST
@@ -81,18 +81,18 @@ def texture_side(mesh: Mesh, maps: Sequence[DepthMap]) -> int:
 
 
 def _best_pixel(maps: Sequence[DepthMap]) -> float:
-    """The size on the surface of a pixel of the best photos; infinite without any."""
+    """Return the size on the surface of a pixel of the best photos; infinite without any."""
     return float(np.percentile([footprint(m) for m in maps], BEST, method="lower"))
 
 
 def textured(
     mesh: Mesh, maps: Sequence[DepthMap], side: int, load: Load, context: Context = QUIET
 ) -> Textured:
-    """The mesh with a texture of `side` texels from the photos of the depth maps.
+    """Make a texture of `side` texels for a mesh from the photos of the depth maps.
 
     Args:
         mesh: in the frame of the maps.
-        maps: of the photos to use; where the depth is nearer than the mesh, something hides it.
+        maps: depth maps of the photos to use; where the depth is nearer, the mesh is hidden.
         load: returns a photo, (H, W, 3) uint8 sRGB.
     """
     charts = charts_of(mesh, side)
@@ -129,7 +129,7 @@ def textured(
 
 
 class _View:
-    """A photo, and the mesh as it sees it."""
+    """A photo, and the mesh as the photo sees it."""
 
     def __init__(self, depth_map: DepthMap, triangles: torch.Tensor, load: Load) -> None:
         self.map, self._triangles, self._load = depth_map, triangles, load
@@ -138,13 +138,13 @@ class _View:
         """Where the mesh is, 1, as of the last call of `sees`."""
 
     def pixels(self) -> Float32:
-        """(H, W, 3) the part of the photo that shows the box, 0 to 255."""
+        """Return the part (H, W, 3) of the photo that shows the box, 0 to 255."""
         m = self.map
         whole = self._load(m.image)
         return whole[m.y : m.y + m.camera.height, m.x : m.x + m.camera.width, :3].astype(np.float32)
 
     def sees(self, points: _Points) -> tuple[NDArray[np.int64], Float64, Float64]:
-        """Points that the photo shows: rows, pixels (M, 2) from the part's corner, weights.
+        """Return points that the photo shows: rows, pixels (M, 2) from the part's corner, weights.
 
         The weight is the cosine between ray and normal, over the square of the pixel's size.
         """
@@ -168,7 +168,7 @@ class _View:
             self.drawn *= self._counted
         nearest = ndimage.minimum_filter(nearest, 3)
         x, y = np.floor(pixels * FINE_DEPTH).astype(int).T
-        # A face that the ray meets at a grazing angle reaches far in a pixel.
+        # Within a pixel, the depth of a face at a grazing angle varies much.
         slack = HIDDEN * pixel / np.maximum(cosine, LEAST_FACING)
         shown = (cosine > LEAST_FACING) & (z < nearest[y, x] + slack)
         x, y = np.floor(pixels).astype(int).T
@@ -183,7 +183,7 @@ class _View:
 
 
 def _sampled(picture: Float32, pixels: Float64) -> Float32:
-    """(M, C) a picture (H, W, C) at places (M, 2), between pixels."""
+    """Sample a picture (H, W, 3) at places (M, 2), bilinearly; return (M, 3)."""
     places = pixels.T[::-1] - 0.5
     channels = (picture[..., k] for k in range(3))
     sampled = [ndimage.map_coordinates(c, places, order=1, mode="nearest") for c in channels]
@@ -191,7 +191,7 @@ def _sampled(picture: Float32, pixels: Float64) -> Float32:
 
 
 def _gains(views: Sequence[_View], points: _Points, context: Context) -> Float64:
-    """(P, 3) what each photo's colours are multiplied with, so that all agree on the points."""
+    """Return factors (P, 3) for each photo's colours with which the photos agree on the points."""
     gains = np.ones((len(views), 3))
     found = []
     started = time.monotonic()
@@ -218,7 +218,7 @@ def _gains(views: Sequence[_View], points: _Points, context: Context) -> Float64
 def _blended(
     views: Sequence[_View], points: _Points, gains: Float64, context: Context
 ) -> tuple[Float32, Float32]:
-    """(N, 3) colours of points, 0 to 255, and (N,) their weights, 0 where no photo shows them."""
+    """Return colours (N, 3) of points, 0 to 255, and weights (N,), 0 where no photo shows them."""
     n = len(points.places)
     broad, fine = np.zeros((n, 3), np.float32), np.zeros((n, 3), np.float32)
     broad_weight, fine_weight = np.zeros(n, np.float32), np.zeros(n, np.float32)
@@ -246,11 +246,11 @@ def _blended(
 
 
 def _blurred(picture: Float32, mask: Float32, size: float) -> Float32:
-    """The broad colours (H, W, 3) of what a mask (H, W) shows; what is behind does not count.
+    """Return the broad colours (H, W, 3) within a mask (H, W); other pixels do not count.
 
     Args:
-        size: standard deviation, pixels. It is one size on the surface for all photos: else the
-            bands of near and far ones would neither meet nor part.
+        size: standard deviation, pixels. It is the same size on the surface for all photos, so
+            that the bands of near and far photos end at the same detail.
     """
     part = ndimage.gaussian_filter(picture * mask[..., None], (size, size, 0))
     share = ndimage.gaussian_filter(mask, size)
@@ -258,7 +258,7 @@ def _blurred(picture: Float32, mask: Float32, size: float) -> Float32:
 
 
 def _texels(charts: Charts) -> tuple[NDArray[np.int64], NDArray[np.int64], Float64]:
-    """The texels in charts: (N, 2) x and y, (N,) face, (N, 3) shares of its corners."""
+    """Return the texels in charts: (N, 2) x and y, (N,) face, (N, 3) shares of its corners."""
     corners = charts.texels[charts.faces]  # (F, 3, 2)
     low = np.floor(corners.min(axis=1)).astype(int)
     spans = np.floor(corners.max(axis=1)).astype(int) - low + 1
@@ -284,7 +284,7 @@ def _texels(charts: Charts) -> tuple[NDArray[np.int64], NDArray[np.int64], Float
 
 
 def _shares(corners: Float64, places: Float64) -> Float64:
-    """(N, 3) barycentric coordinates of places (N, 2) in triangles (N, 3, 2)."""
+    """Return barycentric coordinates (N, 3) of places (N, 2) in triangles (N, 3, 2)."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     area = np.cross(b - a, c - a)
     with np.errstate(all="ignore"):

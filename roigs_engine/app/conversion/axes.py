@@ -1,4 +1,4 @@
-"""Up axes of files of Gaussians, and the rotation from one to another."""
+"""Up axes of files of Gaussians, and rotations between them."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ SCENE_UP = "-y"
 def to_upright(request: Convert, path: Path, context: Context) -> Float64:
     """(4, 4) from a file's frame to one in which -y points up.
 
-    By --from-up, else by what the file says, else as its format has it. A file with left-handed
-    axes is mirrored in both cases.
+    The file's up axis comes from --from-up, else from the file, else from its format. A file with
+    left-handed axes is always mirrored.
     """
     said = context.interruptible(lambda: formats.frame(path))
     if request.from_up is None:
@@ -39,11 +39,11 @@ def to_upright(request: Convert, path: Path, context: Context) -> Float64:
 
 
 def to_home(request: Convert, path: Path, upright: Float64) -> Float64:
-    """(4, 4) from a file's frame to that of the scene, in which boxes and photos are.
+    """(4, 4) from a file's frame to that of the scene, with its boxes and photos.
 
-    Formats with -y up keep the scene's frame, whichever axis points up in it. A file of another
-    format was turned; OUT, if it is one that keeps the scene's frame, tells how to turn it back.
-    `upright`: see `to_upright`.
+    Formats with -y up keep the scene's frame, whatever axis points up in it. A file of another
+    format was rotated. If OUT keeps the scene's frame, its up axis gives the rotation back.
+    `upright` is the result of `to_upright`.
     """
     if formats.format_of(path).up == SCENE_UP:
         return np.eye(4)
@@ -53,7 +53,7 @@ def to_home(request: Convert, path: Path, upright: Float64) -> Float64:
 
 
 def warn_of_axes(source: Path, before: str, context: Context) -> None:
-    """Say so if a run's model would lie on its side: some COLMAP models have another axis up."""
+    """Warn if a run's model would lie on its side: some COLMAP models have another up axis."""
     up = up_in_run(source)
     if up not in (None, before):
         context.warn(
@@ -63,7 +63,7 @@ def warn_of_axes(source: Path, before: str, context: Context) -> None:
 
 
 def turned(arrays: Arrays, matrix: Float64) -> Arrays:
-    """The model after a rotation; bit for bit the same if that changes nothing."""
+    """Return the model after a rotation; for the identity, it stays the same bit by bit."""
     from ...exchange.transform import moved
 
     if (matrix == np.eye(4)).all():

@@ -29,24 +29,24 @@ if TYPE_CHECKING:
     from ...exchange.formats import FileFormat
     from ...model.scene import Float64
 
-COPIES = 5  # of a list's Gaussians in memory at once
+COPIES = 5  # copies of a list's Gaussians in memory at once
 
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
-    """Gaussians on their way to a file."""
+    """Gaussians to write to a file."""
 
-    arrays: Arrays  # as they will be written
-    count: int  # how many there were, with those that cannot be drawn
-    target: Target  # what they are made for
+    arrays: Arrays  # in the file's frame
+    count: int  # number of Gaussians, including those that cannot be drawn
+    target: Target  # renderer that they are made for
     photo_focal: float | None  # of `Gaussians`
     poses: Float64 | None  # (N, 4, 4) world_to_camera of photos, in the boxes' frame
-    matrix: Float64  # (4, 4) from that frame to the file's
-    upright: bool = False  # whether photos tell which way is up
+    matrix: Float64  # (4, 4) from the boxes' frame to the file's
+    upright: bool = False  # whether photos determine the up direction
 
 
 def single(request: Convert, form: FileFormat, context: Context, *, plain: bool) -> Model:
-    """The Gaussians of SOURCE, turned for a format; raises as `convert`."""
+    """Read the Gaussians of SOURCE, rotated for a format; raises as `convert` does."""
     from ...colmap.project import load_poses
 
     upright, poses = to_upright(request, request.source, context), None
@@ -85,7 +85,7 @@ def single(request: Convert, form: FileFormat, context: Context, *, plain: bool)
 
 
 def listed(request: Convert, form: FileFormat, context: Context, *, plain: bool) -> Model:
-    """The models of a list as one, turned for a format; raises as `convert`."""
+    """Read the models of a list as one, rotated for a format; raises as `convert` does."""
     from ...exchange.transform import merged
     from ...model.gaussians import Gaussians
 
@@ -107,7 +107,7 @@ def listed(request: Convert, form: FileFormat, context: Context, *, plain: bool)
     if not any(len(gaussians) for gaussians, _ in read.values()):
         raise ConfigError(f"{request.source} has no Gaussians.", "Give models that have some.")
     targets = {Path(name): target for name, (_, target) in models.items()}
-    if plain:  # files whose photos are not known stay anti-aliased, and so all are said to be
+    if plain:  # files without known photos stay anti-aliased; then all are marked so
         still = any(target.antialiased for target in targets.values())
         targets = {
             path: target_with(antialiased=still, linear_light=target.linear_light)
@@ -126,7 +126,7 @@ def listed(request: Convert, form: FileFormat, context: Context, *, plain: bool)
 
 
 def _refuse_too_many(source: Path, models: Sequence[Arrays]) -> None:
-    """Raise ConfigError if the models of a list, each as often as it is named, need too much."""
+    """Raise ConfigError if all listed models, with repetitions, need too much memory."""
     count = sum(len(arrays["means"]) for arrays in models)
     bands = max(arrays["sh"].shape[1] for arrays in models)
     needed, memory = COPIES * 4 * (11 + 3 * bands) * count, machine_memory()

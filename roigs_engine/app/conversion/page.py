@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def refuse_page_options(request: Convert, *, plain: bool) -> None:
     """Raise ConfigError if an option of pages is given for another format.
 
-    For viewers without anti-aliasing (`plain`), other formats need the scene too.
+    With `plain` (viewers without anti-aliasing), other formats may have --scene, too.
     """
     given = {
         "--title": request.title,
@@ -45,7 +45,7 @@ def refuse_page_options(request: Convert, *, plain: bool) -> None:
 
 
 def compared(request: Convert, up: str, model: Model, context: Context) -> Arrays | None:
-    """The model of `--before`, as the first one is shown."""
+    """Return the model of `--before`, in the frame of the first one; None if not given."""
     if request.before is None:
         return None
     refuse_own_inputs(request, request.before)
@@ -58,7 +58,7 @@ def compared(request: Convert, up: str, model: Model, context: Context) -> Array
 
 
 def page_extras(request: Convert, before: Arrays | None, model: Model) -> Extras:
-    """The extra content of a page, with boxes and photos rotated like the model."""
+    """Return the extra content of a page, with boxes and photos rotated like the model."""
     from ...exchange.page import Ball, Extras
 
     matrix, poses = model.matrix, model.poses

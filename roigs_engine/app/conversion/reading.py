@@ -1,4 +1,4 @@
-"""Reads the Gaussians of a file that a conversion needs."""
+"""Reads the Gaussians of files for a conversion."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ def refuse_own_inputs(request: Convert, *read: Path) -> None:
 def read_model(
     path: Path, context: Context, *, plain: bool, scene: Path | None = None
 ) -> tuple[Arrays, Target]:
-    """The Gaussians of a file, and what they are made for.
+    """Read the Gaussians of a file, and their target.
 
-    With `plain`, they are made about right without it, as far as photos tell how: those of `scene`,
-    or of the run that made the file.
+    With `plain`, anti-aliased Gaussians are changed to look about right without anti-aliasing. This
+    needs photos: those of `scene`, or of the run that made the file. Without, they stay unchanged.
     """
     from ...exchange.transform import without_antialiasing
     from ...model.gaussians import Gaussians
@@ -48,16 +48,16 @@ def read_model(
 
 
 def read_arrays(path: Path, context: Context) -> Arrays:
-    """The Gaussians of a file, whatever they are made for."""
+    """Read the Gaussians of a file, for any target."""
     return context.interruptible(lambda: formats.read(path, context.check_cancelled))
 
 
 def cropped(arrays: Arrays, request: Convert, home: Float64) -> Arrays:
-    """The Gaussians in the boxes; all if there is no box. `home` leads to the boxes' frame."""
+    """Return the Gaussians in the boxes, or all without boxes; `home` maps to the boxes' frame."""
     rois = boxes_of(request, required=False)
     if not rois:
         return arrays
-    with np.errstate(invalid="ignore"):  # what is not finite is in no box
+    with np.errstate(invalid="ignore"):  # NaN and Inf are in no box
         means = arrays["means"].astype(np.float64) @ home[:3, :3].T
     inside = np.any([roi.contains(means) for roi in rois], axis=0)
     if not inside.any():
@@ -66,7 +66,7 @@ def cropped(arrays: Arrays, request: Convert, home: Float64) -> Arrays:
 
 
 def shortened(arrays: Arrays, request: Convert) -> Arrays:
-    """The model with spherical harmonics of `--sh-degree` at most."""
+    """Return the model with at most the SH degree `--sh-degree`."""
     if request.sh_degree is None:
         return arrays
     return {**arrays, "sh": arrays["sh"][:, : (request.sh_degree + 1) ** 2]}
