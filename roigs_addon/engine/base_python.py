@@ -15,7 +15,7 @@ from .programs import find_program
 from .python import SOURCE, own_python
 
 PYTHONS = ((3, 13), (3, 12), (3, 11), (3, 14))
-"""Versions that torch has wheels for, in the order in which they are looked for."""
+"""Versions for which torch has wheels, in the order of the search."""
 
 PROBE_SECONDS = 20.0
 # Folders with Pythons on macOS that programs started from the Dock do not find.

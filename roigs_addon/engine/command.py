@@ -13,11 +13,11 @@ HIDDEN = 0x08000000 if os.name == "nt" else 0
 
 
 ISOLATED = "-I"
-"""Python's option: nothing is imported from the working folder or where variables lead."""
+"""Python's option that ignores the working folder and environment variables for imports."""
 
 
 SEARCHED = re.compile("PATH|LD_LIBRARY_PATH|DYLD_(FALLBACK_)?(LIBRARY|FRAMEWORK)_PATH")
-"""Variables with folders in which systems look for programs and libraries."""
+"""Environment variables with search paths for programs and libraries."""
 
 
 def variables() -> dict[str, str]:

@@ -9,7 +9,7 @@ from .command import Engine
 from .process import EngineProcess
 
 SECONDS = 300.0
-"""How long it may take: kernels are compiled and checked at the first use of a GPU."""
+"""Time limit of the answer: the first use of a GPU compiles and checks the kernels."""
 
 
 FAILED = "Cannot train: "

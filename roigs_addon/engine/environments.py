@@ -19,10 +19,10 @@ from ..shared import EngineError, clean_up, files, lock, run_files
 from .python import MARKER, complete_environments
 
 SETUP_LOG, DOWNLOADS = "setup.log", "downloads"
-"""Beside the environments: what the last set-up printed; what pip keeps until it has ended well."""
+"""Beside the environments: output of the last set-up; pip's cache until the set-up succeeds."""
 
 USES = "uses"
-"""In an environment: a folder with a lock for each engine that runs in it."""
+"""Folder in an environment with a lock for each engine that runs in it."""
 
 
 def made(folders: Iterable[Path]) -> list[Path]:

@@ -9,7 +9,7 @@ from ..shared import events
 
 SHOWN = ("loss", "psnr", "gaussians")
 DEVICE = "Trains on "
-"""What a log's line about the device begins with."""
+"""Beginning of the log's line about the device."""
 
 
 def in_words(event: events.Record) -> str:

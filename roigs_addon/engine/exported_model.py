@@ -17,7 +17,7 @@ from ..shared import files, text
 
 RECORD = "scene.json"
 MOST_BYTES = 256 << 20
-"""Of the record: that of 20,000 photos has 14 MB."""
+"""Size limit of the record; with 20,000 photos it has 14 MB."""
 
 
 def read_record(folder: Path) -> dict[str, Any]:

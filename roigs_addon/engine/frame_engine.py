@@ -16,8 +16,8 @@ LONGEST_PAUSE = 1.0  # seconds; during a longer one, the computer was asleep
 END_SECONDS = 5.0
 ENDED = "The engine ended while rendering."
 SILENT_SECONDS = 600.0
-"""A frame without a sign of life for so long is given up. The longest silence of an engine that
-works is the reading of one model, or the drawing of one frame."""
+"""A frame is given up after this time without an event. A working engine is silent at most while it
+reads one model, or draws one frame."""
 HUNG = (
     "The render lacks the Gaussians: the engine did not respond for {:.0f} minutes and was ended."
 )

@@ -17,10 +17,10 @@ from .command import HIDDEN, variables
 from .programs import find_program
 
 SECONDS = 20.0
-"""How long the driver may take to answer."""
+"""Time limit of the driver's answer."""
 
 FIELDS = ("name,driver_version,compute_cap", "name,driver_version")
-"""What it is asked; drivers before 510 do not know compute_cap."""
+"""Fields to query; drivers before 510 do not know compute_cap."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +63,7 @@ BUILDS = (
     Build(name="cu130", driver=((580,), (580,)), oldest=(7, 5), newest=(12, 9)),
     Build(name="cu126", driver=((525, 60, 13), (527, 41)), oldest=(7, 5), newest=(9, 0)),
 )
-"""The first that a card and its driver can use is installed."""
+"""Builds by preference: the first that a card and its driver can use is installed."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,9 +29,9 @@ _CONNECTION = re.compile(
     "PIP_((EXTRA_)?INDEX_URL|NO_INDEX|FIND_LINKS|TRUSTED_HOST|PROXY|(CLIENT_)?CERT|CONFIG_FILE"
     "|(DEFAULT_)?TIMEOUT|RETRIES|KEYRING_PROVIDER)"
 )
-"""pip's variables that say how to reach packages; the others may not change what is done here."""
+"""pip's variables for its connection. The others are removed: they could change the set-up."""
 LEAST_FREE = 20e6
-"""Bytes: below, a step that fails has probably failed for want of space."""
+"""Bytes of free disk space; below this, a failed step has probably run out of space."""
 _RAW_PROGRESS = re.compile(r"Progress (\d+) of (\d+)")
 
 
@@ -194,7 +194,7 @@ def useful(lines: list[str]) -> str:
 
 
 current: Installation | None = None
-"""The one that is running, or the last one."""
+"""The running installation, or the last one."""
 
 
 def running() -> bool:

@@ -16,18 +16,18 @@ from .command import ISOLATED
 from .python import SOURCE, environment_python
 
 OPTIONAL = ("video", "heic", "masks", "surface", "gpu")
-"""Extras of the project that not every platform has wheels for."""
+"""Extras of the project without wheels for every platform."""
 PIP, ENGINE = "pip", "engine"
 """Files of tools/locked/ beside those of the optional packages."""
 FORMATS = "formats"
 """The extra of `Plan.formats`."""
 ONLY_WHEELS = ("--only-binary", ":all:")
 DOWNLOAD_BYTES, DISK_BYTES = 431e6, 1_311e6
-"""What a set-up for the CPU takes, measured with torch 2.13 and Python 3.11 on Linux (x86-64)."""
+"""Size of a set-up for the CPU, measured with torch 2.13 and Python 3.11 on Linux (x86-64)."""
 CUDA_DOWNLOAD_BYTES = 2.6e9
-"""What torch 2.13 for CUDA 13.0 takes instead, on Linux: as others have reported, not measured."""
+"""Size with torch 2.13 for CUDA 13.0 instead, on Linux: as reported by others, not measured."""
 FORMATS_DOWNLOAD_BYTES, FORMATS_DISK_BYTES = 125e6, 520e6
-"""What `Plan.formats` adds."""
+"""Additional size of `Plan.formats`."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,21 +28,21 @@ UNITS = {
     FIT: "Photo",
     MATCHING: "Pair",
 }
-"""What a stage counts, where that is not steps."""
+"""Stage -> its unit of progress, if it does not count steps."""
 
 OWN = "blender"
-"""The add-on's own folder in it; all that follows is in there."""
+"""The add-on's own folder in a run folder; it contains all files below."""
 LOG = f"{OWN}/engine.log"
 TRAIN_OPTIONS, SELECT_OPTIONS, ROIS = "train.json", "select.json", "rois.json"
 MASKS_OPTIONS, SCRIBBLES = "masks.json", "scribbles.json"
 SUGGEST_OPTIONS, SUGGESTED = "suggest.json", "suggested"
 IMPORTED = "imported"
-"""Folder with the Gaussians that were imported."""
+"""Folder with imported Gaussians."""
 MANUAL_SELECTION, SELECTED = "selection", "selected"
-"""Folders with a list of photos for each box: given to the engine, and chosen by it."""
+"""Folders with a list of photos per box: the user's for the engine, and the engine's own."""
 
 BASELINES = ("full-", run_files.TUNED_STAGE, run_files.COMPARED)
-"""Beginnings of the names of stages that train other models, to compare with."""
+"""Prefixes of stages that train other models for comparison."""
 STAGE_WORDS = {
     run_files.SCENE_STAGE: "whole scene",
     run_files.JOINT_STAGE: "all boxes",

@@ -26,7 +26,7 @@ from .event_log import in_words, read_lines
 MAX_WAITING = 10_000  # events in the queue: further ones are dropped, except the final one
 KEPT_LINES = 200
 LOG_SECONDS = 10.0
-"""Least time between two lines of progress in the log."""
+"""Least time between two progress lines in the log."""
 STOPPED = 3
 """Exit status of a command that stopped on request (docs/files.md)."""
 

@@ -15,7 +15,7 @@ from ..shared import files
 from .command import HIDDEN, ISOLATED, Engine, variables
 
 SOURCE = Path(__file__).resolve().parents[2]
-"""The folder that holds `roigs_engine`: the extension's own."""
+"""The folder with `roigs_engine`: that of the extension."""
 
 VARIABLE = "ROIGS_ENGINE_PYTHON"
 """Environment variable that names the engine's Python: for tests and render farms."""
@@ -39,7 +39,7 @@ FOR_MASKS = (*FOR_TRAINING, "cv2")
 FOR_SURFACES = (*FOR_TRAINING, *FOR_MESHES)
 
 MARKER = "roigs-complete.json"
-"""In the folder of a complete environment: what it was made from."""
+"""File in a complete environment, with its requirements."""
 
 OLDEST = (3, 11)
 PROBE_SECONDS = 60.0

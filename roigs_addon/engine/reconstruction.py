@@ -10,7 +10,7 @@ from pathlib import Path
 from ..shared import EngineError, files, lock, projects, run_files
 
 WORK, STATE = "reconstruction", "state.json"
-"""The engine's own folder, and its record in there."""
+"""The engine's own folder, and its record in it."""
 REPORT = "reconstruction.md"
 """Beside that folder."""
 

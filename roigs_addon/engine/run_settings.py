@@ -12,16 +12,16 @@ from .training_steps import MOST_FACTOR, PRESET_STEPS, stage_steps
 
 THIS, EARLIER = "this version's settings", "an earlier version's settings"
 LATER = ("exclude", "count", "steps", "recipe")
-"""Not taken as they are."""
+"""Settings that need special treatment."""
 MOST_STEPS = 10**9
 MADE_FOR = {target.name: target.title for target in targets.TARGETS.values()}
 TEXTS = ("preset", "strategy", "made_for", "method", "scene", "images")
 LONGEST = 1000
-"""Letters of one of them that are kept."""
+"""Longest text kept, in letters."""
 NAMED = 2
-"""Photos that are named."""
+"""Number of photos that are named."""
 BOX_SETTINGS = ("method", "count")
-"""They decide the boxes' photos only."""
+"""Settings that decide only the boxes' photos."""
 
 
 @dataclass(frozen=True, kw_only=True)

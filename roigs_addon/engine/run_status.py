@@ -12,7 +12,7 @@ from . import run_settings
 from .run_settings import RunSettings
 
 TrainedBox = tuple[Any, Any]
-"""world_to_box and half_extents, as the file has them."""
+"""world_to_box and half_extents, as in the file."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,13 +6,13 @@ The numbers are copies of the engine's (roigs_engine/run/presets.py); a test com
 from __future__ import annotations
 
 PRESET_STEPS = {"draft": (2000, 3000), "standard": (4000, 4500), "paper": (20_000, 30_000)}
-"""Of the scene, and of the boxes."""
+"""Preset -> steps of the scene, and of the boxes."""
 REFINE_SHARE = 0.2
-"""Of the boxes' steps, for the joint stage after boxes that were trained one by one."""
+"""Share of the boxes' steps for the joint stage after boxes trained one by one."""
 CUTOUT_SHARE = 0.6
-"""Of the boxes' steps, for the stage that cuts objects out, which only masks of objects bring."""
+"""Share of the boxes' steps for the stage that cuts objects out; only with object masks."""
 MORE_WHOLE_SHARE = 1 / 3
-"""Of the boxes' steps in one go: at most so many more, on whole photos, if boxes are small."""
+"""Largest share of the boxes' steps added on whole photos if boxes are small."""
 PAPER = "paper"
 MOST_FACTOR = 1e6
 

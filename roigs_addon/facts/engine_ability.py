@@ -11,7 +11,7 @@ from ..engine import python
 from ..windows import Timer, redraw_sidebars
 
 RECHECK_SECONDS = 5.0
-"""How long an engine that lacks something is assumed to lack it."""
+"""Seconds until an engine with a problem is checked again."""
 
 
 class EngineCheck:

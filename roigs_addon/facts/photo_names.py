@@ -11,12 +11,12 @@ from ..properties import scene_props
 from ..scene import exclusions, lookup
 
 Key = tuple[int, str, str, int, tuple[str, ...]]
-"""Of what the facts were found in; if it has changed, they are found again."""
+"""State of the scene that the cached facts belong to."""
 
 LONG = 10
-"""Letters of a name that a sidebar of Blender's usual width has no room for."""
+"""Longest name in letters that fits into a sidebar of Blender's usual width."""
 SHOWN_TWICE = 2
-"""Letters before the first difference that stay if a word is cut."""
+"""Common letters kept before the first difference if a word is cut."""
 
 _excluded: dict[Key, list[str]] = {}
 _names: dict[Key, dict[str, str]] = {}

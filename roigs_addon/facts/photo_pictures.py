@@ -15,7 +15,7 @@ from ..blender import is_plain_file
 from ..scene import lookup
 
 MOST = 100
-"""Pictures that are kept: more than one looks at in a while."""
+"""Most thumbnails kept: more than a user looks at in a while."""
 
 _pictures: Any = None
 

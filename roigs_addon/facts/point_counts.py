@@ -24,7 +24,7 @@ from ..worker import Worker
 Counts = tuple[int, int | None]
 Key = tuple[float, ...]
 LARGE = 200_000
-"""From so many points on, counting would be felt while a box is dragged."""
+"""Number of points from which counting would slow down dragging a box."""
 
 _counter = Worker("box counter")
 _last: dict[str, Counts] = {}
@@ -112,7 +112,7 @@ def _poll() -> bool:
 
 
 timer = Timer(_poll, 0.05)
-"""Draws the panel again when the thread is done."""
+"""Redraws the panel when the thread is done."""
 
 
 def _key(box: Box) -> Key:

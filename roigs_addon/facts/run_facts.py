@@ -19,10 +19,10 @@ from ..scene import edits, lookup, rois
 from ..shared import clean_up, files, run_files
 
 SECONDS, DISK_SECONDS = 1.0, 30.0
-"""How long what was found is used again; adding up files takes longer."""
+"""Lifetime of cached facts; that of disk sizes is longer, because adding up files is slow."""
 
 OWN_LEVELS = ("IMPORTED", "PREVIEW")
-"""Levels of Gaussians that no result has."""
+"""Levels of Gaussians that do not belong to a result."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,7 +21,7 @@ from ..windows import Timer, redraw, redraw_sidebars
 _SAID = re.compile(r"\d\d:\d\d:\d\d  " + re.escape(DEVICE) + "(.+)")
 
 WITHOUT_CUDA = f"{events.CPU_NAME} (This torch is built without CUDA"
-"""How the engine's answer begins where **Set Up the Engine** has more for an NVIDIA card."""
+"""Beginning of the engine's answer if **Set Up the Engine** could install torch with CUDA."""
 
 _logs: dict[Path, tuple[tuple[int, int], str]] = {}
 

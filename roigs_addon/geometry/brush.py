@@ -14,7 +14,7 @@ Mask = NDArray[np.bool_]
 
 CELL = 8  # pixels: side of the cells in which the front Gaussians are found
 OPAQUE = 0.5
-"""Less light than this comes through: what is behind is hidden."""
+"""Gaussians are hidden if less than this share of the light comes through nearer ones."""
 THICK = 3.0  # a Gaussian belongs to the front up to this many of its sizes behind it
 
 

@@ -17,7 +17,7 @@ Matrix = NDArray[np.float64]
 FLIP: Matrix = np.diag([1.0, -1.0, -1.0, 1.0])
 
 SENSOR_WIDTH = 36.0
-"""Millimetres, as for Blender's default camera; focal lengths are relative to it."""
+"""Sensor width in mm, that of Blender's default camera; focal lengths are relative to it."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,9 +22,9 @@ NUMBERS = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
 MOST_BYTES = 256 << 20
 WRONG = (struct.error, ValueError, LookupError, TypeError, AttributeError, OverflowError)
-"""What a damaged record leads to."""
+"""Exceptions raised for a damaged record."""
 PICTURES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff")
-"""How pictures begin that a texture may be: PNG and JPEG. Blender reads many more formats."""
+"""First bytes of allowed textures, PNG and JPEG. Blender reads many more formats."""
 HEADER = struct.Struct("<4sII")
 CHUNK = struct.Struct("<II")
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 Float32 = NDArray[np.float32]
 
 ROWS = 32
-"""Of the picture that is summed: light from a cone of 6 degrees is that of its middle."""
+"""Rows of the reduced picture: light from a cone of 6 degrees is treated as from its middle."""
 AT_ONCE = 4096
-"""Normals; so many fit into memory with all directions."""
+"""Normals computed at once, so that they fit into memory with all directions."""
 
 
 def flux(picture: Float32, rows: int = ROWS) -> Float32:

@@ -10,7 +10,7 @@ Float32 = NDArray[np.float32]
 TURN, TILT = np.radians(30.0), np.radians(20.0)
 """The view: from the right of the front, and from above."""
 MARGIN = 0.06
-"""Of the picture's side."""
+"""Margin, as a share of the picture's side."""
 
 
 def points_on(corners: Float32, count: int, seed: int = 0) -> tuple[NDArray[np.int64], Float32]:

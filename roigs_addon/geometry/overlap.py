@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 Points = NDArray[np.float32]
 
 STRAYS = 0.02
-"""Share of the points that is left out at each end of each axis."""
+"""Share of the points left out at each end of each axis."""
 
 
 def overlap(a: Points, b: Points) -> float:

@@ -17,9 +17,9 @@ from ..shared import text as texts
 from .frames import Intrinsics, Matrix
 
 MOST = 1 << 20
-"""Pixels of a side: more than any photo has."""
+"""Largest valid side in pixels, larger than that of any photo."""
 FAR = 1e15
-"""As for boxes and placements."""
+"""Largest valid number in a pose, as for boxes and placements."""
 
 
 def _is_pose(matrix: Matrix) -> bool:

@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 COARSE = 1e-4
-"""Steps of positions that are seen, in widths of what they show.
+"""Steps of positions above which rounding is visible, as a share of the model's width.
 
-Half a step, by which a position may be off, is then a fifth of a pixel in a photo 4,000 pixels wide
-that shows all of it.
+A position may be off by half a step. In a photo 4,000 pixels wide that shows the whole model, this
+is a fifth of a pixel.
 """
 
 ENOUGH = 100_000
-"""Positions that tell where all of them are."""
+"""Positions sampled for the bounds."""
 
 
 def rounding(points: NDArray[np.float32] | NDArray[np.float64]) -> str:

@@ -16,7 +16,7 @@ SH_C0 = 0.28209479177387814
 """The spherical harmonic of degree 0."""
 
 LEAST = 1e-30
-"""Stands for a scale of 0, which has no logarithm."""
+"""Replaces a scale of 0, which has no logarithm."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

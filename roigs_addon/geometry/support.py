@@ -6,15 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 LOWEST = 0.25
-"""Share of the height in which a plate is sought."""
+"""Lowest share of the height, in which a plate is sought."""
 UPRIGHT = 0.8
-"""A plate's faces look up: the cosine to the vertical, at least."""
+"""Least cosine between the normals of a plate's faces and up."""
 LAYER = 0.01
-"""Thickness of a plate, in parts of the height: waves, and where it meets the foot."""
+"""Thickness of a plate, with its waves and the transition to the foot, as a share of the height."""
 WIDE = 0.9
-"""A plate reaches so far across the whole mesh, both ways."""
+"""Least extent of a plate along both axes, as a share of the mesh's."""
 BELOW = 0.05
-"""Share of the area that may be under a plate: its edge."""
+"""Largest share of the area under a plate: its edge."""
 
 
 def top_of(corners: NDArray[np.float32]) -> float | None:

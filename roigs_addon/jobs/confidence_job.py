@@ -17,7 +17,7 @@ from .spec import CONFIDENCE, JobSpec
 Known = dict[bpy.types.Object, NDArray[np.float32]]
 
 NAME = "roigs-confidence"
-"""Of the files in Blender's temporary folder."""
+"""Prefix of file names in Blender's temporary folder."""
 
 
 def spec(context: bpy.types.Context, take: Callable[[Known], str]) -> JobSpec:

@@ -24,13 +24,13 @@ from .state import JobState
 
 POLL_SECONDS = 0.15
 STOP_SECONDS = 10.0
-"""How long a stopping engine may take before it is ended by force, when Blender cannot wait."""
+"""Seconds after which a stopping engine is ended by force, when Blender cannot wait."""
 
 job: Job | None = None
-"""The job that runs, or else the last one."""
+"""The running job, or else the last one."""
 
 _training: Job | None = None
-"""The last training, whose warnings are of use until the next one: to selecting photos, say."""
+"""The last training. Its warnings stay useful until the next one, as for selecting photos."""
 
 on_end: list[Callable[[], None]] = []
 """Called when a job has ended and its results are in."""

@@ -16,7 +16,7 @@ from .last_said import last_said
 from .spec import ESTIMATING, JobSpec
 
 TIME = re.compile(r"(?:\S+ +)?Time: (.+?)\.?")
-"""The line of the engine's plan that says how long it takes, with the log's time of day."""
+"""Line of the engine's plan with the estimated time, after the log's time of day."""
 
 _known: dict[tuple[object, ...], str] = {}
 

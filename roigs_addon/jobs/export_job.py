@@ -17,12 +17,12 @@ from ..shared import EngineError, files, splat_ply, targets, text
 from .spec import EXPORTING, JobSpec
 
 NAME = "roigs-export"
-"""Of the list of models and of the log, in Blender's temporary folder."""
+"""Prefix of the list of models and of the log, in Blender's temporary folder."""
 
 PAGE = ".html"
 NOTHING = "There is nothing to export: {}."
 PLAIN = (".glb", ".usdc", ".usda", ".usdz", ".splat")
-"""Formats that cannot say how Gaussians are drawn: the engine makes all of them plain."""
+"""Formats that cannot store anti-aliasing: the engine makes all Gaussians plain."""
 MIXED = (
     "'{}' is made for {}, '{}' for {}: one file cannot contain both. Export each kind "
     "separately, with Selected Only."

@@ -25,7 +25,7 @@ Mask = NDArray[np.bool_]
 Found = dict[bpy.types.Object, Mask]
 
 NAME = "roigs-floaters"
-"""Of the files in Blender's temporary folder."""
+"""Prefix of file names in Blender's temporary folder."""
 
 
 def spec(context: bpy.types.Context, take: Callable[[Found], str]) -> JobSpec:

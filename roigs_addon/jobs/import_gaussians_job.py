@@ -23,10 +23,10 @@ from . import current, run_folders
 from .spec import IMPORTING_GAUSSIANS, JobSpec
 
 ENDINGS = (".compressed.ply", ".ply", ".spz", ".sog", ".glb", ".usdc", ".usda", ".usdz", ".splat")
-"""Of the names of files that can be imported, and exported."""
+"""Endings of files that can be imported and exported."""
 
 ONLY_IMPORTED = (".gltf", ".usd", "meta.json")
-"""The last is a whole name: of a SOG that is not packed."""
+"""Endings of files that can only be imported; `meta.json` is the name of an unpacked SOG."""
 
 LOG = "import.log"
 TOO_FAR = "{} {}. Move it to the origin before you import it (docs/reliability.md says how)."

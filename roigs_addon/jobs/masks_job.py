@@ -19,7 +19,7 @@ from .last_said import last_said
 from .spec import MASKING, JobSpec
 
 MADE = re.compile(r"(?:\S+ +)?Box '.+': (\d+ of \d+ masks?) written to .+\.")
-"""The line of the engine that says how many, with the log's time of day."""
+"""Line of the engine with the number of masks, after the log's time of day."""
 DRAW_FIRST = "Draw strokes on a photo first: on the object, and around it."
 
 

@@ -19,7 +19,7 @@ from ..shared import files, others, run_files
 from . import run_folders
 
 OF_A_LIST = ("roi", "names")
-"""Keys of a list of photos."""
+"""Keys of a file with a list of photos."""
 
 
 def _refuse_others(path: Path, *keys: str) -> None:
@@ -117,7 +117,7 @@ def threads_option() -> list[str]:
 
 
 MOVED = {"Give its folder with --scene.": "Import its COLMAP project again in step 1."}
-"""Words of the engine's errors about a run whose scene was moved -> those of the panel."""
+"""Words of the engine's error about a moved scene -> words of the panel."""
 
 
 def moved_scene(scene: bpy.types.Scene, folder: Path) -> list[str]:

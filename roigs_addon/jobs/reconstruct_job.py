@@ -21,7 +21,7 @@ from .spec import RECONSTRUCTING, JobSpec
 NO_PHOTOS = "Choose the folder of the photos first."
 FOLDER = "Project Folder"
 MOST_TRIED = 100
-"""Names for a new folder; if none can be looked into, the engine says why."""
+"""Most names tried for a new folder; if none is usable, the engine reports why."""
 MASKS = "masks"
 """Folder beside the photos."""
 WORDS = {"--out": FOLDER, "--run-dir": FOLDER, "--masks": "Masks"}

@@ -23,7 +23,7 @@ from .spec import RELIGHTING, JobSpec
 
 PICTURE, MODELS = "captured_light.hdr", "captured_light.json"
 WIDTH = 256
-"""Pixels: matt surfaces mix a whole hemisphere."""
+"""Width of the picture in pixels: small, because matt surfaces average a whole hemisphere."""
 NO_RESULT = "There is no result to take the captured light from. Train first."
 GONE = "The mesh '{}' is gone. Make its surface again."
 

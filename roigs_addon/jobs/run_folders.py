@@ -26,7 +26,7 @@ from ..scene import lookup
 from ..shared import run_files
 
 _settled: dict[int, str] = {}
-"""Scene -> the path that `settle` stored, which an undo would remove."""
+"""Scene (`session_uid`) -> the path that `settle` stored, because an undo would remove it."""
 
 _saving: dict[int, tuple[Path, bool]] = {}
 """Scene -> its run folder and whether the path was relative, while the file is saved."""

@@ -17,7 +17,7 @@ LEVELS, ADAPTING = "Making Levels", "Adapting"
 SURFACES = "Making Surfaces"
 STAGING = "Preparing Light and Shadows"
 RELIGHTING = "Relighting"
-"""Titles of jobs: each step of the panel shows the progress and the error of its own."""
+"""Titles of jobs. Each step of the panel shows the progress and the error of its own job."""
 
 RESUMED = {
     TRAINING: "Continue",
@@ -25,7 +25,7 @@ RESUMED = {
     LEVELS: "Make Levels",
     SURFACES: "Make Surface",
 }
-"""Jobs that keep what they have done when they stop -> the button that goes on from there."""
+"""Jobs that keep their progress when they stop -> the button that resumes them."""
 
 
 def how_to_resume(title: str) -> str:

@@ -14,8 +14,8 @@ from ..properties import scene_props
 from . import backgrounds, compositor, display, lookup, native_splats
 
 _counted: dict[int, tuple[int, bool]] = {}
-"""Scene, by its number in this session -> its objects when it was looked at, and whether photos
-are compared."""
+"""Scene (`session_uid`) -> number of its objects when last checked, and whether photos are
+compared."""
 
 
 def let_in(scene: bpy.types.Scene) -> None:

@@ -28,9 +28,9 @@ from ..windows import Timer, redraw
 from . import lookup
 
 SIDE = 3000
-"""Longest side of a picture, px: on a screen, the detail of the largest photos."""
+"""Longest side of a picture, px: on a screen, as detailed as the largest photos."""
 KEPT = 200
-"""Pictures in the cache, about 2 MB each; the oldest are deleted."""
+"""Most pictures in the cache, about 2 MB each; the oldest are deleted."""
 _OURS = re.compile(r"roigs-[0-9a-f]{32}\.jpg")
 MARK = "roigs_picture"
 """Custom property of the images of pictures."""
@@ -49,9 +49,9 @@ class _Making:
 
 _making: _Making | None = None
 _wanted: Photo | None = None
-"""The photo that was looked through last, if it needs a picture and waits for the engine."""
+"""The photo viewed last, if its picture is still to be made."""
 _failed: set[Path] = set()
-"""Pictures that cannot be made: not tried again until Blender is started anew."""
+"""Pictures that could not be made. They are not tried again until Blender restarts."""
 
 
 def show(data: bpy.types.Camera, photo: Photo) -> None:

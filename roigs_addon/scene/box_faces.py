@@ -21,7 +21,7 @@ Face = tuple[int, int]
 """The axis of its normal, and whether that points along it (1) or against it (-1)."""
 
 FLATTEST = 1e-3
-"""Least side of a box whose face is moved, in its longest side."""
+"""Least side of a box after its face is moved, as a share of its longest side."""
 
 
 @dataclass(frozen=True)

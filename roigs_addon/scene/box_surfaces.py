@@ -34,13 +34,13 @@ WAYS = (
     (BOTH, "Both", "Show Gaussians and mesh; each hides parts of the other"),
 )
 SIZE = "roigs_picture"
-"""Custom property of a picture of ours: bytes of its file."""
+"""Custom property of our pictures: size of the file in bytes."""
 
 FILE = "roigs_glb"
 """Custom property of a mesh: SHA-256 of its file."""
 
 _edited: dict[int, bool] = {}
-"""Mesh -> whether it was edited, until it changes."""
+"""Cache: mesh (`session_uid`) -> whether it was edited. A changed mesh is dropped."""
 
 
 def surfaces(scene: bpy.types.Scene) -> list[bpy.types.Object]:

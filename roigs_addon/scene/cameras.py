@@ -16,10 +16,10 @@ from ..properties import object_props
 from . import backgrounds, lookup
 
 ORTHO_BACK = 2000.0
-"""Widths of its picture that an orthographic camera is put back: what is as deep as it is wide then
-moves by a 4,000th of the picture at its edges."""
+"""Distance of the pinhole camera that stands for an orthographic one, in widths of its picture. At
+the picture's edges, an object as deep as the picture is wide moves by a 4,000th of the picture."""
 LEAST_CLIP = 1e-6
-"""Blender's least clip distance."""
+"""Blender's smallest clip distance."""
 
 
 def new_camera(photo: Photo, size: float) -> bpy.types.Object:

@@ -25,15 +25,14 @@ from .splat_attributes import PLACE, values
 Float32 = NDArray[np.float32]
 
 ATTRIBUTE = "captured_light"
-"""Attribute of a mesh's vertices: what a white matt surface would have shown there, in linear
-light."""
+"""Vertex attribute: the colour a white matt surface would have had there, in linear light."""
 SAMPLES, RAYS = 3000, 64
-"""Vertices from which rays look whether the object itself hides the surroundings, and their rays;
-other vertices take the mean of the nearest `NEAREST` ones."""
+"""Number of sampled vertices, and of rays from each. The rays measure how much of the surroundings
+the object itself hides. Each vertex takes the mean of the `NEAREST` samples."""
 NEAREST = 6
 SEED = 0
 APART = 1e-3
-"""Of the object's size: rays begin so far off its surface."""
+"""Distance from the surface at which rays start, as a share of the object's size."""
 
 
 def places_of(mesh: bpy.types.Mesh) -> Float32:

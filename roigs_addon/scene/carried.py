@@ -21,7 +21,7 @@ LEFT_OUT = "roigs_left_out"
 """Custom property of a mesh in a .blend that was saved without its view-dependent colour."""
 
 _taken: dict[int, dict[str, Float32]] = {}
-"""Mesh, by its number in this session -> its colour, while the file is saved."""
+"""Mesh (`session_uid`) -> its view-dependent colour while the file is saved."""
 
 
 def bring_back(scene: bpy.types.Scene) -> None:

@@ -23,14 +23,14 @@ from ..shared import files, text
 from . import lookup, rois
 
 STEEP = float(np.sqrt(0.5))
-"""Height of a unit vector: what rises by 45 degrees or more is above."""
+"""A unit vector this high or higher points upwards: 45 degrees."""
 NORMALS = {
     f"{sign}{axis}": (row, float(f"{sign}1")) for row, axis in enumerate("xyz") for sign in "-+"
 }
 """Side of a box, as the engine names it -> axis of the box, and sign of the side's normal."""
 
 Fault = tuple[str, str, str]
-"""A photo to look at: its name, the reason in a word or two, the reason with its figure."""
+"""A doubtful photo: its name, the reason in a word or two, the reason with its figure."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,9 +24,9 @@ FILES = {
     "index": frame_requests.index_file,
     "share": frame_requests.share_file,
 }
-"""Of the engine's answer, by the kind of the image that shows it."""
+"""Kind of an image in the group -> path of the engine's file that it shows."""
 PASSES = ("Object Index", "IndexOB")
-"""Names of Blender's pass of object indices: from 5.0 on, before."""
+"""Names of Blender's object-index pass: from 5.0 on, and before."""
 
 
 def link(scene: bpy.types.Scene) -> None:

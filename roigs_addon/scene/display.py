@@ -23,13 +23,13 @@ MODIFIER = "Drawn as Gaussians"
 NOTHING = MODIFIER
 """Name of the group without any geometry."""
 SPLATS = "Blender's Splats"
-"""Name of the group that makes Blender's own splats."""
+"""Name of the node group that makes Blender's own splats."""
 EXPOSURE, TINT = "Exposure", "Tint"
 """Inputs of that group; drivers give them the object's look."""
 INPUTS = f'modifiers["{MODIFIER}"].properties.inputs'
 BASE = "radiance:base"
 APPLIED = ("Applied X", "Applied Y", "Applied Z")
-"""Inputs of that group: the columns of the (3, 3) map that all points went through, by Apply."""
+"""Inputs of that group: columns of the (3, 3) map of all points by **Object ▸ Apply**."""
 TREE = "GeometryNodeTree"
 GEOMETRY = (("Geometry", "INPUT", "Geometry"), ("Geometry", "OUTPUT", "Geometry"))
 SOCKETS = (

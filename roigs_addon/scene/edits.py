@@ -53,19 +53,19 @@ SOURCE = "roigs_ply"
 """Custom property of a mesh: `_fingerprint` of the file that it was imported from."""
 
 HEAD = 2**20
-"""Bytes of a file that tell it from others of its size."""
+"""Bytes at a file's start that its `_fingerprint` covers."""
 
 PREFIX = "roigs-edited-"
-"""Of the files with points."""
+"""Prefix of the names of files with points."""
 
 _files: dict[tuple[int, bool], str | None] = {}
-"""Mesh, by its number in this session, and whether its own file holds it -> the file of its points.
+"""Mesh (`session_uid`), and whether its own file holds it -> the file of its points.
 
-Empty: no Gaussians are left. None: its own file is drawn, or the points cannot be written.
+Empty if no Gaussians are left. None if its own file is drawn, or the points cannot be written.
 """
 
 _applied: dict[int, Matrix] = {}
-"""Mesh that was edited -> the map that all of its points went through before they were written."""
+"""Edited mesh -> the common map of all its points; the written file does not include it."""
 
 _maps: dict[int, Matrix] = {}
 """Mesh -> its `whole_frame`, until it changes."""
@@ -74,7 +74,7 @@ _written: dict[int, str] = {}
 """Mesh -> `state_of` of the points in their file."""
 
 _fingerprints: dict[tuple[str, int, int], str] = {}
-"""Path, time of change and size of an own file -> its `_fingerprint`."""
+"""Path, modification time and size of an object's own file -> its `_fingerprint`."""
 
 _changed: set[int] = set()
 """Meshes that may have been edited since their file was written."""
@@ -87,7 +87,7 @@ MIXED = (
     "look wrong. Undo the join"
 )
 _mixed: dict[int, str] = {}
-"""Mesh that was joined of both kinds -> that in one line."""
+"""Mesh joined from Gaussians for different renderers -> a warning in one line."""
 
 
 def mark_imported(mesh: bpy.types.Mesh, path: Path | None = None) -> None:

@@ -16,9 +16,9 @@ from . import clouds, lookup, splats
 from .frame_request import standing
 
 MOST = 2, 98
-"""Percentiles between which the Gaussians of an object are looked at: some lie far out."""
+"""Percentiles of an object's Gaussians that its box spans: some Gaussians lie far out."""
 LEAST = 1e-4
-"""Half a side of a box, at least: `rois.json` has no flat ones."""
+"""Added to each end of a box's sides: `rois.json` allows no flat boxes."""
 
 
 def boxes(

@@ -16,7 +16,7 @@ from ..geometry import frames, panorama
 from . import cameras, display, edits, instances, ladders, look, lookup, panoramas
 
 Model = dict[str, Any]
-"""Of a request: a file, where it stands, and how it looks."""
+"""An object of a request: its file, matrix, gains and object index."""
 
 
 def frame_request(

@@ -28,16 +28,16 @@ from .splat_attributes import cloud_of, drawn, values
 
 DIRECTIONS = confidence.COLUMNS.index("directions")
 PREFIX = "roigs-heat-"
-"""Of the files with colours."""
+"""Prefix of the names of files with colours."""
 
 _shown: dict[int, tuple[str, Matrix] | None] = {}
-"""Mesh, by its number in this session -> its file and the file's frame; None: write it again."""
+"""Mesh (`session_uid`) -> its file and the file's frame; None if it must be written again."""
 
 _most: list[float] = []
-"""Directions of the brightest colour; nothing if no heat map is shown."""
+"""Number of directions of the brightest colour; empty if no heat map is shown."""
 
 _native: set[str] = set()
-"""Objects that were Blender's own splats, and are drawn by the add-on while they are hot."""
+"""Objects shown as Blender's own splats before; the add-on draws them during the heat map."""
 
 
 def keep(item: bpy.types.Object, known: NDArray[np.float32]) -> None:

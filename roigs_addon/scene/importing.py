@@ -28,10 +28,10 @@ PHOTOS_OF_IMPORT = "roigs_photos"
 """Custom property that marks the collection of an import's cameras."""
 
 MALFORMED = (ValueError, KeyError, TypeError, OverflowError)
-"""What a record of other values than the engine's raises."""
+"""Exceptions raised for a record that the engine did not write."""
 
 UNPOSED = "without a pose"
-"""In the engine's words: a photo whose camera was not found."""
+"""The engine's reason for a photo whose camera was not found."""
 
 TOO_FAR = (
     "The model {}. Cameras, points and boxes are off by up to half of that: move the model to the"

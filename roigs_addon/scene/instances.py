@@ -32,7 +32,7 @@ class Instance:
 
 
 _known: dict[int, list[Instance]] = {}
-"""View layer, by its address -> its instances, until anything changes: scenes have thousands."""
+"""View layer (address) -> its instances, until anything changes: scenes have thousands."""
 
 
 def instances(depsgraph: bpy.types.Depsgraph) -> list[Instance]:

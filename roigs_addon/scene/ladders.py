@@ -19,13 +19,13 @@ from ..shared import EngineError, levels, run_files
 from . import display, edits, lookup
 
 ABOVE = {"RESULT": 1, "ROI": 2}
-"""Level of an object -> how many folders its file is below the run folder."""
+"""Level of an object -> number of folders from its file up to the run folder."""
 
 STALE = "The levels of detail are older than the result: they are not used. Make them again"
 MISSING = "A level of detail is missing ({}): its object is drawn in full. Make the levels again"
 
 MOST_FOLDERS = 16
-"""Whose lists are remembered."""
+"""Most run folders whose lists are cached."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

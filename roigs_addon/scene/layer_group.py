@@ -12,10 +12,10 @@ import bpy
 
 NAME = "ROI-GS Gaussians"
 MARK = "roigs_layer"
-"""Custom property of the group, and of its images: which file of the engine's they show."""
+"""Custom property of the group, and of its images: the kind of engine file that they show."""
 INDEX, MATTE, WANTED = "Object Index", "Matte", "Matte Index"
 OF_OBJECTS = (INDEX, MATTE)
-"""The outputs that tell objects apart: as Blender's pass does, and by one object's share."""
+"""Outputs that tell objects apart: an index like Blender's pass, and one object's share."""
 MATTES = ("index", "share")
 """Kinds of images that these outputs need."""
 SOCKETS = (
@@ -36,10 +36,10 @@ SOCKETS = (
 LAST_FRAME = 1048574
 MOST_INDEX = 32767
 HALF = 0.5
-"""Depth and index are of the Gaussians where they are at least that much of the picture. It is the
-default of Blender's Alpha Threshold, which decides the same for its own passes."""
+"""Least share of the Gaussians in a pixel that gets their depth and index. It is the default of
+Blender's Alpha Threshold, which decides the same for its own passes."""
 FAR = 1e11
-"""Beyond the depth of what is not there, in Blender and in the engine."""
+"""Beyond the depth that Blender and the engine give to empty pixels."""
 
 
 def new_group() -> Any:

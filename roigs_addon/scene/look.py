@@ -7,7 +7,7 @@ import bpy
 from ..properties import object_props
 
 Gains = tuple[float, float, float]
-"""What red, green and blue are multiplied by, as sRGB values."""
+"""Factors of red, green and blue, applied to sRGB values."""
 
 
 AS_IT_IS: Gains = (1.0, 1.0, 1.0)

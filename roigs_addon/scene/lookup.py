@@ -29,7 +29,7 @@ TYPES = {
 """Blender's types of the objects of each kind; checked first, which is three times as fast."""
 
 FAR = 1e15
-"""As for boxes and placements."""
+"""Largest valid number in a place or size, as for boxes and placements."""
 
 
 def of_kind(scene: bpy.types.Scene, kind: str) -> Iterator[bpy.types.Object]:

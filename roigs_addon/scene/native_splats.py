@@ -38,9 +38,9 @@ from .splat_attributes import (
 FIRST_VERSION = (5, 3, 0)
 POSITION = "position"
 UNCHANGED = {"forward_axis": "Y", "up_axis": "Z", "global_scale": 1.0, "use_scene_unit": False}
-"""Options of the importer: no change of axes or units."""
+"""Options of the importer that change no axes or units."""
 NAME = "roigs-native.ply"
-"""In Blender's temporary folder."""
+"""Name of the file in Blender's temporary folder."""
 REFUSED = "This Blender's PLY importer makes no Gaussian splats."
 
 

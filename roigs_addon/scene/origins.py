@@ -17,7 +17,7 @@ from ..geometry.frames import Matrix
 from . import clouds, edits, lookup
 
 MOST = 0.5
-"""Share of the points that are in the box, unless it was moved after its training."""
+"""A box contains more than this share of its points, unless it was moved after training."""
 
 
 def centre_on_box(scene: bpy.types.Scene, item: bpy.types.Object, roi: str) -> None:

@@ -26,20 +26,20 @@ MOVED = ("ROOT", "CAMERA", "POINTS", "ROI", "SPLATS")
 """Kinds of objects that are moved."""
 
 _written: dict[Path, str] = {}
-"""File -> the text that this session has written; empty: it has removed the file."""
+"""File -> the text that this session has written; empty if it has removed the file."""
 
 _own: dict[Path, set[str]] = {}
-"""File -> all texts that this session has written. A .blend may bring another one, which was never
-in the file, or is no longer."""
+"""File -> all texts that this session has written. A .blend may hold another text, which is not in
+the file."""
 
 _found: dict[Path, str] = {}
-"""File -> its text before this session wrote it; empty: there was none."""
+"""File -> its text before this session wrote it; empty if there was none."""
 
 _scenes: dict[Path, int] = {}
-"""File -> the scene, by its number in this session, whose steps of undo the file follows."""
+"""File -> `session_uid` of the scene whose undo steps the file follows."""
 
 _roots: dict[Path, Matrix] = {}
-"""File -> where the root stands that the 3D views show."""
+"""File -> the root's matrix for which the 3D views are set."""
 
 
 def root_of(scene: bpy.types.Scene) -> bpy.types.Object:

@@ -31,25 +31,27 @@ BACKGROUND = "Background"
 GROUP = "ROI-GS Captured Surface"
 """Node group of the proxies' materials."""
 SHADE = "Shade"
-"""Its input: how far away what shades a proxy may be."""
+"""Input of the group: largest distance of objects that shade a proxy."""
 SOCKETS = (
     ("Color", "INPUT", "Color"),
     *((name, "INPUT", "Float") for name in ("Distance", SHADE)),
     ("Surface", "OUTPUT", "Shader"),
 )
 REACH, SHADES = 8.0, 2.0
-"""In radii of the user's object: how far proxies shine, and how far it shades them. At 8, places in
-the light's picture are wrong by 7 degrees; the object covers a fifteenth of the light at 2."""
+"""Distances, in radii of the user's object, up to which proxies shine, and up to which it shades
+them. At 8, places in the light's picture are wrong by 7 degrees. At 2, the object covers a
+fifteenth of the light."""
 PARTS = "Near", "Far"
-"""Vertex groups of the background: what may shine, and what catches only."""
+"""Vertex groups of the background: the part that may shine, and the part that only catches."""
 FILE = "roigs_glb"
 """Custom property of a mesh: SHA-256 of its file."""
 SAME_WAY, SAME_PLANE = 0.97, 0.05
-"""Two planes are one: the cosine between their normals, and their distance as a share of a side."""
+"""Two planes count as one above this cosine between their normals, and below this distance as a
+share of a side."""
 SHADE_SAMPLES = 1
-"""Rays of a hit: each path has its own, so one is enough for the mean."""
+"""Rays per hit. Each path has its own, so one is enough for the mean."""
 WHITE = (0.8, 0.8, 0.8, 1.0)
-"""Albedo of what catches; the ratio of light does not depend on it."""
+"""Albedo of the catcher; the ratio of light does not depend on it."""
 
 
 def of_scene(scene: bpy.types.Scene) -> list[bpy.types.Object]:

@@ -30,9 +30,9 @@ TEXT = (
     " in the texture"
 )
 WHITEST = 0.95
-"""No surface reflects more of the light."""
+"""Largest share of light that a surface may reflect."""
 LEAST_LIGHT = 0.01
-"""Of linear light: so that black corners do not become bright."""
+"""Least divisor, in linear light, so that black corners do not become bright."""
 NO_PICTURE = "The material of '{}' has no picture. Make its surface again."
 
 

@@ -16,7 +16,7 @@ from . import lookup
 from .splat_attributes import PLACE, values
 
 SAME = 0.5
-"""Overlap of one box's Gaussians in two results."""
+"""Overlap of Gaussians above which two boxes are one."""
 
 
 def renamed(

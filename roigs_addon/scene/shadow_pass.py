@@ -23,13 +23,14 @@ PASS = "Shadow Catcher"
 NODE = "ROI-GS Shadows"
 """Name of the node in the group that multiplies."""
 CONTACT, NEAR = "ROI-GS Contact", 0.2
-"""Label of the nodes that bring Blender's surfaces nearer to the camera than they are, and by how
-many radii of the user's object. The Gaussians of what it stands on are some millimetres above or
-below its foot, and would lie over that, without its shadow. At 0.2, they may err by 3 degrees, seen
+"""Label of the nodes that move Blender's surfaces nearer to the camera, and by how many radii of
+the user's object. The Gaussians of the surface under it are some millimetres above or below its
+foot. They would cover the foot, without its shadow. At 0.2, they may err by 3 degrees, seen
 from 15."""
 WHOLE, NOWHERE = 0.9, 1e10
-"""Alpha of a pixel that shows the user's things alone, and the depth of one that does not. A pixel
-of their rim can have the depth of what catches behind; that of a whole one beside it is its own."""
+"""Least alpha of a pixel that shows only the user's objects, and the depth given to other pixels. A
+pixel at an object's rim can have the depth of the catcher behind it. A neighbour inside the object
+has the object's depth."""
 
 
 def is_on(layer: bpy.types.ViewLayer) -> bool:

@@ -28,29 +28,29 @@ SH_NAMES = tuple(f"radiance:sh_{index}" for index in range(15))
 """Attributes with the view-dependent colour; a lower degree has fewer of them."""
 
 PLACE = "imported"
-"""Attribute: where a point was imported."""
+"""Attribute with a point's imported position."""
 
 NUMBERS = {
     **dict(zip(SHAPE, (3, 4, 4), strict=True)),
     **dict.fromkeys((*SH_NAMES, PLACE, "position"), 3),
     "opacity": 1,
 }
-"""How many numbers these attributes have; who made a .blend may have given them others."""
+"""Required number of values of these attributes; a user's .blend may have others."""
 
 
 FAR = 1e15
-"""As for boxes and placements."""
+"""Largest valid number in a frame, as for boxes and placements."""
 
 FRAME = "roigs_frame"
-"""Custom property of a mesh: the map from its file's frame to its own, as it was imported."""
+"""Custom property of a mesh: the map from its file's frame to its own at import."""
 
 PHOTO_FOCAL = "roigs_photo_focal"
 """Custom property: `SplatCloud.photo_focal`."""
 
 MADE_FOR = ("antialiased", "linear_light")
-"""Attributes of Gaussians whose target (`targets.Target`) draws so; others have none, or False.
+"""Boolean attributes for properties of the Gaussians' target (`targets.Target`); absent is False.
 
-They are each point's own, so that meshes that are joined do not lose them.
+They are stored per point, so that joined meshes keep them.
 """
 
 

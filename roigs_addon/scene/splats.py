@@ -36,13 +36,13 @@ from .renamed_boxes import renamed
 from .splat_attributes import add_attributes
 
 Part = tuple[str, str]
-"""Of a result: the level of `properties.LEVELS`, and the box."""
+"""Part of a result: the level of `properties.LEVELS`, and the box."""
 
 BELOW = {"RESULT": 1, "SCENE": 2, "ROI": 2, "IMPORTED": 3}
-"""Level -> of how many parts the path of its file is, from the run folder on."""
+"""Level -> number of parts in the path of its file, relative to the run folder."""
 
 MESH_FILE = ".surface.ply"
-"""End of the names of files beside those of boxes: `surface --format ply` writes meshes."""
+"""End of names of mesh files beside the boxes' files; `surface --format ply` writes them."""
 COLLECTION = "ROI-GS Gaussians"
 UNUSED = "ROI-GS new"
 MATERIAL = "ROI-GS Gaussians"

@@ -20,18 +20,18 @@ from ..stage_properties import stage_props
 from . import compositor, display, lookup, shadow_pass
 
 NATIVE = "shown "
-"""Before a name of Gaussians, in what is remembered: how they were shown."""
+"""Prefix of saved settings: how the Gaussians object of the following name was shown."""
 WAYS = [way for way, _, _ in SHOWN_AS]
 LAMP = "roigs_lamp"
-"""Custom property of a lamp: whether it was part of what was captured."""
+"""Custom property of a lamp: its earlier **Shadow Catcher** setting."""
 SETTINGS = {
     "film": "film_transparent",
     "compositing": "use_compositing",
     "persistent": "use_persistent_data",
 }
-"""Of renders: their names in what is remembered, and Blender's."""
+"""Render settings: name of the saved setting -> Blender's name."""
 COMPOSITOR = "compositor"
-"""What was changed of it, in what is remembered."""
+"""Name of the saved settings of the compositor."""
 COLLECTION, TURN, HERE = "ROI-GS Stage", "ROI-GS Light", "ROI-GS Here"
 
 

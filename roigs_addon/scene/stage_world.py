@@ -16,9 +16,9 @@ from . import proxies, stage
 
 NAME = "ROI-GS Light"
 STRENGTH, HIGHLIGHTS = "Strength", "Highlights"
-"""Nodes with a value for the user."""
+"""Names of the nodes with a value for the user."""
 PHOTO_WHITE = (1.0, 1.0, 1.0)
-"""The brightest that photos show: what is above it was recovered."""
+"""Brightest colour in photos; brighter light was recovered."""
 
 
 def light(scene: bpy.types.Scene) -> bpy.types.World | None:
@@ -112,7 +112,7 @@ def _sample(own: Any, image: bpy.types.Image) -> None:
 
 
 Pictures = tuple[bpy.types.Image, bpy.types.Image | None]
-"""Of the light, and what mirrors and glass see if that differs."""
+"""The picture of the light, and the one that mirrors and glass see if it differs."""
 
 
 def _build(own: Any, images: Pictures, turn: Any, kept: dict[str, float]) -> None:
@@ -160,7 +160,7 @@ def _shine(own: Any, images: Pictures, turn: Any, kept: dict[str, float]) -> Any
 
 
 PICTURE_NODES = 7
-"""In a row: its place, itself, three of its colours, its shader, and a gap."""
+"""Columns of nodes in the row of a picture: coordinates, picture, three for colour, shader, gap."""
 
 
 def _of_picture(own: Any, way: Any, image: bpy.types.Image, values: list[Any], row: int) -> Any:

@@ -20,15 +20,15 @@ from ..shared import gravity
 from . import box_surfaces, clouds, lookup, proxies, surfaces
 
 LEVEL = 5.0
-"""Degrees: a surface that is as level as that is level; what is measured of one errs by 1 to 3."""
+"""Degrees from level up to which a surface counts as level; measured normals err by 1 to 3."""
 FEWEST = 30
-"""Gaussians that tell how a surface lies."""
+"""Least number of Gaussians that define a surface."""
 GRAZING = 0.17
-"""Sine of 10 degrees, between a plane and the direction in which it is looked at."""
+"""Sine of 10 degrees, the angle between a plane and the viewing direction."""
 RING = 12
-"""Places around a point at which a mesh is felt."""
+"""Number of places on a ring around a point at which a mesh is probed."""
 NEAR = 0.2
-"""Of its distance from the eye: a mesh so near to the Gaussians that were clicked is the same
+"""Share of the distance from the eye: a mesh this near to the clicked Gaussians is the same
 surface."""
 UP = (0.0, 0.0, 1.0)
 

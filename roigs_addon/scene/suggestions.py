@@ -27,7 +27,7 @@ MARK = "roigs_suggested"
 """Custom property of that collection."""
 COLOUR = (1.0, 0.63, 0.0, 1.0)
 CAMERA_SIZE = 0.1
-"""Of a camera's drawing, where no photo's camera tells."""
+"""Display size of a camera if there is no photo's camera to copy it from."""
 
 
 @dataclass(frozen=True, kw_only=True)

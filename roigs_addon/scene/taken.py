@@ -25,9 +25,9 @@ from .image_pixels import pixels_of
 MARK = "roigs_taken"
 """Custom property of the collections."""
 CRUMB = 0.1
-"""Share of the height above a cut that every piece of the object reaches."""
+"""Pieces that end below this share of the height above a cut are removed."""
 SIDE, POINTS = 256, 400_000
-"""Of the preview: pixels, and points of the surface that are drawn."""
+"""Side of the preview in pixels, and number of surface points drawn in it."""
 TEXT = "Captured object: its mesh and its Gaussians. Made with ROI-GS"
 EMPTY = "'{}' has no faces. Make its surface again."
 

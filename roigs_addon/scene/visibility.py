@@ -13,7 +13,7 @@ import bpy
 from ..properties import object_props
 
 SEEN = ("screen", "render")
-"""Words for what a hidden object was seen in."""
+"""Words for where a hidden object was visible before."""
 
 
 def park(item: bpy.types.Object, why: str = "parked") -> None:

@@ -14,7 +14,7 @@ from ..scene.box_faces import Face
 
 FACES: tuple[Face, ...] = tuple((axis, sign) for axis in range(3) for sign in (1, -1))
 COLOURS = ((0.96, 0.21, 0.32), (0.54, 0.86, 0.0), (0.16, 0.55, 0.96))
-"""Of the axes, as in Blender's themes."""
+"""Colours of the axes, as in Blender's themes."""
 LENGTH, ALPHA = 0.35, 0.7
 
 

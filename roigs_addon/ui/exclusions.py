@@ -15,9 +15,9 @@ from ..shared import text
 from . import layout as show
 
 MOST_WEAK = 4
-"""Weak photos that there is room for."""
+"""Most weak photos shown."""
 MOST_FAULTY = 8
-"""Photos with a fault that there is room for."""
+"""Most photos with a fault shown."""
 
 
 def counted(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:

@@ -23,7 +23,7 @@ PIXELS_PER_LETTER = 7.5
 
 
 LONGEST = 2000
-"""Letters of a text that is shown."""
+"""Most letters shown of a text."""
 
 
 class SidebarPanel(bpy.types.Panel):

@@ -16,7 +16,7 @@ from . import layout as show
 from .layout import SidebarPanel
 
 MOST_REMARKS = 4
-"""That there is room for; the report has all."""
+"""Most remarks shown; the report has all."""
 
 
 class PhotosPanel(SidebarPanel):

@@ -47,7 +47,7 @@ from .layout import SidebarPanel
 Objects = list[bpy.types.Object]
 
 NAME_SHARE = 0.36
-"""Of a row with two buttons; copies differ in the end of their names."""
+"""Share of a row for the name, beside two buttons; copies differ in the end of their names."""
 TRUE_COLOURS = ("Standard", "Raw")
 """View transforms that show the photos' colours."""
 

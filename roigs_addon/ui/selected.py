@@ -30,12 +30,12 @@ EDIT_ICONS: dict[str, IconItems] = {
     "DOWN": "TRIA_DOWN",
 }
 PICTURE_SCALE = 6.0
-"""Size of the active photo's picture, in buttons."""
+"""Size of the active photo's thumbnail, in heights of a button."""
 EFFECTS = {
     "joint": "Optional: it hardly changes the result",
     "independent": "Each box trains on its selected photos alone",
 }
-"""Strategy -> what the selection does."""
+"""Strategy -> effect of the selection."""
 
 
 class PhotoList(bpy.types.UIList):

@@ -19,7 +19,7 @@ from .cameras import CamerasPanel
 from .layout import SidebarPanel
 
 NUMBER = 0.1
-"""Of a row's width, for the number of a photo."""
+"""Share of a row's width for the number of a photo."""
 
 
 class SuggestionsPanel(SidebarPanel):

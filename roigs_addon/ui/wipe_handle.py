@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ..blender import OperatorResult
 
 REACH = 8.0
-"""Pixels from the line within which it is dragged, at an interface scale of 1."""
+"""Distance in pixels within which the line can be dragged, at an interface scale of 1."""
 
 
 class WipeHandle(bpy.types.Gizmo):

@@ -18,10 +18,10 @@ from .handler import ViewHandler
 
 CIRCLE, CORNERS = (1.0, 1.0, 1.0, 0.9), 48
 MOST = 200_000
-"""Of points that are drawn; more are all alike."""
+"""Most points drawn; more look the same."""
 
 _at: tuple[int, float, float, float] | None = None
-"""Region, by its address, the centre in it, and the radius in pixels."""
+"""Region (address), the circle's centre in it, and its radius, in pixels."""
 
 _below: NDArray[np.float32] = np.empty((0, 2), np.float32)
 

@@ -20,7 +20,7 @@ COLOUR, WIDTH = (1.0, 0.45, 0.05, 0.6), 2.0
 """Width in pixels, at an interface scale of 1."""
 
 _meshes: set[int] = set()
-"""Whose selected points are marked, by their numbers in this session."""
+"""Meshes (`session_uid`) whose selected points are marked."""
 
 _batches: dict[int, gpu.types.GPUBatch | None] = {}
 """Mesh -> its selected points on the GPU; None if there are none."""

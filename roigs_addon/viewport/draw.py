@@ -13,13 +13,13 @@ from .painter import Painter
 from .view import View, camera_frame
 
 POLL = 0.02
-"""Seconds between two looks at the threads."""
+"""Seconds between two checks of the threads."""
 
 REST = 0.2
 """Seconds without a change after which a view that was drawn coarsely is drawn in full."""
 
 FAINT = 0.3
-"""Strength of all Gaussians while some are in edit mode: they would cover the selected points."""
+"""Strength of all Gaussians while some are in edit mode, so that selected points stay visible."""
 
 _painter: Painter | None = None
 
@@ -85,7 +85,7 @@ def _poll() -> bool:
 
 
 timer = Timer(_poll, POLL)
-"""Draws the viewports again when the threads are done."""
+"""Redraws the viewports when the threads are done."""
 
 
 def _rest() -> bool:
@@ -94,7 +94,7 @@ def _rest() -> bool:
 
 
 moving = Timer(_rest, REST)
-"""Runs until a view that was drawn coarsely has not changed for a while; then draws it in full."""
+"""Draws a coarse view in full after it has not changed for `REST` seconds."""
 
 
 def _say() -> bool:
@@ -103,7 +103,7 @@ def _say() -> bool:
 
 
 counted = Timer(_say, REST)
-"""Has the panel say how many Gaussians are drawn, after that has changed."""
+"""Redraws the panel after the number of drawn Gaussians has changed."""
 
 _handler = ViewHandler(_draw_region, "Gaussians cannot be drawn here")
 

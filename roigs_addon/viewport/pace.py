@@ -10,11 +10,11 @@ from __future__ import annotations
 from math import ceil, sqrt
 
 QUICK = 0.1
-"""Seconds: a picture that takes no longer is always drawn in full."""
+"""Seconds for a picture up to which it is always drawn in full."""
 
 COARSEST = 3
-"""Pixels of the view across a pixel of the coarsest picture; beyond, blending is not what takes
-the time."""
+"""Width of a pixel of the coarsest picture, in pixels of the view; beyond, blending does not take
+most of the time."""
 
 
 def pixel(seconds: float | None, held: int | None, rested: bool) -> int:

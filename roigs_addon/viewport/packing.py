@@ -15,7 +15,7 @@ from ..shared import targets
 Float32 = NDArray[np.float32]
 
 ROW = 8192
-"""Texels in a row of every texture; all of Blender's GPUs can do twice that."""
+"""Texels in a row of every texture; all GPUs that Blender supports allow twice as many."""
 
 GEOMETRY_TEXELS = 3
 """Texels of a Gaussian's shape: mean and opacity; quaternion; scales and its object's number.
@@ -24,11 +24,11 @@ With anti-aliasing, the number is half a one larger.
 """
 
 INDEX_MARK = np.uint32(0x40000000)
-"""Set in every stored index.
+"""Bit set in every stored index.
 
-Blender's Python can fill textures with floats alone, so the bits of an index travel as a float.
-As float32 numbers, indices above 2^24 would be rounded; as bare bits, small ones would be
-denormal, which GPUs may take for 0. With this bit, every index below 2^29 is a normal float.
+Blender's Python can fill textures only with floats, so the bits of an index are stored as a float.
+As float32 numbers, indices above 2^24 would be rounded. As plain bits, small ones would be
+denormal, which GPUs may treat as 0. With this bit, every index below 2^29 is a normal float.
 """
 
 

@@ -25,7 +25,7 @@ from .view import Frame, View, whole
 Float32 = NDArray[np.float32]
 
 VIEWS = 8
-"""How many viewports keep an order of their own."""
+"""Most viewports that keep their own order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,11 +96,11 @@ class Picture:
 
     target: targets.SplatPicture
     shows: Hashable
-    """Everything that the picture depends on."""
+    """Key of everything that the picture depends on."""
     pixel: int
-    """Pixels of the view across one of the picture's; 1 in a full picture."""
+    """Width of a pixel of the picture, in pixels of the view; 1 in a full picture."""
     seconds: float | None
-    """What a full picture of this viewport takes; None: unknown."""
+    """Time for a full picture of this viewport; None if unknown."""
 
 
 class Painter:

@@ -29,17 +29,17 @@ from .view import camera_frame
 MASK = (1.0, 0.1, 0.8, 0.45)
 COLOURS = {scribbles.OBJECT: (0.15, 0.95, 0.3, 1.0), scribbles.BACKGROUND: (1.0, 0.25, 0.15, 1.0)}
 SIDE = 1536
-"""Longest side of what is drawn, in pixels; larger images are thinned out."""
+"""Longest side of drawn images, in pixels; of larger images, rows and columns are left out."""
 
 Key = tuple[str, int]
-"""Path, and when it was changed."""
+"""Path and modification time of a file."""
 
 _textures: dict[Key, Any] = {}
 _wanted: dict[Key, bool] = {}
-"""What is to be read; True for masks."""
+"""Files to read; True for masks."""
 
 drawing: tuple[str, list[tuple[float, float]], float] | None = None
-"""The stroke that is being drawn: its kind, points and width in pixels of the photo."""
+"""The stroke being drawn: its kind, points and width in pixels of the photo."""
 
 
 def show_stroke(kind: str, points: list[tuple[float, float]], width: float) -> None:

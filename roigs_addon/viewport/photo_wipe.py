@@ -20,7 +20,7 @@ from .handler import ViewHandler
 LINE = (1.0, 1.0, 1.0, 0.9)
 SHADE, BACK = (0.0, 0.0, 0.0, 0.55), (0.0, 0.0, 0.0, 0.7)
 WIDTH, LETTERS, GAP, EDGE = 2.0, 13.0, 10.0, 4.0
-"""Of the line, the letters, and what is around them, in pixels at an interface scale of 1."""
+"""Sizes of the line, letters, and space around them, in pixels at an interface scale of 1."""
 
 
 def frame_of(context: bpy.types.Context) -> Frame | None:

@@ -20,7 +20,7 @@ picked: list[Vector] = []
 """The points, in the world."""
 
 hovered: list[Vector] = []
-"""The one under the mouse, if there is one."""
+"""The point under the mouse, if there is one."""
 
 
 def show(points: list[Vector], under: Vector | None) -> None:

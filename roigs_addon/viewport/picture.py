@@ -23,10 +23,10 @@ from .objects import splat_objects, surfaces_are_visible
 from .view import View, camera_frame
 
 KEY = "picture"
-"""Of the order that belongs to pictures, not to a viewport."""
+"""Key of the order for pictures, instead of a viewport's."""
 
 MOST_PIXELS = 1 << 26
-"""Some 8 GB with all that Blender makes for it; with more, Blender itself may be ended."""
+"""Largest picture. It takes about 8 GB in Blender; with more, the system may end Blender."""
 
 
 def view_picture(context: bpy.types.Context) -> NDArray[np.float32]:

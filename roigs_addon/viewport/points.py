@@ -19,10 +19,10 @@ from . import shaders
 from .handler import ViewHandler
 
 SMALLEST = 2.5
-"""Pixels across, at an interface scale of 1, so that far points are still visible."""
+"""Least width of a point in pixels, at an interface scale of 1, so that far points stay visible."""
 
 _batches: dict[int, gpu.types.GPUBatch | None] = {}
-"""Mesh, by its number in this session -> its points on the GPU; None if they have no colour."""
+"""Mesh (`session_uid`) -> its points on the GPU; None if they have no colour."""
 
 _shader: shaders.Shader = None
 

@@ -11,10 +11,10 @@ from .packing import INDEX_MARK, ROW
 from .targets import TYPES
 
 TOGETHER = 32
-"""Gaussians in an instance: with one alone, most of a GPU's lanes would idle."""
+"""Gaussians per instance: with only one, most of a GPU's lanes would idle."""
 
 Shader = Any
-"""A shader of Blender's; by the stubs, it takes no matrices."""
+"""A Blender shader. In the stubs, it accepts no matrices."""
 
 FOLDER = Path(__file__).parent / "shaders"
 

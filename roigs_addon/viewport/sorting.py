@@ -12,7 +12,7 @@ Float32 = NDArray[np.float32]
 UInt32 = NDArray[np.uint32]
 
 TURN = 2e-3
-"""Radians by which a view may turn, in an object's frame, until it is sorted again."""
+"""Rotation of a view in radians, in an object's frame, above which it is sorted again."""
 
 
 @dataclass(frozen=True, eq=False)

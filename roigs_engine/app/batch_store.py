@@ -25,7 +25,7 @@ from .batch_table import Row, Wrong
 
 BATCHES = "batches"
 SHOWN = (MANIFEST, REPORT_DATA, REPORT_PAGE, f"{CACHE}/{CONTENTS}")
-"""Files of a run that the page and the record of a batch need, beside its pictures."""
+"""Files of a run that the page and the record of a batch need, besides its pictures."""
 
 
 class Store:

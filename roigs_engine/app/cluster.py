@@ -15,7 +15,7 @@ from .batch_table import Row
 from .outputs import Trained, result_in
 
 KEPT = ("compare", "device", "preview_seconds", "image_cache")
-"""Options that are no settings of a run, and that its parts must have."""
+"""Options that are not settings of a run, but that its parts need."""
 
 
 def train_on_cluster(request: Train, context: Context) -> Trained:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ..run.definition import Run
 
 PREPARE = "prepare"
-"""The part of a run that opens the folder and looks at the photos."""
+"""Name of the part of a run that opens the folder and checks the photos."""
 
 
 def train(request: Train, context: Context = QUIET) -> Trained:

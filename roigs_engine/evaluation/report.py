@@ -21,9 +21,9 @@ MASK: Column = ("mask PSNR (dB)", lambda row: row.mask_psnr, ".2f", 1)
 CORRECTED: Column = ("corrected (dB)", lambda row: row.corrected_psnr, ".2f", 1)
 DETAIL: Column = ("detail (dB)", lambda row: row.detail_psnr, ".2f", 1)
 MARKDOWN = re.compile(r"[\\`*_\[\]<>|~]")
-"""What a name may hold that Markdown or HTML would take as its own."""
+"""Characters in names that Markdown or HTML would interpret."""
 OPTIONAL = (FLIP, MASK, CORRECTED, DETAIL)
-"""Columns that are there if they have a number."""
+"""Columns that are shown only if they have a number."""
 COLUMNS: tuple[Column, ...] = (
     ("ROI PSNR (dB)", lambda row: row.roi_psnr, ".2f", 1),
     CORRECTED,

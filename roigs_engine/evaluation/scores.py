@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 FULL_SCENE, FULL_SCENE_TUNED = "Full Scene", "Full Scene, tuned"
-"""Names of the baselines that gains are relative to: to the tuned one, where there is one."""
+"""Names of the baselines. Gains are relative to the tuned one, if there is one."""
 MIN_SILHOUETTE = 1024  # pixels; views with fewer silhouette pixels are skipped for the box
 MIN_OBJECT = 256  # pixels; views with fewer object pixels are skipped in the object column
 

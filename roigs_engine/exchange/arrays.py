@@ -84,7 +84,7 @@ UP: dict[str, tuple[tuple[int, int, int], ...]] = {
     "y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
     "z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
 }
-"""Axis that points up -> rotation from the world whose z axis does."""
+"""Up axis -> rotation into that world from one whose z axis points up."""
 
 
 def turn(before: str, after: str) -> Float64:

@@ -20,7 +20,7 @@ from .libraries import NotSupportedError
 TITLE = "compressed PLY"
 CHUNK = 256  # Gaussians that share their bounds
 BYTES = {"chunk": (72, 48), "vertex": (16,), "sh": (9, 24, 45)}
-"""Element -> bytes that one may have."""
+"""Element -> sizes that one of them may have, in bytes."""
 
 
 def write(path: Path, arrays: Arrays, *, target: Target = PLAIN) -> int:

@@ -22,7 +22,7 @@ from .arrays import Arrays, extent, flaw, upright
 from .libraries import CONVERT, HINT, reading
 
 FAR = 1e4
-"""So many times its size away from the origin, float32 shows a model's Gaussians moved."""
+"""Distance from the origin, in sizes of the model, from which float32 moves Gaussians visibly."""
 
 COMPRESSED, HEADER = ".compressed.ply", 1024
 """Suffix of compressed PLYs, and bytes of a PLY that say whether it is one."""
@@ -81,7 +81,7 @@ READ_ONLY = (
     FileFormat(title="glTF", suffix=".gltf", up="y", module="gltf", keeps_antialiased=False),
     replace(USD, suffix=".usd"),
 )
-"""Other names of files that are read. A whole name has no dot in front."""
+"""Other formats that are only read. A `suffix` without a leading dot is the whole name."""
 
 OTHERS = {
     ".ksplat": "GaussianSplats3D",
@@ -99,7 +99,7 @@ OTHERS = {
     ".pt": "a checkpoint",
     "lod-meta.json": "a Streamed SOG; each of its folders has a meta.json",
 }
-"""What other names of files of Gaussians end in, and what these are."""
+"""Ends of names of other files of Gaussians -> what these are."""
 
 
 def is_named(path: Path) -> bool:

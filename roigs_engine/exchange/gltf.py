@@ -37,7 +37,7 @@ DRAFTS = ("KHR_spz_gaussian_splats_compression", "KHR_spz_compression")
 """Extensions of primitives that became one of KHR_gaussian_splatting."""
 SRGB = ("srgb_rec709_display", "srgb_rec709_scene", "BT.709-sRGB")
 LINEAR = ("lin_rec709_display", "lin_rec709_scene", "BT.709-linear")
-"""Names of colour spaces: the ratified one, OpenUSD's, and one of a draft."""
+"""Names of colour spaces: the ratified one, OpenUSD's, and a draft's."""
 LUF = np.diag((-1.0, 1.0, -1.0))  # from right, up and back
 LEAST = 1e-30  # stands for a size of 0, which has no logarithm
 

@@ -30,10 +30,10 @@ INSTANCES = "EXT_mesh_gpu_instancing"
 MAGIC, VERSION, JSON, BIN = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
 MOST_JSON = 16 << 20  # bytes
 MOST_VALUES = 4 << 20
-"""Values of JSON: each takes up to a hundred bytes of memory, and two of the file."""
+"""Values of JSON; each takes up to a hundred bytes of memory, and two in the file."""
 
 Wanted = Callable[[dict[str, Any]], bool]
-"""Whether a primitive is one of those that somebody reads."""
+"""Whether a primitive is to be read."""
 
 
 def shown(record: dict[str, Any], wanted: Wanted) -> list[tuple[Float64, dict[str, Any]]]:

@@ -29,12 +29,12 @@ class NotSupportedError(Exception):
 HINT = "Write or download the file again."
 CONVERT = "Save it as .ply with its original program, or with SuperSplat."
 MOST_RATIO, SMALL = 100, 64 << 20
-"""Files of Gaussians unpack to some ten times their size; bombs to a thousand times."""
+"""Files of Gaussians unpack to some ten times their size, zip bombs to a thousand times."""
 MOST_PARTS = 4096  # of a file; each takes some milliseconds
 MOST_WORDS = 4000
-"""Letters of an error that are looked at: it may quote the file."""
+"""Letters of an error that are used; it may quote the file."""
 OPENUSD = re.compile(r" at line \d+ in file .*? : '(.*?)\n?'(?:\n|$)", re.DOTALL)
-"""Its errors begin with the place in its source."""
+"""OpenUSD's errors begin with the place in its source."""
 
 
 @contextmanager

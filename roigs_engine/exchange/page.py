@@ -79,7 +79,7 @@ class Extras:
     before_antialiased: bool = False
     meshes: Sequence[PageMesh] = ()  # to switch to
     poses: Float64 | None = None
-    """(N, 4, 4) world_to_camera of the photos; places are first seen from where one was taken."""
+    """(N, 4, 4) world_to_camera of the photos; a place is first shown from the side of a photo."""
     photo_focal: float | None = None  # of `Gaussians`
 
 

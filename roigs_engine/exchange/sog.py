@@ -42,7 +42,7 @@ MOST_META = 16 << 20  # bytes
 MOST_FILES = 16  # names in a meta.json; the format has up to eight
 META = "meta.json"
 GENERATOR = "ROI-GS"
-"""What `asset` in a `meta.json` says of our files."""
+"""The `generator` in the `asset` of a `meta.json` of ours."""
 ANTIALIASED = "antialiased"
 """The `model` of a `meta.json` whose Gaussians are drawn with anti-aliasing; others have none."""
 COARSEST = 2e-3  # largest step of positions, of the model's size; it is still hard to see

@@ -25,7 +25,7 @@ from ..rasterize.reference import drawn_share, jacobian, sh_basis
 from .arrays import Arrays, Float32, flaw
 
 STAGE, MANY = "models", 100
-"""Name of the stage in which so many models or more become one."""
+"""Name of the stage of merging, and the number of models from which it reports progress."""
 
 
 def merged(models: Sequence[Instance], context: Context = QUIET) -> tuple[Gaussians, LocalFrame]:

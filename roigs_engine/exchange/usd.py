@@ -31,19 +31,19 @@ from .usd_probe import FINE, TOO_DEEP, TOO_LARGE
 TITLE = "OpenUSD"
 PRIM = "/Gaussians"
 ARCS = ("references", "payload", "inheritPaths", "specializes", "variantSetNames", "clips")
-"""What makes OpenUSD open other files, or the same prims again and again."""
+"""Fields with which OpenUSD opens other files, or the same prims again and again."""
 DEEPEST = 200
-"""Prims in each other; at some thousands OpenUSD's recursion crashes."""
+"""Most levels of nested prims; at some thousands, OpenUSD's recursion crashes."""
 KIND = "ParticleField3DGaussianSplat"
 SH = "radiance:sphericalHarmonicsCoefficients"
 SPACE = "colorSpace:name"
 SRGB = ("srgb_rec709_scene", "srgb_rec709_display", "identity", "raw", "unknown")
-"""Names of colour spaces of which nothing is changed: other programs write the second, too."""
+"""Names of colour spaces whose colours stay unchanged; other programs also write the second."""
 LINEAR = ("lin_rec709_scene", "lin_rec709_display", "lin_rec709")
 SETTINGS = {"USDC_USE_ASSET": "1", "TF_ENV_SETTING_ALERTS_ENABLED": "0"}
-"""Files are not mapped to memory: of damaged ones, that prints lines of OpenUSD's own."""
+"""Files are not mapped to memory: for damaged ones, OpenUSD would then print lines of its own."""
 DATE = 315_619_200
-"""Seconds from 1970 to 2 January 1980: of all files in a .usdz, for the same bytes each time."""
+"""Time of all files in a .usdz, for the same bytes each time: seconds from 1970 to 2 Jan 1980."""
 
 
 def pxr_modules(*names: str) -> list[Any]:

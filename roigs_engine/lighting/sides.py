@@ -126,7 +126,7 @@ def _above(ways: Float64) -> Float64:
 
 
 Told = list[tuple[Float64, Float64]]
-"""Of each object, what `_told` says."""
+"""Result of `_told` for each object."""
 
 
 def _near(distance: Float32, place: Float64, objects: Sequence[Surfaces]) -> Told:

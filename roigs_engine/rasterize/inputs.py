@@ -24,12 +24,13 @@ NEAR = 0.01  # Gaussians whose centre is nearer to the camera plane (scene units
 ALPHA_MIN = 1.0 / 255.0  # smaller contributions are skipped: 8-bit output would not show them
 ALPHA_MAX = 0.999  # keeps 1 / (1 - alpha) in the gradient finite
 FAINTEST = (ALPHA_MIN / 2) ** 2
-"""Of areas, squared: Gaussians below this ratio are not drawn; keeps the root's gradient finite."""
+"""Least ratio of squared areas; Gaussians below it are not drawn. It keeps the root's gradient
+finite."""
 FRUSTUM_MARGIN = 0.3
 """The Jacobian is evaluated inside the view, widened by this share of its half width."""
 PLANE_BLUR = 0.01
-"""Added to the 2D covariance's diagonal, px^2, where a Gaussian's plane is found (`Surface`): keeps
-that of one that is as thin as a line finite."""
+"""Added to the 2D covariance's diagonal, px^2, to find a Gaussian's plane (`Surface`). It keeps the
+planes of line-like Gaussians finite."""
 STEEPEST = 1e30  # stands for no limit of slopes; in pixels, it is still a float32
 SH_SIZES = (1, 4, 9, 16)  # coefficients per colour for degrees 0 to 3
 

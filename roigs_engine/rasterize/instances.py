@@ -71,7 +71,7 @@ class Layer:
     alpha: Tensor  # (H, W) from 0 to 1
     depth: Tensor  # (H, W) along the camera's axis, world units; NOTHING where empty
     shares: Mapping[int, Tensor] = field(default_factory=dict)
-    """(H, W) of alpha, by object index; empty if nobody has asked."""
+    """(H, W) shares of alpha by object index; empty if not requested."""
 
 
 @torch.no_grad()

@@ -17,7 +17,7 @@ from ..errors import EngineError
 from .inputs import RenderInputs, RenderOutput, Surface
 
 Outputs = dict[str, Tensor | None]
-"""What to draw into: the fields of `bindings.Outputs` for one camera, and `median`, a depth."""
+"""Tensors to draw into: the fields of `bindings.Outputs` for one camera, and `median`, a depth."""
 
 
 class BackendView(Protocol):
@@ -41,7 +41,7 @@ class BackendView(Protocol):
 
 
 Begin = Callable[[RenderInputs, int, list[Tensor], Tensor], BackendView]
-"""Inputs, camera, contiguous parameters, and (N,) bool, where visible Gaussians are written."""
+"""Function of inputs, camera, contiguous parameters, and (N,) bool for the visible Gaussians."""
 
 
 def render(inputs: RenderInputs, begin: Begin) -> RenderOutput:

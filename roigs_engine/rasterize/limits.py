@@ -40,7 +40,7 @@ class Limits:
 NO_LIMITS = Limits()
 
 PICTURE_LIMITS = Limits(max_slope=MAX_SLOPE, min_sigmas=MIN_SIGMAS)
-"""Of every picture that is shown or measured."""
+"""Limits of every picture that is shown or measured."""
 
 TRAINING_LIMITS = Limits(min_transmittance=1e-3)
 """Of half of the training steps, with `PICTURE_LIMITS` in the others (`training_limits`). A

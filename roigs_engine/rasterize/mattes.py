@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ..model.scene import Camera, Float64
 
 COLOURS = 3
-"""Objects in one drawing: each has a colour of its own."""
+"""Objects per drawing: each gets one colour channel."""
 
 
 def object_shares(

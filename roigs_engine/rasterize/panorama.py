@@ -21,15 +21,15 @@ from .instances import NOTHING, Instance, Layer, render_instances
 from .light import to_linear, to_srgb
 
 FINER = 1.5
-"""Pixels in the middle of a view for one of the panorama's."""
+"""Pixels in the middle of a view per pixel of the panorama."""
 LARGEST = 4096  # most pixels per radian
 SLOPE = math.tan(math.radians(30))
-"""From the middle of a view to its edges. In wider ones, large Gaussians that lie beside them look
-stretched, and others than training has shown."""
+"""Slope from the middle of a view to its edges. In wider views, large Gaussians beside them look
+stretched, unlike in training."""
 RINGS = ((-67.5, 4), (-22.5, 8), (22.5, 8), (67.5, 4))
-"""Latitudes of the views' middles, degrees, and how many there are around. Each ray meets one."""
+"""Latitudes of the views' middles in degrees, and number of views around. Each ray meets one."""
 SHARPNESS = 2
-"""Where views overlap they are mixed: by this power of how far a ray is from their edges."""
+"""Overlapping views are mixed by this power of a ray's distance from their edges."""
 
 
 @torch.no_grad()

@@ -36,7 +36,7 @@ class ActiveTiles:
 
 
 Mask = tuple[int, int, int, int] | Tensor | ActiveTiles | None
-"""What `rasterize` takes: a rectangle of pixels, (H, W) bool, tiles, or None for everything."""
+"""Mask of `rasterize`: a rectangle of pixels, (H, W) bool, tiles, or None for everything."""
 
 
 def active_tiles(width: int, height: int, mask: Mask) -> ActiveTiles:

@@ -18,11 +18,11 @@ from . import RenderOutput, rasterize
 from .limits import NO_LIMITS, PICTURE_LIMITS, Limits
 
 LEAST_PIXEL = 1 / 16
-"""Of a photo's, a side: in a larger picture, blur would only take time."""
+"""Least side of a pixel, in pixels of a photo: for smaller pixels, blur would only take time."""
 SAME_FOCAL = 0.05
-"""Share by which focal lengths may differ and count as one: lenses that focus differ by as much."""
+"""Focal lengths that differ by at most this share count as equal: focusing changes them as much."""
 PARALLEL = 100.0
-"""Widths of a picture: with a longer focal length, its rays are parallel."""
+"""Focal length in widths of the picture above which its rays count as parallel."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

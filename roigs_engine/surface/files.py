@@ -26,7 +26,7 @@ from .texture import Textured
 PURPOSE = "A mesh's file"
 USD = (".usda", ".usdc", ".usdz")
 UP = {".glb": "y", ".obj": "y", ".ply": "z", ".stl": "z", **dict.fromkeys(USD, "y")}
-"""Endings of files, and the axis that points up, as most readers of the format have it."""
+"""Suffix of a file -> the up axis of most readers of the format."""
 FILLED = "_filled"  # attribute of vertices in glTF and PLY: 1 where no photo has shown the surface
 POINTS = 200_000  # points on a surface; they are closer than the voxels of any mesh beside it
 

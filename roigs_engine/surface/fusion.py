@@ -38,9 +38,9 @@ STEEPEST = 0.15  # least cosine between normal and ray on a surface
 SMOOTHING = 1.0  # standard deviation of the filter before slopes are measured, pixels
 POINTS_AT_ONCE = 1 << 20
 STEPS = 100
-"""Of the stage: how many parts are fine is known late."""
+"""Steps of the stage. They are fixed because the number of fine parts is known late."""
 COARSE_SHARE = 0.1
-"""Of the time, at most, until the coarse field is done."""
+"""Share of the stage's progress for the coarse field."""
 
 Float32 = NDArray[np.float32]
 
@@ -191,7 +191,7 @@ class _Ray:
         certain = depth_map.weight * facing * (self.depth > 0) / size**2
         self.weight = np.ascontiguousarray(certain.clip(min=0), dtype=np.float32)
         self.beside = None
-        """Weights of what is not the object."""
+        """Weights of depths that are not the object's."""
         if certain.min() < 0:
             self.beside = np.ascontiguousarray((-certain).clip(min=0), dtype=np.float32)
 

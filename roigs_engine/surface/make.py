@@ -33,8 +33,8 @@ PACKAGES = {
 STAGE, STEPS = "mesh", 2
 FACES = 100_000
 DENSEST = 20
-"""Faces for one of the finished mesh. More would take minutes to clean and to simplify; and then
-thousands of edges of a closed mesh meet, so that it is closed no longer.
+"""Most faces of the field's surface for one of the finished mesh. More would take minutes to clean
+and to simplify. Then thousands of edges of a closed mesh would meet, and it would not stay closed.
 """
 MOST_PHOTOS = 150
 NEAR_SIDE = 0.02  # distance from a box's sides, of its size; ..

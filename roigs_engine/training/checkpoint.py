@@ -50,7 +50,7 @@ CHUNK = 1 << 20  # bytes per checksum update: small enough to stay in the proces
 MAX_HEADER = 1 << 20  # bytes; a header takes a few thousand
 MAX_TENSORS = 1000
 HEADER_ERRORS = (KeyError, TypeError, ValueError, OverflowError, RuntimeError)
-"""What a header of valid checksum can raise: RecursionError and torch's are RuntimeErrors."""
+"""Exceptions from a header with a valid checksum. RecursionError and torch's are RuntimeErrors."""
 COLUMNS: dict[str, Shape] = {
     "means": (3,),
     "quats": (4,),

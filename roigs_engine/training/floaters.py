@@ -25,7 +25,8 @@ from .photo_order import evenly_spaced
 SIDE = 256  # pixels of a view's longer side; enough for shares of a view
 NEAREST = 0.25  # least distance of a view from the scene, as a share of its photos' distances
 MORE = NEAREST**-2
-"""How much more of a view than of any photo is too much: no surface fills more, however near."""
+"""A Gaussian is a floater if it fills this many times more of a view than of any photo: no surface
+does, however near."""
 LEAST = 1e-3  # least share of a view that is examined
 FAINT = 1 / 255  # share of a pixel's light below which nothing is shown
 POINTS = 10  # the scene begins at the tenth nearest point, so that outliers do not count

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ...model.scene import Float64
 
 SCENE_UP = "-y"
-"""The axis that points up in formats that keep the frame of a scene."""
+"""Up axis of formats that keep the frame of a scene."""
 
 
 def to_upright(request: Convert, path: Path, context: Context) -> Float64:
