@@ -111,12 +111,12 @@ def counted_calls(monkeypatch: pytest.MonkeyPatch, stop_at: int = 0) -> list[str
 def test_the_same_mask_on_another_photo_is_another_surface(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, views=4)
     mask = PhotoMask(digest="m", path=tmp_path, remake=lambda: None, small=np.zeros((1, 1), "u1"))
-    keys = set()
+    keys, config = set(), replace(tiny("joint"), test_every=0)
     for changed in ({"objects": {"ball": mask}}, {"exposure": 1.0, "digest": "brighter"}):
         for number in range(2):
             images = list(scene.images)
             images[number] = replace(images[number], **changed)
-            run = define_run(tmp_path, replace(scene, images=tuple(images)), [BALL], tiny("joint"))
+            run = define_run(tmp_path, replace(scene, images=tuple(images)), [BALL], config)
             keys.add(_inputs(truth(), run, BALL, SurfaceOptions()))
     assert len(keys) == 4
 
