@@ -70,7 +70,7 @@ sees your own world"""
             box = lookup.active_roi(context)
             if box is None:
                 raise AddonError(f"{NO_BOX}.")
-            return Vector(lookup.matrix_world(box)[:3, 3])
+            return Vector(lookup.matrix_world(box)[:3, 3].tolist())
         item = view_layer_of(context).objects.active
         if item is None:
             raise AddonError("There is no active object. Select one, or choose the 3D cursor.")
@@ -141,7 +141,7 @@ class RemoveStage(bpy.types.Operator):
 def middle(item: bpy.types.Object) -> Vector:
     """The middle of an object's bounds, in the world."""
     if item.type == "EMPTY" or object_props(item).kind == "ROI":
-        return Vector(lookup.matrix_world(item)[:3, 3])
+        return Vector(lookup.matrix_world(item)[:3, 3].tolist())
     foot = box_surfaces.foot(item)
     foot.z = (foot.z + lookup.corners(item)[:, 2].max()) / 2
     return foot

@@ -213,7 +213,7 @@ def drop_planes(scene: bpy.types.Scene, at: Vector, normal: Vector, size: float)
     """Remove planes that a new one replaces; return the side of a square that covers all."""
     for item in [i for i in of_scene(scene) if object_props(i).level == "IMPORTED"]:
         world, side = lookup.matrix_world(item), float(lookup.sides(item).max())
-        away, up = at - Vector(world[:3, 3]), Vector(world[:3, 2]).normalized()
+        away, up = at - Vector(world[:3, 3].tolist()), Vector(world[:3, 2].tolist()).normalized()
         if up @ normal > SAME_WAY and abs(away @ normal) < SAME_PLANE * max(size, side):
             size = max(size, side + 2 * away.length)
             stage.delete_with_materials(item)

@@ -81,7 +81,7 @@ def follow(scene: bpy.types.Scene, frame: bpy.types.Object | None, at: Vector) -
         constraint: Any = turn.constraints.new("COPY_ROTATION")
         constraint.target = frame
         inverse = lookup.inverse(lookup.matrix_world(frame), frame.name)
-        here.location = (inverse @ (*at, 1.0))[:3]
+        here.location = (inverse @ (*at.to_tuple(), 1.0))[:3].tolist()
 
 
 def keep(scene: bpy.types.Scene, name: str, value: Any) -> None:
