@@ -24,10 +24,12 @@ if TYPE_CHECKING:
     from ..blender import OperatorResult
 
 
-ENDINGS = (*(e for e in import_gaussians_job.ENDINGS if e.count(".") == 1), ".html")
-"""Of names that say the format, whatever is chosen."""
+ENDINGS = (*import_gaussians_job.ENDINGS, ".html")
+"""Of names that say the format, whatever is chosen; `.compressed.ply` before `.ply`."""
+UNNAMED = "Gaussians"
+"""Of a file, if neither a project nor a .blend gives a name."""
 NOTHING = "Renders show no Gaussians. Load results or import some first"
-GLOB = ";".join(f"*{ending}" for ending in ENDINGS)
+GLOB = ";".join(f"*{ending}" for ending in ENDINGS if ending.count(".") == 1)
 
 
 class ExportGaussians(BrowsingOperator, ExportHelper):  # type: ignore[misc] # the stub's mixin
@@ -91,6 +93,18 @@ transforms"""
         """The suffix that the file browser adds."""
         return str(self.file_format)
 
+    def check(self, context: bpy.types.Context) -> bool:
+        """Give the name the chosen format's ending instead of another's; whether it changed.
+
+        Blender's own check would leave the first half of `.compressed.ply`.
+        """
+        before = self.filepath
+        if os.path.basename(before):
+            known = next((each for each in ENDINGS if before.lower().endswith(each)), "")
+            self.filepath = f"{before[: len(before) - len(known)]}{self.filename_ext}"
+        changed: bool = self.filepath != before
+        return changed
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """There must be Gaussians, and an idle engine."""
@@ -127,8 +141,9 @@ transforms"""
         assert context.window_manager is not None
         if not self.filepath:
             colmap = scene_props(scene_of(context)).colmap
-            name = f"{import_job.project_name(Path(colmap))}{self.filename_ext}"
-            self.filepath = folders.for_export(colmap) + name
+            project = import_job.project_name(Path(colmap)) if colmap else ""
+            name = project or Path(bpy.data.filepath).stem or UNNAMED
+            self.filepath = f"{folders.for_export(colmap)}{name}{self.filename_ext}"
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 

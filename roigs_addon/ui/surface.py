@@ -73,8 +73,8 @@ def _draw_making(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     column.prop(scene_props(scene), "watertight")
     show.or_number(column, scene_props(scene), "Texture", "fine_texture", "texture_size", "Side")
     edited = box_surfaces.edited(scene)
-    for name in edited:
-        show.wrong(layout, f"'{name}' was edited: making it again replaces it. Undo restores it")
+    for mesh in edited:
+        show.wrong(layout, f"'{mesh}' was edited: making it again replaces it. Undo restores it")
     column = layout.column(align=True)  # side by side, names would be cut
     label = f"Make Surface: {name}" if name else MakeSurface.bl_label
     button = column.operator(MakeSurface.bl_idname, text=label, icon="MESH_MONKEY")
@@ -99,9 +99,9 @@ def facts(scene: bpy.types.Scene, item: bpy.types.Object) -> str:
     """
     said = [f"{len(mesh_of(item).polygons):,} faces"]
     if box_surfaces.is_edited(item):
-        return ", ".join((*said, _large(scene, item.dimensions), "edited"))
+        return ", ".join((*said, _large(scene, lookup.sides(item)), "edited"))
     record = box_surfaces.record(item)
-    scale = float(np.cbrt(abs(item.matrix_world.determinant())))
+    scale = float(np.cbrt(abs(np.linalg.det(lookup.matrix_world(item)))))
     said.append(_large(scene, [side * scale for side in record.get("size", ())]))
     if volume := record.get("volume"):
         said.append(f"closed, {_in_units(scene, 'VOLUME', volume * scale**3)}")

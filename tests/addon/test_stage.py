@@ -73,6 +73,20 @@ def test_light_is_asked_for_in_the_models_frame(blender: ModuleType, made) -> No
     assert "The world has" in panel(blender)
 
 
+def test_light_from_a_hidden_box_that_has_moved(blender: ModuleType, made) -> None:
+    scene, _, given = made
+    box, root = scene.objects["thing"], scene.roigs.root
+    inside = box.matrix_world.translation.copy()
+    box.hide_viewport = True
+    blender.context.view_layer.update()
+    root.scale, root.location = (2, 2, 2), (1, 2, 3)
+    blender.context.view_layer.update()
+    assert blender.ops.roigs.light_from_scene(where="BOX") == {"FINISHED"}
+    at = next(part for part in given()[0] if part.startswith("--at=")).removeprefix("--at=")
+    assert [float(number) for number in at.split(",")] == pytest.approx(list(inside), abs=1e-6)
+    assert list(scene.roigs.stage.here.location) == pytest.approx(list(inside), abs=1e-6)
+
+
 def test_mirrors_and_glass_see_a_picture_of_their_own(blender: ModuleType, made) -> None:
     scene, _, _ = made
     image, mirror = (blender.data.images.new(name, 8, 4) for name in ("light", "mirror"))
@@ -251,6 +265,32 @@ def test_remove_brings_all_back(blender: ModuleType, made) -> None:
     assert state(blender, scene) == before
     with pytest.raises(RuntimeError, match="There is none"):
         blender.ops.roigs.remove_stage()
+
+
+def test_what_the_user_put_beside_stays(blender: ModuleType, made) -> None:
+    """In the collection of the additions, and in one below it."""
+    scene, _, _ = made
+    before = set(blender.data.objects)
+    blender.ops.roigs.light_from_scene(where="CURSOR")
+    blender.ops.roigs.catch_shadows()
+    own = scene.roigs.stage.collection
+    vase, cup, lamp = (blender.data.objects.new(name, None) for name in ("vase", "cup", "lamp"))
+    below, both = (blender.data.collections.new(name) for name in ("below", "both"))
+    for collection, items in ((own, (vase, lamp)), (below, (cup,)), (both, (lamp,))):
+        for item in items:
+            collection.objects.link(item)
+    for child in (below, both):
+        own.children.link(child)
+    scene.collection.children.link(both)
+    blender.context.view_layer.update()
+    vase.hide_set(True)
+    scene.roigs.stage.catches = scene.roigs.stage.reflects = False
+    assert vase.visible_camera and vase.visible_glossy
+    assert blender.ops.roigs.remove_stage() == {"FINISHED"}
+    assert set(blender.data.objects) == before | {vase, cup, lamp}
+    assert list(vase.users_collection) == [scene.collection] and vase.hide_get()
+    assert list(lamp.users_collection) == [both] and list(cup.users_collection) == [below]
+    assert {below, both} <= set(scene.collection.children)
 
 
 def test_lamps_shine_on_captured_things(blender: ModuleType, made) -> None:
