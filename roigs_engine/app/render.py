@@ -14,8 +14,9 @@ from ..context import QUIET, Context
 from ..errors import ConfigError, EngineError, Stopped
 from ..formats.events import Preview
 from ..formats.files import read_json, regular
-from ..formats.frame_requests import REQUEST, colour_file
+from ..formats.frame_requests import REQUEST, colour_file, is_request
 from ..formats.names import usable_path
+from ..formats.projects import model_folders, project_folder
 from ..formats.text import counted, first_line
 from ..requests.models import Render, RenderFrames
 from .inputs import load_scene, on_device, use_threads
@@ -35,7 +36,8 @@ if TYPE_CHECKING:
 
 STAGE, SAMPLES = "models", "samples"
 MOST_SAMPLES = 1024
-PAUSE = 0.005  # seconds between two checks of the folder
+OWN_FOLDER = "Give a folder of its own for the requests."
+PAUSE = 0.005  # seconds between two looks into the folder
 
 
 def render(request: Render, context: Context = QUIET) -> Result:
@@ -102,19 +104,22 @@ def render_frames(request: RenderFrames, context: Context = QUIET) -> Result:
     would be slow. This keeps running, and keeps the models in memory.
 
     Raises:
-        ConfigError: there is no such folder.
+        ConfigError: there is no such folder, or it is of a run or a COLMAP project.
         EngineError: with `once`, a request that cannot be answered.
     """
     if not request.folder.is_dir():
-        raise ConfigError(f"{request.folder} is not a folder.", "Give the folder of the requests.")
+        raise ConfigError(f"{request.folder} is not a folder.", OWN_FOLDER)
+    refuse_run_files(request.folder, option="The folder")
+    if model_folders(project_folder(request.folder)):
+        raise ConfigError(f"{request.folder} is a COLMAP project.", OWN_FOLDER)
     use_threads(request.threads)
     context = on_device(context, request.device)
     # As information: a program that waits for a picture takes a warning as a failure.
     models = Models(context.info)
-    answered: dict[Path, int] = {}  # answered requests that cannot be deleted -> their times
+    skipped: dict[Path, int] = {}  # files that stay: their times
     while not context.should_stop():
         found = sorted(request.folder.glob(f"*{REQUEST}"))
-        waiting = [path for path in found if answered.get(path) != _changed(path)]
+        waiting = [path for path in found if skipped.get(path) != _changed(path)]
         if not waiting:
             if request.once:
                 break
@@ -132,11 +137,18 @@ def render_frames(request: RenderFrames, context: Context = QUIET) -> Result:
                 raise
             context.warn(str(error))
         finally:
-            try:
-                waiting[0].unlink()
-            except OSError:
-                answered[waiting[0]] = _changed(waiting[0])
+            if not _deleted(waiting[0]):
+                skipped[waiting[0]] = _changed(waiting[0])
     return Result()
+
+
+def _deleted(path: Path) -> bool:
+    """Delete a request; False: it is something else, or it cannot be deleted."""
+    with suppress(EngineError, OSError):
+        if is_request(read_json(path)):
+            path.unlink()
+            return True
+    return False
 
 
 def _changed(path: Path) -> int:
@@ -191,12 +203,14 @@ class Sample(NamedTuple):
 def answer(request: Path, models: Models, context: Context) -> Path:
     """Render the picture of a request file; return its path. The picture is written last.
 
-    EngineError: the request is malformed, or a file cannot be read.
+    EngineError: the file is no request or malformed, or another one cannot be read.
     """
     from ..rasterize.image_files import save_layer
     from ..rasterize.instances import mean_layer
 
     record = read_json(request, ConfigError, HINT)
+    if not is_request(record):
+        raise ConfigError(f"{request} is not a request for a picture; it stays.", HINT)
     try:
         out = request.parent / usable_path(record["out"])
         if not out.name:

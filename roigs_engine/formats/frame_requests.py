@@ -15,6 +15,12 @@ RANKS = 3
 """Number of objects with the largest shares in a pixel that an answer lists."""
 
 
+def is_request(record: object) -> bool:
+    """Whether a JSON value has the keys of a request."""
+    keys = record.keys() if isinstance(record, dict) else set()
+    return "out" in keys and ("samples" in keys or {"camera", "models"} <= keys)
+
+
 def colour_file(out: Path) -> Path:
     """The picture's file, for a request's `out`."""
     return out.with_name(out.name + COLOUR)

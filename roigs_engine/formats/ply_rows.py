@@ -188,13 +188,17 @@ def _line(file: BinaryIO, path: str | Path) -> bytes:
     return line
 
 
-def header_of(path: str | Path) -> bytes:
-    """Read the lines of a PLY's header; RunFolderError if the file cannot be read."""
+def header_lines(path: str | Path) -> list[bytes]:
+    """Read the lines of a PLY's header, with single spaces between words.
+
+    RunFolderError: the file cannot be read.
+    """
     try:
         with open(path, "rb", opener=regular) as file:
-            return file.read(MAX_HEADER).partition(b"\nend_header")[0]
+            head = file.read(MAX_HEADER).partition(b"\nend_header")[0]
     except OSError as error:
         raise RunFolderError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
+    return [b" ".join(line.split()) for line in head.splitlines()]
 
 
 def read_header(file: BinaryIO, path: str | Path) -> tuple[str, list[Element]]:

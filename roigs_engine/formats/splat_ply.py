@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ..errors import RunFolderError
 from .files import atomic_write
-from .ply_rows import HINT, Check, header_of, nothing, vertex_rows
+from .ply_rows import HINT, Check, header_lines, nothing, vertex_rows
 from .targets import PLAIN, TARGETS, Target, target_with
 
 Float32 = NDArray[np.float32]
@@ -33,22 +33,19 @@ MOST_BANDS = 16  # SH coefficients kept for each colour channel: up to degree 3
 SH_C0 = 0.28209479177387814  # SH basis function of degree 0
 LEAST_FOCAL, MOST_FOCAL = 1.0, 1e7  # pixels
 ANTIALIASED = "comment SplatRenderMode: mip"
-"""Header line of a PLY whose Gaussians are drawn with anti-aliasing."""
+"""Header line of Gaussians that are drawn with anti-aliasing."""
+# Whole lines of `header_lines`, which have single spaces: so a search takes linear time.
 RENDER_MODE = re.compile(
-    rb"^comment\s+(?:splatrendermode:\s*(mip|default)|antialiased\s+([01]))\s*$",
-    re.IGNORECASE | re.MULTILINE,
+    rb"comment (?:splatrendermode: ?(mip|default)|antialiased ([01]))", re.IGNORECASE
 )
-PHOTO_FOCAL = re.compile(rb"^comment\s+photo_focal\s+([0-9.e+-]{1,40})\s*$", re.MULTILINE)
-MADE_FOR = re.compile(rb"^comment\s+made_for\s+(\w+)\s*$", re.MULTILINE)
-UP_AXIS = re.compile(
-    rb"^comment\s+(?:vertical|up)[\s_-]*axis\s*[:=]?\s*([^\r\n]*?)\s*$",
-    re.IGNORECASE | re.MULTILINE,
-)
+PHOTO_FOCAL = re.compile(rb"comment photo_focal ([0-9.e+-]{1,40})")
+MADE_FOR = re.compile(rb"comment made_for (\w+)")
+UP_AXIS = re.compile(rb"comment (?:vertical|up)[ _-]*axis ?[:=]? ?(.*)", re.IGNORECASE)
 """`Vertical Axis: z` of nerfstudio, `Vertical axis: y` or `Vertical axis: X Y Z` of Brush."""
 RGB = ("red", "green", "blue")
 FILTER = "filter_3D"
-"""Property in PLYs of Mip-Splatting: standard deviation of the 3D blur."""
-FILTER_LINE = re.compile(rb"^property\s+\S+\s+" + FILTER.encode() + rb"\s*$", re.MULTILINE)
+"""Property of Mip-Splatting: standard deviation of the blur in space."""
+FILTER_LINE = re.compile(rb"property \S+ " + FILTER.encode())
 
 
 class Made(TypedDict):
@@ -122,20 +119,25 @@ def made_lines(target: Target, photo_focal: float | None = None) -> list[str]:
 
 def made_of(path: str | Path) -> Made:
     """How a PLY's Gaussians were made; raises as `target_of`."""
-    head = header_of(path)
+    head = header_lines(path)
     return {"target": _target(head), "photo_focal": _photo_focal(head)}
 
 
 def photo_focal_of(path: str | Path) -> float | None:
     """The focal length of a PLY's training photos, if recorded; raises as `target_of`."""
-    return _photo_focal(header_of(path))
+    return _photo_focal(header_lines(path))
 
 
-def _photo_focal(head: bytes) -> float | None:
-    said = PHOTO_FOCAL.findall(head)
+def _photo_focal(head: list[bytes]) -> float | None:
+    said = _matches(PHOTO_FOCAL, head)
     with suppress(ValueError):
-        return usable_focal(float(said[-1])) if said else None
+        return usable_focal(float(said[-1][1])) if said else None
     return None
+
+
+def _matches(pattern: re.Pattern[bytes], head: list[bytes]) -> list[re.Match[bytes]]:
+    """The lines that match as a whole."""
+    return [match for line in head if (match := pattern.fullmatch(line))]
 
 
 def usable_focal(value: float) -> float | None:
@@ -172,16 +174,16 @@ def up_axis(path: str | Path) -> tuple[float, float, float] | None:
     RunFolderError: it cannot be read.
     """
     found = None
-    for said in UP_AXIS.findall(header_of(path)):
-        text = said.decode("ascii", "replace").lower()
-        if match := re.fullmatch(r"([+-]?)([xyz])(?:[\s_-]*(?:up|axis))?", text):
+    for said in _matches(UP_AXIS, header_lines(path)):
+        text = said[1].decode("ascii", "replace").lower()
+        if match := re.fullmatch(r"([+-]?)([xyz])(?:[ _-]*(?:up|axis))?", text):
             found = [0.0, 0.0, 0.0]
             found["xyz".index(match[2])] = -1.0 if match[1] == "-" else 1.0
-        elif re.fullmatch(r"[(\[]?" + r"[\s,]+".join([r"([-+.\de]+)"] * 3) + r"[)\]]?", text):
+        elif re.fullmatch(r"[(\[]?" + r"[ ,]+".join([r"([-+.\de]+)"] * 3) + r"[)\]]?", text):
             found = None
             with suppress(ValueError):
-                numbers = [float(word) for word in re.split(r"[\s,]+", text.strip("()[]"))]
-                if 1e-6 < np.linalg.norm(numbers) < 1e6:  # excludes NaN, too
+                numbers = [float(word) for word in re.split(r"[ ,]+", text.strip("()[]"))]
+                if 1e-6 < np.linalg.norm(numbers) < 1e6:  # not NaN either
                     found = numbers
     return None if found is None else (found[0], found[1], found[2])
 
@@ -191,17 +193,17 @@ def target_of(path: str | Path) -> Target:
 
     RunFolderError: it cannot be read.
     """
-    return _target(header_of(path))
+    return _target(header_lines(path))
 
 
-def _target(head: bytes) -> Target:
-    named = [TARGETS.get(name.decode("ascii", "replace")) for name in MADE_FOR.findall(head)]
+def _target(head: list[bytes]) -> Target:
+    named = [TARGETS.get(line[1].decode("ascii", "replace")) for line in _matches(MADE_FOR, head)]
     if named and named[-1]:
         return named[-1]
-    said = [mode.lower() or flag for mode, flag in RENDER_MODE.findall(head)]
+    said = [line[1] or line[2] for line in _matches(RENDER_MODE, head)]
     if not said:
-        return target_with(antialiased=FILTER_LINE.search(head) is not None)
-    return target_with(antialiased=said[-1] in (b"mip", b"1"))
+        return target_with(antialiased=bool(_matches(FILTER_LINE, head)))
+    return target_with(antialiased=said[-1].lower() in (b"mip", b"1"))
 
 
 def check_ply(path: str | Path) -> None:

@@ -87,7 +87,12 @@ def frame_requests(dice: random.Random, folder: Path) -> Case:
         write(requests / f"{number}.json", data)
     if dice.random() < 0.1:
         (requests / "9.json").mkdir()
-    return Case(["render-frames", str(requests), "--once", "--threads", "1", "--device", "cpu"])
+    keeps = dice.random() < 0.3
+    if keeps:  # before or behind the requests
+        name = dice.choice(("!boxes.json", "rois.json"))
+        write(requests / name, json.dumps(dice.choice((inputs.ROIS, inputs.camera_path(), []))))
+    line = ["render-frames", str(requests), "--once", "--threads", "1", "--device", "cpu"]
+    return Case(line, keeps=(f"out/requests/{name}",) if keeps else ())
 
 
 FAMILIES: dict[str, tuple[Callable[[random.Random, Path], Case], int]] = {

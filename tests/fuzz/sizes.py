@@ -57,7 +57,7 @@ def repeats(dice: random.Random, folder: Path) -> Case:
     )
     scene, boxes = good_scene(folder), good_boxes(folder)
     file = folder / "in" / "given.json"
-    match dice.randrange(7):
+    match dice.randrange(9):
         case 0:  # any option of an options file
             key = dice.choice(("method", "images", "only", "count", "roi", "masks", "exclude"))
             write(file, json.dumps({"scene": str(scene), "rois": boxes, key: text}))
@@ -81,8 +81,9 @@ def repeats(dice: random.Random, folder: Path) -> Case:
             write(file, json.dumps({"cameras": [camera]}))
             ply = write(folder / "in" / "a.ply", inputs.good_ply())
             return Case(["render", str(ply), "--path", str(file), "--out", str(folder / "out")])
-        case 5:  # comments of a PLY
+        case 5 | 6 | 7:  # comments of a PLY
             said = dice.choice(("up axis", "made_for", "SplatRenderMode:", "antialiased", "x"))
+            text = dice.choice((text, f"X{' ' * LETTERS}Y"))
             line = f"\ncomment {said} {text}\nelement".encode("utf-8", "replace")
             ply = inputs.good_ply().replace(b"\nelement", line, 1)
             return Case(

@@ -14,8 +14,10 @@ import pytest
 
 from roigs_engine.cli import main
 from roigs_engine.exchange.libraries import reading
+from roigs_engine.formats.splat_ply import made_of, up_axis
 from roigs_engine.requests.values import LONGEST, without_secrets
 from tests.engine.commands.command_line import refused
+from tests.fuzz import inputs
 
 LETTERS = 200_000
 MOST_SECONDS = 4.0  # before, each of these took from 8 to 700 of them
@@ -59,6 +61,18 @@ def test_an_error_of_openusd(tmp_path: Path, part: str) -> None:
     path.write_text("#usda 1.0")
     with pytest.raises(Exception, match="is not a whole OpenUSD file"), reading(path, "OpenUSD"):
         raise RuntimeError(many(part))
+
+
+SAID = ("up axis X", "vertical axis", "made_for a", "photo_focal 1", "SplatRenderMode: mip")
+
+
+@pytest.mark.parametrize("said", SAID)
+@pytest.mark.parametrize("part", [" ", "\t", "_", "-", "1"])
+def test_a_comment_of_a_ply(tmp_path: Path, said: str, part: str) -> None:
+    path, line = tmp_path / "a.ply", f"\ncomment {said}{many(part)}Y\nelement"
+    path.write_bytes(inputs.good_ply().replace(b"\nelement", line.encode(), 1))
+    assert up_axis(path) in (None, (0.0, 1.0, 0.0))  # a long space means what a short one does
+    assert made_of(path)["photo_focal"] is None
 
 
 def test_a_password_that_is_cut_off_is_not_shown() -> None:

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from roigs_engine.app.render import Models
+from roigs_engine.app.render import Models, render_frames
 from roigs_engine.cli import main
 from roigs_engine.context import Context
-from roigs_engine.formats.events import Event, Progress
+from roigs_engine.formats.events import Event, Message, Progress
 from roigs_engine.formats.frame_requests import (
     colour_file,
     depth_file,
@@ -24,6 +24,8 @@ from roigs_engine.formats.frame_requests import (
     write_nothing,
 )
 from roigs_engine.formats.splat_ply import read_ply, write_ply
+from roigs_engine.requests.models import RenderFrames
+from tests.engine.synthetic_colmap import write_project
 
 CAMERA = {"name": "1", "width": 32, "height": 24, "fx": 30.0, "fy": 30.0, "cx": 16.0, "cy": 12.0}
 POSE = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]
@@ -193,6 +195,57 @@ def test_what_is_wrong_is_said(
     ask(folder, **changes)
     assert text in fails(["render-frames", str(folder), "--once"], capsys)
     assert not list(folder.iterdir())
+
+
+OTHERS = (
+    "[1]",
+    "{}",
+    '{"rois": []}',
+    '{"out": "a", "models": []}',
+    '{"camera": 1, "models": 2}',
+    "{",
+)
+
+
+@pytest.mark.parametrize("text", [*OTHERS, "{"])
+def test_other_files_stay(folder: Path, text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A mistyped folder once lost all its JSON files."""
+    (folder / "b.json").write_text(text)
+    ask(folder)
+    assert "b.json" in fails(["render-frames", str(folder), "--once"], capsys)
+    assert [path.name for path in folder.iterdir()] == ["b.json"]
+    assert (folder / "b.json").read_text() == text
+
+
+def test_another_file_is_reported_once(folder: Path) -> None:
+    heard: list[Event] = []
+    (folder / "a.json").write_text("{}")
+    ask(folder, "b")
+    turns = iter(range(30))
+    context = Context(emit=heard.append, should_stop=lambda: next(turns, None) is None)
+    render_frames(RenderFrames(folder=folder), context)
+    warned = [event for event in heard if isinstance(event, Message) and event.level == "warning"]
+    assert len(warned) == 1 and "a.json is not a request" in warned[0].text
+    assert [path.name for path in folder.iterdir()] == ["a.json"]
+
+
+@pytest.mark.parametrize("inner", ["", "selection"])
+def test_a_run_folder_is_refused(
+    folder: Path, inner: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("manifest.json", "split.json", "selection/vase.json"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text("{}")
+    given = str(folder / inner)
+    assert "files of the run" in fails(["render-frames", given, "--once"], capsys)
+
+
+@pytest.mark.parametrize("inner", ["", "images", "sparse/0"])
+def test_a_colmap_project_is_refused(
+    folder: Path, inner: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_project(folder)
+    assert "is a COLMAP project" in fails(["render-frames", str(folder / inner), "--once"], capsys)
 
 
 def test_each_model_that_is_read_is_a_sign_of_life(folder: Path) -> None:
