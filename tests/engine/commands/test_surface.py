@@ -110,7 +110,9 @@ def counted_calls(monkeypatch: pytest.MonkeyPatch, stop_at: int = 0) -> list[str
 
 def test_the_same_mask_on_another_photo_is_another_surface(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, views=4)
-    mask = PhotoMask(digest="m", path=tmp_path, remake=lambda: None, small=np.zeros((1, 1), "u1"))
+    mask = PhotoMask(
+        digest="m", path=tmp_path, remake=lambda: None, small=np.full((8, 8), 255, "u1")
+    )
     keys, config = set(), replace(tiny("joint"), test_every=0)
     for changed in ({"objects": {"ball": mask}}, {"exposure": 1.0, "digest": "brighter"}):
         for number in range(2):
