@@ -135,8 +135,8 @@ class Adapt(PhotoSize, PhotoMasks, Exposures, Device):
     )
     scene: Path | None = option(
         DIR,
-        "COLMAP project it was trained on (default: that of MODEL's run folder, with the size "
-        "of its photos)",
+        "COLMAP project it was trained on (default: that of MODEL's run folder, with its photos' "
+        "size, masks and exposures)",
     )
     made_for: str = option(
         Choice(choices.MADE_FOR), "the renderer to adapt it to, as of `train`", required=True
