@@ -18,7 +18,7 @@ from roigs_engine.model.scene import SfmScene
 from roigs_engine.photos.decode import load_photo
 from roigs_engine.photos.exposures import white
 from roigs_engine.photos.mask_images import load_masked
-from roigs_engine.requests.groups import Scene
+from roigs_engine.requests.runs import Train
 from tests.engine.colmap.drifting import STOPS, project
 
 
@@ -98,7 +98,9 @@ def test_what_is_clipped_in_a_brighter_photo_has_its_white(tmp_path: Path) -> No
 
 def test_requests_level_photos_unless_they_refuse(tmp_path: Path) -> None:
     project(tmp_path, STOPS, STOPS)
-    asked = load_scene(Scene(scene=tmp_path), QUIET, tmp_path / "cache")
+    asked = load_scene(Train(scene=tmp_path, run_dir=tmp_path), QUIET, tmp_path / "cache")
     assert np.abs(exposures(asked) - STOPS).max() < 0.01
-    refused = load_scene(Scene(scene=tmp_path, no_exposures=True), QUIET, tmp_path / "cache")
+    refused = load_scene(
+        Train(scene=tmp_path, run_dir=tmp_path, no_exposures=True), QUIET, tmp_path / "cache"
+    )
     assert not exposures(refused).any()
