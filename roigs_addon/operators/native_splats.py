@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import bpy
+from mathutils import Matrix
 
 from ..blender import leave_edit_mode, registration, scene_of, select_only
 from ..engine.own_files import IMPORTED, OWN
@@ -85,7 +86,7 @@ export them; the splats are hidden"""
             made = splats.show_imported(scene, path, item.name, in_model=False)
         except AddonError as error:
             return failed(self, error)
-        made.matrix_world = item.matrix_world
+        made.matrix_world = Matrix(lookup.matrix_world(item).tolist())
         item.hide_viewport = item.hide_render = True
         select_only(context, made)
         return {"FINISHED"}

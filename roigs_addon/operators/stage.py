@@ -70,7 +70,7 @@ sees your own world"""
             box = lookup.active_roi(context)
             if box is None:
                 raise AddonError(f"{NO_BOX}.")
-            return box.matrix_world.translation.copy()
+            return Vector(lookup.matrix_world(box)[:3, 3].tolist())
         item = view_layer_of(context).objects.active
         if item is None:
             raise AddonError("There is no active object. Select one, or choose the 3D cursor.")
@@ -141,16 +141,15 @@ class RemoveStage(bpy.types.Operator):
 def middle(item: bpy.types.Object) -> Vector:
     """The middle of an object's bounds, in the world."""
     if item.type == "EMPTY" or object_props(item).kind == "ROI":
-        return item.matrix_world.translation.copy()
+        return Vector(lookup.matrix_world(item)[:3, 3].tolist())
     foot = box_surfaces.foot(item)
-    tops = [(item.matrix_world @ Vector(corner)).z for corner in item.bound_box]
-    foot.z = (foot.z + max(tops)) / 2
+    foot.z = (foot.z + lookup.corners(item)[:, 2].max()) / 2
     return foot
 
 
 def radius_of(item: bpy.types.Object) -> float:
     """Half of an object's largest side, in the world; 0 if it has no size."""
-    return float(max(item.dimensions.to_tuple())) / 2
+    return float(lookup.sides(item).max()) / 2
 
 
 register, unregister = registration(LightFromScene, CatchShadows, RemoveStage)

@@ -118,7 +118,7 @@ def top(roi: bpy.types.Object) -> Face:
 def face_matrix(roi: bpy.types.Object, face: Face) -> Matrix:
     """A frame at the centre of a face, in the world; its z axis points outwards."""
     axis, sign = face
-    world = roi.matrix_world
+    world = Matrix(lookup.matrix_world(roi).tolist())
     normal = world.to_3x3().col[axis].normalized() * sign
     corner = Vector((0, 0, 0))
     corner[axis] = sign * roi.empty_display_size

@@ -188,10 +188,8 @@ def show_alone(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
 
 def foot(item: bpy.types.Object) -> Vector:
     """Return the centre of an object's bounding box, lowered to its lowest corner, in the world."""
-    corners = [item.matrix_world @ Vector(corner) for corner in item.bound_box]
-    middle: Vector = sum(corners, Vector()) / len(corners)
-    middle.z = min(corner.z for corner in corners)
-    return middle
+    corners = lookup.corners(item)
+    return Vector((*corners.mean(axis=0)[:2], corners[:, 2].min()))
 
 
 def shift(item: bpy.types.Object, by: Vector) -> None:

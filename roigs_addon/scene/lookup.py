@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 
 import bpy
@@ -113,8 +113,27 @@ def splats(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def matrix_world(item: bpy.types.Object | None) -> Matrix:
-    """An object's `matrix_world`; the identity if there is no object."""
-    return np.eye(4) if item is None else np.array(item.matrix_world, dtype=np.float64)
+    """Return an object's transform, hidden or not; the identity if there is no object.
+
+    Blender does not update the `matrix_world` of objects that are hidden in viewports.
+    """
+    if item is None:
+        return np.eye(4)
+    if item.is_evaluated or item.visible_get():
+        return np.array(item.matrix_world, dtype=np.float64)
+    return _unseen(item, matrix_world)
+
+
+def corners(item: bpy.types.Object) -> Matrix:
+    """(8, 3) corners of an object's bounding box in the world."""
+    world = matrix_world(item)
+    return np.asarray(np.array(item.bound_box) @ world[:3, :3].T + world[:3, 3])
+
+
+def sides(item: bpy.types.Object) -> Matrix:
+    """(3,) sides of an object's bounding box in the world; `dimensions`, hidden or not."""
+    own = np.ptp(np.array(item.bound_box), axis=0)
+    return np.asarray(own * np.linalg.norm(matrix_world(item)[:3, :3], axis=0))
 
 
 def stands(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Matrix:
@@ -125,22 +144,23 @@ def stands(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Matrix:
     Raises:
         AddonError: the object is too far away, or its matrix has NaN.
     """
-    hidden = depsgraph.mode != "RENDER" and not item.visible_get(view_layer=depsgraph.view_layer)
-    matrix = _unseen(item, depsgraph) if hidden else matrix_world(item.evaluated_get(depsgraph))
+    if depsgraph.mode == "RENDER" or item.visible_get(view_layer=depsgraph.view_layer):
+        matrix = matrix_world(item.evaluated_get(depsgraph))
+    else:
+        matrix = _unseen(item, lambda parent: stands(parent, depsgraph))
     if not (np.abs(matrix) < FAR).all():  # catches NaN too
         raise AddonError(f"'{item.name}' is too far away or too large. Clear its transformation.")
     return matrix
 
 
-def _unseen(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Matrix:
-    """Return the transform of a hidden object from its own basis and its parent's transform."""
+def _unseen(item: bpy.types.Object, place_of: Callable[[bpy.types.Object], Matrix]) -> Matrix:
+    """Return the transform of a hidden object from its own basis and its parent's place."""
     if item.constraints or (item.parent is not None and item.parent_type != "OBJECT"):
-        return matrix_world(item.evaluated_get(depsgraph))
+        return np.array(item.matrix_world, dtype=np.float64)
     basis: Matrix = np.array(item.matrix_basis, dtype=np.float64)
     if item.parent is None:
         return basis
-    place: Matrix = stands(item.parent, depsgraph) @ np.array(item.matrix_parent_inverse, float)
-    return place @ basis
+    return np.asarray(place_of(item.parent) @ np.array(item.matrix_parent_inverse, float) @ basis)
 
 
 def inverse(matrix: Matrix, name: str) -> Matrix:

@@ -212,8 +212,8 @@ def plane(scene: bpy.types.Scene, at: Vector, normal: Vector, size: float) -> bp
 def drop_planes(scene: bpy.types.Scene, at: Vector, normal: Vector, size: float) -> float:
     """Remove planes that a new one replaces; return the side of a square that covers all."""
     for item in [i for i in of_scene(scene) if object_props(i).level == "IMPORTED"]:
-        middle, side = item.matrix_world.translation, max(item.dimensions.to_tuple())
-        away, up = at - middle, item.matrix_world.col[2].to_3d().normalized()
+        world, side = lookup.matrix_world(item), float(lookup.sides(item).max())
+        away, up = at - Vector(world[:3, 3].tolist()), Vector(world[:3, 2].tolist()).normalized()
         if up @ normal > SAME_WAY and abs(away @ normal) < SAME_PLANE * max(size, side):
             size = max(size, side + 2 * away.length)
             stage.delete_with_materials(item)
@@ -268,8 +268,9 @@ def usual_radius(scene: bpy.types.Scene) -> float:
 
     Without boxes, it uses their meshes: a file may show a run's results without the boxes.
     """
-    boxes = [max(map(abs, box.matrix_world.to_scale().to_tuple())) for box in lookup.rois(scene)]
-    meshes = [max(item.dimensions.to_tuple()) / 2 for item in box_surfaces.surfaces(scene)]
+    worlds = map(lookup.matrix_world, lookup.rois(scene))
+    boxes = [float(np.linalg.norm(world[:3, :3], axis=0).max()) for world in worlds]
+    meshes = [float(lookup.sides(item).max()) / 2 for item in box_surfaces.surfaces(scene)]
     return min(boxes or meshes, default=1.0)
 
 

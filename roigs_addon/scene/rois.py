@@ -46,17 +46,15 @@ def new_roi(
         for_script: keep the sides in `scale`, where a script may set others.
     """
     _remove_deleted()
-    root = scene_props(scene).root
+    root = Matrix(lookup.matrix_world(scene_props(scene).root).tolist())
     item = _new_empty(scene, _free_name(scene))
     matrix = Matrix.LocRotScale(centre, None, half_sides)
-    if root is None:
-        item.matrix_world = matrix
-    elif _even(root.matrix_world):
-        item.matrix_parent_inverse = root.matrix_world.inverted_safe()
+    if _even(root):
+        item.matrix_parent_inverse = root.inverted_safe()
         item.matrix_basis = matrix
     else:
-        matrix = _along(root.matrix_world, centre, half_sides)
-        item.matrix_local = root.matrix_world.inverted_safe() @ matrix
+        matrix = _along(root, centre, half_sides)
+        item.matrix_local = root.inverted_safe() @ matrix
     if not for_script:
         _scale_evenly(item)
     return item
@@ -183,8 +181,7 @@ def where_photos_look(scene: bpy.types.Scene) -> Place | None:
 
 def around_objects(items: list[bpy.types.Object]) -> Place | None:
     """Return the world-aligned box around objects; None if they are all in one point."""
-    corners = [item.matrix_world @ Vector(corner) for item in items for corner in item.bound_box]
-    return _around(np.array(corners)) if corners else None
+    return _around(np.concatenate([lookup.corners(item) for item in items])) if items else None
 
 
 def around_selected_vertices(item: bpy.types.Object) -> Place | None:

@@ -80,7 +80,8 @@ def follow(scene: bpy.types.Scene, frame: bpy.types.Object | None, at: Vector) -
     if frame is not None:
         constraint: Any = turn.constraints.new("COPY_ROTATION")
         constraint.target = frame
-        here.location = frame.matrix_world.inverted() @ at
+        inverse = lookup.inverse(lookup.matrix_world(frame), frame.name)
+        here.location = (inverse @ (*at.to_tuple(), 1.0))[:3].tolist()
 
 
 def keep(scene: bpy.types.Scene, name: str, value: Any) -> None:

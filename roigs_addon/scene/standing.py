@@ -181,7 +181,7 @@ def put(item: bpy.types.Object, spot: Spot, depsgraph: bpy.types.Depsgraph) -> V
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     lift = float((points @ normal).min() - middle @ normal)
     turn[:3, 3] = np.array(spot.point) - middle - lift * normal
-    item.matrix_world = Matrix(turn.tolist()) @ item.matrix_world
+    item.matrix_world = Matrix((turn @ lookup.matrix_world(item)).tolist())
     object_props(item).stands_on = spot.normal
     return spot.point - lift * spot.normal
 

@@ -99,9 +99,9 @@ def facts(scene: bpy.types.Scene, item: bpy.types.Object) -> str:
     """
     said = [f"{len(mesh_of(item).polygons):,} faces"]
     if box_surfaces.is_edited(item):
-        return ", ".join((*said, _large(scene, item.dimensions), "edited"))
+        return ", ".join((*said, _large(scene, lookup.sides(item)), "edited"))
     record = box_surfaces.record(item)
-    scale = float(np.cbrt(abs(item.matrix_world.determinant())))
+    scale = float(np.cbrt(abs(np.linalg.det(lookup.matrix_world(item)))))
     said.append(_large(scene, [side * scale for side in record.get("size", ())]))
     if volume := record.get("volume"):
         said.append(f"closed, {_in_units(scene, 'VOLUME', volume * scale**3)}")

@@ -73,6 +73,20 @@ def test_light_is_asked_for_in_the_models_frame(blender: ModuleType, made) -> No
     assert "The world has" in panel(blender)
 
 
+def test_light_from_a_hidden_box_that_has_moved(blender: ModuleType, made) -> None:
+    scene, _, given = made
+    box, root = scene.objects["thing"], scene.roigs.root
+    inside = box.matrix_world.translation.copy()
+    box.hide_viewport = True
+    blender.context.view_layer.update()
+    root.scale, root.location = (2, 2, 2), (1, 2, 3)
+    blender.context.view_layer.update()
+    assert blender.ops.roigs.light_from_scene(where="BOX") == {"FINISHED"}
+    at = next(part for part in given()[0] if part.startswith("--at=")).removeprefix("--at=")
+    assert [float(number) for number in at.split(",")] == pytest.approx(list(inside), abs=1e-6)
+    assert list(scene.roigs.stage.here.location) == pytest.approx(list(inside), abs=1e-6)
+
+
 def test_mirrors_and_glass_see_a_picture_of_their_own(blender: ModuleType, made) -> None:
     scene, _, _ = made
     image, mirror = (blender.data.images.new(name, 8, 4) for name in ("light", "mirror"))

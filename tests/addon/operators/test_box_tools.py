@@ -96,6 +96,26 @@ def test_snap(blender: ModuleType, table) -> None:
     np.testing.assert_allclose(after, before, atol=1e-5)  # only the bottom has moved
 
 
+@pytest.mark.parametrize("hidden", ["POINTS", "ROI"])
+def test_what_is_hidden_moves_with_the_scene(blender: ModuleType, table, hidden: str) -> None:
+    bpy = blender
+    bpy.ops.roigs.fit_box()
+    before = bounds(bpy, table)
+    item = next(o for o in bpy.context.scene.objects if o.roigs.kind == hidden)
+    item.hide_viewport = True
+    bpy.context.view_layer.update()
+    root = bpy.context.scene.roigs.root
+    root.location, root.scale = 2 * root.location, 2 * root.scale
+    bpy.context.view_layer.update()
+    assert bpy.ops.roigs.fit_box() == {"FINISHED"}
+    assert bpy.ops.roigs.snap_box() == {"FINISHED"}
+    item.hide_viewport = False
+    after = bounds(bpy, table)
+    assert after[0, 2] == pytest.approx(2 * TABLE, abs=0.04)
+    before[0, 2] = after[0, 2] / 2
+    np.testing.assert_allclose(after, 2 * before, atol=0.1)
+
+
 def test_a_box_that_stands_on_its_head(blender: ModuleType, table) -> None:
     table.rotation_euler = np.pi, 0, 0
     blender.context.view_layer.update()

@@ -71,6 +71,29 @@ def test_it_stands_where_the_gaussians_do(blender: ModuleType, ball, moved: bool
     assert radii == pytest.approx(np.full(len(radii), RADIUS * scale), rel=1e-4)
 
 
+@pytest.mark.parametrize("edited", [False, True])
+def test_the_size_of_a_hidden_mesh(blender: ModuleType, ball, edited: bool) -> None:
+    from roigs_addon.scene import box_surfaces, taken
+    from roigs_addon.ui import surface
+
+    scene, _, show = ball
+    item, root = show(), scene.roigs.root
+    if edited:
+        item.data.vertices[0].co.x += 1e-4
+        item.data.update()
+    blender.context.view_layer.update()
+    assert "40 cm × 40 cm × 40 cm" in surface.facts(scene, item)
+    before = np.array(box_surfaces.foot(item))
+    item.hide_viewport = True
+    blender.context.view_layer.update()
+    root.scale, root.location.z = (2, 2, 2), 1.0
+    blender.context.view_layer.update()
+    assert "80 cm × 80 cm × 80 cm" in surface.facts(scene, item)
+    assert list(box_surfaces.foot(item)) == pytest.approx(2 * before + (0, 0, 1), abs=1e-3)
+    asset = taken.take(scene, item)
+    assert max(asset.objects["thing Mesh.001"].dimensions) == pytest.approx(4 * RADIUS, abs=1e-3)
+
+
 def test_it_is_one_closed_mesh_with_the_picture(blender: ModuleType, ball) -> None:
     import bmesh
 

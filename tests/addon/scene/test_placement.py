@@ -60,6 +60,18 @@ def test_the_origin_is_under_the_object(blender: ModuleType, garden) -> None:
     assert record(roi, scene) == before
 
 
+def test_the_origin_is_under_a_hidden_object(blender: ModuleType, garden) -> None:
+    scene, _ = garden
+    roi = add_box(blender, "thing", (-0.3, -0.3, -0.3), (0.3, 0.3, 0.3))
+    roi.hide_viewport = True
+    blender.context.view_layer.update()
+    scene.roigs.root.location = 4, 5, 6
+    blender.ops.roigs.set_origin(keep_height=False)
+    roi.hide_viewport = False
+    blender.context.view_layer.update()
+    assert tuple(roi.matrix_world.translation) == pytest.approx((0, 0, 0.3), abs=1e-5)
+
+
 def test_a_set_floor_stays_below_an_object_on_a_table(blender: ModuleType, garden) -> None:
     bpy = blender
     bpy.ops.roigs.set_floor(first=(0, 0, -3), second=(1, 0, -3), third=(0, 1, -3))
