@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from ..blender import OperatorResult
 
 
-ENDINGS = (*(e for e in import_gaussians_job.ENDINGS if e.count(".") == 1), ".html")
-"""Of names that say the format, whatever is chosen."""
+ENDINGS = (*import_gaussians_job.ENDINGS, ".html")
+"""Of names that say the format, whatever is chosen; `.compressed.ply` before `.ply`."""
 NOTHING = "Renders show no Gaussians. Load results or import some first"
-GLOB = ";".join(f"*{ending}" for ending in ENDINGS)
+GLOB = ";".join(f"*{ending}" for ending in ENDINGS if ending.count(".") == 1)
 
 
-class ExportGaussians(BrowsingOperator, ExportHelper):  # type: ignore[misc] # the stub's mixin
+class ExportGaussians(BrowsingOperator, ExportHelper):
     """Write the Gaussians of a render to one file for other programs, with all edits and \
 transforms"""
 
@@ -90,6 +90,20 @@ transforms"""
     def filename_ext(self) -> str:
         """The suffix that the file browser adds."""
         return str(self.file_format)
+
+    def check(  # type: ignore[override] # the stub of the mixin returns nothing
+        self, context: bpy.types.Context
+    ) -> bool:
+        """Give the name the chosen format's ending instead of another's; whether it changed.
+
+        Blender's own check would leave the first half of `.compressed.ply`.
+        """
+        before = self.filepath
+        if os.path.basename(before):
+            known = next((each for each in ENDINGS if before.lower().endswith(each)), "")
+            self.filepath = f"{before[: len(before) - len(known)]}{self.filename_ext}"
+        changed: bool = self.filepath != before
+        return changed
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

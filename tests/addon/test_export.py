@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -232,6 +232,24 @@ def test_the_first_file_is_offered_beside_the_project(
     assert not blender.data.filepath and folders.for_export("") == ""
     (tmp_path / "garden" / "sparse" / "0").mkdir(parents=True)
     assert Path(folders.for_export(str(tmp_path / "garden"))) == tmp_path
+
+
+def test_another_format_changes_the_ending_only(blender: ModuleType, addon: ModuleType) -> None:
+    from roigs_addon.operators.export import ExportGaussians
+
+    def check(path: str, ending: str) -> str:
+        asked = SimpleNamespace(filepath=path, filename_ext=ending, file_format=ending)
+        changed = ExportGaussians.check(asked, blender.context)
+        assert changed == (asked.filepath != path)
+        return asked.filepath
+
+    path = "/a.b/scene.ply"
+    for ending in (".compressed.ply", ".compressed.ply", ".spz", ".html", ".compressed.ply"):
+        path = check(path, ending)
+        assert path == f"/a.b/scene{ending}"
+    assert check("/a.b/Scene v1.2.PLY", ".sog") == "/a.b/Scene v1.2.sog"
+    assert check("/a.b/Scene v1.2", ".ply") == "/a.b/Scene v1.2.ply"
+    assert check("/a.b/", ".ply") == "/a.b/"
 
 
 def test_without_results_there_is_nothing_to_export(blender: ModuleType, addon) -> None:
