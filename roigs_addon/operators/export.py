@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 ENDINGS = (*import_gaussians_job.ENDINGS, ".html")
 """Of names that say the format, whatever is chosen; `.compressed.ply` before `.ply`."""
+UNNAMED = "Gaussians"
+"""Of a file, if neither a project nor a .blend gives a name."""
 NOTHING = "Renders show no Gaussians. Load results or import some first"
 GLOB = ";".join(f"*{ending}" for ending in ENDINGS if ending.count(".") == 1)
 
@@ -141,8 +143,9 @@ transforms"""
         assert context.window_manager is not None
         if not self.filepath:
             colmap = scene_props(scene_of(context)).colmap
-            name = f"{import_job.project_name(Path(colmap))}{self.filename_ext}"
-            self.filepath = folders.for_export(colmap) + name
+            project = import_job.project_name(Path(colmap)) if colmap else ""
+            name = project or Path(bpy.data.filepath).stem or UNNAMED
+            self.filepath = f"{folders.for_export(colmap)}{name}{self.filename_ext}"
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 

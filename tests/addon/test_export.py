@@ -234,6 +234,23 @@ def test_the_first_file_is_offered_beside_the_project(
     assert Path(folders.for_export(str(tmp_path / "garden"))) == tmp_path
 
 
+def test_the_offered_name(blender: ModuleType, addon: ModuleType, tmp_path: Path) -> None:
+    from roigs_addon.operators.export import ExportGaussians
+
+    def offered() -> str:
+        browser = SimpleNamespace(fileselect_add=lambda operator: None)
+        context = SimpleNamespace(scene=blender.context.scene, window_manager=browser)
+        asked = SimpleNamespace(filepath="", filename_ext=".spz")
+        assert ExportGaussians.invoke(asked, context, None) == {"RUNNING_MODAL"}
+        return Path(asked.filepath).name
+
+    assert offered() == "Gaussians.spz"
+    blender.ops.wm.save_as_mainfile(filepath=str(tmp_path / "My room.blend"))
+    assert offered() == "My room.spz"
+    blender.context.scene.roigs.colmap = str(tmp_path / "garden" / "sparse" / "0")
+    assert offered() == "garden.spz"
+
+
 def test_another_format_changes_the_ending_only(blender: ModuleType, addon: ModuleType) -> None:
     from roigs_addon.operators.export import ExportGaussians
 
