@@ -192,7 +192,7 @@ def _times(scene: bpy.types.Scene) -> list[float]:
     shutter = scene.render.motion_blur_shutter
     begin = {"START": 0.0, "CENTER": -shutter / 2, "END": -shutter}[_position(scene)]
     shares = (np.arange(MOMENTS) + 0.5) / MOMENTS
-    return [scene.frame_current_final + begin + shutter * float(share) for share in shares]
+    return [scene.frame_float + begin + shutter * float(share) for share in shares]
 
 
 def _position(scene: Any) -> str:

@@ -130,6 +130,30 @@ def moving(bpy: ModuleType, scene):
     return wall
 
 
+def test_stretched_time(blender: ModuleType, shot) -> None:
+    """Gaussians blur around the frame that Blender shows."""
+    from roigs_addon.scene import blur
+
+    bpy, (scene, _) = blender, shot
+    item = scene.objects["thing Gaussians"]
+    for frame in (0, 400):
+        item.location.x = frame
+        item.keyframe_insert("location", index=0, frame=frame)
+    scene.render.use_motion_blur = True
+    scene.render.frame_map_old, scene.render.frame_map_new = 100, 50
+    scene.frame_set(80)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+
+    def places(moments) -> np.ndarray:
+        return np.array([[m["matrix"] for m in each.request["models"]] for each in moments])
+
+    shown = places([blur.moment(scene, depsgraph)])
+    blurred = places(blur.moments(scene, depsgraph))
+    assert len(blurred) == blur.MOMENTS and np.ptp(blurred, axis=0).max() > 0.1
+    np.testing.assert_allclose(blurred.mean(axis=0), shown[0], atol=1e-3)
+    assert scene.frame_current == 80
+
+
 def test_surfaces_of_a_motion_are_those_of_the_render(blender: ModuleType, shot) -> None:
     """Not those of the viewport, which has hidings of its own."""
     scene, f12 = shot
