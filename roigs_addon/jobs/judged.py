@@ -60,6 +60,8 @@ class Judged:
     ) -> dict[bpy.types.Object, NDArray[Any]]:
         """Return object -> the answer for each of its points; one object if several share them.
 
+        The objects are in object mode then.
+
         Args:
             scene: of the Gaussians, as it is now.
             otherwise: value of points that are not drawn.
@@ -71,6 +73,7 @@ class Judged:
             every = np.load(self.out, allow_pickle=False)
         except (OSError, ValueError) as error:
             raise AddonError(f"The engine's answer is unreadable ({error}).") from error
+        leave_edit_mode(lookup.splats(scene))
         changed = AddonError(f"The Gaussians were changed meanwhile. {again}")
         items = {_uid(i): i for i in reversed(lookup.splats(scene)) if i.type == "MESH"}
         found: dict[bpy.types.Object, NDArray[Any]] = {}

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blender import load_image
+from ..blender import leave_edit_mode, load_image
 from ..engine import own_files
 from ..engine.writing import writing
 from ..errors import AddonError
@@ -82,6 +82,7 @@ def light(scene: bpy.types.Scene, item: bpy.types.Object, picture: Path, turn: M
     Raises:
         AddonError: the picture cannot be read, or the mesh has no texture.
     """
+    leave_edit_mode([item])
     relight.apply(item, _pixels(picture), turn)
     box_surfaces.set_way(scene, item, box_surfaces.MESH)
     proxies.settle(scene)

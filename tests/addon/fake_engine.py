@@ -7,6 +7,7 @@ import textwrap
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -15,6 +16,9 @@ from roigs_addon.engine.process import EngineProcess, JobResult
 from roigs_addon.engine.python import own_python
 from roigs_engine.formats.events import Record as Event
 from tests.machine_load import Waited
+
+if TYPE_CHECKING:
+    from roigs_addon.jobs.spec import JobSpec
 
 PYTHON = Path(os.environ.get("ROIGS_TEST_PYTHON") or own_python())
 
@@ -66,6 +70,21 @@ say(event="message", text="heard " + repr(line), level="info")
 say(event="done", outputs={}, stopped=True)
 sys.exit(3)
 """
+
+
+def in_edit_mode(item: Any, spec: JobSpec) -> str:
+    """Put an object into edit mode during a job; returns the job's outcome."""
+    import bpy
+
+    from roigs_addon import settings
+    from roigs_addon.jobs import current
+
+    job = current.start(settings.engine(()), spec)
+    bpy.context.view_layer.objects.active = item
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert current.wait(job).complete
+    assert item.mode == "OBJECT"
+    return current.outcome()
 
 
 def use(monkeypatch: pytest.MonkeyPatch, folder: Path, code: str) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from roigs_engine.formats.splat_ply import read_ply, target_of
-from tests.addon.fake_engine import use
+from tests.addon.fake_engine import in_edit_mode, use
 from tests.addon.scenes import add_box
 from tests.addon.splat_cases import random_ply
 
@@ -272,6 +272,25 @@ def test_the_answer_belongs_to_the_points(
     stay = [row for row in range(len(before)) if row not in gone]
     np.testing.assert_allclose(points(item), before[stay], atol=1e-6)
     assert len(points(objects(scene)["thing Gaussians"])) == 41 - 1 + (2 - 1)
+
+
+@pytest.mark.parametrize("action", ["SELECT", "DELETE"])
+def test_floaters_of_an_object_in_edit_mode(
+    blender: ModuleType, scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, action: str
+) -> None:
+    from roigs_addon.jobs import floaters_job
+    from roigs_addon.operators.clean_up import act
+    from roigs_addon.scene import point_edits
+
+    use(monkeypatch, tmp_path, ANSWER)
+    item = objects(scene)["Background"]
+    before = len(points(item))
+    spec = floaters_job.spec(blender.context, lambda found: act(found, action, what="floater"))
+    assert "4 floaters" in in_edit_mode(item, spec)
+    if action == "DELETE":
+        assert len(points(item)) == before - 3
+    else:
+        assert np.flatnonzero(point_edits.chosen(item)).tolist() == [0, 2, before - 1]
 
 
 def test_a_copy_that_stands_elsewhere_is_exported(

@@ -10,7 +10,7 @@ import pytest
 
 from roigs_engine.formats.confidence import colours, most_directions
 from roigs_engine.formats.splat_ply import SH_C0, read_ply
-from tests.addon.fake_engine import use
+from tests.addon.fake_engine import in_edit_mode, use
 from tests.addon.panels import said
 
 pytestmark = pytest.mark.blender
@@ -78,6 +78,15 @@ def test_the_answer_is_kept_and_shown(blender: ModuleType, item) -> None:
     assert [a.name for a in item.data.attributes if a.name.startswith("directions")] == [
         "directions"
     ]
+
+
+def test_an_object_in_edit_mode(blender: ModuleType, item) -> None:
+    from roigs_addon.jobs import confidence_job
+    from roigs_addon.operators import confidence
+
+    said = in_edit_mode(item, confidence_job.spec(blender.context, confidence._take))
+    assert said.endswith("Gaussians are seen from fewer than 3 directions")
+    assert np.isfinite(directions(item)).sum() == len(item.data.vertices) - 1
 
 
 def test_few_directions_are_deleted_and_the_map_follows(blender: ModuleType, item) -> None:

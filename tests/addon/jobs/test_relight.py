@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from tests.addon.fake_engine import fake
+from tests.addon.fake_engine import fake, in_edit_mode
 from tests.addon.panels import said
 from tests.addon.stage_cases import write_panorama
 from tests.addon.surface_cases import CENTRE, RADIUS, write_ball
@@ -113,6 +113,15 @@ def test_the_light_is_drawn_without_the_box_and_stays_at_each_vertex(
     assert light[high > 0.9].mean() == pytest.approx(LIGHT, rel=0.1)
     assert light[high < -0.9].mean() == pytest.approx(DARK, rel=0.1)
     assert light[abs(high) < 0.1].mean() == pytest.approx((LIGHT + DARK) / 2, rel=0.1)
+
+
+def test_a_mesh_in_edit_mode(blender: ModuleType, ball) -> None:
+    from roigs_addon.jobs import relight_job
+
+    item, scene, _ = ball
+    said = in_edit_mode(item, relight_job.spec(scene, item))
+    assert said == "'thing Mesh' is lit by your lamps and world"
+    assert len(captured(item)) == len(item.data.vertices)
 
 
 def test_under_the_captured_light_it_looks_as_captured(blender: ModuleType, ball) -> None:
