@@ -7,12 +7,6 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, FloatProperty, PointerProperty, StringProperty
 
-
-def _proxies(stage: RoigsStage) -> list[Any]:
-    collection = stage.collection
-    return list(collection.objects) if collection is not None else []
-
-
 CLEAR = ("glossy", "transmission")
 """Those of mirrors and glass."""
 FAR = "roigs_far"
@@ -21,21 +15,28 @@ RAYS = ("diffuse", "glossy", "transmission", "volume_scatter", "shadow")
 """Of Cycles, besides the camera's: `visible_` of an object."""
 
 
+def proxies_of(stage: RoigsStage) -> list[Any]:
+    """Proxies and their far parts. The user may have put other objects beside them."""
+    collection = stage.collection
+    items = collection.objects if collection is not None else ()
+    return [item for item in items if FAR in item or item.roigs.kind == "PROXY"]
+
+
 def _catches(stage: RoigsStage) -> bool:
-    return any(item.visible_camera for item in _proxies(stage))
+    return any(item.visible_camera for item in proxies_of(stage))
 
 
 def _set_catches(stage: RoigsStage, on: bool) -> None:
-    for item in _proxies(stage):
+    for item in proxies_of(stage):
         item.visible_camera = on
 
 
 def _reflects(stage: RoigsStage) -> bool:
-    return any(item.visible_glossy for item in _proxies(stage))
+    return any(item.visible_glossy for item in proxies_of(stage))
 
 
 def _set_reflects(stage: RoigsStage, on: bool) -> None:
-    for item in _proxies(stage):
+    for item in proxies_of(stage):
         for name in RAYS:
             setattr(item, f"visible_{name}", on and (FAR not in item or name in CLEAR))
 

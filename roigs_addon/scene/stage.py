@@ -16,7 +16,7 @@ from mathutils import Vector
 from ..blender import delete
 from ..properties import SHOWN_AS, object_props
 from ..shared import text
-from ..stage_properties import stage_props
+from ..stage_properties import proxies_of, stage_props
 from . import compositor, display, lookup, shadow_pass
 
 NATIVE = "shown "
@@ -173,12 +173,24 @@ def remove(scene: bpy.types.Scene) -> None:
             item.is_shadow_catcher = bool(item[LAMP])
             del item[LAMP]
     _remove_world(scene)
+    for item in filter(None, (*proxies_of(stage), stage.turn, stage.here)):
+        delete_with_materials(item)
     if stage.collection is not None:
-        for item in list(stage.collection.objects):
-            delete_with_materials(item)
+        _keep_users(scene, stage.collection)
         bpy.data.collections.remove(stage.collection)
     for name in ("before", "collection", "turn", "here", "radius", "world", "world_before"):
         stage.property_unset(name)
+
+
+def _keep_users(scene: bpy.types.Scene, own: bpy.types.Collection) -> None:
+    """Keep objects and collections of the user that are only in the collection of additions."""
+    for item in own.objects:
+        if len(item.users_collection) == 1:
+            scene.collection.objects.link(item)
+    others = {scene.collection, *scene.collection.children_recursive} - {own}
+    elsewhere = {child for other in others for child in other.children}
+    for child in set(own.children) - elsewhere:
+        scene.collection.children.link(child)
 
 
 def _remove_world(scene: bpy.types.Scene) -> None:

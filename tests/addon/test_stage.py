@@ -267,6 +267,32 @@ def test_remove_brings_all_back(blender: ModuleType, made) -> None:
         blender.ops.roigs.remove_stage()
 
 
+def test_what_the_user_put_beside_stays(blender: ModuleType, made) -> None:
+    """In the collection of the additions, and in one below it."""
+    scene, _, _ = made
+    before = set(blender.data.objects)
+    blender.ops.roigs.light_from_scene(where="CURSOR")
+    blender.ops.roigs.catch_shadows()
+    own = scene.roigs.stage.collection
+    vase, cup, lamp = (blender.data.objects.new(name, None) for name in ("vase", "cup", "lamp"))
+    below, both = (blender.data.collections.new(name) for name in ("below", "both"))
+    for collection, items in ((own, (vase, lamp)), (below, (cup,)), (both, (lamp,))):
+        for item in items:
+            collection.objects.link(item)
+    for child in (below, both):
+        own.children.link(child)
+    scene.collection.children.link(both)
+    blender.context.view_layer.update()
+    vase.hide_set(True)
+    scene.roigs.stage.catches = scene.roigs.stage.reflects = False
+    assert vase.visible_camera and vase.visible_glossy
+    assert blender.ops.roigs.remove_stage() == {"FINISHED"}
+    assert set(blender.data.objects) == before | {vase, cup, lamp}
+    assert list(vase.users_collection) == [scene.collection] and vase.hide_get()
+    assert list(lamp.users_collection) == [both] and list(cup.users_collection) == [below]
+    assert {below, both} <= set(scene.collection.children)
+
+
 def test_lamps_shine_on_captured_things(blender: ModuleType, made) -> None:
     from roigs_addon.scene import stage
 
