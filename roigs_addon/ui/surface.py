@@ -73,8 +73,8 @@ def _draw_making(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     column.prop(scene_props(scene), "watertight")
     show.or_number(column, scene_props(scene), "Texture", "fine_texture", "texture_size", "Side")
     edited = box_surfaces.edited(scene)
-    for name in edited:
-        show.wrong(layout, f"'{name}' was edited: making it again replaces it. Undo restores it")
+    for mesh in edited:
+        show.wrong(layout, f"'{mesh}' was edited: making it again replaces it. Undo restores it")
     column = layout.column(align=True)  # side by side, names would be cut
     label = f"Make Surface: {name}" if name else MakeSurface.bl_label
     button = column.operator(MakeSurface.bl_idname, text=label, icon="MESH_MONKEY")

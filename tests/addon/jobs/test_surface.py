@@ -90,6 +90,7 @@ def test_edits_are_warned_of(blender: ModuleType, made) -> None:
     item.data.update()
     blender.context.view_layer.update()
     assert any("'thing Mesh' was edited" in label for label in panel(blender))
+    assert "Make Surface: thing" in panel(blender)
     arguments.unlink()
     with pytest.raises(RuntimeError, match=r"'thing Mesh' was edited .* replace_edits=True"):
         blender.ops.roigs.make_surface()
