@@ -371,5 +371,6 @@ def test_blenders_own_splats_become_exact_meanwhile(
     monkeypatch.setattr(display, "refresh", lambda item: None)
     blender.ops.roigs.catch_shadows()
     assert {item.roigs.shown_as for item in items} == {"EXACT"}
+    items[0].name = "renamed"
     blender.ops.roigs.remove_stage()
     assert {item.roigs.shown_as for item in items} == {"GAUSSIANS"}
