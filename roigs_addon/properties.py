@@ -154,6 +154,9 @@ class RoigsObject(bpy.types.PropertyGroup):
     ply: StringProperty(description="Gaussians: their file", subtype="FILE_PATH")
     level: EnumProperty(items=LEVELS, description="Gaussians: the model they belong to")
     shown_as: EnumProperty(items=SHOWN_AS, description="Gaussians: how they are drawn")
+    exact_for: StringProperty(
+        description="Gaussians: Blender's own splats, in the exact look as long as this is there"
+    )
     roi: StringProperty(description="Gaussians, mesh: name of their box")
     surface: StringProperty(description="Mesh: the engine's record of it, as JSON")
     parked: StringProperty(

@@ -1,9 +1,9 @@
-"""Finds each scene's run folder, and keeps its path through saving, loading and undo.
+"""Finds each scene's run folder, and keeps the scene's paths through saving, loading and undo.
 
 The first job that writes into the folder stores its path in the scene's settings. While a file is
 open the path is absolute, so it stays right after Save As and undo. In the saved file it is
-relative if the folder is below the file, so that both can be moved together. A path that the user
-typed as relative stays relative.
+relative if the folder is below the file, so that both can be moved together. Any path that the user
+typed as relative stays relative, and leads to the same place after Save As.
 """
 
 from __future__ import annotations
@@ -28,8 +28,11 @@ from ..shared import run_files
 _settled: dict[int, str] = {}
 """Scene (`session_uid`) -> the path that `settle` stored, because an undo would remove it."""
 
-_saving: dict[int, tuple[Path, bool]] = {}
-"""Scene -> its run folder and whether the path was relative, while the file is saved."""
+PATHS = ("photos", "project", "masks", "colmap", "images", "run_dir")
+"""Properties of a scene. Other `photos` clear the two after them."""
+
+_saving: dict[int, dict[str, tuple[Path, bool]]] = {}
+"""Scene -> its changed paths in full and whether they were relative, while the file is saved."""
 
 
 def run_folder(scene: bpy.types.Scene) -> Path:
@@ -138,11 +141,15 @@ def _plain(text: str) -> str:
 def _before_save(path: str, *_: object) -> None:
     """Adapt the paths to the file's new place; Blender does not adapt those of add-ons."""
     parent = Path(path).parent
-    for scene in _chosen(path):
-        folder, relative = run_folder(scene), scene_props(scene).run_dir.startswith("//")
-        if bpy.data.filepath if relative else _moves_with(parent, folder):
-            _saving[scene.session_uid] = folder, relative
-            scene_props(scene).run_dir = _relative(folder, parent)
+    moves = bpy.data.filepath and Path(bpy.data.filepath).parent != parent
+    for scene in _own(path):
+        paths = {name: str(getattr(scene_props(scene), name)) for name in PATHS}
+        known = {n: (full_path(p), True) for n, p in paths.items() if moves and p.startswith("//")}
+        folder = paths["run_dir"]
+        if folder and not folder.startswith("//") and _moves_with(parent, full_path(folder)):
+            known["run_dir"] = full_path(folder), False
+        _saving[scene.session_uid] = known
+        _set(scene, {name: _relative(full, parent) for name, (full, _) in known.items()})
 
 
 @persistent
@@ -150,10 +157,9 @@ def _after_save(*_: object) -> None:
     """Restore paths for the open file, which is still the old one if a copy was saved."""
     parent = Path(bpy.data.filepath).parent
     for scene in bpy.data.scenes:
-        if scene.session_uid in _saving:
-            folder, relative = _saving.pop(scene.session_uid)
-            path = _relative(folder, parent) if relative else str(folder)
-            scene_props(scene).run_dir = path
+        known = _saving.pop(scene.session_uid, {})
+        paths = {n: _relative(p, parent) if was else str(p) for n, (p, was) in known.items()}
+        _set(scene, paths)
 
 
 @persistent
@@ -161,9 +167,9 @@ def _after_load(*_: object) -> None:
     """Make the paths of folders below the file absolute."""
     _settled.clear()
     parent = Path(bpy.data.filepath).parent
-    for scene in _chosen(bpy.data.filepath):
+    for scene in _own(bpy.data.filepath):
         folder = run_folder(scene)
-        if folder.is_relative_to(parent):
+        if scene_props(scene).run_dir and folder.is_relative_to(parent):
             scene_props(scene).run_dir = str(folder)
 
 
@@ -175,10 +181,18 @@ def _after_undo(*_: object) -> None:
             scene_props(scene).run_dir = _settled[scene.session_uid]
 
 
-def _chosen(blend: str) -> list[bpy.types.Scene]:
-    """Return the file's own scenes that have a run folder; none without a file."""
-    scenes = [s for s in bpy.data.scenes if scene_props(s).run_dir and s.library is None]
-    return scenes if blend else []
+def _own(blend: str) -> list[bpy.types.Scene]:
+    """Return the file's own scenes; none without a file."""
+    return [scene for scene in bpy.data.scenes if blend and scene.library is None]
+
+
+def _set(scene: bpy.types.Scene, paths: dict[str, str]) -> None:
+    """Change some of a scene's paths; the others stay."""
+    props = scene_props(scene)
+    wanted = {name: getattr(props, name) for name in PATHS} | paths
+    for name, path in wanted.items():
+        if getattr(props, name) != path:
+            setattr(props, name, path)
 
 
 def _moves_with(parent: Path, folder: Path) -> bool:

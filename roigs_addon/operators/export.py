@@ -32,7 +32,7 @@ NOTHING = "Renders show no Gaussians. Load results or import some first"
 GLOB = ";".join(f"*{ending}" for ending in ENDINGS if ending.count(".") == 1)
 
 
-class ExportGaussians(BrowsingOperator, ExportHelper):  # type: ignore[misc] # the stub's mixin
+class ExportGaussians(BrowsingOperator, ExportHelper):
     """Write the Gaussians of a render to one file for other programs, with all edits and \
 transforms"""
 
@@ -93,7 +93,9 @@ transforms"""
         """The suffix that the file browser adds."""
         return str(self.file_format)
 
-    def check(self, context: bpy.types.Context) -> bool:
+    def check(  # type: ignore[override] # the stub of the mixin returns nothing
+        self, context: bpy.types.Context
+    ) -> bool:
         """Give the name the chosen format's ending instead of another's; whether it changed.
 
         Blender's own check would leave the first half of `.compressed.ply`.

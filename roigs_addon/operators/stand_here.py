@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any
 
 import bpy
+import numpy as np
 from bpy.props import FloatVectorProperty
 from bpy_extras import view3d_utils
 from mathutils import Vector
@@ -120,11 +122,15 @@ shadows, and reflects its surroundings"""
 
     def _wanted(self, context: bpy.types.Context) -> stage_job.Wanted:
         item: Any = view_layer_of(context).objects.active
+        uid, placed = item.session_uid, lookup.matrix_world(item)
         point, eye = Vector(self.point), Vector(self.eye)
 
         def catch(scene: bpy.types.Scene) -> None:
-            if item.name in scene.objects:
-                put(context, item, eye, point)
+            """Put it on the mesh that was made, unless the user has moved or deleted it."""
+            now = next((each for each in scene.objects if each.session_uid == uid), None)
+            if now is not None and np.allclose(lookup.matrix_world(now), placed):
+                with _shown(scene):
+                    put(bpy.context, now, eye, point)
 
         return stage_job.Wanted(light=self._middle, radius=self._radius, shadows=True, then=catch)
 
@@ -132,6 +138,13 @@ shadows, and reflects its surroundings"""
         item: Any = view_layer_of(context).objects.active
         self._radius = standing.radius_of(item, context.evaluated_depsgraph_get())
         self._middle = put(context, item, Vector(self.eye), Vector(self.point))
+
+
+def _shown(scene: bpy.types.Scene) -> AbstractContextManager[object]:
+    """Context in which a scene is the present one; the user may have switched to another."""
+    if bpy.context.scene == scene:
+        return nullcontext()
+    return bpy.context.temp_override(scene=scene, view_layer=scene.view_layers[0])
 
 
 def put(context: bpy.types.Context, item: bpy.types.Object, eye: Vector, point: Vector) -> Vector:

@@ -18,7 +18,7 @@ def _on_change(scene: bpy.types.Scene, *_: object) -> None:
     A loaded file keeps its settings, and later changes by the user stay.
     """
     before = _active.get(scene.session_uid)
-    _remember(scene)
+    remember(scene)
     camera = scene.camera
     if before is None or camera is None or before == camera.session_uid:
         return
@@ -28,7 +28,8 @@ def _on_change(scene: bpy.types.Scene, *_: object) -> None:
         cameras.activate(scene, camera)
 
 
-def _remember(scene: bpy.types.Scene) -> None:
+def remember(scene: bpy.types.Scene) -> None:
+    """Take the active camera as it is, with the scene's present settings."""
     _active[scene.session_uid] = scene.camera.session_uid if scene.camera is not None else 0
 
 
@@ -36,7 +37,7 @@ def _remember(scene: bpy.types.Scene) -> None:
 def _after_undo(*_: object) -> None:
     """Remember the cameras of the undo step, which has their settings, too."""
     for scene in bpy.data.scenes:
-        _remember(scene)
+        remember(scene)
 
 
 @persistent

@@ -7,7 +7,7 @@ look, a modifier hides the points, and the add-on draws the Gaussians of the obj
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import bpy
@@ -58,7 +58,22 @@ def in_layer(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 def show_as(item: bpy.types.Object, way: str) -> None:
     """Show an object in one of the ways of `properties.SHOWN_AS`."""
     object_props(item).shown_as = way
+    object_props(item).property_unset("exact_for")
     refresh(item)
+
+
+def show_exactly(item: bpy.types.Object, what: str) -> None:
+    """Show Blender's own splats in the exact look as long as something is there; others stay."""
+    if is_native(item) and item.is_editable:
+        show_as(item, "EXACT")
+        object_props(item).exact_for = what
+
+
+def show_again(items: Iterable[bpy.types.Object], what: str) -> None:
+    """Show Blender's own splats again, as that is gone."""
+    for item in items:
+        if object_props(item).exact_for == what and item.is_editable:
+            show_as(item, "GAUSSIANS")
 
 
 def refresh(item: bpy.types.Object) -> None:

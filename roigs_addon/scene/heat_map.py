@@ -20,13 +20,13 @@ from ..blender import following, mesh_of, persistent
 from ..errors import AddonError
 from ..geometry.frames import Matrix
 from ..geometry.splat_cloud import SH_C0, write_splats
-from ..properties import object_props
 from ..shared import EngineError, confidence
 from ..windows import redraw
 from . import clouds, display
 from .splat_attributes import cloud_of, drawn, values
 
 DIRECTIONS = confidence.COLUMNS.index("directions")
+NAME = "heat map"
 PREFIX = "roigs-heat-"
 """Prefix of the names of files with colours."""
 
@@ -35,9 +35,6 @@ _shown: dict[int, tuple[str, Matrix] | None] = {}
 
 _most: list[float] = []
 """Number of directions of the brightest colour; empty if no heat map is shown."""
-
-_native: set[str] = set()
-"""Objects shown as Blender's own splats before; the add-on draws them during the heat map."""
 
 
 def keep(item: bpy.types.Object, known: NDArray[np.float32]) -> None:
@@ -73,9 +70,7 @@ def show(items: Iterable[bpy.types.Object]) -> None:
     try:
         for item, found in known.items():
             _heat(item, found, most)
-            if display.is_native(item):
-                _native.add(item.name)
-                display.show_as(item, "EXACT")
+            display.show_exactly(item, NAME)
     except (EngineError, OSError) as error:
         hide()
         raise AddonError(f"The heat map cannot be shown: {error}") from error
@@ -100,11 +95,7 @@ def hide() -> None:
     """Show the Gaussians in their own colours again."""
     _shown.clear()
     _most.clear()
-    for name in _native:
-        item = bpy.data.objects.get(name)
-        if item is not None and object_props(item).shown_as == "EXACT":
-            display.show_as(item, "GAUSSIANS")
-    _native.clear()
+    display.show_again(bpy.data.objects, NAME)
     redraw()
 
 
@@ -161,9 +152,8 @@ def _after_undo(*_: object) -> None:
 
 @persistent
 def _after_load(*_: object) -> None:
-    _shown.clear()
-    _most.clear()
-    _native.clear()
+    """The file may have been saved while a heat map was shown."""
+    hide()
 
 
 _follow, _leave = following(
@@ -182,4 +172,5 @@ def register() -> None:
 def unregister() -> None:
     """Stop following changes."""
     _leave()
-    _after_load()
+    _shown.clear()
+    _most.clear()

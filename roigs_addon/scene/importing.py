@@ -19,7 +19,16 @@ from ..geometry.rounding import rounding
 from ..properties import object_props, scene_props
 from ..shared import gravity, text
 from ..windows import frame_views
-from . import backgrounds, cameras, clouds, lookup, placement, start_cube, suggestions
+from . import (
+    active_camera,
+    backgrounds,
+    cameras,
+    clouds,
+    lookup,
+    placement,
+    start_cube,
+    suggestions,
+)
 
 ROOT_NAME = "COLMAP"
 # In units of the cameras' extent.
@@ -81,6 +90,7 @@ def import_folder(
         item = _add_camera(collection, root, photo, extent)
         if scene.camera is None and active is not None and active.name == photo.name:
             scene.camera = item
+            active_camera.remember(scene)  # the resolution may be the user's
             backgrounds.show(camera_of(item), photo)
             backgrounds.follow(scene)
     if len(points):

@@ -300,7 +300,8 @@ def _points(name: str, path: Path) -> bpy.types.Object:
 
 def _new_object(scene: bpy.types.Scene, name: str, item: bpy.types.Object) -> bpy.types.Object:
     others = (object_props(other) for other in lookup.splats(scene))
-    way = next((props.shown_as for props in others if props.level != "PREVIEW"), "GAUSSIANS")
+    like = next((props for props in others if props.level != "PREVIEW"), object_props(item))
+    way, exact_for = like.shown_as, like.exact_for
     item.name = name
     object_props(item).kind = "SPLATS"
     item.parent = scene_props(scene).root
@@ -313,4 +314,5 @@ def _new_object(scene: bpy.types.Scene, name: str, item: bpy.types.Object) -> bp
     clouds.show_as_points(item, material, "radius")
     clouds.add_nodes_modifier(item, display.MODIFIER, None)
     display.show_as(item, way)
+    object_props(item).exact_for = exact_for
     return item

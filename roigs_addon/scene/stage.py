@@ -14,14 +14,10 @@ import bpy
 from mathutils import Vector
 
 from ..blender import delete
-from ..properties import SHOWN_AS, object_props
 from ..shared import text
 from ..stage_properties import proxies_of, stage_props
 from . import compositor, display, lookup, shadow_pass
 
-NATIVE = "shown "
-"""Prefix of saved settings: how the Gaussians object of the following name was shown."""
-WAYS = [way for way, _, _ in SHOWN_AS]
 LAMP = "roigs_lamp"
 """Custom property of a lamp: its earlier **Shadow Catcher** setting."""
 SETTINGS = {
@@ -129,9 +125,7 @@ def show_exactly(scene: bpy.types.Scene) -> None:
     would catch nothing. They would also light objects that proxies light already.
     """
     for item in lookup.splats(scene):
-        if display.is_native(item) and item.is_editable:
-            keep(scene, f"{NATIVE}{item.name}", object_props(item).shown_as)
-            display.show_as(item, "EXACT")
+        display.show_exactly(item, COLLECTION)
 
 
 def multiply(scene: bpy.types.Scene) -> None:
@@ -163,10 +157,7 @@ def remove(scene: bpy.types.Scene) -> None:
     for layer in scene.view_layers:
         if (name := f"pass {layer.name}") in before:
             shadow_pass.switch(layer, on=bool(before[name]))
-    for shown in lookup.splats(scene):
-        way = before.get(f"{NATIVE}{shown.name}")
-        if way in WAYS and object_props(shown).shown_as == "EXACT":
-            display.show_as(shown, way)
+    display.show_again(lookup.splats(scene), COLLECTION)
     item: Any
     for item in scene.objects:
         if LAMP in item:

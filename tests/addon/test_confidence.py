@@ -139,8 +139,9 @@ def test_changed_meanwhile(blender: ModuleType, item) -> None:
     assert not taken
 
 
+@pytest.mark.parametrize("then", ["hidden", "renamed", "opened", "chosen by the user"])
 def test_native_splats_are_drawn_by_us_meanwhile(
-    blender: ModuleType, item, monkeypatch: pytest.MonkeyPatch
+    blender: ModuleType, item, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, then: str
 ) -> None:
     from roigs_addon.scene import display, heat_map
 
@@ -149,5 +150,14 @@ def test_native_splats_are_drawn_by_us_meanwhile(
     item.roigs.shown_as = "GAUSSIANS"
     blender.ops.roigs.find_confidence()
     assert item.roigs.shown_as == "EXACT"
-    heat_map.hide()
-    assert item.roigs.shown_as == "GAUSSIANS"
+    if then == "renamed":
+        item.name = "Room"
+    elif then == "chosen by the user":
+        display.show_as(item, "EXACT")
+    if then == "opened":
+        blender.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+        blender.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+        item = blender.context.scene.objects["Background"]
+    else:
+        heat_map.hide()
+    assert item.roigs.shown_as == ("EXACT" if then == "chosen by the user" else "GAUSSIANS")

@@ -12,6 +12,7 @@ import pytest
 
 from tests.addon.fake_engine import LISTEN, fake, until, use
 from tests.addon.panels import said
+from tests.addon.splat_cases import random_ply
 from tests.addon.stage_cases import CODE, own_things, state, write_panorama
 from tests.addon.surface_cases import write_ball
 
@@ -360,9 +361,9 @@ def test_it_stops_without_a_trace(
 
 
 def test_blenders_own_splats_become_exact_meanwhile(
-    blender: ModuleType, made, monkeypatch: pytest.MonkeyPatch
+    blender: ModuleType, made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from roigs_addon.scene import display
+    from roigs_addon.scene import display, splats
 
     scene, _, _ = made
     monkeypatch.setattr(display, "is_native", lambda item, **_: item.roigs.shown_as == "GAUSSIANS")
@@ -371,5 +372,9 @@ def test_blenders_own_splats_become_exact_meanwhile(
     monkeypatch.setattr(display, "refresh", lambda item: None)
     blender.ops.roigs.catch_shadows()
     assert {item.roigs.shown_as for item in items} == {"EXACT"}
+    items[0].name = "renamed"
+    new = splats.show_imported(scene, random_ply(tmp_path / "new.ply", 9), "new", in_model=False)
+    assert new.roigs.shown_as == "EXACT"
+    items.append(new)
     blender.ops.roigs.remove_stage()
     assert {item.roigs.shown_as for item in items} == {"GAUSSIANS"}

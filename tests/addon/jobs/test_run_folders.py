@@ -114,6 +114,38 @@ def test_a_run_after_the_first_save_goes_beside_the_file(
     assert use(blender.context.scene) == before
 
 
+def test_relative_paths_lead_to_the_same_place_after_save_as(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path
+) -> None:
+    def full() -> dict[str, str]:
+        props = bpy.context.scene.roigs
+        return {name: str(full_path(getattr(props, name))) for name in given}
+
+    from roigs_addon.blender import full_path
+
+    bpy, given = blender, {"photos": "//pictures/", "project": "//model", "masks": "//../masks"}
+    given |= {"images": "//small", "colmap": "//model/sparse"}
+    props = bpy.context.scene.roigs
+    save(bpy, tmp_path / "here" / "a.blend")
+    for name, value in given.items():
+        setattr(props, name, value)
+    before = full()
+    save(bpy, tmp_path / "here" / "b.blend")
+    assert {name: getattr(props, name) for name in given} == given
+    save(bpy, tmp_path / "copies" / "c.blend", copy=True)
+    assert full() == before and props.masks == given["masks"]
+    save(bpy, tmp_path / "d.blend")
+    assert full() == before
+    assert (props.photos, props.project, props.masks) == (
+        "//here/pictures",
+        "//here/model",
+        "//masks",
+    )
+    for path in ("copies/c.blend", "here/b.blend", "d.blend"):
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / path))
+        assert full() == before
+
+
 def test_two_scenes_of_a_file_have_two_folders(
     blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
 ) -> None:

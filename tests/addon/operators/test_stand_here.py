@@ -106,6 +106,58 @@ def test_one_undo_takes_all_back(blender: ModuleType, standing) -> None:
     assert corners(scene.objects["Cube"]).mean(axis=0) == pytest.approx([5, 5, 5], abs=1e-4)
 
 
+def during_the_job(monkeypatch: pytest.MonkeyPatch, act) -> None:
+    """Have `act` called while the engine works."""
+    from roigs_addon.jobs import current
+
+    wait = current.wait
+
+    def acted(job):
+        act()
+        return wait(job)
+
+    monkeypatch.setattr(current, "wait", acted)
+
+
+def test_moved_meanwhile_it_stays_there(
+    blender: ModuleType, standing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def move() -> None:
+        cube.location = (4, 4, 4)
+        blender.context.view_layer.update()
+
+    _, cube, given = standing
+    during_the_job(monkeypatch, move)
+    blender.ops.roigs.stand_here(point=(1.5, -1.5, 0.0), eye=(1.5, -4.0, 3.0))
+    assert corners(cube).mean(axis=0) == pytest.approx([4, 4, 4], abs=1e-4) and given()
+
+
+def test_deleted_meanwhile(blender: ModuleType, standing, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, cube, _ = standing
+    during_the_job(monkeypatch, lambda: blender.data.objects.remove(cube))
+    blender.ops.roigs.stand_here(point=(1.5, -1.5, 0.0), eye=(1.5, -4.0, 3.0))
+    assert scene.world == scene.roigs.stage.world
+
+
+def test_in_another_scene_meanwhile(
+    blender: ModuleType, standing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def switch() -> None:
+        blender.context.window.scene = other
+        blender.context.view_layer.update()
+
+    scene, cube, _ = standing
+    other = blender.data.scenes.new("other")
+    during_the_job(monkeypatch, switch)
+    x, y, _ = CENTRE
+    blender.ops.roigs.stand_here(point=(x, y, 0.0), eye=(x, y, 4.0))
+    assert blender.context.scene == other and other.roigs.stage.collection is None
+    blender.context.window.scene = scene
+    names = {item.name for item in scene.roigs.stage.collection.objects}
+    assert "Background Proxy" in names
+    assert corners(cube)[:, 2].min() == pytest.approx(CENTRE[2] + 0.5, abs=0.05), "on the mesh"
+
+
 def test_without_an_engine_it_stands_and_says_why(
     blender: ModuleType, standing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
