@@ -22,7 +22,17 @@ from ..errors import AddonError
 from ..facts import caches, run_facts
 from ..jobs import current, run_folders
 from ..properties import SHOWN_AS, object_props
-from ..scene import box_surfaces, carried, compared, compositor, detail, edits, lookup, splats
+from ..scene import (
+    box_surfaces,
+    carried,
+    compared,
+    compositor,
+    detail,
+    edits,
+    lookup,
+    ownership,
+    splats,
+)
 from ..windows import redraw
 from .base import FRESH, NO_RESULT, available, failed, tell
 
@@ -62,7 +72,7 @@ class LoadResults(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Make an object for the background, and two for each box."""
-        scene, shown = scene_of(context), lookup.splats(scene_of(context))
+        scene, shown = scene_of(context), ownership.own_splats(scene_of(context))
         leave_edit_mode(shown)  # in it, what was edited cannot be told
         try:
             folder, edited = self._folder(scene), any(map(edits.is_edited, shown))

@@ -29,6 +29,7 @@ from . import (
     edits,
     lookup,
     origins,
+    ownership,
     start_cube,
     visibility,
 )
@@ -52,12 +53,13 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]
     """Import a run's Gaussians: the background, and each box's result and first pass.
 
     Objects of an earlier result and their copies get the new data. Objects of a box that this
-    result does not have are removed: its background contains what they showed.
+    result does not have are removed: its background contains what they showed. Objects that were
+    appended, linked or taken are left alone.
 
     Raises:
         AddonError: a file is missing or damaged.
     """
-    leave_edit_mode(lookup.splats(scene))
+    leave_edit_mode(ownership.own_splats(scene))
     remove_preview(scene)
     _hide_sparse(scene)
     files = result_files(folder)
@@ -65,7 +67,7 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]
     fresh = read_files(files)
     rename_boxes(scene, renamed(scene, fresh))
     shown = [item for part, file in files.items() for item in show(scene, part, file, fresh[part])]
-    for item in lookup.splats(scene):
+    for item in ownership.own_splats(scene):
         props = object_props(item)
         file = files.get((props.level, props.roi))
         if file is not None:
@@ -118,7 +120,7 @@ def result_files(folder: Path) -> dict[Part, Path]:
 
 def rename_boxes(scene: bpy.types.Scene, renamed: Mapping[str, str]) -> None:
     """Give the Gaussians of renamed boxes, old name -> new one, the new names."""
-    for item in (*lookup.splats(scene), *lookup.of_kind(scene, "SURFACE")):
+    for item in ownership.own_objects(scene):
         props = object_props(item)
         if new := renamed.get(props.roi):
             if item.name in (mesh_name(props.roi), object_name(props.level, props.roi)):
@@ -133,22 +135,23 @@ def take_names(scene: bpy.types.Scene, files: Mapping[Part, Path]) -> None:
     A training that failed at once has not renamed the files of renamed boxes.
     """
     of_file = {str(file): roi for (_, roi), file in files.items()}
-    shown = (object_props(item) for item in lookup.splats(scene))
+    shown = (object_props(item) for item in ownership.own_splats(scene))
     pairs = {(props.roi, of_file[props.ply]) for props in shown if props.ply in of_file}
     rename_boxes(scene, {now: roi for now, roi in pairs if now != roi})
 
 
 def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
-    """Show the model in training. Meanwhile, results are hidden, but not imports."""
+    """Show the model in training. Meanwhile, the scene's own result is hidden."""
     item = next(iter(_of(scene, "PREVIEW", "")), None)
     if item is None:
         item = _new_object(
             scene, "ROI-GS Preview", clouds.new_points("Preview", np.zeros((0, 3), np.float32))
         )
         object_props(item).level = "PREVIEW"
+        ownership.claim(scene, item)
         display.show_as(item, "EXACT")  # it has only its file, no points
-        for other in (*lookup.splats(scene), *lookup.of_kind(scene, "SURFACE")):
-            if other != item and object_props(other).level != "IMPORTED":
+        for other in ownership.own_objects(scene):
+            if other != item:
                 visibility.wait(other)
         _hide_sparse(scene)
     object_props(item).ply = str(path)
@@ -188,7 +191,7 @@ def show_as(scene: bpy.types.Scene, way: str) -> None:
 
 def remove_preview(scene: bpy.types.Scene) -> None:
     """Remove the preview of the training; show again the objects hidden for it, boxes refined."""
-    for item in (*lookup.splats(scene), *lookup.of_kind(scene, "SURFACE")):
+    for item in ownership.own_objects(scene):
         visibility.resume(item)
         visibility.unpark(item)
         if object_props(item).level == "PREVIEW":
@@ -208,7 +211,7 @@ def _of(scene: bpy.types.Scene, level: str, roi: str) -> list[bpy.types.Object]:
 
     Edited copies and separated parts are left out: they are objects of their own.
     """
-    kinds = ((item, object_props(item)) for item in lookup.splats(scene))
+    kinds = ((item, object_props(item)) for item in ownership.own_splats(scene))
     found = [item for item, props in kinds if props.level == level and props.roi == roi]
     first = found[0].data if found else None
     return [item for item in found if item.data == first or not edits.is_edited(item)]
@@ -265,6 +268,7 @@ def show(
     for item in shown:
         props = object_props(item)
         props.level, props.roi, props.ply = level, roi, str(path)
+        ownership.claim(scene, item)
     return shown
 
 

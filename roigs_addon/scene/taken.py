@@ -19,7 +19,7 @@ from ..blender import leave_edit_mode, mesh_of
 from ..errors import AddonError
 from ..geometry import little_picture, support
 from ..properties import object_props
-from . import box_surfaces, clouds, edits, lookup, point_edits, relight, visibility
+from . import box_surfaces, clouds, edits, lookup, ownership, point_edits, relight, visibility
 from .image_pixels import pixels_of
 
 MARK = "roigs_taken"
@@ -46,7 +46,7 @@ def take(scene: bpy.types.Scene, item: bpy.types.Object) -> bpy.types.Collection
     if not len(mesh_of(item).polygons):
         raise AddonError(EMPTY.format(item.name))
     roi = object_props(item).roi
-    gaussians = box_surfaces.gaussians_of(scene, roi)
+    gaussians = box_surfaces.gaussians_of(scene, item)
     leave_edit_mode([each for each in (item, gaussians) if each is not None])
     collection = bpy.data.collections.new(roi)
     collection[MARK] = True
@@ -57,9 +57,10 @@ def take(scene: bpy.types.Scene, item: bpy.types.Object) -> bpy.types.Collection
     cloud = _copied(gaussians, collection) if gaussians is not None else None
     if cloud is not None and top is not None:
         point_edits.remove(cloud, point_edits.places(cloud)[:, 2] < top)
-    foot = _foot(mesh)
-    for copy in filter(None, (mesh, cloud)):
+    foot, copies = _foot(mesh), [each for each in (mesh, cloud) if each is not None]
+    for copy in copies:
         _stand(copy, foot)
+    ownership.disown(map(object_props, copies))
     way = box_surfaces.way_of(scene, item)
     if way == box_surfaces.GAUSSIANS and cloud is not None:
         visibility.disable(mesh)
