@@ -151,12 +151,12 @@ class SetDetail(bpy.types.Operator):
         scene = scene_of(context)
         try:
             for item in lookup.splats(scene):
-                if object_props(item).level == "RESULT" and item.name == self.name:
+                if object_props(item).level == "RESULT" and item.name_full == self.name:
                     detail.set_auto(scene, item, self.auto)
             for pair in detail.pairs(scene):
                 items = [item for item in (pair.fine, pair.coarse) if item is not None]
                 of_box = any(object_props(item).roi == self.roi for item in items)
-                named = any(item.name == self.name for item in items)
+                named = any(item.name_full == self.name for item in items)
                 if named if self.name else of_box:
                     detail.set_detail(scene, pair, self.fine, auto=self.auto)
         except AddonError as error:
@@ -229,7 +229,7 @@ class SelectGaussians(bpy.types.Operator):
         """Select the object, and nothing else."""
         scene = scene_of(context)
         shown = (*lookup.splats(scene), *lookup.of_kind(scene, "SURFACE"))
-        item = next((item for item in shown if item.name == self.name), None)
+        item = next((item for item in shown if item.name_full == self.name), None)
         if item is None:
             return failed(self, f"There are no Gaussians '{self.name}'.")
         select_only(context, item)

@@ -155,8 +155,8 @@ class ExportSurface(bpy.types.Operator):
 
 
 def mesh_named(context: bpy.types.Context, name: str) -> bpy.types.Object | None:
-    """The mesh of a box with this object's name."""
-    found = (item for item in box_surfaces.surfaces(scene_of(context)) if item.name == name)
+    """The mesh of a box with this object's full name: that of a linked one names its .blend."""
+    found = (item for item in box_surfaces.surfaces(scene_of(context)) if item.name_full == name)
     return next(found, None)
 
 

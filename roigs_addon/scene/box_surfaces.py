@@ -17,7 +17,7 @@ import numpy as np
 from mathutils import Matrix as BlenderMatrix
 from mathutils import Vector
 
-from ..blender import following, leave_edit_mode, mesh_of, persistent
+from ..blender import following, is_local, leave_edit_mode, mesh_of, persistent
 from ..errors import AddonError
 from ..geometry.common_map import common_map
 from ..geometry.frames import Matrix
@@ -215,7 +215,9 @@ def show_all(scene: bpy.types.Scene) -> None:
 
 
 def _shown_kinds(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    return [*lookup.splats(scene), *lookup.of_kind(scene, "SURFACE")]
+    """Gaussians and meshes that can be hidden: not those of another .blend."""
+    found = (*lookup.splats(scene), *lookup.of_kind(scene, "SURFACE"))
+    return [item for item in found if is_local(item)]
 
 
 def is_of_other_result(scene: bpy.types.Scene, item: bpy.types.Object) -> bool:

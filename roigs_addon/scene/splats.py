@@ -15,7 +15,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..blender import delete, leave_edit_mode, mesh_of
+from ..blender import delete, is_local, leave_edit_mode, mesh_of
 from ..engine.earlier_results import earlier_results
 from ..errors import AddonError
 from ..geometry.splat_cloud import read_splats
@@ -163,7 +163,7 @@ def follow(scene: bpy.types.Scene, folder: Path) -> int:
 
     A new training moves the last result there. Returns the number of objects whose file was found.
     """
-    shown = [i for i in lookup.splats(scene) if object_props(i).ply and i.library is None]
+    shown = [i for i in lookup.splats(scene) if object_props(i).ply and is_local(i)]
     lost = [item for item in shown if not edits.is_held(item, object_props(item).ply)]
     results = [folder, *(result.folder for result in earlier_results(folder))] if lost else []
     found = 0
@@ -202,7 +202,7 @@ def remove_preview(scene: bpy.types.Scene) -> None:
 def _hide_sparse(scene: bpy.types.Scene) -> None:
     """Hide the sparse points: as solid objects they would cover Gaussians behind them."""
     sparse = lookup.points(scene)
-    if sparse is not None:
+    if sparse is not None and is_local(sparse):
         visibility.disable(sparse)
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import bpy
 from mathutils import Vector
 
-from ..blender import delete
+from ..blender import delete, is_local
 from ..properties import SHOWN_AS, object_props
 from ..shared import text
 from ..stage_properties import stage_props
@@ -128,7 +128,7 @@ def show_exactly(scene: bpy.types.Scene) -> None:
     would catch nothing. They would also light objects that proxies light already.
     """
     for item in lookup.splats(scene):
-        if display.is_native(item) and item.is_editable:
+        if display.is_native(item) and is_local(item):
             keep(scene, f"{NATIVE}{item.name}", object_props(item).shown_as)
             display.show_as(item, "EXACT")
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.addon.results import set_aside
@@ -57,7 +58,11 @@ def bring(blender: ModuleType, run, project: Path, tmp_path: Path) -> Bring:
         else:
             names = ("Background", "thing Gaussians", "thing first pass", "thing Mesh")
             files = [{"name": name} for name in names]
-            getattr(blender.ops.wm, way)(directory=f"{source}/Object/", files=files)
+            load = blender.ops.wm.append if way == "append" else blender.ops.wm.link
+            load(directory=f"{source}/Object/", files=files)
+        if way == "override":
+            for item in [i for i in scene.objects if i.library is not None and i.type == "MESH"]:
+                item.override_create(remap_local_usages=True)
         blender.context.view_layer.update()
         return scene, own, [i for i in scene.objects if i not in before and i.type == "MESH"]
 
@@ -96,7 +101,7 @@ def use_own_results(bpy: ModuleType, scene, own: Path, box: str) -> None:
 
 @pytest.mark.parametrize("shown", [True, False])
 @pytest.mark.parametrize("box", ["thing", "other"])
-@pytest.mark.parametrize("way", ["append", "take", "link"])
+@pytest.mark.parametrize("way", ["append", "take", "link", "override"])
 def test_own_results_leave_others_alone(
     blender: ModuleType, bring: Bring, way: str, box: str, shown: bool
 ) -> None:
@@ -116,6 +121,37 @@ def test_own_results_leave_others_alone(
     }
     mesh = box_surfaces.surface_of(scene, box)
     assert mesh not in others and box_surfaces.gaussians_of(scene, mesh) == mine["ROI"]
+
+
+@pytest.mark.parametrize("way", ["link", "override"])
+def test_what_belongs_to_another_file_is_never_written(
+    blender: ModuleType, bring: Bring, way: str
+) -> None:
+    """Blender does not save such changes, or a part of them."""
+    from mathutils import Matrix
+
+    from roigs_addon.scene import ownership, placement, splats
+
+    scene, own, others = bring(way)
+    before = state(others)
+    for shown in ("POINTS", "EXACT", "GAUSSIANS", "POINTS"):
+        blender.ops.roigs.show_as(way=shown)
+        assert state(others) == before
+    write_ball(own / "rois" / "thing.glb")
+    blender.ops.roigs.load_results()
+    (mine,) = (i for i in scene.objects if i.roigs.kind == "SURFACE" and i not in others)
+    blender.ops.roigs.show_alone(name=mine.name)
+    assert state(others) == before and mine.visible_get()
+    assert not any(item.visible_get() for item in ownership.own_splats(scene))
+    blender.ops.roigs.show_alone(name=mine.name)
+    blender.ops.roigs.set_detail(name=ownership.own_splats(scene)[1].name, fine=False)
+    assert state(others) == before
+    placement.move(scene, np.array(Matrix.Translation((1, 2, 3))))
+    blender.context.view_layer.update()
+    assert state(others) == before
+    (own.parent / "run").rename(own.parent / "away")
+    splats.follow(scene, own.parent / "away")
+    assert state(others) == before
 
 
 def test_a_copy_of_the_file_may_bring_its_own_objects(blender: ModuleType, bring: Bring) -> None:
