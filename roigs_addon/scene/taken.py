@@ -7,6 +7,7 @@ contains a plate of the object's support, it is cut off.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import bmesh
@@ -26,6 +27,8 @@ MARK = "roigs_taken"
 """Custom property of the collections."""
 CRUMB = 0.1
 """Share of the height above a cut that every piece of the object reaches."""
+TRANSFORMS = ("location", "rotation", "scale", "delta_")
+"""Beginnings of the names of properties that place an object."""
 SIDE, POINTS = 256, 400_000
 """Of the preview: pixels, and points of the surface that are drawn."""
 TEXT = "Captured object: its mesh and its Gaussians. Made with ROI-GS"
@@ -91,6 +94,7 @@ def _copied(item: bpy.types.Object, collection: bpy.types.Collection) -> bpy.typ
     props.aside.clear()
     props.property_unset("parked")
     props.property_unset("beside")
+    _stop_moving(copy)
     _follow_itself(copy, item)
     collection.objects.link(copy)
     copy.matrix_basis = world
@@ -98,6 +102,42 @@ def _copied(item: bpy.types.Object, collection: bpy.types.Collection) -> bpy.typ
     if relight.is_on(item):
         relight.add_slider(copy, item[relight.SLIDER])
     return copy
+
+
+def _stop_moving(copy: bpy.types.Object) -> None:
+    """Remove a copy's animation of its place; the animation of its look stays.
+
+    A copied object still has the original's actions, so it gets actions of its own.
+    """
+    animation: Any = copy.animation_data
+    if animation is None:
+        return
+    strips = [strip for track in animation.nla_tracks for strip in track.strips]
+    for user in (animation, *strips):
+        if user.action is None:
+            continue
+        slot = getattr(user, "action_slot", None)
+        user.action = user.action.copy()
+        if slot is not None:
+            user.action_slot = user.action.slots[slot.identifier]
+        for curves in _curves_in(user.action):
+            _remove_transforms(curves)
+    _remove_transforms(animation.drivers)
+
+
+def _curves_in(action: Any) -> Iterator[Any]:
+    """Yield the curves of each slot of an action; before Blender 4.4, actions have no slots."""
+    layers = getattr(action, "layers", ())
+    if not layers:
+        yield getattr(action, "fcurves", ())
+    for layer in layers:
+        for strip in layer.strips:
+            yield from (bag.fcurves for bag in strip.channelbags)
+
+
+def _remove_transforms(curves: Any) -> None:
+    for curve in [curve for curve in curves if curve.data_path.startswith(TRANSFORMS)]:
+        curves.remove(curve)
 
 
 def _follow_itself(copy: bpy.types.Object, item: bpy.types.Object) -> None:
