@@ -44,7 +44,7 @@ def take(scene: bpy.types.Scene, item: bpy.types.Object) -> bpy.types.Collection
     """Make an asset from copies of a box's mesh and Gaussians.
 
     Raises:
-        AddonError: the mesh is empty.
+        AddonError: the mesh is empty, or an object is too far away.
     """
     if not len(mesh_of(item).polygons):
         raise AddonError(EMPTY.format(item.name))
@@ -82,7 +82,7 @@ def _foot(item: bpy.types.Object) -> Vector:
 
 def _copied(item: bpy.types.Object, collection: bpy.types.Collection) -> bpy.types.Object:
     """Copy an object with its data, in its place in the world, without a parent."""
-    world = Matrix(lookup.matrix_world(item).tolist())
+    world = Matrix(lookup.stands(item, bpy.context.evaluated_depsgraph_get()).tolist())
     copy = item.copy()
     copy.data = mesh_of(item).copy()
     copy.name = item.name

@@ -280,6 +280,22 @@ def test_a_taken_object_stays_at_its_origin_and_keeps_its_look(
     assert len(turns) == 1
 
 
+def test_hidden_gaussians_are_taken_from_where_the_scene_is_now(blender: ModuleType, ball) -> None:
+    item, scene, _ = ball
+    assert scene.objects["thing Gaussians"].hide_viewport
+    blender.ops.roigs.take_object(name=item.name)
+    scene.roigs.root.location = (3.0, 0.0, 1.0)
+    blender.context.view_layer.update()
+    blender.ops.roigs.take_object(name=item.name)
+    taken = [blender.data.collections[name].objects for name in ("thing", "thing.001")]
+    middles = [
+        np.mean([each.matrix_world @ vertex.co for vertex in each.data.vertices], axis=0)
+        for items in taken
+        for each in sorted(items, key=lambda each: each.roigs.kind)
+    ]
+    np.testing.assert_allclose(middles[:2], middles[2:], atol=1e-4)
+
+
 def test_what_an_object_stood_on_stays(blender: ModuleType, ball) -> None:
     import bmesh
     from mathutils import Matrix
