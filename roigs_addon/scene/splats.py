@@ -45,6 +45,8 @@ BELOW = {"RESULT": 1, "SCENE": 2, "ROI": 2, "IMPORTED": 3}
 MESH_FILE = ".surface.ply"
 """End of the names of files beside those of boxes: `surface --format ply` writes meshes."""
 COLLECTION = "ROI-GS Gaussians"
+GAUSSIANS = "roigs_gaussians"
+"""Custom property that marks the collection; another scene's has the name."""
 UNUSED = "ROI-GS new"
 MATERIAL = "ROI-GS Gaussians"
 
@@ -302,17 +304,25 @@ def _points(name: str, path: Path) -> bpy.types.Object:
     return item
 
 
+def _collection(scene: bpy.types.Scene) -> bpy.types.Collection:
+    """Return the scene's collection of Gaussians; it may be moved and renamed."""
+    known = (c for c in scene.collection.children_recursive if is_local(c))
+    # Earlier versions did not mark it.
+    collection = next((c for c in known if c.get(GAUSSIANS) or c.name == COLLECTION), None)
+    if collection is None:
+        collection = bpy.data.collections.new(COLLECTION)
+        collection[GAUSSIANS] = True
+        scene.collection.children.link(collection)
+    return collection
+
+
 def _new_object(scene: bpy.types.Scene, name: str, item: bpy.types.Object) -> bpy.types.Object:
     others = (object_props(other) for other in lookup.splats(scene))
     way = next((props.shown_as for props in others if props.level != "PREVIEW"), "GAUSSIANS")
     item.name = name
     object_props(item).kind = "SPLATS"
     item.parent = scene_props(scene).root
-    collection = scene.collection.children.get(COLLECTION)
-    if collection is None:
-        collection = bpy.data.collections.new(COLLECTION)
-        scene.collection.children.link(collection)
-    collection.objects.link(item)
+    _collection(scene).objects.link(item)
     material = bpy.data.materials.get(MATERIAL) or clouds.colour_material(MATERIAL, "opacity")
     clouds.show_as_points(item, material, "radius")
     clouds.add_nodes_modifier(item, display.MODIFIER, None)
