@@ -316,6 +316,12 @@ def _collection(scene: bpy.types.Scene) -> bpy.types.Collection:
     return collection
 
 
+def _material() -> bpy.types.Material:
+    """Return this .blend's material of points, not a linked one."""
+    known = (each for each in bpy.data.materials if each.name == MATERIAL and is_local(each))
+    return next(known, None) or clouds.colour_material(MATERIAL, "opacity")
+
+
 def _new_object(scene: bpy.types.Scene, name: str, item: bpy.types.Object) -> bpy.types.Object:
     others = (object_props(other) for other in lookup.splats(scene))
     way = next((props.shown_as for props in others if props.level != "PREVIEW"), "GAUSSIANS")
@@ -323,8 +329,7 @@ def _new_object(scene: bpy.types.Scene, name: str, item: bpy.types.Object) -> bp
     object_props(item).kind = "SPLATS"
     item.parent = scene_props(scene).root
     _collection(scene).objects.link(item)
-    material = bpy.data.materials.get(MATERIAL) or clouds.colour_material(MATERIAL, "opacity")
-    clouds.show_as_points(item, material, "radius")
+    clouds.show_as_points(item, _material(), "radius")
     clouds.add_nodes_modifier(item, display.MODIFIER, None)
     display.show_as(item, way)
     return item

@@ -170,6 +170,20 @@ def test_a_copy_of_the_file_may_bring_its_own_objects(blender: ModuleType, bring
     assert len(scene.objects["thing Gaussians"].data.vertices) == 302
 
 
+def test_own_objects_use_nothing_of_a_linked_file(blender: ModuleType, bring: Bring) -> None:
+    """It may be gone the next time."""
+    from roigs_addon.scene import ownership
+
+    scene, _, _ = bring("link", shown=False)
+    blender.ops.roigs.load_results()
+    for item in ownership.own_splats(scene):
+        groups = [m.node_group for m in item.modifiers if m.type == "NODES" and m.node_group]
+        nodes = [node for group in groups for node in group.nodes]
+        inputs = [s.default_value for n in nodes for s in n.inputs if s.type == "MATERIAL"]
+        used = [*groups, *filter(None, inputs)]
+        assert len(used) > len(groups) and not any(each.library for each in used)
+
+
 def test_an_appended_scene_keeps_its_results(blender: ModuleType, bring: Bring) -> None:
     from roigs_addon.scene import splats
 
