@@ -34,6 +34,7 @@ MODULES = (
     "scene.box_surfaces",
     "scene.carried",
     "scene.instances",
+    "scene.ownership",
     "scene.formerly_hidden",
     "scene.arrivals",
     "scene.placement",

@@ -87,6 +87,11 @@ def areas(kind: str) -> Iterator[bpy.types.Area]:
         yield from (area for area in window.screen.areas if area.type == kind)
 
 
+def is_local(block: bpy.types.ID) -> bool:
+    """Whether a data-block is this .blend's own: neither linked nor a library override."""
+    return block.library is None and block.override_library is None
+
+
 def mesh_of(item: bpy.types.Object) -> bpy.types.Mesh:
     """The mesh of a mesh object."""
     assert isinstance(item.data, bpy.types.Mesh)

@@ -158,6 +158,7 @@ class RoigsObject(bpy.types.PropertyGroup):
         description="Gaussians: Blender's own splats, in the exact look as long as this is there"
     )
     roi: StringProperty(description="Gaussians, mesh: name of their box")
+    result_mark: StringProperty(description="Gaussians, mesh: mark of the result they belong to")
     surface: StringProperty(description="Mesh: the engine's record of it, as JSON")
     parked: StringProperty(
         description="Gaussians: hidden, as they are not in the shown result; earlier visibility"
@@ -334,6 +335,7 @@ class RoigsScene(bpy.types.PropertyGroup):
     )
     has_floor: BoolProperty(description="Whether the floor was put at z = 0")
     placement_key: StringProperty(description="Place of the root at that time")
+    result_mark: StringProperty(description="Mark of this scene's own result, see ownership.py")
     compared: StringProperty(description="Folder of the earlier result that was shown last")
     carry_colour: BoolProperty(
         name="View-Dependent Colour in the .blend",

@@ -14,7 +14,7 @@ from ..engine.writing import writing
 from ..errors import AddonError
 from ..geometry.frames import Matrix
 from ..properties import object_props, scene_props
-from ..scene import box_surfaces, captured_light, compared, lookup, proxies, relight
+from ..scene import box_surfaces, captured_light, compared, lookup, ownership, proxies, relight
 from ..scene.image_pixels import pixels_of
 from ..shared import files, run_files
 from ..windows import redraw
@@ -43,6 +43,7 @@ def spec(scene: bpy.types.Scene, item: bpy.types.Object) -> JobSpec:
     root = lookup.matrix_world(scene_props(scene).root)
     turn = root[:3, :3] / np.cbrt(abs(np.linalg.det(root[:3, :3])))
     picture, roi = options_files.own_folder(scene) / PICTURE, object_props(item).roi
+    box = ownership.box_of(scene, item)
     models = picture.with_name(MODELS)
     with writing(picture.parent, "Run Folder"):
         for file in (picture, run_files.mirrored(picture)):
@@ -55,7 +56,7 @@ def spec(scene: bpy.types.Scene, item: bpy.types.Object) -> JobSpec:
         now = find()
         if now is None:
             return None
-        mesh = box_surfaces.surface_of(now, roi)
+        mesh = box_surfaces.surface_of_box(now, box)
         if mesh is None:
             raise AddonError(GONE.format(roi))
         light(now, mesh, picture, turn)

@@ -18,7 +18,7 @@ from pathlib import Path
 import bpy
 
 from .. import settings
-from ..blender import following, full_path, persistent, stored
+from ..blender import following, full_path, is_local, persistent, stored
 from ..engine.writing import writing
 from ..errors import AddonError
 from ..properties import object_props, scene_props
@@ -83,7 +83,7 @@ def _copy(scene: bpy.types.Scene, before: Path, folder: Path) -> None:
     shutil.copytree(before, folder, symlinks=True)
     for item in lookup.splats(scene):
         own = Path(object_props(item).ply)
-        if own.is_relative_to(before) and item.library is None:
+        if own.is_relative_to(before) and is_local(item):
             object_props(item).ply = str(folder / own.relative_to(before))
 
 

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import bpy
 
-from ..blender import view_layer_of
+from ..blender import scene_of, view_layer_of
 from ..engine import own_files, run_status
 from ..errors import AddonError
 from ..properties import object_props, scene_props
-from ..scene import box_surfaces, compared, lookup, rois
+from ..scene import box_surfaces, compared, lookup, ownership, rois
 from ..shared import run_files, text
 from ..windows import redraw
 from . import options_files, run_folders
@@ -28,9 +28,9 @@ def box_at_hand(context: bpy.types.Context) -> tuple[str, bool]:
     Returns its name, empty if there is none, and whether this is its name in the run folder.
     """
     item, roi = view_layer_of(context).objects.active, lookup.active_roi(context)
-    props = object_props(item) if item is not None else None
-    if props is not None and props.roi and props.kind in ("SPLATS", "SURFACE"):
-        return props.roi, True
+    own = item if item is not None and ownership.is_own(scene_of(context), item) else None
+    if own is not None and (name := object_props(own).roi):
+        return name, True
     return (roi.name, False) if roi is not None else ("", False)
 
 

@@ -22,7 +22,17 @@ from ..errors import AddonError
 from ..facts import caches, run_facts
 from ..jobs import current, run_folders
 from ..properties import SHOWN_AS, object_props
-from ..scene import box_surfaces, carried, compared, compositor, detail, edits, lookup, splats
+from ..scene import (
+    box_surfaces,
+    carried,
+    compared,
+    compositor,
+    detail,
+    edits,
+    lookup,
+    ownership,
+    splats,
+)
 from ..windows import redraw
 from .base import FRESH, NO_RESULT, available, failed, tell
 
@@ -62,7 +72,7 @@ class LoadResults(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Make an object for the background, and two for each box."""
-        scene, shown = scene_of(context), lookup.splats(scene_of(context))
+        scene, shown = scene_of(context), ownership.own_splats(scene_of(context))
         leave_edit_mode(shown)  # in it, what was edited cannot be told
         try:
             folder, edited = self._folder(scene), any(map(edits.is_edited, shown))
@@ -141,12 +151,12 @@ class SetDetail(bpy.types.Operator):
         scene = scene_of(context)
         try:
             for item in lookup.splats(scene):
-                if object_props(item).level == "RESULT" and item.name == self.name:
+                if object_props(item).level == "RESULT" and item.name_full == self.name:
                     detail.set_auto(scene, item, self.auto)
             for pair in detail.pairs(scene):
                 items = [item for item in (pair.fine, pair.coarse) if item is not None]
                 of_box = any(object_props(item).roi == self.roi for item in items)
-                named = any(item.name == self.name for item in items)
+                named = any(item.name_full == self.name for item in items)
                 if named if self.name else of_box:
                     detail.set_detail(scene, pair, self.fine, auto=self.auto)
         except AddonError as error:
@@ -219,7 +229,7 @@ class SelectGaussians(bpy.types.Operator):
         """Select the object, and nothing else."""
         scene = scene_of(context)
         shown = (*lookup.splats(scene), *lookup.of_kind(scene, "SURFACE"))
-        item = next((item for item in shown if item.name == self.name), None)
+        item = next((item for item in shown if item.name_full == self.name), None)
         if item is None:
             return failed(self, f"There are no Gaussians '{self.name}'.")
         select_only(context, item)

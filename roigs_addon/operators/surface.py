@@ -155,8 +155,8 @@ class ExportSurface(bpy.types.Operator):
 
 
 def mesh_named(context: bpy.types.Context, name: str) -> bpy.types.Object | None:
-    """The mesh of a box with this object's name."""
-    found = (item for item in box_surfaces.surfaces(scene_of(context)) if item.name == name)
+    """The mesh of a box with this object's full name: that of a linked one names its .blend."""
+    found = (item for item in box_surfaces.surfaces(scene_of(context)) if item.name_full == name)
     return next(found, None)
 
 
@@ -171,7 +171,7 @@ def _look_at_selected(context: bpy.types.Context) -> None:
 
 def _select_shown(context: bpy.types.Context, item: bpy.types.Object) -> None:
     """Keep what the user works on at hand: the mesh for its Gaussians, or these for the mesh."""
-    gaussians = box_surfaces.gaussians_of(scene_of(context), object_props(item).roi)
+    gaussians = box_surfaces.gaussians_of(scene_of(context), item)
     active = view_layer_of(context).objects.active  # the context has no hidden one
     if gaussians is None or active not in (item, gaussians) or not active.hide_viewport:
         return

@@ -17,14 +17,14 @@ import numpy as np
 from mathutils import Matrix as BlenderMatrix
 from mathutils import Vector
 
-from ..blender import following, leave_edit_mode, mesh_of, persistent
+from ..blender import following, is_local, leave_edit_mode, mesh_of, persistent
 from ..errors import AddonError
 from ..geometry.common_map import common_map
 from ..geometry.frames import Matrix
 from ..geometry.glb import TexturedMesh, read_glb
 from ..properties import object_props, scene_props
 from ..shared import EngineError, files, text
-from . import clouds, detail, edits, lookup, splats, textured_meshes, visibility
+from . import clouds, detail, edits, lookup, ownership, splats, textured_meshes, visibility
 from .splat_attributes import FRAME, PLACE, imported_frame, move_to_frame, values
 
 GAUSSIANS, MESH, BOTH = "GAUSSIANS", "MESH", "BOTH"
@@ -45,29 +45,34 @@ _edited: dict[int, bool] = {}
 
 def surfaces(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """Return the mesh of each box that has one. Copies belong to the user and are left out."""
-    found: dict[str, bpy.types.Object] = {}
+    found: dict[ownership.Box, bpy.types.Object] = {}
     for item in lookup.of_kind(scene, "SURFACE"):
-        found.setdefault(object_props(item).roi, item)
+        found.setdefault(ownership.box_of(scene, item), item)
     return list(found.values())
 
 
 def surface_of(scene: bpy.types.Scene, roi: str) -> bpy.types.Object | None:
+    """The mesh of a box of the scene's own result; None if it has none."""
+    return surface_of_box(scene, ownership.own_box(scene, roi))
+
+
+def surface_of_box(scene: bpy.types.Scene, box: ownership.Box) -> bpy.types.Object | None:
     """The mesh of a box; None if it has none."""
-    return next((item for item in surfaces(scene) if object_props(item).roi == roi), None)
+    return next((i for i in surfaces(scene) if ownership.box_of(scene, i) == box), None)
 
 
-def pair_of(scene: bpy.types.Scene, roi: str) -> detail.Pair | None:
+def pair_of(scene: bpy.types.Scene, box: ownership.Box) -> detail.Pair | None:
     """Return the pair of a box's Gaussian objects, not of copies; None if there is none."""
     for pair in detail.pairs(scene):
         item = pair.fine or pair.coarse
-        if item is not None and object_props(item).roi == roi:
+        if item is not None and ownership.box_of(scene, item) == box:
             return pair
     return None
 
 
-def gaussians_of(scene: bpy.types.Scene, roi: str) -> bpy.types.Object | None:
-    """Return the Gaussian object of a box that is not switched off; None if there is none."""
-    pair = pair_of(scene, roi)
+def gaussians_of(scene: bpy.types.Scene, item: bpy.types.Object) -> bpy.types.Object | None:
+    """Return the Gaussian object of a mesh's box that is not switched off; None if none."""
+    pair = pair_of(scene, ownership.box_of(scene, item))
     return pair.shown if pair is not None else None
 
 
@@ -127,11 +132,10 @@ def show(scene: bpy.types.Scene, roi: str, path: Path, *, seen: bool = True) -> 
         read, digest = read_glb(path), files.sha256(path)
     except (OSError, ValueError) as error:
         raise AddonError(f"{error} Make the surface again.") from error
-    pair, gaussians = pair_of(scene, roi), gaussians_of(scene, roi)
-    known = surface_of(scene, roi)
+    pair, known = pair_of(scene, ownership.own_box(scene, roi)), surface_of(scene, roi)
     way = BOTH if known is not None and way_of(scene, known) == BOTH else MESH
     if known is None:
-        item = _new(scene, roi, read, gaussians)
+        item = _new(scene, roi, read, pair.shown if pair is not None else None)
     else:
         leave_edit_mode([known])
         item, old = known, mesh_of(known)
@@ -155,7 +159,7 @@ def show(scene: bpy.types.Scene, roi: str, path: Path, *, seen: bool = True) -> 
 
 def way_of(scene: bpy.types.Scene, item: bpy.types.Object) -> str:
     """Return which of `WAYS` the viewport shows; empty if it shows neither."""
-    gaussians = gaussians_of(scene, object_props(item).roi)
+    gaussians = gaussians_of(scene, item)
     seen = gaussians is not None and not gaussians.hide_viewport
     if item.hide_viewport:
         return GAUSSIANS if seen else ""
@@ -164,7 +168,7 @@ def way_of(scene: bpy.types.Scene, item: bpy.types.Object) -> str:
 
 def set_way(scene: bpy.types.Scene, item: bpy.types.Object, way: str) -> None:
     """Show Gaussians, mesh or both, in viewports and renders."""
-    gaussians = gaussians_of(scene, object_props(item).roi)
+    gaussians = gaussians_of(scene, item)
     for other, seen in ((item, way != GAUSSIANS), (gaussians, way != MESH)):
         if other is not None:
             other.hide_viewport = other.hide_render = not seen
@@ -209,12 +213,14 @@ def show_all(scene: bpy.types.Scene) -> None:
 
 
 def _shown_kinds(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    return [*lookup.splats(scene), *lookup.of_kind(scene, "SURFACE")]
+    """Gaussians and meshes that can be hidden: not those of another .blend."""
+    found = (*lookup.splats(scene), *lookup.of_kind(scene, "SURFACE"))
+    return [item for item in found if is_local(item)]
 
 
 def is_of_other_result(scene: bpy.types.Scene, item: bpy.types.Object) -> bool:
     """Whether a mesh was made from other Gaussians than the box has now."""
-    pair = pair_of(scene, object_props(item).roi)
+    pair = pair_of(scene, ownership.box_of(scene, item))
     if pair is None or pair.fine is None:
         return False
     was, now = (mesh_of(each).get(edits.SOURCE, "") for each in (item, pair.fine))
@@ -222,8 +228,9 @@ def is_of_other_result(scene: bpy.types.Scene, item: bpy.types.Object) -> bool:
 
 
 def edited(scene: bpy.types.Scene, rois: Sequence[str] = ()) -> list[str]:
-    """Return the names of edited meshes, of these boxes or of all."""
-    found = (i for i in surfaces(scene) if not rois or object_props(i).roi in rois)
+    """Return the names of edited meshes of the scene's own result, of these boxes or of all."""
+    own = (i for i in surfaces(scene) if ownership.is_own(scene, i))
+    found = (i for i in own if not rois or object_props(i).roi in rois)
     return [item.name for item in found if is_edited(item)]
 
 
@@ -278,6 +285,7 @@ def _new(
     mesh_of(item).materials.append(_material(name, _picture(roi, read.picture)))
     props = object_props(item)
     props.kind, props.roi, props.level = "SURFACE", roi, "ROI"
+    ownership.claim(scene, item)
     if gaussians is None:
         item.parent = scene_props(scene).root
         item.location = (-frame[:3, 3]).tolist()

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import bpy
 
-from ..blender import following, persistent
+from ..blender import following, is_local, persistent
 from ..geometry.splat_cloud import read_splats
 from ..properties import object_props, scene_props
 from . import clouds, edits, lookup
@@ -47,7 +47,7 @@ def _of(scene: bpy.types.Scene) -> Iterator[tuple[bpy.types.Object, bpy.types.Me
     """The Gaussian objects whose meshes can be changed now."""
     for item in lookup.splats(scene):
         mesh = item.data
-        if isinstance(mesh, bpy.types.Mesh) and mesh.library is None and not mesh.is_editmode:
+        if isinstance(mesh, bpy.types.Mesh) and is_local(mesh) and not mesh.is_editmode:
             yield item, mesh
 
 

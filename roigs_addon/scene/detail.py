@@ -19,7 +19,7 @@ from mathutils import Matrix
 from ..errors import AddonError
 from ..geometry import frames
 from ..properties import RoigsObject, object_props
-from . import edits, ladders, lookup
+from . import edits, ladders, lookup, ownership
 
 FINE, COARSE = "ROI", "SCENE"
 
@@ -40,10 +40,11 @@ class Pair:
 
 def pairs(scene: bpy.types.Scene) -> list[Pair]:
     """Return the pairs of all boxes, copies after their originals."""
-    groups: dict[tuple[str, str], dict[str, list[bpy.types.Object]]] = {}
+    groups: dict[tuple[ownership.Box, str], dict[str, list[bpy.types.Object]]] = {}
     for item, props in _of_boxes(scene):
         if not props.parked:  # parked objects belong to another result
-            group = groups.setdefault((props.roi, props.pair), {FINE: [], COARSE: []})
+            key = ownership.box_of(scene, item), props.pair
+            group = groups.setdefault(key, {FINE: [], COARSE: []})
             group[props.level].append(item)
     return [
         Pair(fine=fine, coarse=coarse)
@@ -97,9 +98,9 @@ def switch_off(item: bpy.types.Object) -> None:
 
 
 def reset(scene: bpy.types.Scene) -> None:
-    """Show every box refined."""
+    """Show every box of the scene's own result refined."""
     for pair in pairs(scene):
-        if pair.fine is not None:
+        if pair.fine is not None and ownership.is_own(scene, pair.fine):
             set_detail(scene, pair, True)
 
 
@@ -111,8 +112,8 @@ def _of_boxes(scene: bpy.types.Scene) -> Iterator[tuple[bpy.types.Object, RoigsO
 
 def _made(scene: bpy.types.Scene, item: bpy.types.Object, level: str) -> bpy.types.Object:
     """Create the second object of a copy; the two become a pair of their own."""
-    own = object_props(item)
-    same = [(other, props) for other, props in _of_boxes(scene) if props.roi == own.roi]
+    own, box = object_props(item), ownership.box_of(scene, item)
+    same = [(o, props) for o, props in _of_boxes(scene) if ownership.box_of(scene, o) == box]
     source = next((o for o, props in same if props.level == level and not props.parked), None)
     if source is None:
         kind = "refined" if level == FINE else "first-pass"

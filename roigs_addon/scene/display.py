@@ -13,6 +13,7 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ..blender import is_local
 from ..geometry.splat_cloud import SH_C0
 from ..properties import object_props
 from . import clouds, edits, instances, lookup, native_splats
@@ -56,15 +57,16 @@ def in_layer(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def show_as(item: bpy.types.Object, way: str) -> None:
-    """Show an object in one of the ways of `properties.SHOWN_AS`."""
-    object_props(item).shown_as = way
-    object_props(item).property_unset("exact_for")
-    refresh(item)
+    """Show an object in one of the ways of `properties.SHOWN_AS`, unless another .blend has it."""
+    if is_local(item):
+        object_props(item).shown_as = way
+        object_props(item).property_unset("exact_for")
+        refresh(item)
 
 
 def show_exactly(item: bpy.types.Object, what: str) -> None:
     """Show Blender's own splats in the exact look as long as something is there; others stay."""
-    if is_native(item) and item.is_editable:
+    if is_native(item) and is_local(item):
         show_as(item, "EXACT")
         object_props(item).exact_for = what
 
@@ -72,14 +74,14 @@ def show_exactly(item: bpy.types.Object, what: str) -> None:
 def show_again(items: Iterable[bpy.types.Object], what: str) -> None:
     """Show Blender's own splats again, as that is gone."""
     for item in items:
-        if object_props(item).exact_for == what and item.is_editable:
+        if object_props(item).exact_for == what:
             show_as(item, "GAUSSIANS")
 
 
 def refresh(item: bpy.types.Object) -> None:
     """Set an object's modifiers for its display: another Blender may have saved the file."""
     points, hide = (item.modifiers.get(name) for name in (clouds.POINTS, MODIFIER))
-    if not isinstance(hide, bpy.types.NodesModifier) or not item.is_editable:
+    if not isinstance(hide, bpy.types.NodesModifier) or not is_local(item):
         return
     native = is_native(item)
     if points is not None:
@@ -98,7 +100,7 @@ def refresh(item: bpy.types.Object) -> None:
 def follow(item: bpy.types.Object) -> None:
     """Give Blender's splats the map that all points of an object went through, as by Apply."""
     modifier = item.modifiers.get(MODIFIER)
-    if isinstance(modifier, bpy.types.NodesModifier) and item.is_editable and is_native(item):
+    if isinstance(modifier, bpy.types.NodesModifier) and is_local(item) and is_native(item):
         _apply(item, modifier)
 
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import bpy
 
-from ..blender import persistent
+from ..blender import is_local, persistent
 from ..properties import object_props
-from . import detail, lookup, start_cube
+from . import detail, lookup, ownership, start_cube
 from .visibility import SEEN, disable, eye_is_shut, open_eye, wait
 
 
 def take_over(scene: bpy.types.Scene) -> None:
     """Hide such objects in this version's way. Objects that the user hid with H stay hidden."""
-    items = lookup.splats(scene)
-    training = any(object_props(item).level == "PREVIEW" for item in items)
+    items = [item for item in lookup.splats(scene) if is_local(item)]
+    training = any(map(_is_preview, items))
     for item in (item for item in items if eye_is_shut(scene, item)):
         props = object_props(item)
         if props.parked:
@@ -26,10 +26,17 @@ def take_over(scene: bpy.types.Scene) -> None:
         else:
             continue
         open_eye(scene, item)
-    for other in (lookup.points(scene), start_cube.untouched(scene)):
-        if other is not None and other.hide_render and eye_is_shut(scene, other):
+    others = (lookup.points(scene), start_cube.untouched(scene))
+    for other in (each for each in others if each is not None and is_local(each)):
+        if other.hide_render and eye_is_shut(scene, other):
             disable(other)
             open_eye(scene, other)
+
+
+def _is_preview(item: bpy.types.Object) -> bool:
+    """Whether an object is an earlier version's preview: it has no mark."""
+    props = object_props(item)
+    return bool(props.level == "PREVIEW" and not props.result_mark)
 
 
 def _was_parked(item: bpy.types.Object) -> bool:
@@ -51,7 +58,8 @@ def _other_is_shown(scene: bpy.types.Scene, item: bpy.types.Object) -> bool:
     own = object_props(item)
     if own.level not in (detail.FINE, detail.COARSE):
         return False
-    same = [o for o in lookup.splats(scene) if object_props(o).roi == own.roi]
+    box = ownership.box_of(scene, item)
+    same = [other for other in lookup.splats(scene) if ownership.box_of(scene, other) == box]
     others = [o for o in same if object_props(o).level not in (own.level, "RESULT", "PREVIEW")]
     shown = any(not eye_is_shut(scene, other) for other in others)
     return shown and not any(object_props(other).off for other in others)

@@ -6,7 +6,7 @@ import bpy
 
 from ..properties import object_props, scene_props
 from ..shared import targets
-from . import display, lookup, native_splats
+from . import display, lookup, native_splats, ownership
 from .splat_attributes import marked_target
 
 
@@ -20,7 +20,8 @@ def mismatch(scene: bpy.types.Scene) -> tuple[targets.Target, targets.Target] | 
     data = next((item.data for item in blenders if item.visible_get()), None)
     wanted = targets.CYCLES if str(scene.render.engine) == "CYCLES" else targets.EEVEE
     if data is None:
-        shown = (item for item in lookup.splats(scene) if object_props(item).level == "RESULT")
+        own = ownership.own_splats(scene)
+        shown = (item for item in own if object_props(item).level == "RESULT")
         data = next((item.data for item in shown), None)
         # A .blend of another version may have another target.
         wanted = targets.TARGETS.get(scene_props(scene).made_for, targets.VIEWERS)

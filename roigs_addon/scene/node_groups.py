@@ -6,6 +6,8 @@ from typing import Any
 
 import bpy
 
+from ..blender import is_local
+
 Socket = tuple[str, str, str]
 """Name, `INPUT` or `OUTPUT`, and kind without `NodeSocket`."""
 
@@ -14,7 +16,7 @@ def known_group(name: str, tree: str, sockets: tuple[Socket, ...]) -> Any | None
     """Return the group that was made under a name; None if there is none.
 
     In a user's .blend, another group may have the name, and Blender then numbers ours. So type and
-    sockets decide.
+    sockets decide. A linked group is left out, because its .blend may go.
 
     Args:
         name: of the group.
@@ -23,7 +25,7 @@ def known_group(name: str, tree: str, sockets: tuple[Socket, ...]) -> Any | None
     """
     wanted = sorted((each, way, f"NodeSocket{kind}") for each, way, kind in sockets)
     groups: Any = bpy.data.node_groups
-    for group in groups:
+    for group in filter(is_local, groups):
         if group.bl_idname == tree and (group.name == name or group.name.startswith(f"{name}.")):
             items = list(group.interface.items_tree)
             if all(item.item_type == "SOCKET" for item in items):

@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix as BlenderMatrix
 
-from ..blender import following, persistent, view_layer_of
+from ..blender import following, is_local, persistent, view_layer_of
 from ..errors import AddonError
 from ..geometry.frames import Matrix
 from ..properties import scene_props
@@ -79,7 +79,8 @@ def move(scene: bpy.types.Scene, matrix: Matrix) -> None:
         raise AddonError(f"The scene cannot be moved there: {flaw}. Pick other points.")
     if path is not None:
         _roots.setdefault(path, lookup.matrix_world(root))
-    own = {item for kind in MOVED for item in lookup.of_kind(scene, kind)} | {root}
+    there = (item for kind in MOVED for item in lookup.of_kind(scene, kind))
+    own = {item for item in there if is_local(item)} | {root}
     tops = [item for item in own if not own.intersection(_ancestors(item))]
     graph = bpy.context.evaluated_depsgraph_get()
     before = {item: lookup.stands(item, graph) for item in tops}

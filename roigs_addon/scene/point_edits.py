@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blender import mesh_of, scene_of
+from ..blender import is_local, mesh_of, scene_of
 from ..errors import AddonError
 from ..properties import object_props
 from . import clouds, lookup
@@ -60,7 +60,7 @@ def checked_targets(context: bpy.types.Context) -> list[bpy.types.Object]:
 def _is_editable(item: bpy.types.Object) -> bool:
     if not isinstance(item.data, bpy.types.Mesh) or object_props(item).level == "PREVIEW":
         return False
-    return item.library is None and item.data.library is None and bool(len(item.data.vertices))
+    return is_local(item) and is_local(item.data) and bool(len(item.data.vertices))
 
 
 def places(item: bpy.types.Object) -> NDArray[np.float64]:

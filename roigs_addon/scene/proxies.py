@@ -24,7 +24,7 @@ from ..geometry.glb import read_glb
 from ..properties import object_props, scene_props
 from ..shared import files, transforms
 from ..stage_properties import FAR, stage_props
-from . import box_surfaces, lookup, shadow_pass, stage, textured_meshes
+from . import box_surfaces, lookup, ownership, shadow_pass, stage, textured_meshes
 from .node_groups import known_group
 
 BACKGROUND = "Background"
@@ -63,9 +63,9 @@ def of_scene(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 def lacking(scene: bpy.types.Scene) -> list[str]:
     """Return the names of boxes that have Gaussians but no mesh for a proxy."""
-    names = {object_props(i).roi for i in lookup.splats(scene) if object_props(i).roi}
-    made = {object_props(item).roi for item in box_surfaces.surfaces(scene)}
-    return sorted(names - made)
+    boxes = {ownership.box_of(scene, i) for i in lookup.splats(scene) if object_props(i).roi}
+    made = {ownership.box_of(scene, item) for item in box_surfaces.surfaces(scene)}
+    return sorted({roi for _, _, roi in boxes - made})
 
 
 def bring(scene: bpy.types.Scene, background: Path | None) -> list[bpy.types.Object]:
@@ -105,7 +105,7 @@ def settle(scene: bpy.types.Scene) -> None:
     for item in of_scene(scene):
         source, there = item.parent, scene.render.engine == shadow_pass.CYCLES
         if source is not None and object_props(source).kind == "SURFACE":
-            gaussians = box_surfaces.gaussians_of(scene, object_props(item).roi)
+            gaussians = box_surfaces.gaussians_of(scene, source)
             shown = gaussians is not None and not gaussians.hide_render
             there = there and source.hide_render and shown
         for each in (item, *item.children):

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..geometry.overlap import Points, overlap
 from ..properties import object_props
-from . import lookup
+from . import ownership
 from .splat_attributes import PLACE, values
 
 SAME = 0.5
@@ -28,7 +28,7 @@ def renamed(
         scene: with the Gaussians that are shown.
         fresh: objects of the other result by level and box, not in the scene yet.
     """
-    found = ((item, object_props(item)) for item in lookup.splats(scene))
+    found = ((item, object_props(item)) for item in ownership.own_splats(scene))
     shown = {props.roi: item for item, props in found if props.level == "ROI"}
     theirs = {roi: item for (level, roi), item in fresh.items() if level == "ROI"}
     gone = {roi: _imported(item) for roi, item in shown.items() if roi not in theirs}

@@ -15,7 +15,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..blender import delete, leave_edit_mode, mesh_of
+from ..blender import delete, is_local, leave_edit_mode, mesh_of
 from ..engine.earlier_results import earlier_results
 from ..errors import AddonError
 from ..geometry.splat_cloud import read_splats
@@ -29,6 +29,7 @@ from . import (
     edits,
     lookup,
     origins,
+    ownership,
     start_cube,
     visibility,
 )
@@ -44,6 +45,8 @@ BELOW = {"RESULT": 1, "SCENE": 2, "ROI": 2, "IMPORTED": 3}
 MESH_FILE = ".surface.ply"
 """End of names of mesh files beside the boxes' files; `surface --format ply` writes them."""
 COLLECTION = "ROI-GS Gaussians"
+GAUSSIANS = "roigs_gaussians"
+"""Custom property that marks the collection; another scene's has the name."""
 UNUSED = "ROI-GS new"
 MATERIAL = "ROI-GS Gaussians"
 
@@ -52,12 +55,13 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]
     """Import a run's Gaussians: the background, and each box's result and first pass.
 
     Objects of an earlier result and their copies get the new data. Objects of a box that this
-    result does not have are removed: its background contains what they showed.
+    result does not have are removed: its background contains what they showed. Objects that were
+    appended, linked or taken are left alone.
 
     Raises:
         AddonError: a file is missing or damaged.
     """
-    leave_edit_mode(lookup.splats(scene))
+    leave_edit_mode(ownership.own_splats(scene))
     remove_preview(scene)
     _hide_sparse(scene)
     files = result_files(folder)
@@ -65,7 +69,7 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]
     fresh = read_files(files)
     rename_boxes(scene, renamed(scene, fresh))
     shown = [item for part, file in files.items() for item in show(scene, part, file, fresh[part])]
-    for item in lookup.splats(scene):
+    for item in ownership.own_splats(scene):
         props = object_props(item)
         file = files.get((props.level, props.roi))
         if file is not None:
@@ -118,7 +122,7 @@ def result_files(folder: Path) -> dict[Part, Path]:
 
 def rename_boxes(scene: bpy.types.Scene, renamed: Mapping[str, str]) -> None:
     """Give the Gaussians of renamed boxes, old name -> new one, the new names."""
-    for item in (*lookup.splats(scene), *lookup.of_kind(scene, "SURFACE")):
+    for item in ownership.own_objects(scene):
         props = object_props(item)
         if new := renamed.get(props.roi):
             if item.name in (mesh_name(props.roi), object_name(props.level, props.roi)):
@@ -133,22 +137,23 @@ def take_names(scene: bpy.types.Scene, files: Mapping[Part, Path]) -> None:
     A training that failed at once has not renamed the files of renamed boxes.
     """
     of_file = {str(file): roi for (_, roi), file in files.items()}
-    shown = (object_props(item) for item in lookup.splats(scene))
+    shown = (object_props(item) for item in ownership.own_splats(scene))
     pairs = {(props.roi, of_file[props.ply]) for props in shown if props.ply in of_file}
     rename_boxes(scene, {now: roi for now, roi in pairs if now != roi})
 
 
 def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
-    """Show the model in training. Meanwhile, results are hidden, but not imports."""
+    """Show the model in training. Meanwhile, the scene's own result is hidden."""
     item = next(iter(_of(scene, "PREVIEW", "")), None)
     if item is None:
         item = _new_object(
             scene, "ROI-GS Preview", clouds.new_points("Preview", np.zeros((0, 3), np.float32))
         )
         object_props(item).level = "PREVIEW"
+        ownership.claim(scene, item)
         display.show_as(item, "EXACT")  # it has only its file, no points
-        for other in (*lookup.splats(scene), *lookup.of_kind(scene, "SURFACE")):
-            if other != item and object_props(other).level != "IMPORTED":
+        for other in ownership.own_objects(scene):
+            if other != item:
                 visibility.wait(other)
         _hide_sparse(scene)
     object_props(item).ply = str(path)
@@ -160,7 +165,7 @@ def follow(scene: bpy.types.Scene, folder: Path) -> int:
 
     A new training moves the last result there. Returns the number of objects whose file was found.
     """
-    shown = [i for i in lookup.splats(scene) if object_props(i).ply and i.library is None]
+    shown = [i for i in lookup.splats(scene) if object_props(i).ply and is_local(i)]
     lost = [item for item in shown if not edits.is_held(item, object_props(item).ply)]
     results = [folder, *(result.folder for result in earlier_results(folder))] if lost else []
     found = 0
@@ -188,7 +193,7 @@ def show_as(scene: bpy.types.Scene, way: str) -> None:
 
 def remove_preview(scene: bpy.types.Scene) -> None:
     """Remove the preview of the training; show again the objects hidden for it, boxes refined."""
-    for item in (*lookup.splats(scene), *lookup.of_kind(scene, "SURFACE")):
+    for item in ownership.own_objects(scene):
         visibility.resume(item)
         visibility.unpark(item)
         if object_props(item).level == "PREVIEW":
@@ -199,7 +204,7 @@ def remove_preview(scene: bpy.types.Scene) -> None:
 def _hide_sparse(scene: bpy.types.Scene) -> None:
     """Hide the sparse points: as solid objects they would cover Gaussians behind them."""
     sparse = lookup.points(scene)
-    if sparse is not None:
+    if sparse is not None and is_local(sparse):
         visibility.disable(sparse)
 
 
@@ -208,7 +213,7 @@ def _of(scene: bpy.types.Scene, level: str, roi: str) -> list[bpy.types.Object]:
 
     Edited copies and separated parts are left out: they are objects of their own.
     """
-    kinds = ((item, object_props(item)) for item in lookup.splats(scene))
+    kinds = ((item, object_props(item)) for item in ownership.own_splats(scene))
     found = [item for item, props in kinds if props.level == level and props.roi == roi]
     first = found[0].data if found else None
     return [item for item in found if item.data == first or not edits.is_edited(item)]
@@ -265,6 +270,7 @@ def show(
     for item in shown:
         props = object_props(item)
         props.level, props.roi, props.ply = level, roi, str(path)
+        ownership.claim(scene, item)
     return shown
 
 
@@ -298,6 +304,24 @@ def _points(name: str, path: Path) -> bpy.types.Object:
     return item
 
 
+def _collection(scene: bpy.types.Scene) -> bpy.types.Collection:
+    """Return the scene's collection of Gaussians; it may be moved and renamed."""
+    known = (c for c in scene.collection.children_recursive if is_local(c))
+    # Earlier versions did not mark it.
+    collection = next((c for c in known if c.get(GAUSSIANS) or c.name == COLLECTION), None)
+    if collection is None:
+        collection = bpy.data.collections.new(COLLECTION)
+        collection[GAUSSIANS] = True
+        scene.collection.children.link(collection)
+    return collection
+
+
+def _material() -> bpy.types.Material:
+    """Return this .blend's material of points, not a linked one."""
+    known = (each for each in bpy.data.materials if each.name == MATERIAL and is_local(each))
+    return next(known, None) or clouds.colour_material(MATERIAL, "opacity")
+
+
 def _new_object(scene: bpy.types.Scene, name: str, item: bpy.types.Object) -> bpy.types.Object:
     others = (object_props(other) for other in lookup.splats(scene))
     like = next((props for props in others if props.level != "PREVIEW"), object_props(item))
@@ -305,13 +329,8 @@ def _new_object(scene: bpy.types.Scene, name: str, item: bpy.types.Object) -> bp
     item.name = name
     object_props(item).kind = "SPLATS"
     item.parent = scene_props(scene).root
-    collection = scene.collection.children.get(COLLECTION)
-    if collection is None:
-        collection = bpy.data.collections.new(COLLECTION)
-        scene.collection.children.link(collection)
-    collection.objects.link(item)
-    material = bpy.data.materials.get(MATERIAL) or clouds.colour_material(MATERIAL, "opacity")
-    clouds.show_as_points(item, material, "radius")
+    _collection(scene).objects.link(item)
+    clouds.show_as_points(item, _material(), "radius")
     clouds.add_nodes_modifier(item, display.MODIFIER, None)
     display.show_as(item, way)
     object_props(item).exact_for = exact_for

@@ -7,6 +7,7 @@ contains a plate of the object's support, it is cut off.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import bmesh
@@ -19,13 +20,15 @@ from ..blender import leave_edit_mode, mesh_of
 from ..errors import AddonError
 from ..geometry import little_picture, support
 from ..properties import object_props
-from . import box_surfaces, clouds, edits, lookup, point_edits, relight, visibility
+from . import box_surfaces, clouds, edits, lookup, ownership, point_edits, relight, visibility
 from .image_pixels import pixels_of
 
 MARK = "roigs_taken"
 """Custom property of the collections."""
 CRUMB = 0.1
 """Pieces that end below this share of the height above a cut are removed."""
+TRANSFORMS = ("location", "rotation", "scale", "delta_")
+"""Beginnings of the names of properties that place an object."""
 SIDE, POINTS = 256, 400_000
 """Side of the preview in pixels, and number of surface points drawn in it."""
 TEXT = "Captured object: its mesh and its Gaussians. Made with ROI-GS"
@@ -41,12 +44,12 @@ def take(scene: bpy.types.Scene, item: bpy.types.Object) -> bpy.types.Collection
     """Make an asset from copies of a box's mesh and Gaussians.
 
     Raises:
-        AddonError: the mesh is empty.
+        AddonError: the mesh is empty, or an object is too far away.
     """
     if not len(mesh_of(item).polygons):
         raise AddonError(EMPTY.format(item.name))
     roi = object_props(item).roi
-    gaussians = box_surfaces.gaussians_of(scene, roi)
+    gaussians = box_surfaces.gaussians_of(scene, item)
     leave_edit_mode([each for each in (item, gaussians) if each is not None])
     collection = bpy.data.collections.new(roi)
     collection[MARK] = True
@@ -57,9 +60,10 @@ def take(scene: bpy.types.Scene, item: bpy.types.Object) -> bpy.types.Collection
     cloud = _copied(gaussians, collection) if gaussians is not None else None
     if cloud is not None and top is not None:
         point_edits.remove(cloud, point_edits.places(cloud)[:, 2] < top)
-    foot = _foot(mesh)
-    for copy in filter(None, (mesh, cloud)):
+    foot, copies = _foot(mesh), [each for each in (mesh, cloud) if each is not None]
+    for copy in copies:
         _stand(copy, foot)
+    ownership.disown(map(object_props, copies))
     way = box_surfaces.way_of(scene, item)
     if way == box_surfaces.GAUSSIANS and cloud is not None:
         visibility.disable(mesh)
@@ -78,7 +82,7 @@ def _foot(item: bpy.types.Object) -> Vector:
 
 def _copied(item: bpy.types.Object, collection: bpy.types.Collection) -> bpy.types.Object:
     """Copy an object with its data, in its place in the world, without a parent."""
-    world = Matrix(lookup.matrix_world(item).tolist())
+    world = Matrix(lookup.stands(item, bpy.context.evaluated_depsgraph_get()).tolist())
     copy = item.copy()
     copy.data = mesh_of(item).copy()
     copy.name = item.name
@@ -90,6 +94,7 @@ def _copied(item: bpy.types.Object, collection: bpy.types.Collection) -> bpy.typ
     props.aside.clear()
     props.property_unset("parked")
     props.property_unset("beside")
+    _stop_moving(copy)
     _follow_itself(copy, item)
     collection.objects.link(copy)
     copy.matrix_basis = world
@@ -97,6 +102,42 @@ def _copied(item: bpy.types.Object, collection: bpy.types.Collection) -> bpy.typ
     if relight.is_on(item):
         relight.add_slider(copy, item[relight.SLIDER])
     return copy
+
+
+def _stop_moving(copy: bpy.types.Object) -> None:
+    """Remove a copy's animation of its place; the animation of its look stays.
+
+    A copied object still has the original's actions, so it gets actions of its own.
+    """
+    animation: Any = copy.animation_data
+    if animation is None:
+        return
+    strips = [strip for track in animation.nla_tracks for strip in track.strips]
+    for user in (animation, *strips):
+        if user.action is None:
+            continue
+        slot = getattr(user, "action_slot", None)
+        user.action = user.action.copy()
+        if slot is not None:
+            user.action_slot = user.action.slots[slot.identifier]
+        for curves in _curves_in(user.action):
+            _remove_transforms(curves)
+    _remove_transforms(animation.drivers)
+
+
+def _curves_in(action: Any) -> Iterator[Any]:
+    """Yield the curves of each slot of an action; before Blender 4.4, actions have no slots."""
+    layers = getattr(action, "layers", ())
+    if not layers:
+        yield getattr(action, "fcurves", ())
+    for layer in layers:
+        for strip in layer.strips:
+            yield from (bag.fcurves for bag in strip.channelbags)
+
+
+def _remove_transforms(curves: Any) -> None:
+    for curve in [curve for curve in curves if curve.data_path.startswith(TRANSFORMS)]:
+        curves.remove(curve)
 
 
 def _follow_itself(copy: bpy.types.Object, item: bpy.types.Object) -> None:

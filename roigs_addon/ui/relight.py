@@ -36,10 +36,10 @@ class RelightPanel(SidebarPanel):
             if relight.is_on(item):
                 row = column.row(align=True)
                 row.prop(item, f'["{relight.SLIDER}"]', slider=True)
-                row.operator(StopRelight.bl_idname, text="", icon="X").name = item.name
+                row.operator(StopRelight.bl_idname, text="", icon="X").name = item.name_full
             row = column.row(align=True)
-            row.operator(Relight.bl_idname, icon="LIGHT").name = item.name
-            row.operator(TakeObject.bl_idname, icon="ASSET_MANAGER").name = item.name
+            row.operator(Relight.bl_idname, icon="LIGHT").name = item.name_full
+            row.operator(TakeObject.bl_idname, icon="ASSET_MANAGER").name = item.name_full
             if relight.is_lacking(item) and not current.busy():
                 show.wrong(layout, f"'{item.name}' was made again: click Relight again")
         for name in taken.names():

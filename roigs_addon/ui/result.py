@@ -181,13 +181,13 @@ def _detail_button(
     auto: bool = False,
 ) -> None:
     button = row.operator(SetDetail.bl_idname, text=label, depress=pressed)
-    button.name, button.fine, button.auto = item.name, fine, auto
+    button.name, button.fine, button.auto = item.name_full, fine, auto
 
 
 def _draw_name(row: bpy.types.UILayout, item: bpy.types.Object, name: str) -> None:
     """Show the name as a button that selects the object."""
     button = row.operator(SelectGaussians.bl_idname, text=name, depress=item.select_get())
-    button.name = item.name
+    button.name = item.name_full
 
 
 def _draw_ways(layout: bpy.types.UILayout, splats: Objects) -> None:

@@ -45,15 +45,15 @@ class SurfacePanel(SidebarPanel):
             button = column.operator(
                 SelectGaussians.bl_idname, text=item.name, depress=item.select_get()
             )
-            button.name = item.name
+            button.name = item.name_full
             row, now = column.row(align=True), box_surfaces.way_of(scene, item)
             for way, label, _ in box_surfaces.WAYS:
                 button = row.operator(ShowSurface.bl_idname, text=label, depress=now == way)
-                button.name, button.way = item.name, way
+                button.name, button.way = item.name_full, way
             row = column.row(align=True)
             alone = box_surfaces.alone(scene) and not object_props(item).beside
-            row.operator(ShowAlone.bl_idname, depress=alone).name = item.name
-            row.operator(ExportSurface.bl_idname).name = item.name
+            row.operator(ShowAlone.bl_idname, depress=alone).name = item.name_full
+            row.operator(ExportSurface.bl_idname).name = item.name_full
             show.say(layout, facts(scene, item), "INFO")
             if not current.busy() and box_surfaces.is_of_other_result(scene, item):
                 show.wrong(layout, f"'{item.name}' belongs to another result: make it again")

@@ -242,6 +242,69 @@ def test_an_object_is_taken_to_another_file_without_its_run(
     assert all(node.image.packed_file for node in [picture])
 
 
+@pytest.mark.parametrize("kept", ["action", "strip"])
+def test_a_taken_object_stays_at_its_origin_and_keeps_its_look(
+    blender: ModuleType, ball, tmp_path: Path, kept: str
+) -> None:
+    item, scene, _ = ball
+    cloud = scene.objects["thing Gaussians"]
+    blender.ops.roigs.relight(name=item.name)
+    blender.ops.roigs.show_surface(name=item.name, way="BOTH")
+    for frame in (1, 10):
+        item["Relit"], cloud.roigs.exposure = (1.0, 2.0) if frame == 1 else (0.25, 0.5)
+        item.keyframe_insert('["Relit"]', frame=frame)
+        cloud.keyframe_insert("roigs.exposure", frame=frame)
+        for each in (item, cloud):
+            each.location, each.delta_rotation_euler.z = (frame, 0, 0), 0.1 * frame
+            each.keyframe_insert("location", frame=frame)
+            each.keyframe_insert("delta_rotation_euler", frame=frame)
+    cloud.driver_add("scale", 0).driver.expression = "3"
+    if kept == "strip":
+        for data in (item.animation_data, cloud.animation_data):
+            data.nla_tracks.new().strips.new("strip", 1, data.action)
+            data.action = None
+    scene.frame_set(10)
+    before = item.matrix_world.translation.copy()
+    blender.ops.roigs.take_object(name=item.name)
+    scene.frame_set(1)
+    scene.frame_set(10)
+    assert (item.matrix_world.translation - before).length < 1e-6  # the original moves
+    saved = tmp_path / "taken.blend"
+    blender.ops.wm.save_as_mainfile(filepath=str(saved))
+    blender.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    blender.ops.wm.append(directory=f"{saved}/Collection/", files=[{"name": "thing"}])
+    scene = blender.context.scene
+    mesh, cloud = (
+        next(each for each in scene.objects if each.roigs.kind == kind)
+        for kind in ("SURFACE", "SPLATS")
+    )
+    turns = set()
+    for frame, relit, exposure in ((1, 1.0, 2.0), (10, 0.25, 0.5)):
+        scene.frame_set(frame)
+        assert mesh["Relit"] == pytest.approx(relit)
+        assert cloud.roigs.exposure == pytest.approx(exposure)
+        for each in (mesh, cloud):
+            assert each.matrix_world.translation.length < 1e-6
+            turns.add(tuple(round(angle, 4) for angle in each.matrix_world.to_euler()))
+    assert len(turns) == 1
+
+
+def test_hidden_gaussians_are_taken_from_where_the_scene_is_now(blender: ModuleType, ball) -> None:
+    item, scene, _ = ball
+    assert scene.objects["thing Gaussians"].hide_viewport
+    blender.ops.roigs.take_object(name=item.name)
+    scene.roigs.root.location = (3.0, 0.0, 1.0)
+    blender.context.view_layer.update()
+    blender.ops.roigs.take_object(name=item.name)
+    taken = [blender.data.collections[name].objects for name in ("thing", "thing.001")]
+    middles = [
+        np.mean([each.matrix_world @ vertex.co for vertex in each.data.vertices], axis=0)
+        for items in taken
+        for each in sorted(items, key=lambda each: each.roigs.kind)
+    ]
+    np.testing.assert_allclose(middles[:2], middles[2:], atol=1e-4)
+
+
 def test_what_an_object_stood_on_stays(blender: ModuleType, ball) -> None:
     import bmesh
     from mathutils import Matrix

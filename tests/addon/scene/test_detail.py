@@ -105,6 +105,47 @@ def test_what_was_parked_by_the_version_before(blender: ModuleType, two) -> None
     assert not scene.objects["thing Gaussians"].hide_render
 
 
+def reopened(bpy: ModuleType, path: Path):
+    """The scene, saved and opened again."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    return bpy.context.scene
+
+
+def test_what_the_user_hides_stays_hidden_if_saved_in_training(blender: ModuleType, two) -> None:
+    from roigs_addon.scene import splats
+
+    scene, folder, _ = two
+    imported = splats.show_imported(scene, folder / "result.ply", "vase", in_model=True)
+    imported.hide_set(True)
+    scene.objects["thing Gaussians"].hide_set(True)
+    splats.show_preview(scene, folder / "result.ply")
+    scene = reopened(blender, folder / "h.blend")
+    splats.remove_preview(scene)
+    assert visible(scene) == {"Background"}
+    alt_h(scene)
+    assert visible(scene) == {"Background", "thing Gaussians", "vase"}
+
+
+def test_what_the_version_before_hid_in_training_comes_back(blender: ModuleType, two) -> None:
+    from roigs_addon.scene import splats
+
+    scene, folder, _ = two
+    splats.show_preview(scene, folder / "result.ply")
+    scene.roigs.property_unset("result_mark")
+    for item in scene.objects:
+        item.roigs.property_unset("result_mark")
+        if item.roigs.waits:
+            item.roigs.waits = item.hide_viewport = False
+            item.hide_set(True)
+    scene = reopened(blender, folder / "before.blend")
+    assert len(visible(scene)) == 1
+    alt_h(scene)
+    assert len(visible(scene)) == 1
+    splats.remove_preview(scene)
+    assert visible(scene) == {"Background", "thing Gaussians"}
+
+
 @pytest.mark.parametrize("linked", [True, False])
 def test_copies(blender: ModuleType, two, linked: bool) -> None:
     from roigs_addon.ui.result import ResultPanel

@@ -189,6 +189,39 @@ def test_cycles_shows_them(blender: ModuleType, run, tmp_path: Path) -> None:
     assert picture.std(axis=2).max() > 10  # colours
 
 
+@pytest.mark.parametrize("nested", [False, True])
+def test_each_scene_has_one_collection_of_gaussians(blender: ModuleType, run, nested: bool) -> None:
+    from roigs_addon.scene import splats
+
+    scene, folder = run
+    blender.ops.roigs.load_results()
+    other = blender.data.scenes.new("other")
+    splats.show_imported(other, folder / "result.ply", "vase", in_model=True)
+    if nested:  # the user sorts collections
+        (collection,) = other.collection.children
+        above = blender.data.collections.new("all")
+        other.collection.children.link(above)
+        above.children.link(collection)
+        other.collection.children.unlink(collection)
+        collection.name = "mine"
+    splats.show_results(other, folder)
+    for each in (scene, other):
+        (used,) = {c for o in each.objects if o.roigs.kind == "SPLATS" for c in o.users_collection}
+        assert used in list(each.collection.children_recursive)
+    assert sum("ROI-GS" in c.name for c in blender.data.collections) == 2 - nested
+
+
+def test_the_collection_of_an_earlier_version_is_used(blender: ModuleType, run) -> None:
+    scene, folder = run
+    blender.ops.roigs.load_results()
+    (collection,) = (c for c in scene.collection.children if c.name == "ROI-GS Gaussians")
+    for key in list(collection.keys()):
+        del collection[key]
+    random_ply(folder / "rois" / "other.ply", 7, seed=1)
+    blender.ops.roigs.load_results()
+    assert scene.objects["other Gaussians"].users_collection == (collection,)
+
+
 def test_nothing_to_load(blender: ModuleType, addon: ModuleType, project: Path) -> None:
     imported(blender, project)
     assert not blender.ops.roigs.load_results.poll()
