@@ -16,7 +16,7 @@ from ..machine import package
 from ..photos.colours import colours_of, say_srgb
 from ..photos.decode import check_whole, to_rgb
 from ..photos.files import HEIC
-from ..photos.headers import PhotoError, content_digest, open_photo
+from ..photos.headers import PhotoError, content_digest, exif_of, open_photo
 from ..photos.parallel import in_parallel
 from ..photos.tiff import colmap_reads
 from .folder import IMAGES, Folder
@@ -125,7 +125,7 @@ def _as_jpeg(source: Path) -> bytes:
     if not heic:
         check_whole(source)
     with _opened(source) as photo:
-        exif = photo.getexif()
+        exif = exif_of(photo)
         if heic:
             exif.pop(ORIENTATION, None)  # it is turned as it is read
         if colours_of(photo).profile:
