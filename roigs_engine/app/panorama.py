@@ -67,7 +67,7 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
     of_run = [
         not listed or folder_of_model(Path(each.file)) == folder.absolute() for each in records
     ]
-    surfaces, objects = _background(folder, records), _objects(folder, records, context)
+    surfaces, objects = _background(folder, records, context), _objects(folder, records, context)
     context.emit(StageStarted(stage=STAGE, total=len(files)))
     lines, started = [], time.monotonic()
     for step, (at, file) in enumerate(zip(request.at, files, strict=True), start=1):
@@ -133,10 +133,10 @@ def _models(
     return [InstanceRecord(str(request.model), upright)], upright
 
 
-def _background(folder: Path, records: list[InstanceRecord]) -> Surfaces | None:
+def _background(folder: Path, records: list[InstanceRecord], context: Context) -> Surfaces | None:
     """Places on the run's background mesh; None: there is no mesh."""
     path = folder / run_files.FINE / f"{run_files.SURROUNDINGS}.glb"
-    return _surfaces(path, folder, records) if path.is_file() else None
+    return _surfaces(path, folder, records, context) if path.is_file() else None
 
 
 def _objects(folder: Path, records: list[InstanceRecord], context: Context) -> list[Surfaces]:
@@ -146,13 +146,15 @@ def _objects(folder: Path, records: list[InstanceRecord], context: Context) -> l
         if path.stem == run_files.SURROUNDINGS:
             continue
         try:
-            found.append(_surfaces(path, folder, records))
+            found.append(_surfaces(path, folder, records, context))
         except EngineError as error:
             context.warn(f"The shading of {path.stem} is not used: {error}")
     return found
 
 
-def _surfaces(path: Path, folder: Path, records: list[InstanceRecord]) -> Surfaces:
+def _surfaces(
+    path: Path, folder: Path, records: list[InstanceRecord], context: Context
+) -> Surfaces:
     """Places on a mesh of a run, in the world of the models."""
     import torch
 
@@ -162,7 +164,7 @@ def _surfaces(path: Path, folder: Path, records: list[InstanceRecord]) -> Surfac
 
     own = [each for each in records if folder_of_model(Path(each.file)) == folder.absolute()]
     matrix = (own or records)[0].matrix
-    places, normals, colours = sampled_surface(path, MOST_PLACES)
+    places, normals, colours = sampled_surface(path, MOST_PLACES, context)
     turned = normals @ np.linalg.inv(matrix[:3, :3])
     turned /= np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-30)
     return Surfaces(

@@ -12,7 +12,7 @@ import io
 import os
 import struct
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
@@ -172,6 +172,18 @@ def _opened(path: Path) -> Image:
     if photo.width * photo.height > MAX_PIXELS:
         raise ValueError(f"its header says {photo.width} x {photo.height} pixels")
     return photo
+
+
+def open_picture(data: bytes, formats: Sequence[str]) -> Image:
+    """Open a picture that another file embeds, after the checks of a photo.
+
+    Pillow may raise nearly anything on damaged data.
+    """
+    from PIL import Image
+
+    file = io.BytesIO(data)
+    check_cost(file)
+    return Image.open(file, formats=formats)
 
 
 def check_cost(file: BinaryIO) -> None:
