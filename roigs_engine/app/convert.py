@@ -9,7 +9,7 @@ from ..context import QUIET, Context
 from ..errors import ConfigError
 from ..exchange import formats, gltf
 from ..exchange.arrays import turn
-from ..formats.clean_up import disk_size
+from ..formats.files import size_read
 from ..formats.text import counted
 from ..requests.models import Convert
 from .conversion.axes import SCENE_UP, turned, warn_of_axes
@@ -105,7 +105,7 @@ def _write_streamed(request: Convert, context: Context) -> Result:
     ladders = read_ladders(folder)
     plys = [folder / level.ply for ladder in ladders.values() for level in ladder.levels]
     refuse_beyond_memory(
-        2 * sum(disk_size([ply]) for ply in plys),
+        2 * sum(map(size_read, plys)),
         f"The {len(plys):,} levels of detail of {folder} need",
         "Make fewer levels (`levels`), or use a machine with more memory.",
     )

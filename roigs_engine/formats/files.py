@@ -178,6 +178,13 @@ def unlinked(path: str, flags: int) -> int:
     return regular(path, flags | getattr(os, "O_NOFOLLOW", 0))
 
 
+def size_read(path: Path) -> int:
+    """Bytes of a file as it is read: of what a link leads to; 0 if it cannot be read."""
+    with suppress(OSError):
+        return path.stat().st_size
+    return 0
+
+
 LARGEST = 32 << 20
 """Bytes of a file of text that is read whole; ours have a few million at most. As nested lists,
 so many become 0.8 GB and take 20 s."""
