@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +14,7 @@ from ..formats import run_files
 from ..formats.events import StageStarted
 from ..formats.files import read_record
 from ..formats.gravity import gravity_alignment
+from ..formats.others import refuse_other_companion
 from ..model.roi import OrientedBox, roi_from_dict
 from ..requests.models import Panorama
 from .inputs import on_device, use_threads
@@ -46,9 +46,7 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
     inputs = [request.options_file, request.model, *(Path(each.file) for each in records)]
     refuse_inputs([*files, *map(run_files.mirrored, files)], inputs)
     for file in files:
-        mirrored = run_files.mirrored(file)
-        if os.path.lexists(mirrored) and not os.path.lexists(file):
-            raise ConfigError(f"{mirrored} would be replaced.", "Move it, or choose another --out.")
+        refuse_other_companion(file, run_files.mirrored(file))
     use_threads(request.threads)
     context = on_device(context, request.device)
 
@@ -82,7 +80,8 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
         shone = shading(light, factors, place, objects, surfaces, given=given != (None, None))
         save_light(file, shone.light)
         # A mirror would show light from where no photo looked as a bright cap.
-        save_light(run_files.mirrored(file), light.brightened(shone.factors.highlights))
+        mirrored = light.brightened(shone.factors.highlights)
+        save_light(run_files.mirrored(file), mirrored, companion=True)
         lines.append(_line(at, light, shone, given))
         context.info(lines[-1])
         context.progress(STAGE, step, len(files), started)

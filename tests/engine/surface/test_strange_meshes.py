@@ -186,7 +186,11 @@ def test_files_of_others_beside_a_mesh_stay(tmp_path: Path, suffix: str, beside:
     made = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     out.unlink()  # as if the process had been killed before it
     convert_mesh(source, out)
-    (tmp_path / beside).write_text("of an earlier mesh")
+    (tmp_path / beside).write_text("mine")  # though the mesh is there
+    with pytest.raises(RunFolderError, match=f"needs {beside} beside it, which would be replaced"):
+        convert_mesh(source, out)
+    assert (tmp_path / beside).read_text() == "mine"
+    (tmp_path / beside).unlink()
     convert_mesh(source, out)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == made
 
