@@ -18,6 +18,7 @@ from ..formats.files import (
     unlinked,
     write_text,
 )
+from ..formats.text import markdown_text
 from ..formats.web_page import html_text
 from ..photos.png import PNG
 
@@ -85,8 +86,6 @@ def read_surface(path: Path) -> SurfaceRecord | None:
 
 def add_to_reports(folder: Path) -> None:
     """Put a run's surfaces at the end of its reports, in place of what these say of them."""
-    from ..evaluation.report import markdown_text
-
     found = []
     with suppress(RunFolderError):  # a link: somebody who gets the report could not read it
         files = matching(own_folder(folder, run_files.FINE), f"*{RECORD}")
