@@ -12,7 +12,7 @@ import io
 import os
 import struct
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
@@ -174,7 +174,7 @@ def _opened(path: Path) -> Image:
     return photo
 
 
-def open_picture(data: bytes, formats: Sequence[str]) -> Image:
+def open_picture(data: bytes, formats: tuple[str, ...]) -> Image:
     """Open a picture that another file embeds, after the checks of a photo.
 
     Pillow may raise nearly anything on damaged data.
