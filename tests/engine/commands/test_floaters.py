@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -112,7 +113,10 @@ def test_wrong_input_is_one_line(
     assert not (tmp_path / "o.npy").exists()
 
 
-@pytest.mark.parametrize("linked", [False, True])
+@pytest.mark.parametrize(
+    "linked",
+    [False, pytest.param(True, marks=pytest.mark.skipif(os.name != "posix", reason="a link"))],
+)
 def test_a_list_that_needs_more_than_the_memory(
     project: Project,
     tmp_path: Path,
