@@ -36,6 +36,8 @@ SHIPPED = ("roigs_engine", "roigs_addon")
 RESTARTS = "roigs_engine/__main__.py"
 # Reads the parts of an archive by name, and unpacks none to the disk.
 READS_ZIP = "roigs_engine/exchange/sog.py"
+# Opens pictures after checks of what they cost.
+OPEN_PICTURES = ("roigs_engine/photos/", "roigs_engine/reconstruction/convert.py")
 RUNS_CODE = re.compile(
     r"(pickle|cPickle|dill|marshal|shelve|joblib|yaml)\.\w*(load|Unpickler|open)\w*"
     r"|(builtins\.)?(eval|exec|compile|__import__|execfile)"
@@ -81,8 +83,11 @@ def test_nothing_is_run_or_unpickled() -> None:
             assert given.get("weights_only") == "True", place
         if called in ("np.load", "numpy.load", "np.save", "numpy.save"):
             assert given.get("allow_pickle", "False") == "False", place
+        if called.endswith(".getexif"):
+            assert "photos/headers.py" in place, f"{place}: EXIF data are not checked: exif_of"
         if called == "Image.open":
             assert "formats" in given, f"{place}: PostScript would be run"
+            assert place.startswith(OPEN_PICTURES), f"{place}: not open_picture"
 
 
 def test_the_test_above_would_find_them() -> None:

@@ -7,7 +7,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..shared import EngineError, files, lock, projects, run_files
+from ..shared import EngineError, files, lock, projects, run_files, text
 
 WORK, STATE = "reconstruction", "state.json"
 """The engine's own folder, and its record in it."""
@@ -74,6 +74,6 @@ def _told(report: Path) -> tuple[str, tuple[str, ...]]:
     except OSError:
         return "", ()
     head = list(itertools.takewhile(lambda line: not line.startswith("|"), lines))
-    said = [line for line in head if line and not line.startswith("#")]
+    said = [text.plain_text(line) for line in head if line and not line.startswith("#")]
     remarks = tuple(line[2:] for line in said if line.startswith("- "))
     return next((line for line in said if not line.startswith("- ")), ""), remarks

@@ -13,6 +13,7 @@ from ..formats import run_files
 from ..formats.files import read_record, sha256, write_json, write_text
 from ..formats.lock import locked
 from ..formats.report_scores import scores_of_result
+from ..formats.text import markdown_text
 from ..requests.projects import Certify
 from .inputs import boxes_of, load_scene, mask_options
 from .outputs import Result, refuse_inputs, refuse_run_files
@@ -133,8 +134,7 @@ def _listed(value: Any, kind: type) -> list[Any]:
 
 
 def _add_to_reports(run: Path, made: Sequence[Certificate]) -> None:
-    """Append the certificates to the run's reports, replacing earlier ones."""
-    from ..evaluation.report import markdown_text
+    """Put the certificates at the end of the run's reports, in place of earlier ones."""
     from ..guidance.certificate import section
 
     lines = [f"- {markdown_text(each.text)}" for each in made]

@@ -9,7 +9,7 @@ from ..context import QUIET, Context
 from ..errors import ConfigError
 from ..exchange import formats, gltf
 from ..exchange.arrays import turn
-from ..formats.clean_up import disk_size
+from ..formats.files import size_read
 from ..formats.text import counted
 from ..requests.models import Convert
 from .conversion.axes import SCENE_UP, turned, warn_of_axes
@@ -32,7 +32,7 @@ def convert(request: Convert, context: Context = QUIET) -> Result:
     """Read the models, merge them, and write the result; EngineError for unusable input."""
     refuse_run_files(request.out)
     if request.source.suffix.lower() == ".glb" and gltf.is_mesh(request.source):
-        return _mesh(request)
+        return _mesh(request, context)
     if request.out.name == STREAMED:
         refuse_page_options(request, plain=False)
         return _write_streamed(request, context)
@@ -50,7 +50,7 @@ def convert(request: Convert, context: Context = QUIET) -> Result:
     if model.target.linear_light and not form.keeps_target:
         _warn_of_light(model.target, form, context)
     if form.suffix == formats.PAGE:
-        extras = page_extras(request, compared(request, form.up, model, context), model)
+        extras = page_extras(request, compared(request, form.up, model, context), model, context)
         written = formats.write(request.out, arrays, target=model.target, extras=extras)
     else:
         check = context.check_cancelled
@@ -62,7 +62,7 @@ def convert(request: Convert, context: Context = QUIET) -> Result:
     return Result(files={"result": request.out}, text=text)
 
 
-def _mesh(request: Convert) -> Result:
+def _mesh(request: Convert, context: Context) -> Result:
     """Convert a surface, or another textured mesh with y up."""
     from ..surface.files import UP, convert_mesh
 
@@ -83,7 +83,7 @@ def _mesh(request: Convert) -> Result:
             f"{option} is for Gaussians only; {request.source} is a mesh.", "Leave it out."
         )
     refuse_page_options(request, plain=False)
-    faces = convert_mesh(request.source, request.out, request.up)
+    faces = convert_mesh(request.source, request.out, request.up, context)
     size = request.out.stat().st_size / 1e6
     text = f"{counted(faces, 'face')}, {size:.1f} MB in {request.out}"
     return Result(files={"result": request.out}, text=text)
@@ -105,7 +105,7 @@ def _write_streamed(request: Convert, context: Context) -> Result:
     ladders = read_ladders(folder)
     plys = [folder / level.ply for ladder in ladders.values() for level in ladder.levels]
     refuse_beyond_memory(
-        2 * sum(disk_size([ply]) for ply in plys),
+        2 * sum(map(size_read, plys)),
         f"The {len(plys):,} levels of detail of {folder} need",
         "Make fewer levels (`levels`), or use a machine with more memory.",
     )

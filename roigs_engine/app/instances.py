@@ -12,9 +12,8 @@ import numpy as np
 
 from ..context import QUIET, Context
 from ..errors import ConfigError
-from ..formats.clean_up import disk_size
 from ..formats.drawable import drawable, usable
-from ..formats.files import read_json
+from ..formats.files import read_json, size_read
 from ..formats.names import usable_path
 from ..formats.ply_rows import Check
 from ..formats.splat_ply import made_of, read_ply
@@ -77,8 +76,8 @@ def read_list(path: Path, context: Context = QUIET) -> tuple[list[InstanceRecord
 
 
 def refuse_much(wanted: Sequence[InstanceRecord]) -> None:
-    """Raise ConfigError if all listed models, with repetitions, need too much memory."""
-    sizes = {name: disk_size([Path(name)]) for name in {item.file for item in wanted}}
+    """Raise ConfigError if the models, as often as each is listed, need more than the memory."""
+    sizes = {name: size_read(Path(name)) for name in {item.file for item in wanted}}
     if len(wanted) > 1:
         refuse_beyond_memory(
             COPIES * sum(sizes[item.file] for item in wanted),

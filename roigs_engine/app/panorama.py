@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +14,7 @@ from ..formats import run_files
 from ..formats.events import StageStarted
 from ..formats.files import read_record
 from ..formats.gravity import gravity_alignment
+from ..formats.others import refuse_other_companion
 from ..model.roi import OrientedBox, roi_from_dict
 from ..requests.models import Panorama
 from .inputs import on_device, use_threads
@@ -46,9 +46,7 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
     inputs = [request.options_file, request.model, *(Path(each.file) for each in records)]
     refuse_inputs([*files, *map(run_files.mirrored, files)], inputs)
     for file in files:
-        mirrored = run_files.mirrored(file)
-        if os.path.lexists(mirrored) and not os.path.lexists(file):
-            raise ConfigError(f"{mirrored} would be replaced.", "Move it, or choose another --out.")
+        refuse_other_companion(file, run_files.mirrored(file))
     use_threads(request.threads)
     context = on_device(context, request.device)
 
@@ -67,7 +65,7 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
     of_run = [
         not listed or folder_of_model(Path(each.file)) == folder.absolute() for each in records
     ]
-    surfaces, objects = _background(folder, records), _objects(folder, records, context)
+    surfaces, objects = _background(folder, records, context), _objects(folder, records, context)
     context.emit(StageStarted(stage=STAGE, total=len(files)))
     lines, started = [], time.monotonic()
     for step, (at, file) in enumerate(zip(request.at, files, strict=True), start=1):
@@ -81,8 +79,9 @@ def draw_panorama(request: Panorama, context: Context = QUIET) -> Result:
         factors = brightness(light, place, surfaces, *given)
         shone = shading(light, factors, place, objects, surfaces, given=given != (None, None))
         save_light(file, shone.light)
-        # A mirror would show added light in unseen directions as a bright cap.
-        save_light(run_files.mirrored(file), light.brightened(shone.factors.highlights))
+        # A mirror would show light from where no photo looked as a bright cap.
+        mirrored = light.brightened(shone.factors.highlights)
+        save_light(run_files.mirrored(file), mirrored, companion=True)
         lines.append(_line(at, light, shone, given))
         context.info(lines[-1])
         context.progress(STAGE, step, len(files), started)
@@ -133,10 +132,10 @@ def _models(
     return [InstanceRecord(str(request.model), upright)], upright
 
 
-def _background(folder: Path, records: list[InstanceRecord]) -> Surfaces | None:
-    """Sample places on the run's background mesh; None without a mesh."""
+def _background(folder: Path, records: list[InstanceRecord], context: Context) -> Surfaces | None:
+    """Places on the run's background mesh; None: there is no mesh."""
     path = folder / run_files.FINE / f"{run_files.SURROUNDINGS}.glb"
-    return _surfaces(path, folder, records) if path.is_file() else None
+    return _surfaces(path, folder, records, context) if path.is_file() else None
 
 
 def _objects(folder: Path, records: list[InstanceRecord], context: Context) -> list[Surfaces]:
@@ -146,14 +145,16 @@ def _objects(folder: Path, records: list[InstanceRecord], context: Context) -> l
         if path.stem == run_files.SURROUNDINGS:
             continue
         try:
-            found.append(_surfaces(path, folder, records))
+            found.append(_surfaces(path, folder, records, context))
         except EngineError as error:
             context.warn(f"The shading of {path.stem} is not used: {error}")
     return found
 
 
-def _surfaces(path: Path, folder: Path, records: list[InstanceRecord]) -> Surfaces:
-    """Sample places on a mesh of a run, in the world of the models."""
+def _surfaces(
+    path: Path, folder: Path, records: list[InstanceRecord], context: Context
+) -> Surfaces:
+    """Places on a mesh of a run, in the world of the models."""
     import torch
 
     from ..lighting.highlights import Surfaces
@@ -162,7 +163,7 @@ def _surfaces(path: Path, folder: Path, records: list[InstanceRecord]) -> Surfac
 
     own = [each for each in records if folder_of_model(Path(each.file)) == folder.absolute()]
     matrix = (own or records)[0].matrix
-    places, normals, colours = sampled_surface(path, MOST_PLACES)
+    places, normals, colours = sampled_surface(path, MOST_PLACES, context)
     turned = normals @ np.linalg.inv(matrix[:3, :3])
     turned /= np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-30)
     return Surfaces(

@@ -86,7 +86,7 @@ def make_surfaces(request: MakeSurface, context: Context = QUIET) -> Surfaces:
         if work:
             _say_before(gaussians, run, names, context)
         if request.background:
-            work.append(partial(_of_background, gaussians, run, options))
+            work.append(partial(_of_background, gaussians, run, options, context))
         return _made(work, run, request.format, context)
 
 
@@ -123,8 +123,10 @@ def _of_box(gaussians: Gaussians, run: Run, roi: OrientedBox, options: SurfaceOp
     )
 
 
-def _of_background(gaussians: Gaussians, run: Run, options: SurfaceOptions) -> _Work:
-    """Return the work for the background, which leaves out the boxes' own meshes."""
+def _of_background(
+    gaussians: Gaussians, run: Run, options: SurfaceOptions, context: Context
+) -> _Work:
+    """The work for the background; it leaves out what the boxes' own meshes show."""
     from ..surface.background import background_plan, make_background, surroundings
     from ..surface.files import read_points
 
@@ -132,7 +134,7 @@ def _of_background(gaussians: Gaussians, run: Run, options: SurfaceOptions) -> _
     for roi in run.rois:
         path = run.folder / run_files.FINE / f"{roi.name}{GLB}"
         if path.is_file():
-            own[roi.name] = read_points(path, run.frame)
+            own[roi.name] = read_points(path, run.frame, context)
             digests[roi.name] = sha256(path)
     whole = surroundings(run.train_scene)
 

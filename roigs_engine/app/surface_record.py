@@ -7,9 +7,20 @@ from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+from ..errors import RunFolderError
 from ..formats import run_files
-from ..formats.files import read_bytes, read_record, write_text
+from ..formats.files import (
+    is_link,
+    matching,
+    own_folder,
+    read_bytes,
+    read_record,
+    unlinked,
+    write_text,
+)
+from ..formats.text import markdown_text
 from ..formats.web_page import html_text
+from ..photos.png import PNG
 
 LEAST = 0.005  # share of a surface: smaller holes are not listed
 RECORD, PICTURE = ".surface.json", ".surface.png"
@@ -74,20 +85,22 @@ def read_surface(path: Path) -> SurfaceRecord | None:
 
 
 def add_to_reports(folder: Path) -> None:
-    """Append a run's surfaces to its reports, replacing earlier sections about them."""
-    from ..evaluation.report import markdown_text
-
-    files = sorted((folder / run_files.FINE).glob(f"*{RECORD}"))
-    found = [(file, record) for file in files if (record := read_surface(file)) is not None]
+    """Put a run's surfaces at the end of its reports, in place of what these say of them."""
+    found = []
+    with suppress(RunFolderError):  # a link: somebody who gets the report could not read it
+        files = matching(own_folder(folder, run_files.FINE), f"*{RECORD}")
+        read = ((file, read_surface(file)) for file in files if not is_link(file))
+        found = [(file, record) for file, record in read if record is not None]
     title, caption = "Surfaces", "In clay, from four sides; unseen parts are orange."
     lines = [f"- {markdown_text(record.text)}" for _, record in found]
     put_section(folder / run_files.REPORT, title, [f"## {title}", "", *lines, ""] if found else [])
     parts = [f"<h2>{title}</h2>", f"<p>{caption}</p>"] if found else []
     for file, record in found:
         with suppress(OSError):
-            data = base64.b64encode(read_bytes(file.with_suffix(".png"))).decode()
-            source = f"data:image/png;base64,{data}"
-            parts.append(f'<p><img alt="" style="max-width: 100%" src="{source}"></p>')
+            data = read_bytes(file.with_suffix(".png"), opener=unlinked)
+            if data.startswith(PNG):
+                source = f"data:image/png;base64,{base64.b64encode(data).decode()}"
+                parts.append(f'<p><img alt="" style="max-width: 100%" src="{source}"></p>')
         parts.append(f"<p>{html_text(record.text)}</p>")
     put_section(folder / run_files.REPORT_PAGE, title, parts, before="<script>")
 
@@ -95,15 +108,18 @@ def add_to_reports(folder: Path) -> None:
 def put_section(report: Path, title: str, lines: list[str], before: str = "") -> None:
     """Write a section into a report in place of its earlier version; empty lines remove it.
 
-    It goes before the last occurrence of `before`. Comments mark its beginning and end.
+    A new one goes before the last `before`. Comments mark where it begins and ends. A report that
+    is a link stays as it is.
     """
     start, end = f"<!-- {title.lower()} -->\n", f"<!-- end of {title.lower()} -->\n"
     try:
-        text = read_bytes(report, most=None).decode()
+        text = read_bytes(report, most=None, opener=unlinked).decode()
     except (OSError, UnicodeError):
         return  # there is no report
-    head, _, rest = text.partition(start)
-    text = head + rest.partition(end)[2]
+    first = text.find(start)
+    last = text.find(end, first) if first >= 0 else -1
+    if last >= 0:
+        text = text[: text.rfind(start, 0, last)] + text[last + len(end) :]
     place = text.rfind(before) if before in text else len(text)
     part = "".join(f"{line}\n" for line in lines)
     whole = f"{start}{part}{end}" if lines else ""

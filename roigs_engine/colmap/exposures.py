@@ -2,8 +2,9 @@
 
 A point has one colour, so its brightness in the photos shows their exposures. EXIF is more exact.
 But EXIF does not change when a program brightens photos; levelling by it would then be wrong by
-stops. So EXIF is used only if photos agree better with it. Without EXIF, exposures are solved from
-the points, and shrunk towards 0 if the solutions of two halves of the points disagree.
+stops. So EXIF is used only if photos agree better with it, or if they share too few points to tell.
+It is never used if exposures differ by more than those of any scene. Without EXIF, exposures are
+solved from the points, and shrunk towards 0 if the solutions of two halves of the points disagree.
 """
 
 from __future__ import annotations
@@ -25,11 +26,12 @@ from ..model.scene import Float64, Int64, PosedImage, SfmScene, project
 from ..photos.exposures import CLIPPED, LEAST_SPREAD, MOST_STOPS, relative_exposures
 
 KEYS = ("key", "stops")  # of the file
-VERSION = 1  # increase it if the same photos get other exposures
-SIDE = 256  # pixels of a reduced photo's side
+VERSION = 2  # increase it if the same photos get other exposures
+SIDE = 256  # pixels: the photos are reduced to this side
 DARK, BRIGHT = 8, 245  # of 255: values outside say little about the light
-LEAST_PAIRS = 100  # pairs of observations needed to check EXIF
-ROUNDS = 20  # alternations of points' and photos' medians; they converge in about ten
+LEAST_PAIRS = 100  # of observations, needed to check EXIF
+MOST_SPREAD = 12.0  # stops of the photos of a scene, from a cellar to sunlight
+ROUNDS = 20  # of medians of points, then of photos; they converge in about ten
 EXIF, POINTS = "EXIF", "points"
 
 
@@ -87,7 +89,7 @@ def _found(scene: SfmScene, exif: Mapping[str, float], context: Context) -> dict
     """Photo -> stops, for the photos to level."""
     observed = observe(scene, context)
     stops = np.array([exif.get(image.name, 0.0) for image in scene.images])
-    if exif and agrees(observed, stops):
+    if exif and np.ptp(stops) <= MOST_SPREAD and agrees(observed, stops):
         return dict(exif)
     solved = solve(observed, len(scene.images))
     return {
@@ -199,10 +201,8 @@ def _tell(
     believed = bool(found) and found == exif
     if exif and not believed:
         spread = np.ptp([*exif.values()])
-        context.warn(
-            f"Exposures in EXIF differ by {spread:.1f} stops, but the photos do not: EXIF is "
-            "not used."
-        )
+        why = "as in no scene" if spread > MOST_SPREAD else "but the photos do not"
+        context.warn(f"Exposures in EXIF differ by {spread:.1f} stops, {why}: EXIF is not used.")
     if found:
         source = EXIF if believed else POINTS
         context.info(

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ..formats.files import write_json, write_text
 from ..formats.run_files import REPORT, REPORT_DATA
 from ..formats.targets import TARGETS
-from ..formats.text import counted, printable
+from ..formats.text import counted, markdown_text
 from .scores import MIN_OBJECT, MIN_SILHOUETTE, Evaluation, ModelScore, RoiScores, near_and_far
 
 NONE = "–"  # a cell without a number
@@ -20,8 +19,6 @@ FLIP: Column = ("ROI FLIP", lambda row: row.roi_flip, ".4f", -1)
 MASK: Column = ("mask PSNR (dB)", lambda row: row.mask_psnr, ".2f", 1)
 CORRECTED: Column = ("corrected (dB)", lambda row: row.corrected_psnr, ".2f", 1)
 DETAIL: Column = ("detail (dB)", lambda row: row.detail_psnr, ".2f", 1)
-MARKDOWN = re.compile(r"[\\`*_\[\]<>|~]")
-"""Characters in names that Markdown or HTML would interpret."""
 OPTIONAL = (FLIP, MASK, CORRECTED, DETAIL)
 """Columns that are shown only if they have a number."""
 COLUMNS: tuple[Column, ...] = (
@@ -103,11 +100,6 @@ def write_report(evaluation: Evaluation, run_dir: Path) -> tuple[Path, Path]:
     write_json(record, evaluation.to_dict())
     write_text(markdown, format_markdown(evaluation))
     return markdown, record
-
-
-def markdown_text(text: str) -> str:
-    """Return the text on one line, with Markdown and HTML in names escaped."""
-    return MARKDOWN.sub(r"\\\g<0>", printable(" ".join(text.split())))
 
 
 def shown_columns(rows: Sequence[ModelScore]) -> list[Column]:

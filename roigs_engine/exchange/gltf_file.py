@@ -161,6 +161,8 @@ class GltfFile:
             self.count(4 * replaced * (width + 1))
             whole = np.dtype(KINDS[sparse["indices"]["componentType"]])
             rows = self._numbers(sparse["indices"], replaced, 1, whole)[:, 0]
+            if whole.kind == "f" or rows.min() < 0:
+                raise ValueError("it replaces values that it does not have")
             values = values.copy()
             values[rows] = self._numbers(sparse["values"], replaced, width, kind)
         return values

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import EngineError, RunFolderError
+from ..errors import EngineError, RunFolderError, Stopped
 from ..formats.contents import FIRST_BYTES, held_instead
 from ..formats.files import read_bytes, regular
 from ..formats.names import inner_path
@@ -41,7 +41,8 @@ OPENUSD = re.compile(r" at line \d+ in file .*? : '(.*?)\n?'(?:\n|$)", re.DOTALL
 def reading(path: Path, title: str) -> Iterator[None]:
     """Turn any error of the block, which reads a file, into a RunFolderError of one line.
 
-    A NotSupportedError means that the file is valid. EngineError and MemoryError stay as they are.
+    A NotSupportedError says that the file is valid. An EngineError, an error of memory and a
+    stop stay as they are.
     """
     try:
         # Libraries would wait for a pipe, and have their own errors for a missing file.
@@ -49,7 +50,7 @@ def reading(path: Path, title: str) -> Iterator[None]:
             pass
         with np.errstate(all="ignore"):  # numbers that are not finite are left out later
             yield
-    except (EngineError, MemoryError):
+    except (EngineError, MemoryError, Stopped):
         raise
     except NotSupportedError as error:
         raise RunFolderError(f"{path}: {error} is not supported.", CONVERT) from error

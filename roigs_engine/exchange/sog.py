@@ -23,6 +23,7 @@ from ..formats.names import inner_path
 from ..formats.ply_rows import Check, nothing
 from ..machine import package
 from ..model.scene import Float64
+from ..photos.headers import open_picture
 from .arrays import Arrays, Float32, extent, in_morton_order, opacities, unit_quats
 from .compressed_ply import arrays_of
 from .libraries import NotSupportedError, read_beside, refuse_bomb
@@ -333,9 +334,9 @@ def _check(data: bytes) -> None:
 def _pixels(packed: zipfile.ZipFile, name: str) -> int:
     """Return the number of pixels of a picture in the archive."""
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # Pillow warns of pictures that are far too large
-        with packed.open(name) as file, Image.open(file, formats=KINDS) as picture:
-            return int(picture.width) * int(picture.height)
+        warnings.simplefilter("error")  # Pillow's, of pictures that are far too large
+        picture = open_picture(packed.read(name), KINDS)
+        return picture.width * picture.height
 
 
 def _check_numbers(meta: dict[str, Any]) -> None:

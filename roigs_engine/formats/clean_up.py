@@ -77,7 +77,7 @@ def remove(run: Path) -> int:
 
 
 def disk_size(paths: Iterable[Path]) -> int:
-    """Total bytes of files, also of those in folders; unreadable ones count as 0."""
+    """Total bytes that files take, also in folders; unreadable ones count as 0, links as links."""
     total = 0
     for path in paths:
         names = (Path(parent, name) for parent, _, files in os.walk(path) for name in files)

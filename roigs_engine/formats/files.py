@@ -18,7 +18,7 @@ import secrets
 import stat
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, TextIO
@@ -171,10 +171,20 @@ def _is_hole(descriptor: int, state: os.stat_result) -> bool:
 
 
 def unlinked(path: str, flags: int) -> int:
-    """The `opener` for files changed in place: as `regular`, and OSError (ELOOP) for a link."""
+    """The `opener` for files that are changed in place, or whose content goes into another file.
+
+    As `regular`, and OSError (ELOOP) for a link.
+    """
     if not hasattr(os, "O_NOFOLLOW") and is_link(Path(path)):
         raise OSError(errno.ELOOP, "Is a link", path)
     return regular(path, flags | getattr(os, "O_NOFOLLOW", 0))
+
+
+def size_read(path: Path) -> int:
+    """Bytes of a file as it is read: of what a link leads to; 0 if it cannot be read."""
+    with suppress(OSError):
+        return path.stat().st_size
+    return 0
 
 
 LARGEST = 32 << 20
@@ -182,12 +192,14 @@ LARGEST = 32 << 20
 nested lists, a file of this size takes 0.8 GB and 20 s."""
 
 
-def read_bytes(path: Path, most: int | None = LARGEST) -> bytes:
-    """Read a file of at most `most` bytes (None: any size).
+def read_bytes(
+    path: Path, most: int | None = LARGEST, *, opener: Callable[[str, int], int] = regular
+) -> bytes:
+    """Read a file of at most `most` bytes (None: any size); `opener`: or `unlinked`.
 
     OSError: it cannot be read, is larger, or is not a regular file.
     """
-    with open(path, "rb", opener=regular) as file:
+    with open(path, "rb", opener=opener) as file:
         if most is not None and os.fstat(file.fileno()).st_size > most:
             raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
         return file.read()

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import os
+import struct
+import zlib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
 from ..errors import RunFolderError
-from .files import LARGEST, read_bytes, regular, write_bytes
+from .files import LARGEST, regular, unlinked, write_bytes
 from .text import parse_json
 
 LINE = 1 << 16
-"""Bytes that are checked in the first line of a log."""
+"""Bytes of the first line of a log that are looked at."""
+MARK, MARKED = b"Companion file by ROI-GS", 256
+"""In the first bytes of files that the engine writes beside another, such as textures."""
+PNG_HEADER = 33  # bytes up to the end of a PNG's first chunk
 
 
 def is_other(path: Path, keys: Iterable[str], *, lines: bool = False) -> bool:
@@ -54,21 +59,34 @@ def first_other(folder: Path, files: Mapping[str, Iterable[str]]) -> Path | None
 def write_beside(path: Path, files: Mapping[str, bytes]) -> None:
     """Write files (name -> content) beside `path`; the caller writes `path` after them.
 
-    RunFolderError: `path` does not exist, but another file has one of these names.
+    RunFolderError: one of these names is taken by a file that is no companion of the engine's.
     """
-    for name, data in files.items() if not os.path.lexists(path) else ():
-        beside = path.with_name(name)
-        # The same content may be from a process that was killed before it wrote `path`.
-        if os.path.lexists(beside) and not _has(beside, data):
-            raise RunFolderError(
-                f"{path} needs {beside.name} beside it, which would be replaced.",
-                "Move that file, or choose another name.",
-            )
+    for name in files:
+        refuse_other_companion(path, path.with_name(name))
     for name, data in files.items():
-        write_bytes(path.with_name(name), data)
+        write_bytes(path.with_name(name), marked(data))
 
 
-def _has(path: Path, data: bytes) -> bool:
-    with suppress(OSError):
-        return read_bytes(path, len(data)) == data
+def refuse_other_companion(path: Path, beside: Path) -> None:
+    """Raise RunFolderError if `beside`, which `path` needs, is not a companion of the engine's."""
+    if os.path.lexists(beside) and not _is_marked(beside):
+        raise RunFolderError(
+            f"{path} needs {beside.name} beside it, which would be replaced.",
+            "Move that file, or choose another name.",
+        )
+
+
+def marked(data: bytes) -> bytes:
+    """A PNG, a Radiance .hdr or a text (.mtl) with the mark of the engine's companion files."""
+    if data.startswith(b"\x89PNG"):
+        text = b"tEXtSoftware\0" + MARK
+        chunk = struct.pack(">I", len(text) - 4) + text + struct.pack(">I", zlib.crc32(text))
+        return data[:PNG_HEADER] + chunk + data[PNG_HEADER:]
+    first = data.find(b"\n") + 1 if data.startswith(b"#?") else 0
+    return data[:first] + b"# " + MARK + b"\n" + data[first:]
+
+
+def _is_marked(path: Path) -> bool:
+    with suppress(OSError), open(path, "rb", opener=unlinked) as file:
+        return MARK in file.read(MARKED)
     return False

@@ -12,6 +12,8 @@ from typing import Any
 
 # Characters that move a terminal's cursor, end a line or reverse the order of letters.
 CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+MARKDOWN = re.compile(r"[\\`*_\[\]<>|~]")
+"""What a name may hold that Markdown or HTML would take as its own."""
 MARGIN = 50
 """Levels of the call stack reserved for code that hashes or writes a parsed value."""
 NAMED = 4  # most names listed in a sentence
@@ -88,6 +90,16 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def printable(text: str) -> str:
     """The text on one line, with escapes (`\\x1b`) in the place of control characters."""
     return CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
+
+
+def markdown_text(text: str) -> str:
+    """The text on one line; names in it are no Markdown, and no HTML."""
+    return MARKDOWN.sub(r"\\\g<0>", printable(" ".join(text.split())))
+
+
+def plain_text(markdown: str) -> str:
+    """The text of which `markdown_text` has made this."""
+    return re.sub(rf"\\({MARKDOWN.pattern})", r"\1", markdown)
 
 
 def first_line(error: Exception) -> str:

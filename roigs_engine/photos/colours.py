@@ -28,8 +28,9 @@ import numpy as np
 from PIL import Image, ImageCms
 
 from ..formats.files import regular
-from .headers import CONVERTED, DAMAGED, open_photo, png_chunk
+from .headers import CONVERTED, DAMAGED, exif_of, open_photo
 from .jpeg2000 import boxes
+from .png import PIXELS, png_chunk
 from .profiles import (
     ADOBE_GAMMA,
     ADOBE_RGB,
@@ -188,7 +189,7 @@ def _profile(photo: Image.Image) -> bytes | Space:
     path = getattr(photo, "filename", "")
     if photo.format == "PNG":
         with open(path, "rb", opener=regular) as file:
-            if code := png_chunk(file, b"cICP", end=b"IDAT"):
+            if code := png_chunk(file, b"cICP", end=PIXELS):
                 return space_of_code(code[0], code[1], limited=code[3] == 0)
     embedded: bytes | None = photo.info.get("icc_profile", b"")
     if embedded is None:  # incomplete, or cannot be decompressed
@@ -252,7 +253,7 @@ def _exif_says_adobe(photo: Image.Image) -> bool:
     if photo.format == "PNG":
         return False
     with suppress(Exception):  # Pillow's readers raise nearly anything on damaged tags
-        tags = photo.getexif()
+        tags = exif_of(photo)
         space = tags.get_ifd(EXIF_IFD).get(COLOUR_SPACE)
         index = str(tags.get_ifd(INTEROPERABILITY_IFD).get(INDEX, "")).strip("\0 ")
         return space == SAYS_ADOBE or (space != SAYS_SRGB and index == "R03")

@@ -32,11 +32,11 @@ def exif_exposure(path: Path) -> float | None:
 
     A photo without an aperture (from phones with a fixed one) counts as taken at f/1.
     """
-    from .headers import PhotoError, open_photo
+    from .headers import PhotoError, exif_of, open_photo
 
     try:
         with open_photo(path) as photo:
-            tags = photo.getexif().get_ifd(EXIF_IFD)
+            tags = exif_of(photo).get_ifd(EXIF_IFD)
     except (PhotoError, MemoryError):
         return None
     time, iso, aperture = (_number(tags.get(tag)) for tag in (TIME, ISO, APERTURE))

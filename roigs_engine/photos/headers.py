@@ -20,18 +20,19 @@ from typing import TYPE_CHECKING, BinaryIO
 from ..errors import EngineError, SceneError
 from ..formats.contents import LFS
 from ..formats.files import regular
-from .jpeg import JPEG_END, check_scans, jpeg_segments, jpeg_size
+from .jpeg import EXIF, JPEG_END, MOST_EXIF, check_scans, jpeg_exif, jpeg_segments, jpeg_size
+from .jpeg2000 import STARTS as JPEG_2000
 from .jpeg2000 import check_tiles
+from .png import PNG, PNG_END, png_chunks
 
 if TYPE_CHECKING:
-    from PIL.Image import Image
+    from PIL.Image import Exif, Image
 
-PNG = b"\x89PNG\r\n\x1a\n"
-FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "JPEG2000", "PPM")  # Pillow's names
-PNG_END = b"IEND"
+JPEG = b"\xff\xd8"
+FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "JPEG2000", "PPM")  # as Pillow calls them
 ORIENTATION = 0x0112  # EXIF and TIFF tag
 TURN = "turn"  # key under which `open_photo` stores a TIFF's tag
-EXIF = b"Exif\0\0"
+PROFILE = "Raw profile type exif"  # text in a PNG, of ImageMagick
 TAIL = 1 << 16  # bytes at the end of a file that are searched for the end marker
 # A larger photo has a damaged or malicious header: the largest cameras today have 150 megapixels,
 # and Pillow rejects more than 179.
@@ -91,19 +92,6 @@ def photo_size(path: Path) -> tuple[int, int]:
     return width, height
 
 
-def png_chunk(file: BinaryIO, kind: bytes, end: bytes = PNG_END) -> bytes:
-    """The data of a PNG's first chunk of a kind before a chunk `end`; empty: there is none."""
-    file.seek(len(PNG))
-    while len(head := file.read(8)) == 8:
-        length, found = struct.unpack(">I4s", head)
-        if found == kind:
-            return file.read(length)
-        if found == end:
-            break
-        file.seek(length + 4, 1)  # skips the checksum, too
-    return b""
-
-
 def check_complete(path: Path) -> None:
     """Check quickly that the file is complete, by its JPEG or PNG end marker; else PhotoError.
 
@@ -152,9 +140,11 @@ def open_png(path: Path) -> Iterator[Image]:
     """Open a PNG with Pillow, which may raise nearly anything; OSError: it is a pipe."""
     from PIL import Image
 
-    with open(path, "rb", opener=regular) as file, Image.open(file, formats=("PNG",)) as image:
-        setattr(image, "filename", str(path))  # noqa: B010 - parts are read again by this name
-        yield image
+    with open(path, "rb", opener=regular) as file:
+        check_cost(file)
+        with Image.open(file, formats=("PNG",)) as image:
+            setattr(image, "filename", str(path))  # noqa: B010 - parts are read again by this name
+            yield image
 
 
 def _opened(path: Path) -> Image:
@@ -164,24 +154,14 @@ def _opened(path: Path) -> Image:
     from . import tiff
 
     with open(path, "rb", opener=regular) as file:
-        tiff.check_tags(file)
+        check_cost(file)
     try:
         photo: Image.Image = Image.open(path, formats=FORMATS)
-        try:
-            tiff.check_tags(io.BytesIO((photo.info.get("exif") or b"").removeprefix(EXIF)))
-        except ValueError:  # the pixels are still usable
-            del photo.info["exif"]
-        if photo.format == "JPEG2000":
-            with open(path, "rb", opener=regular) as file:
-                check_tiles(file)
-        if photo.format in ("JPEG", "MPO"):
-            with open(path, "rb", opener=regular) as file:
-                check_scans(file)
         if tiff.pillow_reads(photo):
             tiff.check_parts(photo)
-            if photo.format == "TIFF" and (tag := photo.getexif().get(ORIENTATION, 1)) != 1:
+            if photo.format == "TIFF" and (tag := exif_of(photo).get(ORIENTATION, 1)) != 1:
                 photo.info[TURN] = tag
-                photo.getexif()[ORIENTATION] = 1  # Pillow itself would turn TIFFs
+                exif_of(photo)[ORIENTATION] = 1  # Pillow turns only TIFFs by it
                 photo._size = getattr(photo, "_tile_size", photo.size)
             return photo
         photo.close()
@@ -192,6 +172,62 @@ def _opened(path: Path) -> Image:
     if photo.width * photo.height > MAX_PIXELS:
         raise ValueError(f"its header says {photo.width} x {photo.height} pixels")
     return photo
+
+
+def open_picture(data: bytes, formats: tuple[str, ...]) -> Image:
+    """Open a picture that another file embeds, after the checks of a photo.
+
+    Pillow may raise nearly anything on damaged data.
+    """
+    from PIL import Image
+
+    file = io.BytesIO(data)
+    check_cost(file)
+    return Image.open(file, formats=formats)
+
+
+def check_cost(file: BinaryIO) -> None:
+    """Raise ValueError if a picture would take Pillow far longer than others of its size.
+
+    Damage of other kinds is left to Pillow, which gets `file` at its beginning.
+    """
+    from . import tiff
+
+    start = file.read(max(map(len, (*JPEG_2000, PNG))))
+    if start.startswith(JPEG):
+        with suppress(struct.error):
+            tiff.check_tags(io.BytesIO(jpeg_exif(file)))  # Pillow reads them to open it
+        check_scans(file)
+    elif start.startswith(PNG):
+        for _ in png_chunks(file):
+            pass
+    elif start.startswith(JPEG_2000):
+        check_tiles(file)
+    else:
+        file.seek(0)
+        tiff.check_tags(file)
+    file.seek(0)
+
+
+def exif_of(photo: Image) -> Exif:
+    """The EXIF tags of an opened photo; of damaged or far too long data, none."""
+    from PIL.Image import Exif
+
+    from . import tiff
+
+    if photo.format == "PNG" and "exif" not in photo.info:
+        photo.load()  # they may follow the pixels
+    text = photo.info.pop(PROFILE, "")
+    try:
+        if text and "exif" not in photo.info:
+            photo.info["exif"] = bytes.fromhex("".join(str(text).split("\n")[3:]))
+        data = bytes(photo.info.get("exif") or b"")
+        if len(data) > MOST_EXIF + len(EXIF):
+            return Exif()
+        tiff.check_tags(io.BytesIO(data.removeprefix(EXIF)))
+    except (TypeError, ValueError):  # the pixels are good
+        return Exif()
+    return photo.getexif()
 
 
 def unreadable(path: Path, error: Exception) -> PhotoError:

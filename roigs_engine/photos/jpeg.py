@@ -13,8 +13,10 @@ PROGRESSIVE = {0xC2, 0xC6, 0xCA, 0xCE}
 BARE = {0x01, *range(0xD0, 0xD8)}
 JPEG_END, SCAN = b"\xff\xd9", b"\xff\xda"
 PER_PIXEL, BESIDE = 8, 64 << 20
-"""Most bytes of a JPEG for each pixel; for headers and an appended film."""
-MOST_SCANS = 100  # scans of a JPEG, each of which may change all pixels; usual files have up to 20
+"""Bytes that a JPEG may have for each pixel, and besides: for headers, and a film behind it."""
+MOST_SEGMENTS = 4096  # of the headers; Pillow takes microseconds for each, and for padding
+APP1, EXIF, MOST_EXIF = 0xE1, b"Exif\0\0", 1 << 20  # the last in bytes
+MOST_SCANS = 100  # of a JPEG; each may change all pixels. Usual files have up to 20
 
 
 def jpeg_size(file: BinaryIO) -> tuple[int, int]:
@@ -57,15 +59,35 @@ def check_scans(file: BinaryIO) -> None:
         raise ValueError(f"a JPEG of more than {most >> 20} MB, for {width} x {height} pixels")
 
 
+def jpeg_exif(file: BinaryIO) -> bytes:
+    """The EXIF data of a JPEG, joined as Pillow does; empty: there are none.
+
+    ValueError, struct.error: the headers are damaged, or far too long.
+    """
+    found = b""
+    for marker in jpeg_segments(file):
+        if marker == APP1:
+            (length,) = struct.unpack(">H", file.read(2))
+            data = file.read(max(length - 2, 0))
+            found += data[len(EXIF) :] if data.startswith(EXIF) else b""
+        if len(found) > MOST_EXIF:
+            raise ValueError(f"its EXIF data have more than {MOST_EXIF >> 20} MB")
+    return found
+
+
 def jpeg_segments(file: BinaryIO) -> Iterator[int]:
-    """Yield the headers' markers, with `file` at the segment's length, up to the image data."""
+    """Yield the headers' markers, with `file` at the segment's length, up to the image data.
+
+    ValueError, struct.error: they are damaged, or far too many.
+    """
     file.seek(2)
-    while True:
+    for _ in range(MOST_SEGMENTS):
         (lead, marker) = struct.unpack(">BB", file.read(2))
         if lead != 0xFF:
             raise ValueError("a damaged JPEG header")
-        while marker == 0xFF:  # padding
-            (marker,) = file.read(1) or (0,)
+        if marker == 0xFF:  # padding
+            file.seek(-1, 1)
+            continue
         if marker in BARE:
             continue
         if marker in (0xD9, 0xDA):  # end of the file, or start of the pixels
@@ -77,3 +99,4 @@ def jpeg_segments(file: BinaryIO) -> Iterator[int]:
         if length < 2:
             raise ValueError("a damaged JPEG header")
         file.seek(length - 2, 1)
+    raise ValueError(f"a JPEG of more than {MOST_SEGMENTS:,} segments before its pixels")

@@ -7,7 +7,10 @@ from collections.abc import Iterator
 from typing import BinaryIO
 
 START = b"\xff\x4f\xff\x51"
-"""First bytes of a codestream."""
+"""How a codestream begins."""
+STARTS = (START, b"\0\0\0\x0cjP  \r\n\x87\n")
+"""How a file begins (I.5.1)."""
+MOST_BOXES = 4096
 SIZE = 38
 """Bytes after `START`, up to and including the number of channels (A.5.1)."""
 MOST_TILES = 1 << 14
@@ -15,8 +18,13 @@ MOST_TILES = 1 << 14
 
 
 def boxes(file: BinaryIO, at: int, end: int) -> Iterator[tuple[bytes, int, int]]:
-    """Yield the boxes in a part of a file: kind, and start and end of the data (I.4)."""
-    while at + 8 <= end:
+    """Yield the boxes in a part of a file: kind, and start and end of the data (I.4).
+
+    ValueError: there are far too many.
+    """
+    for _ in range(MOST_BOXES):
+        if at + 8 > end:
+            return
         file.seek(at)
         length, kind = struct.unpack(">I4s", file.read(8))
         start = at + 8
@@ -28,6 +36,7 @@ def boxes(file: BinaryIO, at: int, end: int) -> Iterator[tuple[bytes, int, int]]
             return
         yield kind, start, stop
         at = stop
+    raise ValueError(f"a JPEG 2000 of more than {MOST_BOXES:,} boxes")
 
 
 def picture_of(data: bytes, at: int) -> tuple[int, int, int]:

@@ -11,18 +11,18 @@ from __future__ import annotations
 import struct
 from contextlib import suppress
 from pathlib import Path
-from typing import BinaryIO, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..formats.files import regular
-from .headers import EXIF, ORIENTATION, PNG, TURN, PhotoError, open_photo, png_chunk
-from .jpeg import jpeg_segments
+from .headers import ORIENTATION, TURN, PhotoError, exif_of, open_photo
+from .jpeg import EXIF, jpeg_exif
+from .png import EXIF_CHUNK, PNG, png_chunk
 
 AS_STORED = 1
 SIDEWAYS = range(5, 9)  # turns that swap width and height
-APP1 = 0xE1
 TIFF_SHORT = 3
 Values = TypeVar("Values", NDArray[np.uint8], NDArray[np.bool_])
 
@@ -37,13 +37,12 @@ def rotation_tag(path: Path) -> int:
     with suppress(*damage), open(path, "rb", opener=regular) as file:
         start = file.read(8)
         if start.startswith(b"\xff\xd8"):
-            tag = _of_jpeg(file)
+            tag = _of_exif(jpeg_exif(file))
         elif start == PNG:
-            data = png_chunk(file, b"eXIf")  # it may be after the pixels
-            tag = _of_exif(data.removeprefix(EXIF)) if data else AS_STORED
+            tag = _of_exif(png_chunk(file, EXIF_CHUNK).removeprefix(EXIF))  # may follow the pixels
         elif start[:2] in (b"II", b"MM") or start.startswith(b"RIFF"):
             with open_photo(path) as photo:
-                tag = int(photo.info.get(TURN) or photo.getexif().get(ORIENTATION, AS_STORED))
+                tag = int(photo.info.get(TURN) or exif_of(photo).get(ORIENTATION, AS_STORED))
     return tag if tag in range(1, 9) else AS_STORED
 
 
@@ -61,17 +60,6 @@ def turned(pixels: Values, turn: int) -> Values:
     if turn in (3, 4, 7, 8):
         pixels = pixels[::-1]
     return np.ascontiguousarray(pixels)
-
-
-def _of_jpeg(file: BinaryIO) -> int:
-    """The tag of a JPEG's first EXIF segment."""
-    for marker in jpeg_segments(file):
-        if marker == APP1:
-            (length,) = struct.unpack(">H", file.read(2))
-            data = file.read(length - 2)
-            if data.startswith(EXIF):
-                return _of_exif(data[len(EXIF) :])
-    return AS_STORED
 
 
 def _of_exif(data: bytes) -> int:

@@ -25,6 +25,7 @@ from ..formats.files import regular
 from ..machine import package
 from .jpeg import check_scans, jpeg_size
 from .jpeg2000 import START, picture_of
+from .png import png_chunks
 from .profiles import parts_of
 
 MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
@@ -49,10 +50,12 @@ JPEG_2000, WEBP, PNG = (33003, 33004, 33005, 34712), 50001, 34933
 READ = COMPRESSIONS | {*JPEG_2000, WEBP, PNG}
 TYPE_BYTES = np.array([0, 1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8, 4, 0, 0, 8, 8, 8])
 """Bytes of a value, by the number of its type (TIFF 6.0, section 2, and BigTIFF)."""
-MOST_TAGS = 4096  # tags of a page
-MOST_LOOKS = 1024  # lists of tags that are read: of pages, of pages below them, of EXIF data
-MOST_PLACES = 1 << 22  # numbers in a page's lists: offsets of strips, tiles and pages below
-LISTS, BELOW = (273, 279, 324, 325, 330), (330, 34665, 34853, 40965)  # tags: lists; further pages
+MOST_TAGS = 4096  # of a page
+MOST_LOOKS = 1024  # lists of tags read: of pages, of pages below them, of EXIF data
+MOST_PLACES = 1 << 22  # numbers in a page's lists: places of strips, tiles and pages below
+MOST_NUMBERS = 1 << 18  # numbers of all other tags; a palette of 16 bits has three quarters of it
+TEXT, RATIONAL = (1, 2, 7), (5, 10)  # types that Pillow reads as bytes; that take it the longest
+LISTS, BELOW = (273, 279, 324, 325, 330), (330, 34665, 34853, 40965)  # BELOW: of other pages
 HINT = "Save it as a TIFF of 8 or 16 bits, grey or RGB, or as PNG."
 Result = TypeVar("Result")
 
@@ -115,8 +118,8 @@ def check_tags(file: BinaryIO) -> None:
     if head[:4] not in MAGIC:
         return
     big, size = head[2:4] in (b"+\0", b"\0+"), file.seek(0, io.SEEK_END)
-    kind = _Kind(order, big, size, set())
-    with suppress(struct.error):  # truncated data
+    kind = _Kind(order, big, size, {})
+    with suppress(struct.error):  # the data are cut off
         (at,) = struct.unpack_from(order + ("8xQ" if big else "4xI"), head)
         for page in range(MOST_PAGES):
             at = _check_directory(file, at, kind, 0 if page else 2) if at else 0
@@ -126,12 +129,13 @@ class _Kind(NamedTuple):
     """A TIFF's byte order, whether it is a BigTIFF, and its size in bytes.
 
     `looked`: the lists of tags that were checked, as (place, depth): lists may name one another.
+    Each has the count of its numbers.
     """
 
     order: str
     big: bool
     size: int
-    looked: set[tuple[int, int]]
+    looked: dict[tuple[int, int], float]
 
 
 def _check_directory(file: BinaryIO, at: int, kind: _Kind, depth: int) -> int:
@@ -142,7 +146,7 @@ def _check_directory(file: BinaryIO, at: int, kind: _Kind, depth: int) -> int:
     order, big, size, looked = kind
     if (at, depth) in looked:
         return 0
-    looked.add((at, depth))
+    looked[at, depth] = 0.0
     if len(looked) > MOST_LOOKS:
         raise ValueError(f"it has more than {MOST_LOOKS:,} lists of tags")
     width = 8 if big else 4
@@ -163,6 +167,11 @@ def _check_directory(file: BinaryIO, at: int, kind: _Kind, depth: int) -> int:
     listed = read & np.isin(entries["code"], LISTS) & (bytes_ > 1)
     if entries["count"][listed].astype(np.float64).sum() > MOST_PLACES:
         raise ValueError("its pixels are in far too many parts")
+    listed &= ~np.isin(entries["type"], RATIONAL)
+    numbers = read & ~listed & ~np.isin(entries["type"], TEXT)
+    looked[at, depth] = float(entries["count"][numbers].astype(np.float64).sum())
+    if sum(looked.values()) > MOST_NUMBERS:
+        raise ValueError("its tags have far too many numbers")
     for row in np.flatnonzero(np.isin(entries["code"], BELOW) & (depth > 0)):
         places = [int(entries["value"][row])]
         if read[row] and bytes_[row] in (4, 8):
@@ -358,6 +367,10 @@ def _own_size(inner: BinaryIO, compression: int, samples: int) -> tuple[int, int
     if compression in JPEG:
         check_scans(inner)
         return jpeg_size(inner)
+    if compression == PNG:
+        for _ in png_chunks(inner):
+            pass
+        inner.seek(0)
     if compression not in JPEG_2000:
         with Image.open(inner, formats=("WEBP", "PNG")) as picture:
             return picture.size

@@ -19,6 +19,7 @@ from ..formats.events import Preview, StageStarted
 from ..formats.files import atomic_write
 from ..formats.frame_requests import colour_file, depth_file, index_file, png, share_file, tiff
 from ..formats.names import safe_name
+from ..formats.others import marked
 from ..machine import package
 from ..model.gaussians import Gaussians
 from ..model.scene import Camera, Float64
@@ -55,9 +56,10 @@ def save_layer(out: Path, layer: Layer) -> None:
         file.write(png(rows.tobytes(), width, height))
 
 
-def save_light(path: Path, light: NDArray[np.float32]) -> None:
+def save_light(path: Path, light: NDArray[np.float32], *, companion: bool = False) -> None:
     """Write (H, W, 3) linear light as a Radiance .hdr to `path`, atomically.
 
+    `companion`: with the mark of a file that belongs to another.
     EngineError: OpenCV is not installed, or has no space for a temporary file.
     """
     cv2: Any = package("cv2", "A panorama", "opencv-python-headless")
@@ -68,7 +70,7 @@ def save_light(path: Path, light: NDArray[np.float32]) -> None:
             "Free some space there, or set TMPDIR to another folder.",
         )
     with atomic_write(path) as file:
-        file.write(data.tobytes())
+        file.write(marked(data.tobytes()) if companion else data.tobytes())
 
 
 def render_sequence(

@@ -16,7 +16,7 @@ from ..machine import package
 from ..photos.colours import colours_of, say_srgb
 from ..photos.decode import check_whole, to_rgb
 from ..photos.files import HEIC
-from ..photos.headers import PhotoError, content_digest, open_photo
+from ..photos.headers import PhotoError, content_digest, exif_of, open_photo
 from ..photos.parallel import in_parallel
 from ..photos.tiff import colmap_reads
 from .folder import IMAGES, Folder
@@ -28,8 +28,9 @@ STAGE = "convert photos"
 FOREIGN = {*HEIC, ".webp", ".jp2"}  # pycolmap's wheels cannot read these
 TIFF = {".tif", ".tiff"}  # pycolmap reads some of these differently
 QUALITY = 95
-ORIENTATION = 0x0112  # EXIF tag
-BYTES = 20 * 50_000_000  # memory for converting a large photo
+ORIENTATION, EXIF_IFD = 0x0112, 0x8769  # EXIF tags
+MOST_EXIF, LONG = 65_533, 1000  # bytes in a JPEG; letters of a tag that is not needed, as MakerNote
+BYTES = 20 * 50_000_000  # for converting a large photo
 RECORD = "converted.json"
 SRGB = " sRGB"  # after the digest of a photo whose colours were also converted
 
@@ -125,13 +126,29 @@ def _as_jpeg(source: Path) -> bytes:
     if not heic:
         check_whole(source)
     with _opened(source) as photo:
-        exif = photo.getexif()
+        exif = _exif(photo, heic=heic)
+        to_rgb(photo).save(file, format="JPEG", quality=QUALITY, subsampling=0, exif=exif)
+    return file.getvalue()
+
+
+def _exif(photo: Image, *, heic: bool) -> bytes:
+    """EXIF data for a JPEG of the photo, which has room for 64 kB: without long tags if needed.
+
+    Empty if they are damaged, or still too long.
+    """
+    with suppress(Exception):  # Pillow may raise nearly anything on damaged tags
+        exif = exif_of(photo)
         if heic:
             exif.pop(ORIENTATION, None)  # reading has already turned it
         if colours_of(photo).profile:
             say_srgb(exif)
-        to_rgb(photo).save(file, format="JPEG", quality=QUALITY, subsampling=0, exif=exif)
-    return file.getvalue()
+        if len(data := exif.tobytes()) > MOST_EXIF:
+            for tags in (exif, exif.get_ifd(EXIF_IFD)):
+                for tag in [tag for tag, value in tags.items() if len(str(value)) > LONG]:
+                    del tags[tag]
+            data = exif.tobytes()
+        return data if len(data) <= MOST_EXIF else b""
+    return b""
 
 
 def _opened(source: Path) -> AbstractContextManager[Image]:

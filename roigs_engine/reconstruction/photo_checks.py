@@ -16,7 +16,7 @@ from ..errors import SceneError
 from ..formats.text import counted, named
 from ..photos.contents import read_contents
 from ..photos.decode import decode
-from ..photos.headers import open_photo, photo_size
+from ..photos.headers import exif_of, open_photo, photo_size
 from ..photos.parallel import decoding_bytes, in_parallel
 
 STAGE = "look at photos"
@@ -109,7 +109,7 @@ def camera_groups(photos: Sequence[Photo], cameras: str) -> list[list[Photo]]:
 def _device(path: Path) -> str:
     with suppress(Exception):  # Pillow's readers raise nearly anything on damaged files
         with open_photo(path) as photo:
-            tags = photo.getexif()
+            tags = exif_of(photo)
             lens = tags.get_ifd(EXIF_IFD)
         known = [tags.get(tag) for tag in DEVICE_TAGS] + [lens.get(tag) for tag in LENS_TAGS]
         return "; ".join(str(value).strip("\0 ") for value in known if value is not None)

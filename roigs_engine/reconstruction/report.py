@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..formats.projects import FEWEST_OBSERVED, weakly_observed
-from ..formats.text import counted, named, printable
+from ..formats.text import counted, markdown_text, named, printable
 from .database import FEWEST_INLIERS, PANORAMIC, STILL, Pair
 from .mapping import Mapped
 from .photo_checks import Found, blurred, small, warnings_of
@@ -165,11 +165,12 @@ def _summary(result: Reconstruction) -> str:
 
 def as_markdown(result: Reconstruction) -> str:
     """The report as Markdown."""
-    lines = ["# Reconstruction", "", _summary(result), ""]
-    lines += [f"- {text}" for text in (*warnings_of(result.found), *result.warnings)]
+    lines = ["# Reconstruction", "", markdown_text(_summary(result)), ""]
+    remarks = [*warnings_of(result.found), *result.warnings]
     if result.models:
-        told = [text for _, text in findings(result)[1:]]  # the last table lists weak photos
-        lines += [f"- {text}" for text in told if text not in _unreliable(result)]
+        told = [text for _, text in findings(result)[1:]]  # the last table has weak photos
+        remarks += [text for text in told if text not in _unreliable(result)]
+    lines += [f"- {markdown_text(text)}" for text in remarks]
     lines += ["", "| | |", "|---|---|"]
     lines += [f"| photos registered | {len(result.registered)} of {len(result.found.photos)} |"]
     if result.models:
@@ -186,9 +187,11 @@ def as_markdown(result: Reconstruction) -> str:
         notes = dict.fromkeys(blurred(result.found.photos), "blurred; ")
         notes |= dict.fromkeys(small(result.found.photos), "small; ")
         lines += ["", "## Not registered", "", "| photo | why |", "|---|---|"]
-        lines += [f"| {n} | {notes.get(n, '')}{reason(result, n)} |" for n in result.missing]
+        why = {name: f"{notes.get(name, '')}{reason(result, name)}" for name in result.missing}
+        lines += [f"| {markdown_text(name)} | {markdown_text(why[name])} |" for name in why]
     few = {name: n for name, n in result.registered.items() if n < FEW_POINTS}
     if few:
         lines += ["", f"## Fewer than {FEW_POINTS} points", "", "| photo | points |", "|---|---|"]
-        lines += [f"| {name} | {few[name]} |" for name in sorted(few, key=lambda n: few[n])]
-    return "\n".join(map(printable, lines)) + "\n"
+        weakest = sorted(few, key=lambda name: few[name])
+        lines += [f"| {markdown_text(name)} | {few[name]} |" for name in weakest]
+    return "\n".join(lines) + "\n"

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from ..context import QUIET, Context
 from ..exchange.arrays import turn
 from ..exchange.gltf import has_triangles
 from ..exchange.gltf_file import GltfFile, shown
@@ -21,6 +22,7 @@ from ..formats.others import write_beside
 from ..machine import package
 from ..model.local_frame import LocalFrame
 from ..model.scene import Float64
+from ..photos.headers import open_picture
 from .texture import Textured
 
 PURPOSE = "A mesh's file"
@@ -47,8 +49,8 @@ def write_mesh(
     write_bytes(path, bytes(trimesh.exchange.gltf.export_glb(scene, include_normals=True)))
 
 
-def convert_mesh(source: Path, path: Path, up: str | None = None) -> int:
-    """Write the mesh of a .glb in the format of the path's suffix, atomically.
+def convert_mesh(source: Path, path: Path, up: str | None = None, context: Context = QUIET) -> int:
+    """Write the mesh of a .glb in the format that the path ends in, atomically.
 
     Args:
         source: a .glb with y up.
@@ -60,36 +62,36 @@ def convert_mesh(source: Path, path: Path, up: str | None = None) -> int:
 
     Raises:
         EngineError: the file cannot be read, or a package is not installed.
+        Stopped: on request, while the file is read.
     """
     trimesh: Any = package("trimesh", PURPOSE)
     ending = path.suffix.lower()
     with reading(source, "glTF"):
-        placed = _read(source)
+        placed = _read(source, context)
         for matrix, part in placed:
             part.apply_transform(matrix)
         mesh = trimesh.util.concatenate([part for _, part in placed])
-    mesh.apply_transform(turn("y", up or UP[ending]))
-    if ending == ".obj":
-        _write_obj(path, mesh)
-    elif ending in USD:
-        _write_usd(path, mesh)
-    else:
-        if ending == ".ply" and mesh.visual.kind == "texture":
-            mesh.visual = mesh.visual.to_color()
-        columns = mesh.vertex_attributes.items()
-        mesh.vertex_attributes = {name: values.squeeze() for name, values in columns}
-        write_bytes(path, mesh.export(file_type=ending[1:]))
+        mesh.apply_transform(turn("y", up or UP[ending]))
+        if ending == ".obj":
+            _write_obj(path, mesh)
+        elif ending in USD:
+            _write_usd(path, mesh)
+        else:
+            if ending == ".ply" and mesh.visual.kind == "texture":
+                mesh.visual = mesh.visual.to_color()
+            columns = mesh.vertex_attributes.items()
+            mesh.vertex_attributes = {name: values.squeeze() for name, values in columns}
+            write_bytes(path, mesh.export(file_type=ending[1:]))
     return len(mesh.faces)
 
 
-def read_points(path: Path, frame: LocalFrame) -> tuple[Float64, Float64]:
-    """Return points (N, 3) all over a surface's .glb, in a frame, and their normals.
+def read_points(path: Path, frame: LocalFrame, context: Context = QUIET) -> tuple[Float64, Float64]:
+    """(N, 3) points all over a surface's .glb, in a frame, and their normals.
 
-    Raises:
-        EngineError: the file cannot be read, or a package is not installed.
+    Raises as `convert_mesh`.
     """
     with reading(path, "glTF"):
-        meshes = [mesh for _, mesh in _read(path)]
+        meshes = [mesh for _, mesh in _read(path, context, textured=False)]
         corners = np.concatenate([np.asarray(mesh.triangles) for mesh in meshes])
         normals = np.concatenate([np.asarray(mesh.face_normals) for mesh in meshes])
         areas = np.concatenate([np.asarray(mesh.area_faces) for mesh in meshes])
@@ -97,8 +99,10 @@ def read_points(path: Path, frame: LocalFrame) -> tuple[Float64, Float64]:
     return frame.points(np.einsum("nk,nkd->nd", shares, corners[faces])), normals[faces]
 
 
-def sampled_surface(path: Path, count: int) -> tuple[Float64, Float64, Float64]:
-    """Return evenly spread places on a surface's .glb that a photo has shown.
+def sampled_surface(
+    path: Path, count: int, context: Context = QUIET
+) -> tuple[Float64, Float64, Float64]:
+    """Places on a surface's .glb that a photo has shown, evenly chosen.
 
     Args:
         count: number of places to try; those that no photo has shown are left out.
@@ -106,10 +110,10 @@ def sampled_surface(path: Path, count: int) -> tuple[Float64, Float64, Float64]:
     Returns:
         (N, 3) in the world; their normals; the texture's sRGB values there, 0 to 1.
 
-    Raises the errors of `read_points`.
+    Raises as `convert_mesh`.
     """
     with reading(path, "glTF"):
-        ((_, mesh),) = _read(path)
+        ((_, mesh),) = _read(path, context)
         picture = np.asarray(mesh.visual.material.baseColorTexture.convert("RGB"))
         columns = mesh.vertices, mesh.vertex_normals, mesh.visual.uv
         values = np.concatenate([np.asarray(column, float) for column in columns], axis=1)
@@ -132,15 +136,17 @@ def _spread(areas: Float64, count: int) -> tuple[NDArray[np.int64], Float64]:
     return faces, rng.dirichlet((1.0, 1.0, 1.0), count)
 
 
-def page_meshes(path: Path, matrix: Float64) -> list[PageMesh]:
-    """Return the textured meshes of a surface's .glb for a web page.
+def page_meshes(path: Path, matrix: Float64, context: Context = QUIET) -> list[PageMesh]:
+    """The textured meshes of a surface's .glb for a web page.
 
     Args:
-        matrix: (4, 4) from the world of the surface's vertices to the page.
+        matrix: (4, 4) from the world, in which a surface's vertices are, to the page.
+
+    Raises as `convert_mesh`.
     """
     found, pictures = [], dict[int, bytes]()  # many meshes may show the same picture
     with reading(path, "glTF"):
-        for _, mesh in _read(path):
+        for _, mesh in _read(path, context):
             if mesh.visual.kind != "texture":
                 raise NotSupportedError("a mesh without a texture")
             texture = mesh.visual.material.baseColorTexture
@@ -156,12 +162,17 @@ def page_meshes(path: Path, matrix: Float64) -> list[PageMesh]:
     return found
 
 
-def _read(path: Path) -> list[tuple[Float64, Any]]:
-    """Return the meshes of a .glb, at least one, each with the matrix (4, 4) that places it.
+def _read(path: Path, context: Context, *, textured: bool = True) -> list[tuple[Float64, Any]]:
+    """The meshes of a .glb, each with the matrix (4, 4) that places it; at least one.
 
-    Our own reader is used, because trimesh's opens pictures of any format, some of which are
-    programs, and accepts any count that the file names.
+    Read by our own reader, as trimesh's opens pictures of any format, some of which are programs,
+    and takes any count that the file names. `textured`: the textures too, decoded.
     """
+    return context.interruptible(lambda: _meshes(path, textured=textured))
+
+
+@np.errstate(all="ignore")  # a thread has its own
+def _meshes(path: Path, *, textured: bool) -> list[tuple[Float64, Any]]:
     trimesh: Any = package("trimesh", PURPOSE)
     file = GltfFile(path)
     placed = shown(file.record, has_triangles)
@@ -178,14 +189,19 @@ def _read(path: Path) -> list[tuple[Float64, Any]]:
                 raise ValueError(f"{name} does not fit the vertices")
             if not np.isfinite(values).all():
                 raise ValueError(f"{name} has numbers that are not finite")
-        if corners.size % 3 or corners.max() >= len(columns["POSITION"]):
+        if corners.dtype.kind == "f" or corners.size % 3:
             raise ValueError("faces of vertices that it does not have")
+        if corners.min() < 0 or corners.max() >= len(columns["POSITION"]):
+            raise ValueError("faces of vertices that it does not have")
+        at_place = columns["POSITION"] @ matrix[:3, :3].T + matrix[:3, 3]
+        if not all(np.isfinite(a.astype(np.float32)).all() for a in (matrix, at_place)):
+            raise ValueError("its nodes place vertices infinitely far away")
         filled = {FILLED: columns[FILLED][:, 0]} if FILLED in columns else {}
         mesh = trimesh.Trimesh(
             vertices=columns["POSITION"],
             faces=corners.reshape(-1, 3).astype(np.int64),
             vertex_normals=columns.get("NORMAL"),
-            visual=_texture(file, item, columns.get("TEXCOORD_0"), materials),
+            visual=_texture(file, item, columns.get("TEXCOORD_0"), materials) if textured else None,
             vertex_attributes=filled,
             process=False,
             validate=False,
@@ -210,8 +226,9 @@ def _texture(file: GltfFile, item: dict[str, Any], uv: Any, materials: dict[int,
     material = materials.get(texture["source"])
     if material is None:  # many primitives may show the same picture
         content = bytes(file.view(record["images"][texture["source"]]["bufferView"]))
-        picture = Image.open(io.BytesIO(content), formats=("PNG", "JPEG"))
+        picture = open_picture(content, ("PNG", "JPEG"))
         file.count(3 * picture.width * picture.height)
+        picture.load()
         material = materials[texture["source"]] = _material(picture)
     return trimesh.visual.TextureVisuals(uv=uv * (1, -1) + (0, 1), material=material)
 

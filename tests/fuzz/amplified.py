@@ -11,6 +11,7 @@ import json
 import random
 import sqlite3
 import struct
+import zlib
 from collections.abc import Callable
 from contextlib import closing, suppress
 from pathlib import Path
@@ -90,6 +91,32 @@ def profiled(dice: random.Random, folder: Path) -> Case:
     else:
         Image.fromarray(pictures.SLOPE).save(out, "PNG", icc_profile=icc)
     return pictures.shown(dice, folder, {"a": out.getvalue()})
+
+
+def metadata(dice: random.Random, folder: Path) -> Case:
+    """Photos with very many segments or chunks, long EXIF data, or tags of very many numbers."""
+    count, out = many(dice, 250_000), io.BytesIO()
+    kind = dice.choice(("JPEG", "PNG", "TIFF"))
+    Image.fromarray(pictures.SLOPE).save(out, kind)
+    data = out.getvalue()
+    if kind == "JPEG":
+        long = b"\xff\xe1\xff\xff" + b"Exif\0\0".ljust(65_533, b"\1")
+        part = dice.choice((b"\xff\xfe\0\2", b"\xff", b"\xff\xd0", b"\xff\xe1\0\2", long))
+        data = data[:2] + part * min(count, 1_000_000 // len(part)) + data[2:]
+    elif kind == "PNG":
+        at = data.index(dice.choice((b"IDAT", b"IEND"))) - 4
+        long = dice.choice((b"teXt", b"eXIf", b"iTXt"))
+        part = struct.pack(">I4sI", 0, long, zlib.crc32(long))
+        data = data[:at] + part * min(count, 1_000_000 // len(part)) + data[at:]
+    else:
+        (at,) = struct.unpack_from("<4xI", data)
+        (rows,) = struct.unpack_from("<H", data, at)
+        code, numbers, width = dice.choice(((282, 5, 8), (273, 5, 8), (40000, 3, 2), (700, 1, 1)))
+        entry = struct.pack("<HHII", code, numbers, min(count, 900_000 // width), len(data))
+        own = struct.pack("<H", rows + 1) + data[at + 2 : at + 2 + 12 * rows] + entry + bytes(4)
+        body = data + bytes(900_000)
+        data = body[:4] + struct.pack("<I", len(body)) + body[8:] + own
+    return pictures.shown(dice, folder, {"a": data})
 
 
 # Files of Gaussians and meshes
@@ -316,7 +343,20 @@ def strokes(dice: random.Random, folder: Path) -> Case:
 
 Kind = Callable[[random.Random, Path], Case]
 KINDS: tuple[Kind, ...] = (
-    *(paged, profiled, values, repeated, sparse, ply, sog, levels, nested, text_model, computed),
+    *(
+        paged,
+        profiled,
+        metadata,
+        values,
+        repeated,
+        sparse,
+        ply,
+        sog,
+        levels,
+        nested,
+        text_model,
+        computed,
+    ),
     strokes,
 )
 

@@ -21,12 +21,12 @@ PROGRAM = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n(it ran) print show
 
 
 @functools.cache
-def picture(kind: str = "PNG", side: int = 8) -> bytes:
+def picture(kind: str = "PNG", side: int = 8, *, progressive: bool = False) -> bytes:
     """A picture of one colour."""
     from PIL import Image
 
     out = io.BytesIO()
-    Image.new("RGB", (side, side), (200, 60, 20)).save(out, kind)
+    Image.new("RGB", (side, side), (200, 60, 20)).save(out, kind, progressive=progressive)
     return out.getvalue()
 
 
@@ -85,10 +85,36 @@ def repeated(record: dict[str, Any], kind: int) -> None:
         record["accessors"][0]["count"] = 300_000_000
 
 
+ODD_FACES = (-1, -100, 2.7, -1e30, float("nan"), 4, 127)
+
+
+def other_faces(dice: random.Random, record: dict[str, Any], blob: bytes) -> bytes:
+    """The binary part with faces of other numbers: signed, floating, of no vertex."""
+    code, kind = dice.choice(((5120, "i1"), (5122, "<i2"), (5125, "<u4"), (5126, "<f4")))
+    faces = np.array([0, 2, 1, 0, 1, 3, 1, 2, 3, 2, 0, 3], "<f4")
+    faces[dice.randrange(12)] = dice.choice(ODD_FACES)
+    with np.errstate(all="ignore"):
+        content = faces.astype(kind).tobytes()
+    start = record["bufferViews"][4]["byteOffset"]
+    record["accessors"][4]["componentType"] = code
+    return blob[:start] + content + blob[start + len(content) :]
+
+
+def other_place(dice: random.Random) -> dict[str, Any]:
+    """A node that places its mesh by odd numbers."""
+    odd = dice.choice((float("nan"), float("inf"), 1e300, -1e300, 1e39, 1e20, 0.0, 1e-300, -1.0))
+    key = dice.choice(("matrix", "translation", "scale", "rotation"))
+    numbers = {"matrix": np.eye(4).ravel().tolist(), "rotation": [0.0, 0.0, 0.0, 1.0]}
+    values = numbers.get(key, [1.0, 1.0, 1.0])
+    for place in dice.sample(range(len(values)), dice.choice((1, 1, len(values)))):
+        values[place] = odd
+    return {"mesh": 0, key: values}
+
+
 def mesh(dice: random.Random, folder: Path) -> Case:
     """A mesh into other formats, and onto a page beside Gaussians."""
     odd = (b"", PROGRAM, b"<svg/>", bytes_damaged(dice, picture()), picture("GIF"))
-    kind = dice.randrange(8)
+    kind = dice.randrange(11)
     texture = dice.choice(odd) if kind == 0 else picture(dice.choice(("PNG", "JPEG")))
     record, blob = mesh_record(texture)
     if kind == 1:
@@ -107,6 +133,14 @@ def mesh(dice: random.Random, folder: Path) -> Case:
         blob = bytes_damaged(dice, blob)
     elif kind == 6:
         repeated(record, dice.randrange(4))
+    elif kind == 8:
+        blob = other_faces(dice, record, blob)
+    elif kind == 9:
+        record["nodes"] = [other_place(dice)]
+    elif kind == 10:  # scans of a JPEG, few or many
+        data = picture("JPEG", progressive=True)
+        scan = data[data.rindex(b"\xff\xda") : -2]
+        record, blob = mesh_record(data[:-2] + scan * dice.choice((1, 50, 300)) + data[-2:])
     data = glb_of(record, blob)
     if kind == 7:
         data = bytes_damaged(dice, data)

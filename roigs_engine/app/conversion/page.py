@@ -57,8 +57,8 @@ def compared(request: Convert, up: str, model: Model, context: Context) -> Array
     return shortened(turned(arrays, matrix), request)
 
 
-def page_extras(request: Convert, before: Arrays | None, model: Model) -> Extras:
-    """Return the extra content of a page, with boxes and photos rotated like the model."""
+def page_extras(request: Convert, before: Arrays | None, model: Model, context: Context) -> Extras:
+    """The extra content of a page, with boxes and photos rotated like the model."""
     from ...exchange.page import Ball, Extras
 
     matrix, poses = model.matrix, model.poses
@@ -72,7 +72,7 @@ def page_extras(request: Convert, before: Arrays | None, model: Model) -> Extras
         from ...surface.files import page_meshes
 
         refuse_own_inputs(request, file)
-        meshes += page_meshes(file, matrix)
+        meshes += page_meshes(file, matrix, context)
     shown = None if request.before is None else formats.target_of(request.before)
     return Extras(
         title=request.title or "",

@@ -69,7 +69,7 @@ def test_the_report_is_the_engines(tmp_path: Path) -> None:
         Photo(name=n, path=Path(n), digest=n, size=(640, 480), device="", sharpness=1.0)
         for n in names
     )
-    found = Found(photos=photos, unreadable=("notes.jpg",), copies={})
+    found = Found(photos=photos, unreadable=("my_notes.jpg",), copies={})
     best = Mapped(
         folder="0", photos=dict.fromkeys(names[:3], 200), points=500, error=0.5, track=3.0
     )
@@ -80,7 +80,7 @@ def test_the_report_is_the_engines(tmp_path: Path) -> None:
     said = reconstruction.read(tmp_path)
     assert said.summary.startswith("3 of 4 photos registered, 500 points")
     assert said.remarks == (
-        "1 photo cannot be read and is left out: notes.jpg.",
+        "1 photo cannot be read and is left out: my_notes.jpg.",
         "1 photo not registered. 3.jpg: no photo matches it.",
     )
 

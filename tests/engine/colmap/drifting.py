@@ -16,9 +16,11 @@ STOPS = np.array([-1.0, 0.5, 0.0, 1.2, -0.6, 0.0, 0.3, -0.2])
 POINTS = np.random.default_rng(3).uniform(-0.8, 0.8, (150, 3))
 
 
-def project(folder: Path, shown: np.ndarray, said: np.ndarray | None) -> None:
+def project(
+    folder: Path, shown: np.ndarray, said: np.ndarray | None, points: np.ndarray = POINTS
+) -> None:
     """Grey photos that differ by the stops `shown`; their EXIF says `said`."""
-    write_project(folder, names=NAMES, points=POINTS)
+    write_project(folder, names=NAMES, points=points)
     light = srgb_curve(np.full((72, 96, 3), 0.4))
     for index, name in enumerate(NAMES):
         values = srgb_values(light * 2.0 ** shown[index])

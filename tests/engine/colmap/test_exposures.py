@@ -19,7 +19,7 @@ from roigs_engine.photos.decode import load_photo
 from roigs_engine.photos.exposures import white
 from roigs_engine.photos.mask_images import load_masked
 from roigs_engine.requests.runs import Train
-from tests.engine.colmap.drifting import STOPS, project
+from tests.engine.colmap.drifting import POINTS, STOPS, project
 
 
 def load(folder: Path, *, pixels: bool = True) -> tuple[SfmScene, list[str]]:
@@ -56,6 +56,23 @@ def test_exif_of_photos_that_were_made_equal_is_not_believed(tmp_path: Path) -> 
     scene, texts = load(tmp_path)
     assert not exposures(scene).any()
     assert any("EXIF is not used" in text for text in texts)
+
+
+@pytest.mark.parametrize("count", [2, 150])
+def test_exposures_of_no_scene_are_not_believed(tmp_path: Path, count: int) -> None:
+    """Too few points were no check: photos became black."""
+    wrong = np.where(np.arange(8) == 3, -31.0, 0.0)
+    project(tmp_path, np.zeros(8), wrong, POINTS[:count])
+    scene, texts = load(tmp_path)
+    assert not exposures(scene).any()
+    assert any("differ by 31.0 stops, as in no scene: EXIF is not used" in text for text in texts)
+
+
+def test_few_points_cannot_check_exif(tmp_path: Path) -> None:
+    project(tmp_path, STOPS, STOPS, POINTS[:2])
+    scene, texts = load(tmp_path)
+    assert np.abs(exposures(scene) - STOPS).max() < 0.01
+    assert any("(EXIF)" in text for text in texts)
 
 
 def test_points_tell_exposures_without_exif(tmp_path: Path) -> None:

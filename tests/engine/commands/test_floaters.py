@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -112,9 +113,14 @@ def test_wrong_input_is_one_line(
     assert not (tmp_path / "o.npy").exists()
 
 
+@pytest.mark.parametrize(
+    "linked",
+    [False, pytest.param(True, marks=pytest.mark.skipif(os.name != "posix", reason="a link"))],
+)
 def test_a_list_that_needs_more_than_the_memory(
     project: Project,
     tmp_path: Path,
+    linked: bool,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -122,7 +128,9 @@ def test_a_list_that_needs_more_than_the_memory(
     monkeypatch.setattr("roigs_engine.app.instances.machine_memory", lambda: 1_000_000)
     cloud().save_ply(tmp_path / "a.ply")
     size = (tmp_path / "a.ply").stat().st_size
-    model = {"ply": "a.ply", "matrix": np.eye(4).tolist()}
+    if linked:
+        (tmp_path / "link.ply").symlink_to("a.ply")
+    model = {"ply": "link.ply" if linked else "a.ply", "matrix": np.eye(4).tolist()}
     models = [model] * (1 + 1_000_000 // size)
     (tmp_path / "list.json").write_text(json.dumps({"models": models}))
     listed = str(tmp_path / "list.json")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from roigs_engine.app.surface import _inputs, make_surfaces
-from roigs_engine.app.surface_record import add_to_reports
+from roigs_engine.app.surface_record import add_to_reports, put_section
 from roigs_engine.cli import main
 from roigs_engine.context import Context
 from roigs_engine.errors import Stopped
@@ -24,6 +25,7 @@ from roigs_engine.formats.rois import rois_document
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import PhotoMask
+from roigs_engine.photos.png import PNG
 from roigs_engine.requests.runs import MakeSurface
 from roigs_engine.run.definition import define_run
 from roigs_engine.surface import make
@@ -246,6 +248,75 @@ def test_reports_get_a_line_and_a_picture_of_each_surface(run: Path) -> None:
     (run / "rois/ball.surface.json").write_text('{"box": "ball", "faces": "<b>"}')
     add_to_reports(run)  # a damaged record: the reports say nothing of it
     assert (run / "report.md").read_text() == "# Evaluation\n"
+
+
+RECORD_OF_BALL = {
+    "box": "ball", "file": "rois/ball.glb", "result": "", "faces": 9, "vertices": 9, "parts": 1,
+    "size": [1, 1, 1], "area": 1.0, "volume": 1.0, "watertight": True, "filled": 0.0,
+    "untextured": 0.0, "unseen": {}, "voxel": 1.0, "texture": 64, "photos": 9,
+}  # fmt: skip
+
+
+@pytest.fixture
+def reported(tmp_path: Path) -> Path:
+    """A folder with reports and the record of a surface."""
+    folder = tmp_path / "run"
+    (folder / "rois").mkdir(parents=True)
+    (folder / "rois/ball.surface.json").write_text(json.dumps(RECORD_OF_BALL))
+    (folder / "report.md").write_text("# Evaluation\n")
+    (folder / "report.html").write_text("<script></script>\n</html>\n")
+    return folder
+
+
+@pytest.mark.skipif(os.name != "posix", reason="makes links")
+@pytest.mark.parametrize("content", [b"secret", PNG + b"secret"])
+def test_nothing_of_elsewhere_gets_into_a_report(reported: Path, content: bytes) -> None:
+    secret = reported.parent / "secret"
+    secret.write_bytes(content)
+    picture = reported / "rois/ball.surface.png"
+    picture.symlink_to(secret)
+    add_to_reports(reported)
+    page = (reported / "report.html").read_text()
+    assert "9 faces" in page and "data:image" not in page
+    picture.unlink()
+    picture.write_bytes(content)
+    add_to_reports(reported)
+    assert ("data:image" in (reported / "report.html").read_text()) == content.startswith(PNG)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="makes links")
+@pytest.mark.parametrize("name", ["report.md", "rois", "rois/ball.surface.json"])
+def test_links_in_a_run_folder_are_not_read_for_a_report(reported: Path, name: str) -> None:
+    elsewhere = reported.parent / "elsewhere"
+    (reported / name).rename(elsewhere)
+    (reported / name).symlink_to(elsewhere)
+    add_to_reports(reported)
+    if name == "report.md":
+        assert elsewhere.read_text() == "# Evaluation\n" and (reported / name).is_symlink()
+    else:
+        assert "9 faces" not in (reported / "report.html").read_text()
+
+
+START, END = "<!-- surfaces -->\n", "<!-- end of surfaces -->\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "left"),
+    [
+        (f"a\n{START}mine\n", f"a\n{START}mine\n"),
+        (f"a\n{END}mine\n", f"a\n{END}mine\n"),
+        (f"a\n{START}mine\n{START}old\n{END}b\n", f"a\n{START}mine\nb\n"),
+        (f"a\n{START}old\n{END}b\n", "a\nb\n"),
+    ],
+)
+def test_a_section_without_an_end_takes_nothing_away(tmp_path: Path, text: str, left: str) -> None:
+    report = tmp_path / "report.md"
+    report.write_text(text)
+    for lines in (["new"], ["new"], []):
+        put_section(report, "Surfaces", lines)
+        found = report.read_text()
+        assert found.replace(f"{START}new\n{END}", "") == left
+        assert (f"{START}new\n{END}" in found) == bool(lines)
 
 
 def test_a_background_knows_the_meshes_that_the_same_command_makes(run: Path) -> None:

@@ -137,8 +137,13 @@ def test_the_command_writes_a_file_for_each_point(
     (run / "six-mirror.hdr").write_text("mine")
     capsys.readouterr()
     assert main([*words, "--at", "0,0,0", "--out", str(run / "six.hdr")]) == 2
-    assert "six-mirror.hdr would be replaced" in capsys.readouterr().err
+    assert "needs six-mirror.hdr beside it, which would be" in capsys.readouterr().err
     assert (run / "six-mirror.hdr").read_text() == "mine" and not (run / "six.hdr").exists()
+    (run / "six.hdr").write_bytes((run / "five.hdr").read_bytes())  # is no reason to replace both
+    assert main([*words, "--at", "0,0,0", "--out", str(run / "six.hdr")]) == 2
+    assert (run / "six-mirror.hdr").read_text() == "mine"
+    assert main([*words, "--at", "0,0,0", "--out", str(run / "five.hdr")]) == 0
+    capsys.readouterr()
     more = ["--at", "0,0,0", "--at=-1,0,0", "--without", "red", "--out", str(run / "two.hdr")]
     assert main([*words, *more]) == 0
     assert capsys.readouterr().out.count("Light at ") == 2

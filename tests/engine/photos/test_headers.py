@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import io
 import struct
+import zlib
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from roigs_engine.photos import jpeg
+from roigs_engine.photos.decode import check_whole
+from roigs_engine.photos.exposures import exif_exposure
 from roigs_engine.photos.headers import (
     MAX_PIXELS,
     PhotoError,
     check_complete,
+    exif_of,
     open_photo,
     photo_size,
 )
@@ -102,6 +108,97 @@ def test_a_jpeg_of_hundreds_of_scans_is_not_decoded(tmp_path: Path, progressive:
             continue
         with pytest.raises(PhotoError, match=r"a\.jpg \(a JPEG of 3\d\d scans\)"), open_photo(path):
             pass
+
+
+def chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I4s", len(data), kind) + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def rationals(count: int) -> bytes:
+    """EXIF data with so many exposure times; the exposure itself is usual."""
+    own = struct.pack("<H", 1) + struct.pack("<HHII", 0x8769, 4, 1, 26) + bytes(4)
+    times = struct.pack("<HHII", 0x829A, 5, count, 56), struct.pack("<HHII", 0x8827, 3, 1, 100)
+    below = struct.pack("<H", 2) + b"".join(times) + bytes(4)
+    return b"II*\0\x08\0\0\0" + own + below + struct.pack("<II", 1, 60) * count
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_a_png_of_far_too_long_exif_data(tmp_path: Path, before: bool) -> None:
+    """120 MB of them took 3 GB."""
+    path, out = tmp_path / "a.png", io.BytesIO()
+    Image.new("RGB", (9, 6)).save(out, "PNG")
+    at = out.getvalue().index(b"IDAT" if before else b"IEND") - 4
+    for count, good in ((1, True), (200_000, False)):
+        data = chunk(b"eXIf", rationals(count))
+        path.write_bytes(out.getvalue()[:at] + data + out.getvalue()[at:])
+        assert (exif_exposure(path) is not None) == good
+        with nullcontext() if good else pytest.raises(PhotoError, match=r"EXIF data have 1 MB"):
+            check_whole(path)
+
+
+def test_exif_data_of_far_too_many_numbers_are_not_read(tmp_path: Path) -> None:
+    path, found = tmp_path / "a.webp", []
+    for count in (1, 200_000):
+        Image.new("RGB", (9, 6)).save(path, exif=b"Exif\0\0" + rationals(count))
+        found.append(exif_exposure(path))
+        check_whole(path)
+    assert found[0] is not None and found[1] is None
+
+
+def test_exif_data_in_the_text_of_a_png(tmp_path: Path) -> None:
+    """Pillow would read them without our checks."""
+    path = tmp_path / "a.png"
+    shared = b"".join(struct.pack("<HHII", 40000 + k, 7, 1000, 8) for k in range(500))
+    overlapping = b"II*\0\x08\0\0\0" + struct.pack("<H", 500) + shared + bytes(1000)
+    for data, good in ((rationals(1), True), (overlapping, False), (b"", False)):
+        text = PngInfo()
+        text.add_text("Raw profile type exif", f"\nexif\n {len(data)}\n{data.hex()}")
+        Image.new("RGB", (9, 6)).save(path, pnginfo=text)
+        with open_photo(path) as photo:
+            assert bool(exif_of(photo)) == good
+
+
+@pytest.mark.parametrize("part", [b"\xff\xfe\0\2", b"\xff", b"\xff\xd0"])
+def test_a_jpeg_of_far_too_many_segments(tmp_path: Path, part: bytes) -> None:
+    """2 million empty comments took a minute."""
+    path, out = tmp_path / "a.jpg", io.BytesIO()
+    Image.new("RGB", (9, 6)).save(out, "JPEG")
+    data = out.getvalue()
+    for count in (1000, 2_000_000):
+        path.write_bytes(data[:2] + part * count + data[2:])
+        if count == 1000:
+            assert photo_size(path) == (9, 6)
+            check_whole(path)
+            continue
+        for read in (photo_size, check_complete, check_whole):
+            with pytest.raises(PhotoError, match=r"a\.jpg \(a JPEG of more than 4,096 segments"):
+                read(path)
+
+
+def test_a_jpeg_of_far_too_long_exif_data(tmp_path: Path) -> None:
+    """Pillow joins all segments."""
+    path, out = tmp_path / "a.jpg", io.BytesIO()
+    Image.new("RGB", (9, 6)).save(out, "JPEG")
+    data, segment = out.getvalue(), b"\xff\xe1\xff\xff" + b"Exif\0\0".ljust(65_533)
+    path.write_bytes(data[:2] + segment * 17 + data[2:])
+    with pytest.raises(PhotoError, match="its EXIF data have more than 1 MB"):
+        check_whole(path)
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_png_of_far_too_many_chunks(tmp_path: Path, late: bool) -> None:
+    path, out = tmp_path / "a.png", io.BytesIO()
+    Image.new("RGB", (9, 6)).save(out, "PNG")
+    data = out.getvalue()
+    at = data.index(b"IEND" if late else b"IDAT") - 4
+    for count in (1000, 200_000):
+        path.write_bytes(data[:at] + chunk(b"teXt", b"") * count + data[at:])
+        with (
+            nullcontext()
+            if count == 1000
+            else pytest.raises(PhotoError, match=r"a\.png \(a PNG of more than")
+        ):
+            check_whole(path)
 
 
 @pytest.mark.parametrize("kind", ["jp2", "raw", "tiff"])

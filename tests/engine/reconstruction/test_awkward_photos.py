@@ -18,6 +18,7 @@ from roigs_engine.colmap.project import load_colmap
 from roigs_engine.context import QUIET
 from roigs_engine.errors import SceneError
 from roigs_engine.photos.decode import decode
+from roigs_engine.photos.exposures import exif_exposure
 from roigs_engine.photos.mask_paths import MaskOptions
 from roigs_engine.reconstruction.convert import converted
 from roigs_engine.reconstruction.folder import Folder
@@ -145,6 +146,26 @@ def test_photos_of_phones_keep_their_camera(tmp_path: Path) -> None:
     Image.new("RGB", (640, 480)).save(tmp_path / "photos/IMG 1.HEIC")
     with pytest.raises(SceneError, match="exists and is not"):
         converted(folder.photos_of(tmp_path / "photos"), folder, QUIET)
+
+
+@pytest.mark.parametrize("needed", [True, False])
+def test_long_exif_data_are_no_reason_to_lose_a_photo(tmp_path: Path, needed: bool) -> None:
+    """A JPEG has room for 64 kB of them."""
+    (tmp_path / "photos").mkdir()
+    exif = Image.Exif()
+    exif[0x0110] = "Phone"
+    exif[0x8769] = {0x829A: 0.25, 0x8827: 100, 0x927C: b"x" * 70_000}
+    if not needed:  # too long without the maker's notes, too
+        exif[0x8825] = {0x001C: b"x" * 70_000}
+    Image.new("RGB", (64, 48)).save(tmp_path / "photos/a.webp", exif=exif)
+    folder = Folder(tmp_path / "scene")
+    folder.work().mkdir(parents=True)
+    files = converted(folder.photos_of(tmp_path / "photos"), folder, QUIET)
+    assert list(files) == ["a.webp.jpg"]
+    assert decode(files["a.webp.jpg"]).shape == (48, 64, 3)
+    assert exif_exposure(files["a.webp.jpg"]) == (-2 if needed else None)
+    with Image.open(files["a.webp.jpg"]) as photo:
+        assert photo.getexif().get(0x0110) == ("Phone" if needed else None)
 
 
 def test_photos_that_become_jpeg_become_srgb(tmp_path: Path) -> None:

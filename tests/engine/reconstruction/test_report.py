@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from roigs_engine.formats.text import plain_text
 from roigs_engine.reconstruction.mapping import Mapped
 from roigs_engine.reconstruction.photo_checks import Found, Photo, unread_in_words, warnings_of
 from roigs_engine.reconstruction.report import (
@@ -120,6 +122,18 @@ def test_photos_that_hang_on_few_points_are_named() -> None:
     report = as_markdown(result(models=[best]))
     assert text not in report  # the panel has buttons for them
     assert "| c.jpg | 1 |" in report
+
+
+def test_names_are_no_markdown_and_no_html() -> None:
+    name = "[a](javascript:b) | <img src=x> `_*\n# c.jpg"
+    found = Found(photos=(*result().found.photos, photo(name)), unreadable=(name,), copies={})
+    weak = model("ab")
+    weak.photos[f"{name}d"] = 40
+    report = as_markdown(result(found=found, features={name: 9}, models=[weak]))
+    escaped = r"\[a\](javascript:b) \| \<img src=x\> \`\_\* # c.jpg"
+    assert report.count(escaped) >= 3 and f"| {escaped} |" in report
+    assert not re.search(r"(?<!\\)[`*_\[\]<>]|\n# c", report)
+    assert plain_text(escaped) == " ".join(name.split())
 
 
 def test_formats_that_are_not_read_are_counted() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -13,7 +14,8 @@ import numpy as np
 import pytest
 from PIL import EpsImagePlugin
 
-from roigs_engine.errors import RunFolderError
+from roigs_engine.context import Context
+from roigs_engine.errors import RunFolderError, Stopped
 from roigs_engine.exchange.gltf import is_mesh
 from roigs_engine.surface import files
 from roigs_engine.surface.files import convert_mesh, page_meshes, sampled_surface
@@ -77,12 +79,39 @@ def test_primitives_that_show_large_pictures(
     ]
     record["images"] = 4 * record["images"][:1]
     record["textures"] = [{"source": k if distinct else 0} for k in range(4)]
-    path, opened = tmp_path / "a.glb", Mock(wraps=files.Image.open)
+    path, opened = tmp_path / "a.glb", Mock(wraps=files.open_picture)
     path.write_bytes(glb_of(record, blob))
-    monkeypatch.setattr(files.Image, "open", opened)
+    monkeypatch.setattr(files, "open_picture", opened)
     with pytest.raises(RunFolderError, match="would unpack") if distinct else nullcontext():
         page_meshes(path, np.eye(4))
     assert opened.call_count == (3 if distinct else 1)
+
+
+def many_scans(count: int) -> bytes:
+    """A progressive JPEG whose last scan is repeated."""
+    data = picture("JPEG", progressive=True)
+    return data[:-2] + data[data.rindex(b"\xff\xda") : -2] * count + data[-2:]
+
+
+def test_a_texture_of_hundreds_of_scans(tmp_path: Path) -> None:
+    """247 kB took 24 seconds."""
+    path = tmp_path / "a.glb"
+    path.write_bytes(glb_of(*mesh_record(many_scans(20))))
+    convert_mesh(path, tmp_path / "b.obj")
+    path.write_bytes(glb_of(*mesh_record(many_scans(300))))
+    for reader in READERS:
+        with pytest.raises(RunFolderError, match=r"glTF file \(a JPEG of 3\d\d scans\)"):
+            reader(path)
+
+
+def test_reading_a_mesh_can_be_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, goes_on = tmp_path / "a.glb", threading.Event()
+    path.write_bytes(glb_of(*mesh_record(picture())))
+    monkeypatch.setattr(files, "open_picture", lambda *_: goes_on.wait(60))
+    context = Context(should_stop=lambda: True)
+    with pytest.raises(Stopped):
+        convert_mesh(path, tmp_path / "b.obj", None, context)
+    goes_on.set()
 
 
 def test_faces_of_vertices_that_are_not_there(tmp_path: Path) -> None:
@@ -93,6 +122,38 @@ def test_faces_of_vertices_that_are_not_there(tmp_path: Path) -> None:
     for reader in READERS:
         with pytest.raises(RunFolderError, match="faces of vertices that it does not have"):
             reader(path)
+
+
+@pytest.mark.parametrize("value", [-1, -100, np.nan, 2.0, 2.7, -1e30])
+def test_faces_of_vertices_of_other_numbers(tmp_path: Path, value: float) -> None:
+    """Negative ones counted from the end; others were another number, or a traceback."""
+    record, blob = mesh_record(picture())
+    kind, code = ("<i2", 5122) if isinstance(value, int) else ("<f4", 5126)
+    faces = np.array([0, 2, 1, 0, 1, value, 1, 2, 3], kind).tobytes()
+    start = record["bufferViews"][4]["byteOffset"]
+    record["accessors"][4] |= {"componentType": code, "count": 9}
+    path = tmp_path / "a.glb"
+    path.write_bytes(glb_of(record, blob[:start] + faces + blob[start + len(faces) :]))
+    for reader in READERS:
+        with pytest.raises(RunFolderError, match="faces of vertices that it does not have"):
+            reader(path)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e300, 1e39])
+@pytest.mark.parametrize("key", ["translation", "scale", "matrix", "nodes"])
+def test_nodes_of_numbers_that_are_not_finite(tmp_path: Path, key: str, value: float) -> None:
+    record, blob = mesh_record(picture())
+    matrix = np.diag([1, value, 1, 1]).ravel().tolist()
+    record["nodes"] = [{"mesh": 0, key: matrix if key == "matrix" else [1, value, 1]}]
+    if key == "nodes":  # each is finite
+        scale = [1, min(value, 1e30), 1]
+        record["nodes"] = [{"children": [1], "scale": scale}, {"mesh": 0, "scale": scale}]
+    path = tmp_path / "a.glb"
+    path.write_bytes(glb_of(record, blob))
+    for ending in (".obj", ".ply", ".stl"):
+        with pytest.raises(RunFolderError, match="infinitely far away"):
+            convert_mesh(path, tmp_path / f"b{ending}")
+    assert [file.name for file in tmp_path.iterdir()] == ["a.glb"]
 
 
 def test_meshes_are_placed_by_their_nodes(tmp_path: Path) -> None:
@@ -125,7 +186,11 @@ def test_files_of_others_beside_a_mesh_stay(tmp_path: Path, suffix: str, beside:
     made = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     out.unlink()  # as if the process had been killed before it
     convert_mesh(source, out)
-    (tmp_path / beside).write_text("of an earlier mesh")
+    (tmp_path / beside).write_text("mine")  # though the mesh is there
+    with pytest.raises(RunFolderError, match=f"needs {beside} beside it, which would be replaced"):
+        convert_mesh(source, out)
+    assert (tmp_path / beside).read_text() == "mine"
+    (tmp_path / beside).unlink()
     convert_mesh(source, out)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == made
 
