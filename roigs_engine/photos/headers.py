@@ -20,7 +20,16 @@ from typing import TYPE_CHECKING, BinaryIO
 from ..errors import EngineError, SceneError
 from ..formats.contents import LFS
 from ..formats.files import regular
-from .jpeg import EXIF, JPEG_END, MOST_EXIF, check_scans, jpeg_exif, jpeg_segments, jpeg_size
+from .jpeg import (
+    EXIF,
+    JPEG_END,
+    MOST_EXIF,
+    MOST_SEGMENT,
+    check_scans,
+    jpeg_exif,
+    jpeg_segments,
+    jpeg_size,
+)
 from .jpeg2000 import STARTS as JPEG_2000
 from .jpeg2000 import check_tiles
 from .png import PNG, PNG_END, png_chunks
@@ -196,7 +205,8 @@ def check_cost(file: BinaryIO) -> None:
     start = file.read(max(map(len, (*JPEG_2000, PNG))))
     if start.startswith(JPEG):
         with suppress(struct.error):
-            tiff.check_tags(io.BytesIO(jpeg_exif(file)))  # Pillow reads them to open it
+            if len(data := jpeg_exif(file)) > MOST_SEGMENT:  # Pillow reads them to open it
+                tiff.check_tags(io.BytesIO(data))
         check_scans(file)
     elif start.startswith(PNG):
         for _ in png_chunks(file):

@@ -15,7 +15,8 @@ JPEG_END, SCAN = b"\xff\xd9", b"\xff\xda"
 PER_PIXEL, BESIDE = 8, 64 << 20
 """Bytes that a JPEG may have for each pixel, and besides: for headers, and a film behind it."""
 MOST_SEGMENTS = 4096  # of the headers; Pillow takes microseconds for each, and for padding
-APP1, EXIF, MOST_EXIF = 0xE1, b"Exif\0\0", 1 << 20  # the last in bytes
+APP1, EXIF = 0xE1, b"Exif\0\0"
+MOST_SEGMENT, MOST_EXIF = 65_533, 1 << 20  # bytes; EXIF data may be in several segments
 MOST_SCANS = 100  # of a JPEG; each may change all pixels. Usual files have up to 20
 
 

@@ -17,6 +17,7 @@ from ..photos.colours import colours_of, say_srgb
 from ..photos.decode import check_whole, to_rgb
 from ..photos.files import HEIC
 from ..photos.headers import PhotoError, content_digest, exif_of, open_photo
+from ..photos.jpeg import MOST_SEGMENT
 from ..photos.parallel import in_parallel
 from ..photos.tiff import colmap_reads
 from .folder import IMAGES, Folder
@@ -29,7 +30,7 @@ FOREIGN = {*HEIC, ".webp", ".jp2"}  # pycolmap's wheels cannot read these
 TIFF = {".tif", ".tiff"}  # pycolmap reads some of these differently
 QUALITY = 95
 ORIENTATION, EXIF_IFD = 0x0112, 0x8769  # EXIF tags
-MOST_EXIF, LONG = 65_533, 1000  # bytes in a JPEG; letters of a tag that is not needed, as MakerNote
+LONG = 1000  # letters of a tag that is not needed, as MakerNote
 BYTES = 20 * 50_000_000  # for converting a large photo
 RECORD = "converted.json"
 SRGB = " sRGB"  # after the digest of a photo whose colours were also converted
@@ -142,12 +143,12 @@ def _exif(photo: Image, *, heic: bool) -> bytes:
             exif.pop(ORIENTATION, None)  # reading has already turned it
         if colours_of(photo).profile:
             say_srgb(exif)
-        if len(data := exif.tobytes()) > MOST_EXIF:
+        if len(data := exif.tobytes()) > MOST_SEGMENT:
             for tags in (exif, exif.get_ifd(EXIF_IFD)):
                 for tag in [tag for tag, value in tags.items() if len(str(value)) > LONG]:
                     del tags[tag]
             data = exif.tobytes()
-        return data if len(data) <= MOST_EXIF else b""
+        return data if len(data) <= MOST_SEGMENT else b""
     return b""
 
 

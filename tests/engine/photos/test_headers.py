@@ -185,6 +185,20 @@ def test_a_jpeg_of_far_too_long_exif_data(tmp_path: Path) -> None:
         check_whole(path)
 
 
+@pytest.mark.parametrize("parts", [1, 2])
+def test_a_jpeg_of_exif_data_with_a_wrong_pointer(tmp_path: Path, parts: int) -> None:
+    """Only programs of bad will write several segments of them."""
+    path, out = tmp_path / "a.jpg", io.BytesIO()
+    Image.new("RGB", (9, 6)).save(out, "JPEG")
+    tags = struct.pack("<H", 1) + struct.pack("<HHII", 0x8769, 4, 1, 26) + bytes(4)
+    exif = b"Exif\0\0II*\0\x08\0\0\0" + tags + b"\xff" * 60_000
+    segment = b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif
+    path.write_bytes(out.getvalue()[:2] + segment * parts + out.getvalue()[2:])
+    with nullcontext() if parts == 1 else pytest.raises(PhotoError, match="65,535 tags"):
+        check_whole(path)
+    assert exif_exposure(path) is None
+
+
 @pytest.mark.parametrize("late", [False, True])
 def test_a_png_of_far_too_many_chunks(tmp_path: Path, late: bool) -> None:
     path, out = tmp_path / "a.png", io.BytesIO()
