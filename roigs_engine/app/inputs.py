@@ -80,14 +80,17 @@ def load_scene(
     Args:
         cache: folder for undistorted photos; None: only cameras are needed, not pixels.
         pixels: False if only cameras, and what `cache` knows of the photos, are needed.
-        contents: see `load_colmap`.
+        contents: whether photos get their digests and masks, without a `cache`, too.
         check: called with the cameras before any photo is decoded.
         masks: which to use; None for those of `mask_options`, without object masks.
     """
     from ..colmap.exposures import with_exposures
     from ..colmap.project import load_colmap
+    from ..colmap.undistort import temporary_folder
 
     use_threads(request.threads)
+    if contents and cache is None:
+        cache, pixels = temporary_folder(), False
     scene = load_colmap(
         request.scene,  # type: ignore[attr-defined]  # each request with a scene has its own help
         images=request.images,
@@ -96,7 +99,6 @@ def load_scene(
         max_side=request.max_side,
         masks=masks or mask_options(request),
         pixels=pixels and cache is not None,
-        contents=contents,
         check=check,
         context=context,
     )

@@ -206,9 +206,9 @@ class PhotoLoader:
     def load(self, cache: Path | None, context: Context = QUIET, *, contents: bool = False) -> None:
         """Identify and mask photos; with `pixels`, skip damaged ones and undistort distorted ones.
 
-        `cache`, `contents`: see `load_colmap`. Raises as `undistort_all` and `make_masks`.
+        `cache`: see `load_colmap`. Raises as `undistort_all` and `make_masks`.
         """
-        if self._pixels or contents or cache is not None:
+        if self._pixels or cache is not None:
             self._identify(cache, context)
             if self._masks.used:
                 self._mask(cache, context)

@@ -51,7 +51,6 @@ def load_colmap(
     max_side: int | None = None,
     masks: MaskOptions = USUAL_MASKS,
     pixels: bool = True,
-    contents: bool = False,
     check: Callable[[SfmScene], None] | None = None,
     context: Context = QUIET,
 ) -> SfmScene:
@@ -69,9 +68,8 @@ def load_colmap(
             boxes' objects.
         pixels: False if only cameras are needed. The cameras are the same, but nothing is decoded
             or undistorted, damaged photos are not all found, and `path` names the distorted photo.
-            Photos have digests and masks of their own only with `contents`, or with a `cache`,
-            which is not written. Without pycolmap, distortion is then ignored.
-        contents: whether photos are hashed, and their masks found, without `pixels`, too.
+            Photos have digests and masks of their own only with a `cache`, which is not written.
+            Without pycolmap, distortion is then ignored.
         check: called with the cameras before any photo is decoded; raises an error to stop.
 
     Raises:
@@ -92,7 +90,7 @@ def load_colmap(
         _mention_refined(model, folder, context)
     if check is not None and loader.posed:
         check(without_outliers(_scene(loader, observed, points, colors)))
-    loader.load(cache, context, contents=contents)
+    loader.load(cache, context)
     if not loader.posed:
         raise _no_photos(model, folder, photos, loader)
     if photos.folder.name in projects.PHOTO_FOLDERS[1:]:
