@@ -69,8 +69,7 @@ def import_folder(
         AddonError: the folder does not contain an exported model.
     """
     record, points, colours = _read(folder)
-    photos = [Photo.from_dict(image) for image in record["images"]]
-    extent = _extent(record)
+    photos, extent = [Photo.from_dict(image) for image in record["images"]], _extent(record)
     before = [lookup.photo_record(item) for item in lookup.cameras(scene).values()]
     active = lookup.photo_record(scene.camera) if scene.camera else None
     _remove_earlier(scene)
@@ -99,8 +98,8 @@ def import_folder(
         parent.objects.link(cloud)
     props = scene_props(scene)
     props.root, props.model_cache = root, str(folder)
-    cameras.fit_clips(scene, lookup.root_scale(scene))
     props.skipped = skipped_in_words(record.get("skipped") or {})
+    cameras.fit_clips(scene, lookup.root_scale(scene))
     centres = np.array([camera_matrix(photo.pose)[:3, 3] for photo in photos]).reshape(-1, 3)
     if not stays:
         view_layer_of(bpy.context).update()
