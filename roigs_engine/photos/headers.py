@@ -33,6 +33,7 @@ from .jpeg import (
 from .jpeg2000 import STARTS as JPEG_2000
 from .jpeg2000 import check_tiles
 from .png import PNG, PNG_END, png_chunks
+from .tiff_tags import check_tags
 
 if TYPE_CHECKING:
     from PIL.Image import Exif, Image
@@ -200,13 +201,11 @@ def check_cost(file: BinaryIO) -> None:
 
     Damage of other kinds is left to Pillow, which gets `file` at its beginning.
     """
-    from . import tiff
-
     start = file.read(max(map(len, (*JPEG_2000, PNG))))
     if start.startswith(JPEG):
         with suppress(struct.error):
             if len(data := jpeg_exif(file)) > MOST_SEGMENT:  # Pillow reads them to open it
-                tiff.check_tags(io.BytesIO(data))
+                check_tags(io.BytesIO(data))
         check_scans(file)
     elif start.startswith(PNG):
         for _ in png_chunks(file):
@@ -215,15 +214,13 @@ def check_cost(file: BinaryIO) -> None:
         check_tiles(file)
     else:
         file.seek(0)
-        tiff.check_tags(file)
+        check_tags(file)
     file.seek(0)
 
 
 def exif_of(photo: Image) -> Exif:
     """The EXIF tags of an opened photo; of damaged or far too long data, none."""
     from PIL.Image import Exif
-
-    from . import tiff
 
     if photo.format == "PNG" and "exif" not in photo.info:
         photo.load()  # they may follow the pixels
@@ -234,7 +231,7 @@ def exif_of(photo: Image) -> Exif:
         data = bytes(photo.info.get("exif") or b"")
         if len(data) > MOST_EXIF + len(EXIF):
             return Exif()
-        tiff.check_tags(io.BytesIO(data.removeprefix(EXIF)))
+        check_tags(io.BytesIO(data.removeprefix(EXIF)))
     except (TypeError, ValueError):  # the pixels are good
         return Exif()
     return photo.getexif()

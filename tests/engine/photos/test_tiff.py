@@ -15,7 +15,7 @@ from PIL import Image, ImageCms
 
 from roigs_engine.context import QUIET
 from roigs_engine.errors import EngineError
-from roigs_engine.photos import tiff
+from roigs_engine.photos import tiff_tags
 from roigs_engine.photos.contents import read_contents
 from roigs_engine.photos.decode import BLACK, check_whole, decode
 from roigs_engine.photos.headers import PhotoError, exif_of, open_photo, photo_size
@@ -328,7 +328,7 @@ def test_tags_of_far_too_many_numbers(tmp_path: Path, code: int, kind: int, widt
     with_tags(path, [code], kind, 1000, big=False)
     decode(path)
     data = bytearray(path.read_bytes())
-    count = tiff.MOST_NUMBERS + 1
+    count = tiff_tags.MOST_NUMBERS + 1
     at = data.rindex(struct.pack("<HHI", code, kind, 1000))
     struct.pack_into("<II", data, at + 4, count, len(data))
     path.write_bytes(data + struct.pack("<II", 3, 7)[:width] * count)
@@ -337,7 +337,7 @@ def test_tags_of_far_too_many_numbers(tmp_path: Path, code: int, kind: int, widt
 
 
 def test_lists_of_far_too_many_strips(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tiff, "MOST_PLACES", 1000)
+    monkeypatch.setattr(tiff_tags, "MOST_PLACES", 1000)
     with_tags(tmp_path / "a.tif", [324], 4, 1001, big=False)
     with pytest.raises(PhotoError, match="its pixels are in far too many parts"):
         decode(tmp_path / "a.tif")
