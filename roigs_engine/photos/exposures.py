@@ -95,5 +95,4 @@ def white(stops: float) -> int:
 def _table(stops: float) -> NDArray[np.uint8]:
     """(256,) the new value for each value."""
     values = np.arange(MOST + 1).clip(max=CLIPPED if stops > 0 else MOST)
-    light = srgb_curve(values / MOST) * 2.0**-stops
-    return np.asarray((MOST * srgb_values(light.clip(0, 1))).round().astype(np.uint8))
+    return np.asarray((MOST * exposed(values / MOST, -stops)).round().astype(np.uint8))
