@@ -19,7 +19,7 @@ from .evaluate import held_out
 from .inputs import load_scene, on_device
 from .instances import drawable_model
 from .outputs import Result, refuse_inputs, refuse_run_files
-from .run_scene import RunSource, source_of_run, warn_of_other_model
+from .run_scene import RunSource, source_of_run, used_photos, warn_of_other_model
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -164,10 +164,10 @@ def _training_photos(
     scene: SfmScene, request: Adapt, source: RunSource, context: Context
 ) -> SfmScene:
     """The scene without the photos that the model's run left out, or holds out to test on."""
+    every, scene = len(scene.images), used_photos(scene, source.photos)
     names = {image.name for image in scene.images}
-    if source.photos is not None and (unused := names - source.photos) and unused < names:
-        context.info(f"Left out {counted(len(unused), 'photo')} that the run did not use.")
-        scene, names = scene.without(unused), names - unused
+    if unused := every - len(names):
+        context.info(f"Left out {counted(unused, 'photo')} that the run did not use.")
     tested = sorted(names & held_out(request.model))
     if not tested:
         return scene

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -62,7 +62,7 @@ def cameras_of_run(folder: Path, scene: Path | None, context: Context) -> SfmSce
         if scene or place.is_dir():
             found = _cameras(folder, place, None if scene else _path(folder, "images"), context)
             warn_of_other_cameras(folder, found, context)
-            return _used(folder, found)
+            return used_photos(found, _photos(folder))
     raise ConfigError(
         f"The scene of {folder} was moved or deleted.", "Give its folder with --scene."
     )
@@ -103,19 +103,21 @@ def warn_of_other_cameras(folder: Path, scene: SfmScene, context: Context) -> No
         context: receives the warning.
     """
     model = read_record(folder / run_files.MANIFEST).get("model")
-    if isinstance(model, str) and _used(folder, scene).digest()[: len(model)] != model:
+    photos = _photos(folder)
+    if photos is None or not isinstance(model, str):
+        return
+    if used_photos(scene, photos).digest()[: len(model)] != model:
         context.warn(
             f"The scene has other cameras or points than {folder} was trained with: results are"
             " wrong if they have moved. Train again, or give --scene the model of that training."
         )
 
 
-def _used(folder: Path, scene: SfmScene) -> SfmScene:
-    """The scene with the photos of a run alone, as far as its folder names them."""
-    photos = _photos(folder)
+def used_photos(scene: SfmScene, photos: Collection[str] | None) -> SfmScene:
+    """Return the scene with these photos alone; all of it if they are unknown, or none is there."""
     if photos is None:
         return scene
-    others = {image.name for image in scene.images} - photos
+    others = {image.name for image in scene.images}.difference(photos)
     return scene.without(others) if len(others) < len(scene.images) else scene
 
 
@@ -139,7 +141,7 @@ class RunSource:
     scene: Path | None = None
     images: Path | None = None
     longest_side: int | None = None
-    photos: frozenset[str] | None = None
+    photos: Collection[str] | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -153,14 +155,14 @@ def source_of_run(model: Path) -> RunSource:
             f"{model} is only a part of a result, but the photos show all of it.",
             f"Give {folder / run_files.RESULT}.",
         )
-    settings, photos = read_record(folder / run_files.SETTINGS), _photos(folder)
+    settings = read_record(folder / run_files.SETTINGS)
     flags = {name: True for name in FLAGS if settings.get(name) is True}
     masks = _path(folder, "masks")
     return RunSource(
         scene=next((place for place in _places(folder) if place.is_dir()), None),
         images=_path(folder, "images"),
         longest_side=_longest_side(folder),
-        photos=None if photos is None else frozenset(photos),
+        photos=_photos(folder),
         options=flags if masks is None else flags | {"masks": masks},
     )
 
